@@ -17,6 +17,7 @@ __all__ = [
     "InputError",
     "InputWarning",
     "LeftOutWarning",
+    "OtherSceneWarning",
     "Reason",
     "RenderError",
     "SceneError",
@@ -47,6 +48,10 @@ class InputWarning(UserWarning):
 
 class LeftOutWarning(UserWarning):
     """More than 1 % of the samples were left out of a result: bad ones, or negative ones."""
+
+
+class OtherSceneWarning(UserWarning):
+    """A model estimates samples that are not known to be of a scene that trained it."""
 
 
 class SceneError(ChdstatError):

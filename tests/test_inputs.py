@@ -14,7 +14,7 @@ from chdstat import estimators, fit
 from chdstat.cli import main
 from chdstat.errors import InputError, LeftOutWarning, StoreError
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.dataset import Profile
+from chdstat.estimators.progressive.inputs import Profile
 from chdstat.inference import gaussianity_of_means
 from chdstat.patterns import random_chds
 from chdstat.samples import Samples
@@ -286,7 +286,7 @@ SEEDED = {
     "simulate": lambda _, seed: chd.simulate("gamma", shape=(2, 2), spp=4, seed=seed).read(),
     "random_chds": lambda _, seed: [c.null_share for c in random_chds(9, seed=seed)],
     "train_model": lambda s, seed: estimators.train_model(
-        s, reference=False, iterations=2, seed=seed, progress=False
+        s, iterations=2, seed=seed, progress=False
     ).predict(s.read()),
 }
 
@@ -317,9 +317,6 @@ IMAGE = {
     "compare": lambda s: chd.compare(s, ["mean"], n=4),
     "analyze": lambda s: chd.analyze(s, progress=False),
     "train": lambda s: Progressive().train(s, sizes=(4,), iterations=2, progress=False),
-    "train without a reference": lambda s: Progressive().train(
-        s, reference=False, iterations=2, progress=False
-    ),
 }
 LOGARITHMIC = ("classify", "fit.gamma", "fit.tail_index", "modality", "gaussianity", "analyze")
 

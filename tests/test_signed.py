@@ -11,6 +11,7 @@ import pytest
 import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import Reason
+from chdstat.estimators.progressive.inputs import Profile
 from chdstat.estimators.validation import Totals
 from chdstat.summary.histograms import linear_support
 
@@ -125,10 +126,10 @@ def test_a_comparison_leaves_no_batch_out():
 
 
 def test_profiles_keep_their_energy():
-    profile = estimators.Profile.of(NOISY, unit=1.0)
+    profile = Profile.of(NOISY, unit=1.0)
     assert profile.mean() == pytest.approx(CLEAN.mean(axis=-1), rel=1e-4, abs=1e-6)
     assert (profile.bins[..., 1:, 1:] >= -0.1).all()
-    only = estimators.Profile.of([[-2.0, 1.0, 0.0]], unit=1.0)
+    only = Profile.of([[-2.0, 1.0, 0.0]], unit=1.0)
     assert (only.bins[0].tolist(), only.mean().tolist()) == ([1.0, -2.0], [-1 / 3])
 
 

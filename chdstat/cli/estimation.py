@@ -39,15 +39,6 @@ def train(
     features: Annotated[
         bool, typer.Option("--features", help="Use first-hit features as inputs.")
     ] = False,
-    direct: Annotated[
-        bool, typer.Option("--direct", help="Use direct and indirect light separately as inputs.")
-    ] = False,
-    no_reference: Annotated[
-        bool,
-        typer.Option(
-            "--no-reference", help="Learn from splits of the samples, with neighbouring pixels."
-        ),
-    ] = False,
     iterations: cli.Iterations = None,
     spp: cli.Spp = None,
     size: cli.Size = None,
@@ -62,14 +53,11 @@ def train(
 ) -> None:
     """Train an estimator on a scene and write it to a file."""
     from chdstat._core.files import checked_target
-    from chdstat.estimators.models import check_choice, train_model
-    from chdstat.estimators.progressive.inputs import Input
+    from chdstat.estimators.training import check_choice, train_model
 
     cli.load_plugins(plugin)
     target = checked_target(out, ".safetensors")  # refused before the work, not after
-    wanted: dict[Input, bool] = {"features": features, "direct": direct}
-    inputs = [name for name, chosen in wanted.items() if chosen]
-    check_choice(estimator, inputs=inputs, reference=not no_reference)
+    check_choice(estimator, with_features=features)
     samples = cli.samples_of(
         source,
         spp=spp,
@@ -77,7 +65,6 @@ def train(
         seed=seed,
         max_depth=max_depth,
         backend=backend,
-        direct=direct,
         define=define,
         store=store,
         quiet=quiet,
@@ -85,8 +72,7 @@ def train(
     trained = train_model(
         samples,
         estimator,
-        inputs=inputs,
-        reference=not no_reference,
+        with_features=features,
         spp=spp,
         seed=seed,
         iterations=iterations,
@@ -104,15 +90,15 @@ def estimate(
     source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The image to write, .exr.")],
     model: Annotated[
-        str | None,
+        Path | None,
         typer.Option(
-            metavar="FILE|self_trained",
-            help="A trained model, as 'train' writes it, or self_trained to train one here.",
+            metavar="FILE",
+            help="A trained model, as 'train' writes it.",
             show_default="candidates are combined",
         ),
     ] = None,
     loss_weight: Annotated[
-        float, typer.Option(help="From 0, least MSE, to 1, least relMSE.")
+        float, typer.Option(help="Of a model: from 0, least MSE, to 1, least relMSE.")
     ] = 0.5,
     level: Annotated[float, typer.Option(help="Probability of the interval.")] = 0.9,
     denoise: Annotated[
@@ -120,11 +106,8 @@ def estimate(
     ] = False,
     while_rendering: Annotated[
         bool,
-        typer.Option(
-            "--while-rendering", help="Train between batches of a render; keep no samples."
-        ),
+        typer.Option("--while-rendering", help="Estimate from a render; keep no samples."),
     ] = False,
-    iterations: cli.Iterations = None,
     spp: cli.Spp = None,
     size: cli.Size = None,
     seed: cli.Seed = 0,
@@ -140,23 +123,21 @@ def estimate(
 ) -> None:
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
-    Combines the mean and denoised images, pixel by pixel as the samples themselves say; with
-    --model self_trained, --iterations or --while-rendering, trains on these very samples, without a
-    reference, the last in memory that does not grow with --spp. The file holds the estimate, and as
-    layers its certainty, the ends of its interval, and the mean of the samples.
+    Combines the mean and denoised images, pixel by pixel, by their errors on held-out samples, or
+    lets a trained model estimate. The file holds the estimate, and as layers its certainty, the
+    ends of its interval, and the mean of the samples.
     """
     from chdstat._core.cache import kept_until_written
     from chdstat._core.executor import client_of
     from chdstat._core.files import checked_target
-    from chdstat.estimators import Progressive
     from chdstat.estimators.estimates import write_estimates
-    from chdstat.estimators.models import load_model
+    from chdstat.estimators.training import load_model
     from chdstat.rendering import Rendering, render_batches
     from chdstat.samples import Samples, is_store
 
     cli.load_plugins(plugin)
     target = checked_target(out, ".exr")  # refused before the work, not after
-    trained = model if model in (None, "self_trained") else load_model(model)
+    trained = None if model is None else load_model(model)
     samples: Samples | Rendering
     if while_rendering and (is_store(source) or store is not None):
         message = (
@@ -182,7 +163,6 @@ def estimate(
             seed=seed,
             max_depth=max_depth,
             backend=backend,
-            direct=isinstance(trained, Progressive) and trained.inputs.direct,
             define=define,
             store=store,
             quiet=quiet,
@@ -196,8 +176,6 @@ def estimate(
             loss_weight=loss_weight,
             level=level,
             denoise=denoise,
-            seed=seed,
-            iterations=iterations,
             progress=not quiet,
             client=client,
             checkpoint=checkpoint,

@@ -17,7 +17,13 @@ import typer
 
 from chdstat import __version__
 from chdstat._core.places import is_path, place_of
-from chdstat.errors import ChdstatError, InputError, InputWarning, LeftOutWarning
+from chdstat.errors import (
+    ChdstatError,
+    InputError,
+    InputWarning,
+    LeftOutWarning,
+    OtherSceneWarning,
+)
 
 if TYPE_CHECKING:
     from chdstat.patterns import Thresholds
@@ -230,7 +236,6 @@ def samples_of(
     seed: int,
     max_depth: int | None,
     backend: Backend,
-    direct: bool,
     define: list[str] | None,
     store: Path | None,
     quiet: bool,
@@ -251,7 +256,6 @@ def samples_of(
         size=size_of(size),
         seed=seed,
         max_depth=max_depth,
-        direct=direct,
         out=store,
         backend=backend,
         progress=not quiet,
@@ -418,7 +422,7 @@ def _shown_once() -> Callable[..., None]:
         line: str | None = None,
     ) -> None:
         text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
-        if issubclass(category, LeftOutWarning | InputWarning):
+        if issubclass(category, LeftOutWarning | InputWarning | OtherSceneWarning):
             text = f"chdstat: {message}"
         if text not in shown:
             typer.echo(text, file=file, err=True)

@@ -325,10 +325,11 @@ def doctor(
     ] = False,
     as_json: cli.Json = False,
 ) -> None:
-    """Describe what works on this machine: Mitsuba backends, LLVM, torch, memory, versions."""
+    """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions."""
+    from chdstat.io import denoiser
     from chdstat.rendering.backend import examine
 
-    found = examine(fresh=fresh)
+    found = examine(fresh=fresh) | {"denoiser": denoiser.library()}
     if as_json:
         output.print_json(found)
     else:

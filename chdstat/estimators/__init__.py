@@ -1,9 +1,9 @@
 """Estimators: from a few samples of a pixel to its radiance.
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
-is the baseline. `MLP` is the network of the paper; `Progressive` takes any number of samples, has a
-certainty and an interval, and needs no reference as `self_trained`. The others are order
-statistics and M-estimators; buckets, reweighting and resampling; shrinkage by `james_stein`;
+is the baseline. `MLP` is the network of the paper; `Progressive` takes any number of samples and
+has a certainty and an interval. The others are order statistics and M-estimators; buckets,
+reweighting and resampling; shrinkage by `james_stein`;
 outliers, which a pixel's other samples or the pixels around do not confirm; and those that share
 statistics with similar pixels around.
 
@@ -21,14 +21,14 @@ import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
 from chdstat.estimators.collaborative import boughida2017
+from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
 from chdstat.estimators.estimates import estimate, write_estimates
-from chdstat.estimators.mlp import MLP, PRESETS, Preset
-from chdstat.estimators.models import load_model, train_model
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.nlmeans import rousselle2012
 from chdstat.estimators.outliers import Cascade
-from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream
+from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import (
+    Estimates,
     Estimator,
     LearnedEstimator,
     Model,
@@ -38,7 +38,7 @@ from chdstat.estimators.registry import (
     register_learned,
 )
 from chdstat.estimators.shrinkage import james_stein
-from chdstat.estimators.training import History
+from chdstat.estimators.training import History, load_model, train_model
 from chdstat.estimators.weighting import Combination, combine
 
 __all__ = [
@@ -53,9 +53,7 @@ __all__ = [
     "LearnedEstimator",
     "Model",
     "Preset",
-    "Profile",
     "Progressive",
-    "Stream",
     "boughida2017",
     "combine",
     "estimate",

@@ -1,37 +1,31 @@
 """Estimates: a better image from the samples that are there, and a file of it.
 
-`estimate` is the one call from samples to radiance. By default it combines the mean, an
-outlier-free mean and denoised images of both, as the samples themselves say; it can also train a
-network on the very samples that it estimates from. Neither needs a reference. Given a rendering in
-place of samples, it learns while the batches arrive, and keeps none of them. `write_estimates` puts
-the image in an EXR file, with the certainty, the interval and the mean beside it.
-`chdstat.estimators` has the parts.
+`estimate` is the one call from samples to radiance. It combines the mean, an outlier-free mean and
+denoised images of both by their errors on held-out samples, without a reference, or lets a model
+estimate that was trained before. Nothing is trained. `write_estimates` puts the image in an EXR
+file, with the certainty, the interval and the mean beside it. `chdstat.estimators` has the parts.
 """
 
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat import __version__
-from chdstat._core.arrays import Seed, seed_number
 from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError
-from chdstat.estimators.models import AnyModel, first_samples, load_model, train_model
-from chdstat.estimators.progressive import Estimates, Progressive, Stream
-from chdstat.estimators.progressive.stream import follow
-from chdstat.estimators.registry import check_probability, mean_of_good
-from chdstat.estimators.validation import direct_of
-from chdstat.estimators.weighting import LEAST, Combination, combine
+from chdstat.estimators.progressive import Progressive
+from chdstat.estimators.registry import Estimates, check_probability, mean_of_good
+from chdstat.estimators.training import TrainedModel, first_samples, load_model
+from chdstat.estimators.weighting import Combination, combine
 from chdstat.io import denoise, write_exr
 from chdstat.samples import Image, Samples, check_equal_counts
 from chdstat.samples.tiles import check_independent
@@ -43,14 +37,9 @@ if TYPE_CHECKING:
 
 __all__ = ["check_denoiser", "estimate", "through_denoiser", "write_estimates"]
 
-_log = logging.getLogger("chdstat")
-
+AnyModel = TrainedModel[Any]
 _COPIES = 2.2
-"""Memory that an estimate takes, over that of its samples (measured)."""
-_SIGNED = 0.01
-"""Share of negative radiance from which a denoiser, to which it counts as 0, would add light."""
-_TRAINED = "self_trained"
-"""Stands for a model that is trained on the samples."""
+"""Memory that an estimate by a model takes, over that of its samples (measured)."""
 _USUAL_CHANNELS = (1, 3)
 """Numbers of channels that EXR has names for."""
 
@@ -63,8 +52,6 @@ def estimate(
     loss_weight: float = 0.5,
     level: float = 0.9,
     denoise: bool = False,
-    seed: Seed = 0,
-    iterations: int | None = None,
     progress: bool | None = None,
     client: Client | None = None,
     checkpoint: str | Path | None = None,
@@ -72,26 +59,22 @@ def estimate(
     """Estimate the radiance of every pixel.
 
     Without a model, `chdstat.estimators.combine` weights candidates, which takes less time than
-    rendering the samples did. Where Open Image Denoise is not installed, where more than 1 % of the
-    radiance is negative, and where `iterations` are given, `Progressive` is trained on these very
-    samples, without a reference, in some seconds to minutes; it looks at first-hit features where
-    there are any and at the pixels around (not while rendering, since that needs the samples).
+    rendering the samples did.
 
     Parameters
     ----------
     samples
         The image, as `Samples`, an array (y, x, channel, sample) or the path of a store; or a
         rendering, as `chdstat.rendering.render_batches` makes it: then nothing is kept of its
-        batches but what the estimate needs, in memory that does not grow with `spp`.
+        batches but what the estimate needs, in memory that does not grow with `spp`. A model
+        takes samples only.
     model
-        A trained estimator, or the file that one was saved to; "self_trained" trains one; None
-        combines candidates, or trains. A model of another scene is followed as far as it pays,
-        which is measured on these samples.
+        A trained estimator, or the file that one was saved to; None combines candidates. A
+        `Progressive` of another scene warns, and is mixed with the mean.
     spp
         Use the first so many samples; None uses all.
     loss_weight
-        0 for the least MSE, 1 for the least relMSE, and what lies between. It matters little
-        without a reference, and not to networks with one answer.
+        Of a `Progressive`: 0 for the least MSE, 1 for the least relMSE, and what lies between.
     level
         Probability of the interval.
     denoise
@@ -99,8 +82,6 @@ def estimate(
         Certainty and interval remain those of the estimate before it. Where candidates are
         combined, a pixel is denoised once more only as far as its weights are those of denoised
         images, and stays within the interval of its mean.
-    seed, iterations
-        Of a training, as for `chdstat.estimators.models.train_model`; no iterations with a model.
     progress
         Show progress bars; None shows them on a terminal. A rendering shows its own.
     client, checkpoint
@@ -118,25 +99,21 @@ def estimate(
     ------
     InputError
         If the samples are too few, or more than the memory of this machine holds, the model does
-        not fit them, an option is out of range, or Open Image Denoise is wanted and missing.
+        not fit them, an option is out of range, or Open Image Denoise is wanted and cannot be
+        loaded.
     StoreError
         If the model cannot be read.
-
-    References
-    ----------
-    J. Lehtinen et al., "Noise2Noise: learning image restoration without clean data", ICML 2018.
 
     Examples
     --------
     >>> import chdstat as chd
     >>> rng = np.random.default_rng(0)
     >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
-    >>> found = estimate(image, iterations=5, progress=False)
+    >>> found = estimate(image, progress=False)
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    work = seed_number(seed), iterations, progress, client, checkpoint
-    options = _Options(spp, loss_weight, level, denoise, *work)
+    options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
     return _Estimated.of(samples, model, options).final
 
 
@@ -149,8 +126,6 @@ def write_estimates(
     loss_weight: float = 0.5,
     level: float = 0.9,
     denoise: bool = False,
-    seed: Seed = 0,
-    iterations: int | None = None,
     progress: bool | None = None,
     client: Client | None = None,
     checkpoint: str | Path | None = None,
@@ -165,7 +140,7 @@ def write_estimates(
     ----------
     path
         The file, ending in .exr; one that is there already is replaced at the end.
-    samples, model, spp, loss_weight, level, denoise, seed, iterations, progress, client, checkpoint
+    samples, model, spp, loss_weight, level, denoise, progress, client, checkpoint
         As for `estimate`.
 
     Returns
@@ -185,13 +160,12 @@ def write_estimates(
     >>> rng = np.random.default_rng(0)
     >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
     >>> with TemporaryDirectory() as folder:
-    ...     file = write_estimates(f"{folder}/a.exr", image, iterations=5, progress=False)
-    ...     sorted(chd.io.read_exr(file).extra)
+    ...     file = write_estimates(f"{folder}/a.exr", image, progress=False)
+    ...     sorted(chd.io.read_exr(file).extra)[:4]
     ['certainty', 'high', 'low', 'mean']
     """
     target = checked_target(path, ".exr")
-    work = seed_number(seed), iterations, progress, client, checkpoint
-    options = _Options(spp, loss_weight, level, denoise, *work)
+    options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
     image = _Estimated.of(samples, model, options)
     return write_exr(
         target,
@@ -210,8 +184,6 @@ class _Options:
     loss_weight: float
     level: float
     denoise: bool
-    seed: int
-    iterations: int | None
     progress: bool | None
     client: Client | None
     checkpoint: str | Path | None
@@ -249,40 +221,20 @@ class _Estimated:
             )
             raise InputError(message)
         check_probability(level=options.level)
-        if model not in (None, _TRAINED) and options.iterations is not None:
-            message = (
-                f"iterations={options.iterations} is for training; with a model, nothing is trained"
-            )
-            raise InputError(message)
-        trains = model == _TRAINED or options.iterations is not None
-        own = None if trains else model
-        own = load_model(own) if isinstance(own, str | Path) else own
+        own = load_model(model) if isinstance(model, str | Path) else model
         # A rendering has batches; to test for its class would load Mitsuba here.
         if hasattr(source, "batch"):
-            if options.client is not None:
-                message = (
-                    "a network trains on a rendering in one process: leave client or --workers out,"
-                    " or render first and estimate from the store"
-                )
-                raise InputError(message)
             return cls._of_rendering(source, own, options)
         samples = first_samples(source, options.spp)
         check_equal_counts(samples)
         if options.denoise:
             check_denoiser(samples.shape[2])  # refused before the work, not after
-        if own is None and not trains and _can_combine(samples):
-            return cls._combined(samples, options)
-        check_memory(
-            _COPIES * samples.nbytes,
-            f"the {samples.spp} spp of an estimate and what it computes of them",
-            "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
-        )
-        return cls._of_samples(samples, own, options)
+        return cls._combined(samples, options) if own is None else cls._by(own, samples, options)
 
     @classmethod
-    def _combined(cls, samples: Samples, options: _Options) -> _Estimated:
+    def _combined(cls, source: Samples | Rendering, options: _Options) -> _Estimated:
         found = combine(
-            samples,
+            cast("Any", source),
             level=options.level,
             progress=options.progress,
             client=options.client,
@@ -290,42 +242,18 @@ class _Estimated:
         )
         about = {"bias": found.bias, "bias_error": found.bias_error}
         training = "before, on built-in scenes with references"
-        return cls(samples, options, None, about, training, found, found.mean)
-
-    @classmethod
-    def _of_samples(cls, samples: Samples, model: AnyModel | None, options: _Options) -> _Estimated:
-        own = model or train_model(
-            samples,
-            inputs=["features"] if samples.features else [],
-            reference=False,
-            seed=options.seed,
-            iterations=options.iterations,
-            progress=options.progress,
-        )
-        x = samples.read()
-        if isinstance(own, Progressive):
-            known = model is None or own.trained_on(samples.attrs)
-            found = own.estimate(
-                x,
-                features=samples.features if own.inputs.features else None,
-                direct=direct_of(samples).read() if own.inputs.direct else None,
-                loss_weight=options.loss_weight,
-                level=options.level,
-                trust=1.0 if known else None,
-            )
-        else:
-            radiance = own.predict(x)
-            unknown = np.full_like(radiance, np.nan)
-            found = Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
-        training = "on these samples, without a reference" if model is None else "before"
-        mean = mean_of_good(x).astype(np.float32)
-        return cls(samples, options, own, own.provenance, training, found, mean)
+        return cls(source, options, None, about, training, found, found.mean)
 
     @classmethod
     def _of_rendering(cls, rendering: Any, model: AnyModel | None, options: _Options) -> _Estimated:
-        # What could not be estimated after the rendering is refused before it.
-        channels = rendering.shape[2]
+        """Estimate while rendering; what could not be estimated after it is refused before it."""
         check_independent(rendering)
+        if model is not None:
+            message = (
+                f"{model!r} needs the samples, of which none are kept while rendering: render "
+                "first and estimate from the store, or leave the model out"
+            )
+            raise InputError(message)
         if options.spp not in (None, rendering.spp):
             message = (
                 f"spp of a rendering is set where it is made: {rendering.spp}, "
@@ -333,35 +261,26 @@ class _Estimated:
             )
             raise InputError(message)
         if options.denoise:
-            check_denoiser(channels)
-        own = Progressive(inputs=["features"]) if model is None else model
-        if not isinstance(own, Progressive) or own.inputs.neighbours or own.inputs.direct:
-            message = (
-                "while rendering, a model must be 'progressive' and look neither at neighbours, "
-                "since no samples are kept, nor at direct light, which is rendered separately; "
-                f"got {own!r}"
-            )
-            raise InputError(message)
-        if model is not None:
-            own.check(channels)
-        stream = Stream(
-            own,
-            features=rendering.features if own.inputs.features else None,
-            learns=model is None,
-            seed=options.seed,
-            attrs=rendering.attrs,
+            check_denoiser(rendering.shape[2])
+        return cls._combined(rendering, options)
+
+    @classmethod
+    def _by(cls, model: AnyModel, samples: Samples, options: _Options) -> _Estimated:
+        """Let a model estimate."""
+        check_memory(
+            _COPIES * samples.nbytes,
+            f"the {samples.spp} spp of an estimate and what it computes of them",
+            "use fewer, by spp or --spp, or leave the model out",
         )
-        if model is None:
-            follow(stream, rendering, spp=rendering.spp, iterations=options.iterations)
+        x = samples.read()
+        if isinstance(model, Progressive):
+            found = model.estimate(samples, loss_weight=options.loss_weight, level=options.level)
         else:
-            for batch in rendering:
-                stream.update(batch)
-        found = stream.estimate(loss_weight=options.loss_weight, level=options.level)
-        # Where no sample varied nothing was learned.
-        about = stream.model.provenance if model is not None or stream.iterations else {}
-        training = "while rendering, without a reference" if model is None else "before"
-        mean = stream.mean().astype(np.float32)
-        return cls(rendering, options, stream.model, about, training, found, mean)
+            radiance = model.predict(x)
+            unknown = np.full_like(radiance, np.nan)
+            found = Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
+        mean = mean_of_good(x).astype(np.float32)
+        return cls(samples, options, model, model.provenance, "before", found, mean)
 
     @cached_property
     def final(self) -> Estimates:
@@ -418,26 +337,6 @@ def through_denoiser(
     return denoise(start, albedo=albedo, normal=normal, certainty=certainty)
 
 
-def _can_combine(samples: Samples) -> bool:
-    """Return whether candidates can be made; if only the denoiser is missing, log it."""
-    if samples.shape[2] not in _USUAL_CHANNELS or samples.spp < LEAST:
-        return False
-    try:
-        check_denoiser(samples.shape[2])
-    except InputError:
-        _log.warning(
-            "Open Image Denoise is not installed: a network is trained in place of combining "
-            "candidates; pip install 'chdstat[denoise]' makes estimates faster and better"
-        )
-        return False
-    negative = total = 0.0
-    for *_, block in samples.blocks():
-        known = np.nan_to_num(block, posinf=0, neginf=0)
-        negative += float(np.minimum(known, 0).sum(dtype=np.float64))
-        total += float(np.abs(known).sum(dtype=np.float64))
-    return -negative <= _SIGNED * total
-
-
 def check_denoiser(channels: int) -> None:
-    """Raise InputError where the denoiser is missing or takes no such image: before the work."""
+    """Raise InputError where the denoiser cannot be loaded or takes no such image."""
     denoise(np.zeros((1, 1, channels)))

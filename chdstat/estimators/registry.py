@@ -19,14 +19,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Protocol, TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import all_good, as_pixels, as_samples, is_bad, spans, warn_left_out
-from chdstat._core.display import Shown
+from chdstat._core.display import Card, Shown, png
+from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, check_probability
 from chdstat.scenes.plugins import owns_estimator
 
@@ -34,6 +35,7 @@ __all__ = [
     "ENTRIES",
     "LABELS",
     "Array",
+    "Estimates",
     "Estimator",
     "Floats",
     "LearnedEstimator",
@@ -84,6 +86,38 @@ class Model(Protocol):
 
 
 @dataclass(frozen=True, repr=False)
+class Estimates(Shown):
+    """Estimates of pixels, with certainty and interval.
+
+    Attributes
+    ----------
+    radiance
+        Shape (..., channel), in the unit of the samples; NaN where no sample is good.
+    certainty
+        How far the estimate rests on more than the mean of the pixel's samples, 0 to 1, shape
+        (...): where it is 0, the estimate is this mean.
+    low, high
+        Ends of the interval that contains the radiance with probability `level`, shape (...,
+        channel).
+    level
+        Probability of the interval.
+    """
+
+    radiance: npt.NDArray[np.float32]
+    certainty: npt.NDArray[np.float32]
+    low: npt.NDArray[np.float32]
+    high: npt.NDArray[np.float32]
+    level: float
+
+    def _card(self) -> Card:
+        card = super()._card()
+        if self.radiance.ndim != 3 or self.radiance.shape[-1] not in (1, 3):
+            return card
+        shown = {"estimate": png(tonemap(self.radiance)), "certainty": png(self.certainty)}
+        return replace(card, images=shown)
+
+
+@dataclass(frozen=True, repr=False)
 class Estimator(Shown):
     """A fixed estimator: call it with samples (..., sample) for estimates (...).
 
@@ -112,8 +146,6 @@ class Estimator(Shown):
         Whether it takes ``features=``, the first-hit features of the image, where there are any.
     learns
         Whether it trains on the samples at hand each time that it is called.
-    uses_direct
-        Whether it takes the direct part of the samples: no fixed estimator does.
     """
 
     name: str
@@ -126,7 +158,6 @@ class Estimator(Shown):
     joint_channels: bool = False
     uses_features: bool = False
     learns: bool = False
-    uses_direct: ClassVar[bool] = False
 
     @property
     def about(self) -> str:
@@ -183,8 +214,6 @@ class LearnedEstimator(Shown):
         What it does, in a sentence.
     uses_features, joint_channels
         As for `Estimator`.
-    uses_direct
-        Whether its models take ``direct=``, the direct part of the samples; they cannot do without.
     learns, uses_neighbours
         It trains, and with a reference none looks across pixels.
     """
@@ -200,7 +229,6 @@ class LearnedEstimator(Shown):
     options: Mapping[str, Any] = field(default_factory=dict)
     uses_features: bool = False
     joint_channels: bool = False
-    uses_direct: bool = False
     learns: ClassVar[bool] = True
     uses_neighbours: ClassVar[bool] = False
 

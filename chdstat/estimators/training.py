@@ -1,4 +1,7 @@
-"""Training of networks: the one loop, what it leaves behind, and the file of a trained model.
+"""Training of networks: by name, the one loop, what it leaves behind, and the file of a model.
+
+>>> from chdstat.estimators import load_model, train_model
+>>> # train_model(samples, "elek2019").save("scene.safetensors"); load_model("scene.safetensors")
 
 A file holds named arrays and JSON in the safetensors format, which runs no code when it is read.
 Torch is imported when something trains.
@@ -20,9 +23,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 import chdstat
+from chdstat._core.arrays import Seed, seed_number
 from chdstat._core.display import Card, Shown, number
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import InputError, StoreError
+from chdstat.estimators.registry import LearnedEstimator, lookup, names
+from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     import torch
@@ -31,12 +37,16 @@ __all__ = [
     "History",
     "Trained",
     "TrainedModel",
+    "check_choice",
     "check_iterations",
     "descend",
+    "first_samples",
+    "load_model",
     "provenance_of",
     "read_model",
     "scene_record",
     "threads",
+    "train_model",
     "write_model",
 ]
 
@@ -111,10 +121,16 @@ State = TypeVar("State", bound=Trained)
 class TrainedModel(Shown, ABC, Generic[State]):
     """An estimator that is trained once, then estimates, and can be saved."""
 
+    kinds: ClassVar[dict[str, type[TrainedModel[Any]]]] = {}
+    """Those that model files may hold, by the names of their kinds there."""
     name: str
     kind: ClassVar[str]
     """Name of its kind in model files."""
     _trained: State | None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        TrainedModel.kinds[cls.kind] = cls
 
     def _card(self) -> Card:
         if self._trained is None:
@@ -189,6 +205,10 @@ class TrainedModel(Shown, ABC, Generic[State]):
         except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
             message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
             raise StoreError(message) from error
+
+    @abstractmethod
+    def predict(self, x: npt.ArrayLike, /) -> npt.NDArray[np.float32]:
+        """Estimate radiance."""
 
     @abstractmethod
     def _to_file(self, state: State) -> tuple[Arrays, dict[str, Any]]:
@@ -381,3 +401,121 @@ def _checksum(text: str, arrays: Mapping[str, npt.NDArray[Any]]) -> str:
     for name, array in sorted(arrays.items()):
         parts += [f"{name} {array.dtype.str} {array.shape}".encode(), array.tobytes()]
     return f"{checksum(b''.join(parts)):08x}"
+
+
+def train_model(
+    samples: Image | npt.ArrayLike,
+    name: str = "progressive",
+    *,
+    with_features: bool = False,
+    spp: int | None = None,
+    seed: Seed = 0,
+    iterations: int | None = None,
+    progress: bool | None = None,
+) -> TrainedModel[Any]:
+    """Train an estimator on an image.
+
+    The other samples of each pixel are its reference: they must be many more than will be estimated
+    from.
+
+    Parameters
+    ----------
+    samples
+        The image.
+    name
+        A registered estimator that learns, as `chdstat.estimators.names` lists them.
+    with_features
+        Whether "progressive" also takes first-hit features.
+    spp
+        Use the first so many samples; None uses all.
+    seed
+        Draws pixels, first weights and minibatches.
+    iterations
+        Minibatches; None for what the estimator is meant to take.
+    progress
+        Show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    MLP or Progressive
+        Trained; its ``save`` writes it to a file.
+
+    Raises
+    ------
+    InputError
+        If no estimator of that name learns, it takes no features, or the samples are too few.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
+    >>> train_model(image, iterations=5, progress=False)
+    <Progressive scene 'samples'>
+    """
+    entry = check_choice(name, with_features=with_features)
+    used = first_samples(samples, spp)
+    options: Any = {"seed": seed_number(seed), "iterations": iterations, "progress": progress}
+    found = entry.train(used, **options)
+    if not isinstance(found, TrainedModel):
+        message = f"{name} trains a {type(found).__name__}, which is no model of this library"
+        raise InputError(message)
+    return found
+
+
+def check_choice(name: str, *, with_features: bool = False) -> LearnedEstimator:
+    """Return the entry of an estimator that learns, with features if they are asked for.
+
+    Raises
+    ------
+    InputError
+        If it learns nothing, or takes no features.
+    """
+    entry = lookup(name)
+    if not isinstance(entry, LearnedEstimator):
+        trainable = [n for n in names("learned") if isinstance(lookup(n), LearnedEstimator)]
+        message = f"{name} trains no network; give one of {', '.join(trainable)}"
+        raise InputError(message)
+    if not with_features or entry.uses_features:
+        return entry
+    if f"{name}_features" not in names("learned"):
+        message = f"{name!r} takes no first-hit features; leave them out, or train 'progressive'"
+        raise InputError(message)
+    return check_choice(f"{name}_features")
+
+
+def load_model(path: str | Path) -> TrainedModel[Any]:
+    """Read a trained estimator of any kind; this runs no code from the file.
+
+    Raises
+    ------
+    StoreError
+        If there is no such file, it is damaged, or it holds something else.
+
+    Examples
+    --------
+    >>> load_model("nowhere.safetensors")
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.StoreError: no model at nowhere.safetensors; train one with: ...
+    """
+    _, about = read_model(Path(path))
+    kind = about.get("kind") if isinstance(about, dict) else None
+    if not isinstance(kind, str) or kind not in TrainedModel.kinds:
+        known = ", ".join(TrainedModel.kinds)
+        message = f"{path} holds a model of kind {kind!r}; this version knows {known}"
+        raise StoreError(message)
+    return TrainedModel.kinds[kind].load(path)
+
+
+def first_samples(samples: Image | npt.ArrayLike, spp: int | None) -> Samples:
+    """Return the first samples of each pixel, in memory; None returns all as they are.
+
+    Raises
+    ------
+    InputError
+        If there are not so many, or less than one is wanted.
+    """
+    image = samples_of(samples)
+    return image if spp is None or spp == image.spp else image.first(spp)

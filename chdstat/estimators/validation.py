@@ -9,14 +9,14 @@ A batch with a bad sample has no reference (NaN): it neither trains nor judges.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, as_samples, generator, spans
+from chdstat._core.arrays import LeftOut, generator, spans
 from chdstat.errors import InputError
 from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples, check_equal_counts
@@ -27,24 +27,17 @@ __all__ = [
     "Totals",
     "batches",
     "check_spp",
-    "checked_direct",
     "checked_pixels",
-    "direct_of",
     "draw_pixels",
     "judging_pixels",
     "reordered",
     "training_batches",
-    "training_pixels",
     "without",
 ]
 
 PUBLISHED_PIXELS = 6400
 """Pixels that Elek, Thomas and Forbes 2019 train on."""
 
-_PIXELS = 8192
-"""Of one image, at most, where several may train together."""
-_MOST_PIXELS = 4 * _PIXELS
-"""Of all images together: more take memory, and tell little."""
 _REORDERED = 2**15
 """Samples sorted at once."""
 _ROUNDING = 1e-13
@@ -133,56 +126,26 @@ def batches(samples: Samples, n: int) -> Iterator[npt.NDArray[np.float32]]:
         yield samples.read(ss=slice(first, first + n))
 
 
-def check_spp(samples: Samples, n: int) -> None:
-    """Refuse samples that leave no reference beside a batch of n.
+def check_spp(samples: Samples, n: int, *, reference: bool = True) -> None:
+    """Refuse samples that hold no batch of n, or leave no reference beside it.
 
     Raises
     ------
     InputError
-        If there are fewer than 2 n samples per pixel, or some pixels have more than others.
+        If there are fewer than n samples per pixel, or than 2 n where the `reference` is made of
+        them, or some pixels have more than others.
     """
     check_independent(samples)
     check_equal_counts(samples)
-    if samples.spp < 2 * n:
+    if not reference and samples.spp < n:
+        message = f"a batch of {n} samples needs as many spp, got {samples.spp}"
+        raise InputError(message)
+    if reference and samples.spp < 2 * n:
         message = (
             f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "
             f"got {samples.spp}; render more samples per pixel"
         )
         raise InputError(message)
-
-
-def direct_of(samples: Samples) -> Samples:
-    """Return the direct part of an image, as many samples of it.
-
-    Raises
-    ------
-    InputError
-        If it is not known, or not of all samples.
-    """
-    direct = samples.direct
-    if direct is None or direct.spp < samples.spp:
-        known = "none" if direct is None else f"that of {direct.spp}"
-        message = (
-            f"the direct light of all {samples.spp} samples is wanted, this image has {known}; "
-            "render it with direct=True (chdstat render --direct) into the same store"
-        )
-        raise InputError(message)
-    return direct
-
-
-def checked_direct(direct: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """Return the direct part of samples of a shape.
-
-    Raises
-    ------
-    InputError
-        If it has another shape.
-    """
-    part = as_samples(direct, name="direct")
-    if part.shape != shape:
-        message = f"direct must have the shape of the samples, {shape}, got {part.shape}"
-        raise InputError(message)
-    return part
 
 
 def draw_pixels(
@@ -249,37 +212,6 @@ def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray
         message = f"pixels must lie in the image of {shape[1]} x {shape[0]} pixels (y, x)"
         raise InputError(message)
     return np.unique(chosen, axis=0).astype(np.int64)
-
-
-def training_pixels(
-    images: Sequence[Samples], given: Any, *, seed: int
-) -> list[npt.NDArray[np.int64]]:
-    """Return the pixels of several images that train together, rows (y, x).
-
-    An image draws fewer beside many others, from those that it draws alone.
-
-    Parameters
-    ----------
-    images
-        All that train together.
-    given
-        An array for each, or None to draw them.
-    seed
-        Where the draw starts.
-
-    Raises
-    ------
-    InputError
-        If there are not as many arrays as images, or one is not of pixels of its image.
-    """
-    if given is None:
-        count = min(_PIXELS, _MOST_PIXELS // len(images))
-        return [draw_pixels(image.shape[:2], count, seed=seed) for image in images]
-    if len(given) != len(images):
-        message = f"pixels must be one array for each of {len(images)} images, got {len(given)}"
-        raise InputError(message)
-    shapes = (image.shape[:2] for image in images)
-    return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
 
 
 def training_batches(

@@ -32,8 +32,7 @@ from chdstat._core.cache import checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.halves import Measured, compare_halves
 from chdstat.estimators.held_out import Proposal, weight_of_mean
-from chdstat.estimators.progressive.inputs import Estimates
-from chdstat.estimators.registry import check_probability, register
+from chdstat.estimators.registry import Estimates, check_probability, register
 from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.training import read_model
 from chdstat.estimators.validation import reordered

@@ -9,6 +9,7 @@ features, not all of it: its estimate is close to that of `chdstat.estimate`, no
 from __future__ import annotations
 
 import timeit
+import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -23,8 +24,9 @@ from chdstat._core.arrays import is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.accumulate import SUMS, errors_of
 from chdstat.comparison.candidates import Entry, choose, estimate_by, takes
-from chdstat.estimators import MLP, registry
-from chdstat.estimators.models import AnyModel, load_model
+from chdstat.errors import OtherSceneWarning
+from chdstat.estimators import MLP, Progressive, registry
+from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import Box, Pixel
@@ -293,7 +295,7 @@ class Learner:
     """
 
     name: str
-    model: AnyModel
+    model: TrainedModel[Any]
 
     def score(
         self,
@@ -324,29 +326,39 @@ class Learner:
             if not fits:
                 return None
             return replace(_score(self.name, model.predict(batches.x), batches), given=True)
-        if model.channels != batches.x.shape[-2]:
+        if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
             return None
         names = ("radiance", "certainty", "low", "high")
-        if model.inputs.features or model.inputs.neighbours:
-            lacking = source is None or (model.inputs.features and not source.samples.features)
-            if source is None or lacking or len(place) != 2:
-                return None
+        known = source is not None and model.trained_on(source.samples.attrs)
+        if source is not None and len(place) == 2 and (model.with_features or not known):
+            # Of another scene, the pixels around tell how far the model counts.
             batches = batches.first(BATCHES_AROUND)
             spp = len(batches.x) * n
             window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
-            shown = source.samples.features if model.inputs.features else {}
-            features = {name: own[ys, xs] for name, own in shown.items()} or None
-            found = [model.estimate(cut, features=features, unit=unit) for cut in _cut(window, n)]
+            features = {k: field[ys, xs] for k, field in source.samples.features.items()}
+            if model.with_features and not features:
+                return None
+            own = unit if known else None
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", OtherSceneWarning)
+                found = [
+                    model.estimate(cut, features=features, unit=own) for cut in _cut(window, n)
+                ]
             fields = [np.stack([getattr(e, name)[y, x] for e in found]) for name in names]
+        elif model.with_features:
+            return None
         else:
-            estimated = model.estimate(batches.x, unit=unit)
+            # Without an image, the batches of the place tell it.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", OtherSceneWarning)
+                estimated = model.estimate(batches.x, unit=unit if known else None)
             fields = [getattr(estimated, name) for name in names]
         certainty, low, high = (_average(values) for values in fields[1:])
         one = _score(self.name, fields[0], batches)
         return replace(one, certainty=float(certainty), low=low, high=high, given=True)
 
 
-def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
+def learners(models: Sequence[TrainedModel[Any] | str | Path]) -> list[Learner]:
     """Return trained estimators, read from their files where they are files.
 
     Raises

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bokeh.server.server import Server
     from tornado.httputil import HTTPServerRequest
 
-    from chdstat.estimators.models import AnyModel
+    from chdstat.estimators.training import TrainedModel
     from chdstat.explorer.shared import Shared
 
 __all__ = ["DEFAULT_PORT", "Explorer", "explore"]
@@ -153,7 +153,7 @@ def explore(
     *,
     other: str | Path | Samples | None = None,
     reference: str | Path | Samples | None = None,
-    models: Sequence[AnyModel | str | Path] = (),
+    models: Sequence[TrainedModel[Any] | str | Path] = (),
     maps: str | Path | None = None,
     port: int = 0,
     browser: bool = False,

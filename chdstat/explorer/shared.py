@@ -15,7 +15,7 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import spans
 from chdstat._core.cache import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
-from chdstat.estimators.models import AnyModel
+from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.estimators import Learner, learners, quick_names
 from chdstat.explorer.maps import (
     DIFFERENCES,
@@ -103,7 +103,7 @@ def opened(
     source: str | Path | Samples | SceneSource,
     other: str | Path | Samples | None = None,
     reference: str | Path | Samples | None = None,
-    models: Sequence[AnyModel | str | Path] = (),
+    models: Sequence[TrainedModel[Any] | str | Path] = (),
     *,
     maps: str | Path | None = None,
 ) -> Shared:

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from chdstat._core.image_scales import exposure_unit
-from chdstat.errors import ChdstatError, InputError
+from chdstat.errors import ChdstatError, InputError, brief
 
-__all__ = ["denoise"]
+__all__ = ["denoise", "library"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def denoise(
     Raises
     ------
     InputError
-        If Open Image Denoise is not installed, a shape is wrong, or a value is out of range.
+        If Open Image Denoise cannot be loaded, a shape is wrong, or a value is out of range.
     ChdstatError
         If Open Image Denoise fails.
 
@@ -84,14 +84,7 @@ def denoise(
     image = _image(estimate, hdr=hdr)
     features = _features(image.shape, albedo, normal)
     keep = _certainty(image.shape, certainty)
-    try:
-        network = importlib.import_module("pyoidn")
-    except ImportError as error:
-        message = (
-            "denoise needs Open Image Denoise, which is not installed: pip install "
-            "'chdstat[denoise]', or pip install pyoidn"
-        )
-        raise InputError(message) from error
+    network = _loaded()
     known = np.asarray((np.isfinite(image) & (image >= 0)).all(axis=-1))
     filled = _without_holes(image, known)
     unit = exposure_unit(filled.mean(axis=-1)) if hdr else 1.0
@@ -108,6 +101,39 @@ def denoise(
     result[~known] = np.nan
     kind = np.asarray(estimate).dtype
     return np.asarray(result.astype(kind if kind.kind == "f" else np.float64))
+
+
+def library() -> str:
+    """Say which Open Image Denoise is loaded, or why none is.
+
+    Examples
+    --------
+    >>> library()
+    'Open Image Denoise 2...'
+    """
+    try:
+        found = _loaded()
+    except InputError as error:
+        return str(error)
+    return f"Open Image Denoise {found.version.oidn_version}"
+
+
+def _loaded() -> Any:
+    """Return the module of Open Image Denoise, whose shared library it loads.
+
+    Raises
+    ------
+    InputError
+        If it cannot be loaded.
+    """
+    try:
+        return importlib.import_module("pyoidn")
+    except (ImportError, OSError, RuntimeError) as error:
+        message = (
+            f"Open Image Denoise cannot be loaded ({brief(error)}); install it anew with: pip "
+            "install --force-reinstall pyoidn"
+        )
+        raise InputError(message) from error
 
 
 def _image(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:

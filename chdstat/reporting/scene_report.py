@@ -27,9 +27,8 @@ from chdstat.comparison.candidates import (
 )
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator
-from chdstat.estimators.models import first_samples
 from chdstat.estimators.registry import Model
-from chdstat.estimators.training import check_iterations
+from chdstat.estimators.training import check_iterations, first_samples
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas
 from chdstat.rendering import refuse_render

@@ -20,8 +20,8 @@ from chdstat.comparison import DEFAULT_ESTIMATORS, Comparison, compare
 from chdstat.comparison.candidates import Entry, entry_of, without_denoiser
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator
-from chdstat.estimators.models import AnyModel, load_model
 from chdstat.estimators.registry import Model
+from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
@@ -328,7 +328,7 @@ class Stores:
             )
             models.update(comparison.models)
             for name, model in comparison.models.items():
-                if name not in trained and isinstance(model, AnyModel):
+                if name not in trained and isinstance(model, TrainedModel):
                     cache.write(f"{name}.safetensors", model.save)
             return replace(comparison, models={})  # a record holds no network
 

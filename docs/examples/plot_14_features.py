@@ -53,4 +53,4 @@ for name, values in {"albedo": albedo, "depth": features["depth"]}.items():
 # %%
 # **Next:** `A map of patterns <plot_15_patterns.html>`_ describes the pixels by their samples
 # instead. Features do help an estimator that also sees the samples: `A better image without a
-# reference <plot_21_self_trained.html>`_.
+# reference <plot_21_estimate.html>`_.

@@ -61,4 +61,4 @@ for row in found.table():
 # any store, and `Compare estimators side by side <plot_22_compare.html>`_ shows how to judge it
 # beside others.
 #
-# **Next:** `A better image without a reference <plot_21_self_trained.html>`_
+# **Next:** `A better image without a reference <plot_21_estimate.html>`_

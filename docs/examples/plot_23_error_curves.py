@@ -31,5 +31,5 @@ for k, name in enumerate(curve.estimators):
     print(name.ljust(26), *(f"{value:<6.2f}" for value in ratio[:, k]))
 
 # %%
-# **Next:** `How sure is an estimate? <plot_24_certainty.html>`_ shows an estimator that knows when
-# to return to the mean.
+# **Next:** `How sure is an estimate? <plot_24_certainty.html>`_ shows an estimate that says how
+# far it can be wrong.

@@ -2,25 +2,22 @@
 How sure is an estimate?
 ========================
 
-An estimate without a reference comes with a certainty and an interval. Can they be trusted?
+An estimate comes with a certainty and an interval. Can they be trusted?
 """
 
 # %%
-# We train an estimator on the first 32 samples of each pixel of the bathroom, without a reference.
+# We estimate the bathroom from the first 32 samples of each pixel, without a reference.
 
 # sphinx_gallery_panel = 2, 1
 import chdstat as chd
 from chdstat import viz
-from chdstat.estimators import Progressive
 
 samples = chd.render("bathroom", spp=128, size=(48, 48), seed=6, backend="scalar")
-few, features = samples.first(32), samples.features
-model = Progressive(inputs=["features", "neighbours"])
-model.train(few, reference=False, iterations=80, progress=False)
-found = model.estimate(few.read(), features=features, level=0.9)
+few = samples.first(32)
+found = chd.estimate(few, level=0.9, progress=False)
 
 # %%
-# Certainty is the weight of what was learned beside the mean. The interval is meant to contain the
+# Certainty is the weight of all candidates but the mean. The interval is meant to contain the
 # truth with a probability of 90 %.
 
 width = (found.high - found.low).mean(axis=-1) / found.radiance.mean(axis=-1)
@@ -41,7 +38,7 @@ figure
 reference = samples.read(ss=slice(32, 128)).mean(axis=-1)
 levels, shares = (0.5, 0.8, 0.9, 0.95), []
 for level in levels:
-    at = model.estimate(few.read(), features=features, level=level)
+    at = chd.estimate(few, level=level, progress=False)
     shares.append(((at.low <= reference) & (reference <= at.high)).mean())
 viz.coverage(
     levels, {"bathroom, 32 spp": shares}, title="Intervals that contain the reference"

@@ -7,7 +7,7 @@ estimate of the same samples?
 """
 
 # %%
-# `chdstat.io.denoise` calls Open Image Denoise, which comes with ``pip install pyoidn``.
+# `chdstat.io.denoise` calls Open Image Denoise, which comes with the library.
 
 # sphinx_gallery_panel = 1, 4
 import chdstat as chd

@@ -22,7 +22,7 @@ import chdstat as chd
 from chdstat.comparison import Interval
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.halves import Measured, candidates
-from chdstat.estimators.models import train_model
+from chdstat.estimators.training import train_model
 from chdstat.estimators.weighting import Combination
 from chdstat.rendering import render_batches
 from chdstat.studies.claims import SceneData

@@ -134,7 +134,7 @@ def test_reduction_to_the_mean():
     models = {
         name: lookup(name).train(samples, iterations=MINIBATCHES.get(name, 500), progress=False)
         for name in names("learned")
-        if isinstance(lookup(name), LearnedEstimator) and name != "progressive_direct"
+        if isinstance(lookup(name), LearnedEstimator)
     }
     compared = chd.compare(samples, ["mean", "median_of_means"], progress=False)
     compared = replace(compared, estimators=("mean", *models), models=models)

@@ -31,7 +31,6 @@ COMMANDS = {
     "append": ("render", *BOX, "--direct", "--spp", "400", "-o", "box.zarr"),
     "analyze": ("analyze", "box.zarr", "-o", "maps.zarr"),
     "estimate": ("estimate", "box.zarr", "-o", "box.exr"),
-    "self_trained": ("estimate", "small.zarr", "-o", "box.exr", "--iterations", "30"),
     "train": ("train", "small.zarr", "-o", "b.safetensors", "--features", "--iterations", "200"),
     "study": (
         *("study", "cornell-box", "--store", "kept", "-o", "found.pdf", "--spp", "64"),

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from chdstat.estimators.models import load_model, train_model
 
 import chdstat as chd
 from chdstat.errors import ChdstatError
-from chdstat.estimators.models import load_model, train_model
 from chdstat.samples import inspect
 
 SIZE, SPP, LONGEST = (66, 3), 66, 10

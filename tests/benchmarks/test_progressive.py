@@ -1,4 +1,4 @@
-"""The progressive estimator: its errors with and without a reference, and how fast it is.
+"""The progressive estimator: its errors on pixels that trained nothing, and how fast it is.
 
 Measured on the stores that the environment variable CHDSTAT_STORES names, their paths separated by
 colons; without it, on a simulated image. Errors are relative to those of the sample mean.
@@ -14,10 +14,7 @@ import pytest
 import chdstat as chd
 from chdstat.comparison import metrics
 from chdstat.estimators import Progressive
-from chdstat.io import denoise
 
-BUDGET = 64
-BUDGETS = (8, 16, 32, 64, 128, 256, 512)
 SIZES = (4, 8, 16, 32, 64, 128, 256, 512)
 CORES = len(os.sched_getaffinity(0))
 CLOSE = 1.01
@@ -112,59 +109,6 @@ def test_with_a_reference(source):
         errors = f"+- {entry['mse_ratio_se']:.3f}, {entry['relmse_ratio_se']:.3f}"
         print(row(entry["estimator"], {k: entry[v] for k, v in keys.items()}, errors))
     assert np.isfinite(found.measures["mse_ratio"].value).all()
-
-
-def with_first_hits(features):
-    return {name: features[name] for name in ("albedo", "normal") if name in features}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("as_benchmark")
-@each_source
-def test_without_a_reference(source):
-    """All that there is are 64 spp, which train, and which are then estimated from."""
-    samples = opened(source)
-    judge = Judge(samples, BUDGET)
-    start = time.perf_counter()
-    ours = chd.estimators.self_trained(judge.x, features=judge.features)
-    seconds = time.perf_counter() - start
-    blind = chd.estimators.self_trained(judge.x)
-    print(f"\n{source}: {BUDGET} spp in all; training and estimating took {seconds:.0f} s")
-    for label, found in (("mean", judge.mean), ("ours", ours), ("ours, no features", blind)):
-        judge.line(label, found)
-    if denoiser_is_here():
-        for label, found in (("mean", judge.mean), ("ours", ours), ("ours, no features", blind)):
-            judge.line(f"{label}, denoised", denoise(found))
-            guides = with_first_hits(judge.features)
-            if "albedo" in guides:
-                judge.line(f"{label}, denoised with features", denoise(found, **guides))
-    measures = judge.judge(ours)
-    assert measures["MSE"] < 1
-    assert measures["relMSE"] < 1
-
-
-def denoiser_is_here():
-    try:
-        denoise(np.ones((16, 16, 3), np.float32))
-    except chd.errors.InputError:
-        print("  no denoiser: pip install 'chdstat[denoise]'")
-        return False
-    return True
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("as_benchmark")
-@each_source
-def test_never_worse_than_the_mean(source):
-    samples = opened(source)
-    print(f"\n{source}: without a reference, against the mean of as many samples")
-    for budget in BUDGETS:
-        judge = Judge(samples, budget)
-        start = time.perf_counter()
-        found = chd.estimators.self_trained(judge.x, features=judge.features)
-        measures = judge.judge(found)
-        print(row(f"{budget} spp", measures, f"{time.perf_counter() - start:.0f} s"))
-        assert max(measures["MSE"], measures["relMSE"]) < 1
 
 
 @pytest.mark.slow

@@ -139,7 +139,7 @@ def type_in(line: str, stores: dict[str, Path], monkeypatch) -> int:
     bring(words, stores)
     small = SMALL.get(words[1], "")
     if words[1] == "estimate" and "--model" not in words:
-        small = "--spp 16 --size 12x12 --iterations 2"
+        small = "--spp 16 --size 12x12"
     elif words[1:3] == ["study", "attic.zarr"]:
         small = "--estimator mean"
     elif words[1] == "report" and not words[2].endswith(".zarr"):
@@ -169,6 +169,7 @@ class Shown:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 @pytest.mark.parametrize("page", dict(lines()))
 def test_every_line_to_type_succeeds(page, folder, stores, monkeypatch, capsys):
     monkeypatch.setattr(chd, "explore", Shown)

@@ -10,8 +10,7 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Progressive
-from chdstat.estimators.models import first_samples, load_model, train_model
-from chdstat.estimators.training import write_model
+from chdstat.estimators.training import first_samples, load_model, train_model, write_model
 
 
 def image(spp=64, features=False):
@@ -25,7 +24,7 @@ def image(spp=64, features=False):
     ("name", "options", "kind"),
     [
         ("progressive", {}, Progressive),
-        ("progressive", {"reference": False}, Progressive),
+        ("progressive_relmse", {}, Progressive),
         ("progressive_mse", {}, Progressive),
         ("elek2019", {}, MLP),
     ],
@@ -62,10 +61,9 @@ def test_truncated_and_foreign_files_are_refused(tmp_path, name, kind):
 
 def test_options_reach_the_training():
     model = train_model(
-        image(features=True), inputs=["features"], reference=False, iterations=5, seed=3, spp=16
+        image(features=True), with_features=True, iterations=5, seed=3, spp=16, progress=False
     )
-    assert model.inputs.features
-    assert model.inputs.neighbours
+    assert model.with_features
     provenance = model.provenance
     assert (provenance["seed"], provenance["iterations"]) == (3, 5)
     assert provenance["samples_shape"] == [16, 16, 3, 16]
@@ -88,12 +86,11 @@ def test_the_first_samples_are_the_first():
         (
             "mean",
             {},
-            "mean trains no network .* give one of elek2019, .*progressive, progressive_mse",
+            "mean trains no network; give one of elek2019, progressive, .*_features$",
         ),
         ("nobody", {}, "no estimator is called 'nobody'"),
-        ("elek2019", {"inputs": ["features"]}, "are for 'progressive', not 'elek2019'"),
-        ("elek2019", {"reference": False}, "are for 'progressive', not 'elek2019'"),
-        ("progressive", {"inputs": ["features"]}, "no first-hit features"),
+        ("elek2019", {"with_features": True}, "'elek2019' takes no first-hit features"),
+        ("progressive", {"with_features": True}, "no first-hit features"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(name, options, match):

@@ -17,7 +17,9 @@ PLACE = (5, 7)
 @pytest.fixture(scope="module")
 def samples():
     rng = np.random.default_rng(1)
-    return chd.Samples.from_array(rng.gamma(2.0, size=(24, 24, 3, 64)).astype(np.float32))
+    return chd.Samples.from_array(
+        rng.gamma(2.0, size=(24, 24, 3, 64)).astype(np.float32), scene_hash="a"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,7 @@ def scored(model, samples, n=16, place=PLACE):
     return learner.score(batches, StoreSource(samples), place, 2.0)
 
 
-def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
+def test_one_of_this_scene_says_what_it_says_elsewhere(samples, model):
     found = scored(model, samples)
     direct = model.estimate(batches_of(samples[PLACE], 16).x, unit=2.0)
     np.testing.assert_allclose(found.value, direct.radiance.mean(axis=0), rtol=1e-6)
@@ -42,13 +44,27 @@ def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
     assert np.isfinite([found.mse_ratio, found.bias, found.improved]).all()
 
 
-def test_one_that_looks_around_is_asked_about_an_image(samples):
-    model = chd.estimators.train_model(samples, reference=False, iterations=5, progress=False)
-    found = scored(model, samples)
-    assert model.inputs.neighbours
+def test_one_with_features_is_asked_about_an_image_that_has_them(samples):
+    known = chd.Samples.from_array(
+        samples.read(), features={"depth": np.ones((24, 24))}, scene_hash="a"
+    )
+    model = chd.estimators.train_model(known, with_features=True, iterations=5, progress=False)
+    found = scored(model, known)
+    assert found.given
     assert found.value.shape == (3,)
     assert np.isfinite(found.value).all()
-    assert scored(model, samples, place=(0, 0, 4, 4)) is None  # a region is no image
+    assert scored(model, known, place=(0, 0, 4, 4)) is None  # a region is no image
+    assert scored(model, samples) is None
+
+
+def test_one_of_another_scene_is_mixed_with_the_mean_as_its_image_says(samples):
+    rng = np.random.default_rng(2)
+    other = chd.Samples.from_array(rng.gamma(0.1, size=(24, 24, 3, 64)).astype(np.float32))
+    model = chd.estimators.train_model(other, iterations=5, progress=False)
+    found = scored(model, samples)
+    assert found.given
+    assert (found.low <= found.value).all()
+    assert (found.value <= found.high).all()
 
 
 def test_one_for_another_number_of_samples_is_left_out(samples):

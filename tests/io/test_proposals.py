@@ -500,7 +500,7 @@ PROPOSES = re.compile(
     r"say what|but the channels|no feature|pip install)\b"
 )
 CANNOT_BE_RUN = {
-    "denoise needs Open Image Denoise": "installs a package",
+    "install it anew with: pip install --force-reinstall pyoidn": "installs a package",
     "is damaged or cut off; write or copy it again": "of damage",
     "render a part of them": "needs more pixels than memory holds",
     "Each pass needs a seed of its own": "is what all other passes here have",

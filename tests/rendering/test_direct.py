@@ -11,7 +11,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
-from chdstat.estimators.models import first_samples
+from chdstat.estimators.training import first_samples
 from chdstat.rendering.backend import probe
 from chdstat.samples import inspect
 from chdstat.samples.store import Store

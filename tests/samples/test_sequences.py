@@ -154,7 +154,6 @@ REFUSED = {
     "estimate": chd.estimate,
     "train": lambda x: train_model(x, "elek2019", iterations=1),
     "train progressive": lambda x: Progressive().train(x, iterations=1),
-    "train alone": lambda x: Progressive().train(x, reference=False, iterations=1),
     "difference": lambda x: difference(x, x),
     "study": lambda x: chd.study(x, estimators=["mean"]),
     "map": lambda x: x.map(lambda block: {"mean": (("channel",), block.mean(axis=-1))}),

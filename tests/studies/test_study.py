@@ -14,7 +14,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
-from chdstat.estimators.models import train_model
+from chdstat.estimators.training import train_model
 from chdstat.patterns import atlas
 from chdstat.rendering.recipes import PHENOMENA
 from chdstat.reporting.study_report import document

@@ -1,263 +1,178 @@
-"""Inputs of the progressive estimator beside the samples of a pixel, and the estimates it returns.
+"""Inputs of the progressive estimator: profiles of samples, and numbers of the first hit.
 
-`InputConfig` says which inputs there are. First hits describe the surface that a pixel shows. The
-neighbourhood lends statistics: what rare samples may be worth, and what the light is like where a
-pixel has seen none. Profiles around are averaged with weights that fall with the distance and with
-how different the surfaces are; the pixel itself is left out, so that its neighbourhood is
-independent of it.
+A profile is what a pixel's samples look like, octave by octave of luminance, in constant memory. It
+is to the estimator what the cascade is to `chdstat.estimators.zirr2018`: every sample enters the
+two octaves next to its luminance, linearly in the logarithm, with its weight and with its radiance
+in all channels. Profiles do not depend on the order of the samples, and keep their mean exactly,
+as the radiance in all octaves together is that of all samples.
+
+First hits describe the surface that a pixel shows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, NamedTuple, Self
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
-from chdstat._core.display import Card, Shown, png
-from chdstat._core.image_scales import tonemap
+from chdstat._core.arrays import LUMINANCE, as_pixels, is_bad, spans
+from chdstat._core.executor import in_order
 from chdstat.errors import InputError
-from chdstat.estimators.neighbourhood import shared_patches
-from chdstat.estimators.progressive.dataset import OCTAVES, Array, Profile
-from chdstat.estimators.similarity import Window
-from chdstat.estimators.validation import checked_direct
-from chdstat.samples import Samples
 
-__all__ = [
-    "BANDS",
-    "RADII",
-    "Auxiliary",
-    "EstimateOptions",
-    "Estimates",
-    "Features",
-    "Input",
-    "InputConfig",
-    "keep_constants",
-    "shared_estimates",
-    "some_rows",
-    "unchanged",
-]
+__all__ = ["OCTAVES", "Array", "Features", "Floats", "Indices", "Profile", "describe"]
 
-Auxiliary = Mapping[str, Array]
-"""What is known of pixels beside their own samples, one row a pixel: ``described``, numbers of the
-first hit (row, number); ``bands`` and ``weight`` of the neighbourhood, (row, radius, band, 1 +
-channel) and (row, radius); ``shared``, estimates from similar pixels (row, channel)."""
-Features = Mapping[str, npt.NDArray[Any]]
-Input = Literal["features", "neighbours", "direct"]
-
-RADII = (1, 3, 8)
-"""Of the windows, in pixels."""
-BANDS = 8
-"""Parts of a pooled profile: of three octaves each, for an average needs fewer."""
+OCTAVES = 24
+_LOWEST = -12
+"""The first octave stands for luminance up to 2^-12 of the unit, the last for 2^11 and more."""
+_TOP = OCTAVES - 1 - 2.0**-10
+_SAMPLES_AT_ONCE = 2**16
+"""Small enough for all that is made of a block to stay in the cache."""
+_FEW = 4
+_SMALLEST, _LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+"""Radiance that samples can be measured in, in single precision."""
 _NAMES = ("albedo", "normal", "depth", "position")
 _WAVES = 3
 """Octaves of sine and cosine of the position, so that light may vary faster than linearly."""
 _DARK = 0.02
 """Albedo below which logarithms are cut."""
-_ALBEDO, _COSINE, _PLANE = 0.05, 0.1, 0.02
-"""Differences of albedo, 1 - cosine of the normals, and distance from the tangent plane over depth,
-at which two surfaces count as unlike."""
+
+Array = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
+Indices = npt.NDArray[np.int64]
+Features = Mapping[str, npt.NDArray[Any]]
 
 
-@dataclass(frozen=True)
-class InputConfig:
-    """What the estimator takes beside the samples of a pixel.
+@dataclass
+class Profile:
+    """Sums over the good samples of pixels.
 
     Attributes
     ----------
-    features
-        Whether it takes what the camera rays hit: albedo, normal, depth and position.
-    neighbours
-        Whether it takes the pixels around: their profiles, and the estimates of `shared_patches`
-        from those that are similar.
-    direct
-        Whether it takes direct and indirect light separately.
+    bins
+        Weight of the samples in each octave, then their radiance in each channel in units of
+        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave, samples of negative
+        luminance the lowest.
+    count
+        Good samples, nulls among them, shape (...).
+    unit
+        Radiance that octaves are counted from: that of the image, so that a brighter image of
+        the same scene has the same profiles.
     """
 
-    features: bool = False
-    neighbours: bool = False
-    direct: bool = False
+    bins: Floats
+    count: npt.NDArray[np.int64]
+    unit: float
 
     @classmethod
-    def of(cls, names: Iterable[str]) -> Self:
-        """Return the configuration with the inputs of these names.
+    def of(cls, x: npt.ArrayLike, *, unit: float) -> Self:
+        """Return the profiles of samples (..., channel, sample).
 
-        Raises
-        ------
-        InputError
-            If there is no such input.
-
-        Examples
-        --------
-        >>> InputConfig.of(["direct", "features"]).names
-        ('features', 'direct')
-        """
-        given = {names} if isinstance(names, str) else set(names)
-        known = {field.name for field in fields(cls)}
-        if not given <= known:
-            message = f"inputs must be among {sorted(known)}, got {sorted(map(str, given))}"
-            raise InputError(message)
-        return cls(**dict.fromkeys(given, True))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the inputs, in the order of the attributes."""
-        return tuple(field.name for field in fields(self) if getattr(self, field.name))
-
-    @property
-    def parts(self) -> int:
-        """Parts of a sample: 2 where direct and indirect light are separate inputs, else 1."""
-        return 2 if self.direct else 1
-
-    def features_of(self, samples: Samples) -> Features | None:
-        """Return the first-hit features of an image, None where they are no input.
-
-        Raises
-        ------
-        InputError
-            If they are an input and missing.
-        """
-        if not self.features:
-            return None
-        if not samples.features:
-            message = (
-                "this image has no first-hit features; render it, or leave 'features' out of inputs"
-            )
-            raise InputError(message)
-        return samples.features
-
-    def direct_of(
-        self, direct: npt.ArrayLike | None, shape: tuple[int, ...]
-    ) -> npt.NDArray[Any] | None:
-        """Return the direct part of samples of a shape, None where it is no input.
-
-        Raises
-        ------
-        InputError
-            If it is an input, and missing or of another shape.
-        """
-        if not self.direct:
-            return None
-        if direct is None:
-            message = (
-                "the model sees direct light; pass direct=, the direct part of the samples, as "
-                "Samples.direct of an image that was rendered with direct=True"
-            )
-            raise InputError(message)
-        return checked_direct(direct, shape)
-
-    def auxiliary(
-        self,
-        features: Features | None,
-        shape: tuple[int, ...],
-        *,
-        described: int | None = None,
-        profile: Profile | None = None,
-    ) -> dict[str, Array]:
-        """Return the auxiliary features of pixels, one row a pixel.
+        A sample of which any channel is NaN or infinite is left out.
 
         Parameters
         ----------
-        features
-            Of the image.
-        shape
-            Of the pixels.
-        described
-            Numbers of the first hit that the network takes; None for any.
-        profile
-            Of the image, where neighbours are an input.
+        x
+            Linear radiance, shape (..., channel, sample).
+        unit
+            Radiance that octaves are counted from.
 
         Raises
         ------
         InputError
-            If the pixels are no image where they must be, or features are not as in training.
+            If `x` has no channels, or `unit` is no positive, normal float32.
+
+        Examples
+        --------
+        >>> one = Profile.of([[1.0, 0.0, 8.0]], unit=1.0)
+        >>> one.count.item(), one.bins.sum(axis=0).tolist(), one.mean().tolist()
+        (3, [2.0, 9.0], [3.0])
         """
-        found = {}
-        if (self.features or self.neighbours) and len(shape) != 2:
-            message = f"features belong to an image (y, x, channel, sample), got pixels {shape}"
-            raise InputError(message)
-        known = features if self.features else None
-        if known is not None:
-            found["described"] = describe(known, shape).reshape(np.prod(shape), -1)
-        if profile is not None:
-            bands, weight = pool_around(profile, known)
-            found["bands"] = bands.reshape(-1, *bands.shape[2:])
-            found["weight"] = weight.reshape(-1, len(RADII))
-        given = found["described"].shape[1] if "described" in found else 0
-        if described not in (None, given):
+        samples = as_pixels(x)
+        if not _SMALLEST <= unit <= _LARGEST:
             message = (
-                f"the model sees {described} numbers of the first hit, but these features give "
-                f"{given}; pass features= as it was trained with"
+                f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
             )
             raise InputError(message)
-        return found
+        return cls(*_blocks_of(samples, np.float32(unit)), unit)
+
+    def mean(self) -> Floats:
+        """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
+        count = np.where(self.count > 0, self.count, np.nan)[..., np.newaxis]
+        return np.asarray(self.bins[..., 1:].sum(axis=-2) * self.unit / count)
+
+    def variance_of_mean(self) -> Floats:
+        """Return the variance of the mean as far as octaves tell, shape (..., channel).
+
+        It is in squared units of `unit`.
+        """
+        count = np.maximum(self.count, 1)[..., np.newaxis].astype(np.float64)
+        weight, radiance = self.bins[..., :1], self.bins[..., 1:].astype(np.float64)
+        squares = radiance**2 / np.where(weight > 0, weight, np.inf)
+        within = (radiance.sum(axis=-2) / count) ** 2
+        return np.asarray(np.maximum(squares.sum(axis=-2) / count - within, 0) / count)
+
+    def __getitem__(self, pixels: Any) -> Self:
+        """Return the profiles of some pixels."""
+        return type(self)(self.bins[pixels], self.count[pixels], self.unit)
 
 
-@dataclass(frozen=True, repr=False)
-class Estimates(Shown):
-    """Estimates of a progressive estimator.
+def _blocks_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins and counts of samples (..., channel, sample), block by block on all cores."""
+    *shape, channels, n = x.shape
+    rows = x.reshape(-1, channels, n)
+    bins = np.empty((len(rows), OCTAVES, 1 + channels), np.float32)
+    count = np.empty(len(rows), np.int64)
 
-    Attributes
-    ----------
-    radiance
-        Shape (..., channel), in the unit of the samples; NaN where no sample is good.
-    certainty
-        How far the estimate rests on what was learned, 0 to 1, shape (...): where it is 0, nothing
-        was known of such a pixel, and the estimate is the mean of its samples.
-    low, high
-        Ends of the interval that contains the radiance with probability `level`, shape (...,
-        channel).
-    level
-        Probability of the interval, on pixels like those that trained the network; of another
-        scene it is not calibrated.
+    def enter(here: slice) -> None:
+        bins[here], count[here] = _bins_of(rows[here], unit)
+
+    blocks = list(spans(len(rows), max(1, _SAMPLES_AT_ONCE // n)))
+    # A few blocks are done before threads have started.
+    for _ in map(enter, blocks) if len(blocks) <= _FEW else in_order(enter, blocks):
+        pass
+    return bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape)
+
+
+def _bins_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins (row, octave, 1 + channel) and good samples of rows (row, channel, sample).
+
+    The bins are the product of a sparse matrix, with the two weights of each sample in its column,
+    and of the samples: one loop in C for all channels, on all cores.
     """
-
-    radiance: npt.NDArray[np.float32]
-    certainty: npt.NDArray[np.float32]
-    low: npt.NDArray[np.float32]
-    high: npt.NDArray[np.float32]
-    level: float
-
-    def _card(self) -> Card:
-        card = super()._card()
-        if self.radiance.ndim != 3 or self.radiance.shape[-1] not in (1, 3):
-            return card
-        shown = {"estimate": png(tonemap(self.radiance)), "certainty": png(self.certainty)}
-        return replace(card, images=shown)
-
-
-class EstimateOptions(NamedTuple):
-    """How to estimate.
-
-    Attributes
-    ----------
-    share
-        Of the way from the mean to the estimate, 0 to 1.
-    loss_weight
-        0 for the first of the losses, 1 for the second.
-    level
-        Probability of the interval; None leaves it out (NaN).
-    spp
-        Number of samples that estimates are followed as far as at; None for those that there are.
-    """
-
-    share: float
-    loss_weight: float
-    level: float | None = None
-    spp: int | None = None
-
-
-def shared_estimates(image: npt.NDArray[Any]) -> Array:
-    """Return estimates from similar pixels around (pixel, channel), 0 where there are none."""
-    estimates = np.nan_to_num(shared_patches(image), nan=0, posinf=0)
-    return np.asarray(estimates.reshape(-1, estimates.shape[-1]), np.float32)
-
-
-def some_rows(auxiliary: Auxiliary, rows: npt.NDArray[np.int64] | slice) -> dict[str, Array]:
-    """Return the auxiliary features of some pixels."""
-    return {name: array[rows] for name, array in auxiliary.items()}
+    rows, channels, n = x.shape
+    bad = is_bad(x).any(axis=1)
+    values = np.empty((rows, n, 1 + channels), np.float32)
+    # Other channels than three weigh the same.
+    weights = LUMINANCE if channels == 3 else np.full(channels, 1 / channels, np.float32)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        for channel in range(channels):
+            np.divide(x[:, channel], unit, out=values[..., 1 + channel], casting="same_kind")
+        if bad.any():
+            values[bad] = 0
+        luminance = values[..., 1:] @ weights
+    np.not_equal(luminance, 0, out=values[..., 0], casting="unsafe")
+    octave = np.clip(luminance, 2.0**_LOWEST, 2.0 ** (_LOWEST + OCTAVES), out=luminance)
+    np.log2(octave, out=octave)
+    octave -= _LOWEST
+    np.minimum(octave, _TOP, out=octave)
+    lower = octave.astype(np.int32)
+    upper_weight = np.subtract(octave, lower, out=octave)
+    lower += np.arange(0, rows * OCTAVES, OCTAVES, dtype=np.int32)[:, np.newaxis]
+    matrix = sparse.csc_array(
+        (
+            np.stack([1 - upper_weight, upper_weight], axis=-1).ravel(),
+            np.stack([lower, lower + 1], axis=-1).ravel(),
+            np.arange(0, 2 * rows * n + 1, 2, dtype=np.int32),
+        ),
+        shape=(rows * OCTAVES, rows * n),
+        copy=False,
+    )
+    bins = matrix @ values.reshape(rows * n, -1)
+    return bins.reshape(rows, OCTAVES, -1), n - bad.sum(axis=1)
 
 
 def describe(features: Features, shape: tuple[int, ...]) -> Array:
@@ -313,108 +228,3 @@ def _standard(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     low, high = np.quantile(flat, [0.01, 0.99], axis=0)
     inside = field.clip(low, high)
     return np.asarray((inside - inside.mean(axis=(0, 1))) / (inside.std(axis=(0, 1)) + 1e-6))
-
-
-def pool_around(profile: Profile, features: Features | None) -> tuple[Array, Array]:
-    """Pool the profiles around each pixel.
-
-    Parameters
-    ----------
-    profile
-        Of an image, shape (y, x).
-    features
-        First-hit features; those that are missing do not distinguish surfaces.
-
-    Returns
-    -------
-    bands : ndarray
-        Share of the samples in each band, then their radiance in each channel in units of the
-        profile's; shape (y, x, radius, band, 1 + channel), 0 where nothing around is similar.
-    weight : ndarray
-        How many pixels' worth were pooled, shape (y, x, radius).
-    """
-    height, width = profile.count.shape
-    known_features = _checked(features or {}, (height, width))
-    fields = {name: field.astype(np.float32) for name, field in known_features.items()}
-    count = np.maximum(profile.count, 1)[..., np.newaxis, np.newaxis]
-    bands = (
-        (profile.bins / count.astype(np.float32))
-        .reshape(height, width, BANDS, OCTAVES // BANDS, -1)
-        .sum(axis=3)
-    )
-    known = (profile.count > 0).astype(np.float32)[..., np.newaxis]
-    # Single precision is plenty, at twice the speed.
-    values: Any = np.concatenate([bands.reshape(height, width, -1) * known, known], axis=-1)
-    compared: Any = (*np.indices((height, width), np.float32), *fields.values())
-    pooled, weights = [], []
-    for radius in RADII:
-        reach = 2 * (radius / 1.5) ** 2
-
-        def weigh(here: tuple[Any, ...], there: tuple[Any, ...], reach: float = reach) -> Any:
-            distance = (here[0] - there[0]) ** 2 + (here[1] - there[1]) ** 2
-            pairs = zip(fields, zip(here[2:], there[2:], strict=True), strict=True)
-            return np.exp(-distance / reach - _dissimilarity(dict(pairs)))
-
-        sums, _ = Window(weigh, compared, radius).sums(values)
-        around = sums - values
-        weight = np.maximum(around[..., -1:], 0)
-        pooled.append(around[..., :-1] / np.maximum(weight, 1e-6))
-        weights.append(weight[..., 0])
-    stacked = np.stack(pooled, axis=2).reshape(height, width, len(RADII), BANDS, -1)
-    return np.maximum(stacked, 0).astype(np.float32), np.stack(weights, axis=-1).astype(np.float32)
-
-
-def _dissimilarity(pairs: Mapping[str, tuple[Any, Any]]) -> Any:
-    """Return how unlike two surfaces are, 0 for the same, from features here and there."""
-    total: Any = 0.0
-    if "albedo" in pairs:
-        here, there = pairs["albedo"]
-        total = total + ((here - there) ** 2).sum(axis=-1) / _ALBEDO**2
-    if "normal" in pairs:
-        here, there = pairs["normal"]
-        total = total + np.maximum(1 - (here * there).sum(axis=-1), 0) / _COSINE
-        if {"position", "depth"} <= pairs.keys():
-            across = ((pairs["position"][0] - pairs["position"][1]) * here).sum(axis=-1)
-            total = total + (across / (_PLANE * pairs["depth"][0][..., 0] + 1e-6)) ** 2
-    return total
-
-
-def unchanged(first: npt.NDArray[Any], samples: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
-    """Return which pixels have nothing but samples equal to their first, as lamps have.
-
-    Parameters
-    ----------
-    first
-        Shape (..., channel).
-    samples
-        Shape (..., channel, sample).
-    """
-    # The last one is another one in nearly all pixels; only the others are read as a whole.
-    same = np.asarray((np.isfinite(first) & (samples[..., -1] == first)).all(axis=-1))
-    same[same] = (samples[same] == first[same][..., np.newaxis]).all(axis=(-2, -1))
-    return same
-
-
-def keep_constants(
-    found: Estimates, first: npt.NDArray[Any], same: npt.NDArray[np.bool_], *, lit: bool
-) -> None:
-    """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
-
-    In an image without any light (not `lit`) nothing is known of its unit, either: it stays black.
-    The interval is kept, and widened to hold the mean: what few samples say may still be wrong.
-
-    Parameters
-    ----------
-    found
-        The estimates, which are changed.
-    first, same
-        The first sample of each pixel, shape (..., channel), and whether all others are equal to
-        it, shape (...).
-    """
-    same = same & (first.any(axis=-1) | (not lit))
-    if same.any():
-        with np.errstate(over="ignore"):
-            mean = first[same].astype(np.float32)
-        found.radiance[same], found.certainty[same] = mean, 0
-        found.low[same] = np.minimum(found.low[same], mean)
-        found.high[same] = np.maximum(found.high[same], mean)

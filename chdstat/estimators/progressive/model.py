@@ -1,49 +1,48 @@
 """The progressive estimator: a pixel's radiance from any number of its samples, and how sure it is.
 
 >>> from chdstat.estimators import Progressive
->>> model = Progressive()  # then model.train(samples), where there is a reference
->>> alone = Progressive(inputs=["neighbours"])  # alone.train(samples): it needs no reference
+>>> model = Progressive()  # then model.train(samples) and model.estimate(few_of_them)
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special, stats
 
-from chdstat._core.arrays import as_pixels, generator, warn_left_out
+from chdstat._core.arrays import as_pixels, generator, is_bad, warn_left_out
 from chdstat._core.image_scales import mean_radiance
-from chdstat.errors import InputError, StoreError, check_probability
-from chdstat.estimators.progressive import shrinkage, training
-from chdstat.estimators.progressive.dataset import Profile
-from chdstat.estimators.progressive.error_model import ErrorModel
-from chdstat.estimators.progressive.inputs import (
-    EstimateOptions,
+from chdstat.errors import InputError, OtherSceneWarning, StoreError, check_probability
+from chdstat.estimators.progressive import errors, learning
+from chdstat.estimators.progressive.inputs import Features, Floats, describe
+from chdstat.estimators.registry import (
     Estimates,
-    Features,
-    Input,
-    InputConfig,
-    keep_constants,
-    shared_estimates,
-    unchanged,
+    LearnedEstimator,
+    mean_of_good,
+    register_learned,
 )
-from chdstat.estimators.registry import mean_of_good
 from chdstat.estimators.training import TrainedModel, check_iterations
-from chdstat.estimators.validation import reordered, training_pixels
-from chdstat.samples import Samples
-from chdstat.samples.tiles import check_independent
+from chdstat.estimators.validation import reordered
+from chdstat.samples import Samples, opened, samples_of
 
 __all__ = ["Progressive"]
 
 _MEASURED = 2**14
-"""Pixels that trust is measured on, where each is estimated separately: more tell little more."""
+"""Pixels that the weight of a model of another scene is measured on: more tell little more."""
+_THIRDS = 3
+"""Parts of an image by brightness, as large as each other, that have a weight of their own."""
+_FEWEST = 4
+"""Samples that a weight is measured on: two halves of two."""
 
 Array = npt.NDArray[Any]
 
 
-class Progressive(TrainedModel[training.Learned]):
+class Progressive(TrainedModel[learning.Learned]):
     """A network that reweighs the samples of a pixel octave by octave of their luminance.
 
     It takes any number of samples in any order, all channels together, and scales with their unit.
@@ -51,29 +50,27 @@ class Progressive(TrainedModel[training.Learned]):
     samples that its experience is worth, is predicted, too. So it tends to the mean as N grows,
     and is the mean where it has learned nothing.
 
-    With a reference it learns two estimates, one for the least MSE and one for the least relMSE;
-    `loss_weight` mixes them. Without one it learns from halves of each pixel's own samples, whose
-    expectation is the truth: then every estimate is unbiased, and `loss_weight` matters little.
-    How far it is then followed is measured on pixels that did not train it, so that an image which
-    does not help it keeps its means.
+    It is trained with a reference and makes two estimates, one for the least MSE and one for the
+    least relMSE; `loss_weight` mixes them. Where all samples of a pixel are the same light, as
+    those of a lamp, their mean is kept.
 
-    Where all samples of a pixel are the same light, as those of a lamp, their mean is kept.
+    What it learned holds for the scenes that it was trained on. On other samples it warns, and is
+    mixed with the mean: the estimate from one half of the samples is compared with the mean of the
+    other half, and the other way round, and the weight with the least squared error is taken, for
+    the dark, the middle and the bright third of the image separately.
 
     Parameters
     ----------
-    inputs
-        What it takes beside the samples of a pixel, any of: "features", what the camera rays hit
-        (albedo, normal, depth and position); "neighbours", the profiles of the pixels around and
-        what `shared_patches` makes of those that are similar, which is learned without a
-        reference; "direct", direct and indirect light separately, as `chdstat.render` tells them
-        with ``direct=True``: light that comes seldom is then known to be indirect.
+    with_features
+        Whether it also takes what the camera rays hit: albedo, normal, depth and position.
 
     References
     ----------
     Weights of luminance layers: T. Zirr, J. Hanika and C. Dachsbacher, "Re-weighting firefly
     samples for improved finite-sample Monte Carlo estimates", Computer Graphics Forum 37(6), 2018,
-    doi:10.1111/cgf.13335. Training without a reference: J. Lehtinen et al., "Noise2Noise: learning
-    image restoration without clean data", ICML 2018. The rest is new.
+    doi:10.1111/cgf.13335. Weights by cross-validation: M. J. van der Laan, E. C. Polley and A. E.
+    Hubbard, "Super learner", Statistical Applications in Genetics and Molecular Biology 6(1), 2007,
+    doi:10.2202/1544-6115.1309. The rest is new.
 
     Examples
     --------
@@ -89,13 +86,13 @@ class Progressive(TrainedModel[training.Learned]):
 
     kind = name = "progressive"
 
-    def __init__(self, *, inputs: Iterable[Input] = ()) -> None:
-        self.inputs = InputConfig.of(inputs)
-        self._trained: training.Learned | None = None
+    def __init__(self, *, with_features: bool = False) -> None:
+        self.with_features = with_features
+        self._trained: learning.Learned | None = None
 
     def __repr__(self) -> str:
         known = "untrained" if self._trained is None else f"scene {self.provenance['scene']!r}"
-        return f"<Progressive {', '.join([*self.inputs.names, known])}>"
+        return f"<Progressive {'with features, ' if self.with_features else ''}{known}>"
 
     @property
     def unit(self) -> float:
@@ -131,37 +128,36 @@ class Progressive(TrainedModel[training.Learned]):
 
     def train(
         self,
-        samples: Samples | Sequence[Samples],
+        samples: Samples | npt.ArrayLike | Sequence[Samples],
         *,
-        reference: bool | None = None,
+        reference: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         seed: int = 0,
         sizes: Sequence[int] | None = None,
         iterations: int | None = None,
         pixels: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         progress: bool | None = None,
     ) -> Self:
-        """Train on an image, with a reference or on the very samples that it is to estimate from.
+        """Train on an image, or on several.
 
         Parameters
         ----------
         samples
-            The image, or with a reference several of them, of other scenes or sizes, each
-            measured in its own unit. Pixels with a bad sample are left out and counted.
+            The image, as `Samples`, an array (y, x, channel, sample) or the path of a store; or a
+            list of `Samples`, of other scenes or sizes, each measured in its own unit. Pixels with
+            a bad sample are left out and counted.
         reference
-            True takes the other samples of a pixel for the truth, which needs many more than the
-            numbers of samples that will be estimated from. False learns from splits of the samples.
-            None is True unless neighbours are an input, which are learned without a reference.
+            True radiance, shape (y, x, channel), in the unit of the samples; of several images, one
+            array each. None takes the other samples of each pixel for the truth, which needs many
+            more than the numbers of samples that will be estimated from.
         seed
             Draws the pixels, the first weights and the minibatches.
         sizes
-            Numbers of samples to learn from; None for 4 to 512 with a reference, and for a half
-            and three quarters of the samples without. Fewer of them are learned a little better;
-            others can be estimated from all the same.
+            Numbers of samples to learn from; None for 4 to 512. Fewer of them are learned a little
+            better; others can be estimated from all the same.
         iterations
-            Minibatches; None for 6000 with a reference and 2000 without.
+            Minibatches; None for 6000.
         pixels
-            Train on these, rows (y, x); of several images, one array each. None draws some with a
-            reference, and takes all without; then those in a part of 256 x 256 pixels train.
+            Train on these, rows (y, x); of several images, one array each. None draws some.
         progress
             Show a progress bar; None shows it on a terminal.
 
@@ -173,139 +169,115 @@ class Progressive(TrainedModel[training.Learned]):
         Raises
         ------
         InputError
-            If there are too few samples or good pixels, neighbours are to be learned from with a
-            reference, there are several images without one, or they differ in channels, or one
-            has no features, or no direct part of all samples, where these are inputs.
+            If there are too few samples or good pixels, images differ in channels, a reference has
+            another shape, or one has no features where these are an input.
         """
         check_iterations(iterations)
-        images = [samples] if isinstance(samples, Samples) else list(samples)
-        for image in images:
-            check_independent(image)
-        supervised = not self.inputs.neighbours if reference is None else reference
-        if not images:
-            message = "training needs at least one image, got none"
-            raise InputError(message)
-        if supervised and self.inputs.neighbours:
-            message = "neighbours are learned from without a reference; pass reference=False"
-            raise InputError(message)
-        given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
-        if not supervised and len(images) > 1:
-            message = (
-                f"without a reference, give the one image that is to be improved, got {len(images)}"
-            )
-            raise InputError(message)
-        if supervised:
-            chosen = training_pixels(images, given, seed=seed)
-            training_set = training.with_reference(images, chosen, self.inputs, sizes=sizes)
-        else:
-            own = None if given is None else training_pixels(images, given, seed=seed)[0]
-            training_set = training.without_reference(
-                images[0], own, self.inputs, sizes=sizes, rng=generator(seed)
-            )
-        training_set.iterations = iterations or training_set.iterations
-        self._trained = training.train_network(
-            training_set, self.inputs, seed=seed, progress=progress
+        several = isinstance(samples, list | tuple) and all(isinstance(s, Samples) for s in samples)
+        images: Any = list(samples) if several else [samples_of(samples)]  # type: ignore[arg-type]
+        given, truths = (one if several or one is None else [one] for one in (pixels, reference))
+        training_set = learning.TrainingSet.of(
+            images,
+            pixels=given,  # type: ignore[arg-type]
+            references=truths,  # type: ignore[arg-type]
+            with_features=self.with_features,
+            sizes=sizes,
+            iterations=iterations,
+            seed=seed,
+        )
+        self._trained = learning.train_network(
+            training_set, with_features=self.with_features, seed=seed, progress=progress
         )
         return self
 
     def predict(
         self,
-        x: npt.ArrayLike,
+        x: Samples | npt.ArrayLike,
         *,
         features: Features | None = None,
-        direct: npt.ArrayLike | None = None,
         loss_weight: float = 0.5,
         unit: float | None = None,
-        trust: float | None = None,
     ) -> npt.NDArray[np.float32]:
         """Estimate radiance, shape (..., channel); as `estimate`, without interval."""
-        beside: dict[str, Any] = {"features": features, "direct": direct, "unit": unit}
-        return self.estimate(x, **beside, loss_weight=loss_weight, level=None, trust=trust).radiance
+        found = self.estimate(x, features=features, loss_weight=loss_weight, unit=unit, level=None)
+        return found.radiance
 
     def estimate(
         self,
-        x: npt.ArrayLike,
+        x: Samples | npt.ArrayLike,
         *,
         features: Features | None = None,
-        direct: npt.ArrayLike | None = None,
         loss_weight: float = 0.5,
         unit: float | None = None,
         level: float | None = 0.9,
-        trust: float | None = None,
     ) -> Estimates:
         """Estimate radiance, with certainty and interval.
 
         Parameters
         ----------
         x
-            Samples, shape (..., channel, sample), any number of them; an image (y, x, channel,
-            sample) where features or neighbours are inputs. A sample of which any channel is NaN
-            or infinite is left out.
+            `Samples`, the path of a store, or an array (..., channel, sample), any number of
+            samples; an image (y, x, channel, sample) where features are an input. A sample of which
+            any channel is NaN or infinite is left out. An array has no scene: it is known by its
+            samples where some of these trained.
         features
-            First-hit features of the image.
-        direct
-            Direct part of the samples, of the shape of `x`, where it is an input.
+            First-hit features of the image; None takes those of `Samples`.
         loss_weight
             0 for the least MSE, 1 for the least relMSE, and what lies between.
         unit
-            Mean radiance of the image that `x` is a part of, as of `mean_radiance`: then parts of
-            it are estimated as the whole is, if neighbours are no input. None measures it on `x`.
+            Mean radiance, as of `mean_radiance`, of the image of a scene that trained it that `x`
+            is a part of: then parts of it are estimated as the whole is. None takes `x` for a whole
+            image, and measures it.
         level
-            Probability of the interval; None leaves it out (NaN).
-        trust
-            How far to go from the mean to the estimate, 0 to 1. None follows it on the very
-            samples that trained it; on another image it is measured how far that pays, as `trust`
-            does. A part of an image, whose `unit` is given, is too little for that, and is taken to
-            be of a scene that trained it.
+            Probability of the interval; None leaves it out (NaN). On another scene the interval
+            reaches from Student's interval of the mean towards the model's, as far as the model
+            counts.
+
+        Returns
+        -------
+        Estimates
+            Shape (..., channel), in the unit of the samples.
+
+        Warns
+        -----
+        OtherSceneWarning
+            If the samples are not known to be of a scene that trained it.
 
         Raises
         ------
         InputError
             If it is not trained, `x` has another number of channels or is no image where it must
-            be, features or direct part are missing, or an option is out of range.
+            be, features are missing, or an option is out of range.
         """
         if level is not None:
             check_probability(level=level)
-        if trust is not None and not 0 <= trust <= 1:
-            message = f"trust must lie between 0 and 1, or be None, got {trust}"
-            raise InputError(message)
-        lights, measured = self._checked(x, direct, loss_weight, unit)
-        if trust is None:
-            known = unit is not None or self.state.recognises(lights[0])
-            trust = 1.0 if known else self._measured_trust(lights, features, measured, loss_weight)
-        return self._of_samples(
-            lights, features, measured, EstimateOptions(trust, loss_weight, level)
-        )
+        source: Any = opened(x)
+        attrs: Mapping[str, Any] = {}
+        if isinstance(source, Samples):
+            attrs, features, source = source.attrs, features or source.features, source.read()
+        samples = as_pixels(source)
+        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
+        self._check(samples.shape[-2], loss_weight)
+        rows = samples.reshape(-1, *samples.shape[-2:])
+        described = self._described(features, samples.shape[:-2])
+        known = unit is not None or self.trained_on(attrs) or self.state.recognises(samples)
+        options = {
+            "unit": mean_radiance(samples) if unit is None else unit,
+            "loss_weight": loss_weight,
+        }
+        found = self._of_rows(rows, described, **options, level=level)
+        if not known:
+            weights = self._cross_validated(rows, described, **options)
+            self._warn(weights)
+            found = _mixed(found, rows, weights)
+        if rows.shape[-1] > 1:
+            _keep_constants(found, rows)
+        arrays = (found.radiance, found.low, found.high)
+        radiance, low, high = (a.reshape(samples.shape[:-1]) for a in arrays)
+        certainty = found.certainty.reshape(samples.shape[:-2])
+        return Estimates(radiance, certainty, low, high, found.level)
 
-    def trust(
-        self,
-        x: npt.ArrayLike,
-        *,
-        features: Features | None = None,
-        direct: npt.ArrayLike | None = None,
-        loss_weight: float = 0.5,
-        unit: float | None = None,
-    ) -> float:
-        """Measure how far from the mean to the estimate it pays to go, without a reference.
-
-        The estimate from one half of the samples is compared with the other half, under the
-        weights of both squared and relative errors, and the other way round. A share is trusted as
-        far as the comparison does not speak against it and it is better than the mean, a standard
-        error over pixels off. Of fewer than 4 samples nothing is known, and the share is 0. A
-        model that was trained on these very samples knows the other half, and is trusted too much.
-
-        The arguments, and what is refused, are those of `estimate`; the more pixels the better.
-
-        Returns
-        -------
-        float
-            From 0, the mean, to 1, the estimate; 0 where it moves nothing.
-        """
-        lights, measured = self._checked(x, direct, loss_weight, unit)
-        return self._measured_trust(lights, features, measured, loss_weight)
-
-    def check(self, channels: int, loss_weight: float = 0.5) -> None:
-        """Refuse samples of other channels than it takes, and a loss weight out of range."""
+    def _check(self, channels: int, loss_weight: float) -> None:
         if channels != self.channels:
             message = (
                 f"the model was trained on samples with {self.channels} channels, got {channels}; "
@@ -316,79 +288,104 @@ class Progressive(TrainedModel[training.Learned]):
             message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {loss_weight}"
             raise InputError(message)
 
-    def _checked(
-        self, x: npt.ArrayLike, direct: npt.ArrayLike | None, loss_weight: float, unit: float | None
-    ) -> tuple[list[Array], float]:
-        """Return the samples, their direct part where it is an input, and the unit."""
-        samples = as_pixels(x)
-        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
-        self.check(samples.shape[-2], loss_weight)
-        part = self.inputs.direct_of(direct, samples.shape)
-        lights = [samples] if part is None else [samples, part]
-        return lights, mean_radiance(samples) if unit is None else unit
+    def _described(self, features: Features | None, shape: tuple[int, ...]) -> Array | None:
+        """Return the numbers of the first hit of pixels, shape (pixel, number)."""
+        if not self.with_features:
+            return None
+        if len(shape) != 2:
+            message = f"features belong to an image (y, x, channel, sample), got pixels {shape}"
+            raise InputError(message)
+        found = describe(features or {}, shape).reshape(shape[0] * shape[1], -1)
+        wanted = self.state.network.described
+        if found.shape[1] != wanted:
+            message = (
+                f"the model sees {wanted} numbers of the first hit, but these features give "
+                f"{found.shape[1]}; pass features= as it was trained with"
+            )
+            raise InputError(message)
+        return found
 
-    def _measured_trust(
-        self, lights: list[Array], features: Features | None, unit: float, loss_weight: float
-    ) -> float:
-        """Compare the estimate from each half of the samples with the other half."""
-        spp = lights[0].shape[-1]
-        if spp < training.FEWEST:
-            return 0.0
-        rows = [light.reshape(-1, *light.shape[-2:]) for light in lights]
-        if len(rows[0]) > _MEASURED and not (self.inputs.features or self.inputs.neighbours):
-            chosen = np.sort(generator(0).choice(len(rows[0]), _MEASURED, replace=False))
-            lights = [light[chosen] for light in rows]
-        lights = reordered(*lights)
-        halves = [[light[..., first::2] for light in lights] for first in range(2)]
-        # As far as all samples will be trusted, half of them are.
-        options = EstimateOptions(1.0, loss_weight, spp=spp)
-        moves = []
-        for half, other in zip(halves, halves[::-1], strict=True):
-            found = self._of_samples(half, features, unit, options).radiance
-            moves.append(shrinkage.moves_between(half[0], found, other[0], unit=unit))
-        return shrinkage.shrinkage_factor(moves)
-
-    def _of_samples(
-        self, lights: list[Array], features: Features | None, unit: float, options: EstimateOptions
+    def _of_rows(
+        self,
+        rows: Array,
+        described: Array | None,
+        *,
+        unit: float,
+        loss_weight: float,
+        level: float | None = None,
     ) -> Estimates:
+        """Estimate pixels (pixel, channel, sample) by the network alone."""
         from chdstat.estimators.progressive.network import estimate_pixels
 
-        state, samples, profile = self.state, lights[0], None
-        if self.inputs.neighbours:
-            profile = Profile.of(as_pixels(samples, image=True), unit=unit)
-        auxiliary = self.inputs.auxiliary(
-            features, samples.shape[:-2], described=state.network.described, profile=profile
+        found = estimate_pixels(
+            self.state, rows, described, unit=unit, loss_weight=loss_weight, level=level
         )
-        if self.inputs.neighbours:
-            auxiliary["shared"] = shared_estimates(samples) / np.float32(unit)
-        rows = [light.reshape(-1, *light.shape[-2:]) for light in lights]
-
-        def profile_of(part: slice) -> Profile:
-            own, *direct = (light[part] for light in rows)
-            return Profile.of(own, unit=unit, direct=direct[0] if direct else None)
-
-        found = estimate_pixels(state, profile_of, auxiliary, samples.shape[:-2], options)
         # A profile may overflow, or hold no sample that is good in all channels.
         lost = ~np.isfinite(found.radiance).all(axis=-1)
         if lost.any():
             with np.errstate(over="ignore"):
-                mean = mean_of_good(samples[lost]).astype(np.float32)
+                mean = mean_of_good(rows[lost]).astype(np.float32)
             found.radiance[lost] = found.low[lost] = found.high[lost] = mean
             found.certainty[lost] = 0
-        if samples.shape[-1] > 1:
-            first = samples[..., 0]
-            # Of nearly all images one sample a pixel tells that there is light.
-            lit = bool(first.any() or samples.any())
-            keep_constants(found, first, unchanged(first, samples), lit=lit)
         return found
 
-    def _to_file(self, state: training.Learned) -> tuple[dict[str, Array], dict[str, Any]]:
-        sizes, shares = state.network.shrinkage or shrinkage.FULL
-        arrays: dict[str, Array] = {"trust.sizes": sizes, "trust.shares": shares}
+    def _cross_validated(
+        self, rows: Array, described: Array | None, *, unit: float, loss_weight: float
+    ) -> Floats:
+        """Return the weight of the network beside the mean in each third of an image, 0 to 1.
+
+        Estimates from one half of the samples are compared with the mean of the other half, under
+        squared errors and under relative ones, whose denominator is the darker of mean and
+        estimate of either half; the smallest weight counts. With half of the samples the variance
+        of the mean is 2 v in place of v, and beside an estimate of bias b the weight
+        a = 2 v / (2 v + b^2); with all of them it is v / (v + b^2) = a / (2 - a).
+        """
+        if rows.shape[-1] < _FEWEST or len(rows) < 2:
+            return np.zeros(_THIRDS)
+        if len(rows) > _MEASURED:
+            chosen = np.sort(generator(0).choice(len(rows), _MEASURED, replace=False))
+            rows, described = rows[chosen], None if described is None else described[chosen]
+        ordered = reordered(rows)[0]
+        halves = [ordered[..., ::2], ordered[..., 1::2]]
+        mean = [np.asarray(mean_of_good(half), np.float64) / unit for half in halves]
+        moved = []
+        for i, half in enumerate(halves):
+            found = self._of_rows(half, described, unit=unit, loss_weight=loss_weight)
+            move, wanted = found.radiance / unit - mean[i], mean[1 - i] - mean[i]
+            usable = np.isfinite(move) & np.isfinite(wanted)
+            third = np.floor(_THIRDS * _rank(found.radiance))[:, np.newaxis]
+            darker = np.minimum(mean[i], found.radiance / unit)
+            squared = np.where(usable, darker, 0) ** 2 + errors.FLOOR
+            moved.append((*(np.where(usable, a, 0) for a in (move, wanted)), squared, third))
+        moves, wanted, squared, thirds = map(np.concatenate, zip(*moved, strict=True))
+        pixels = np.tile(np.arange(len(rows)), 2)
+        # What is dark by chance in one half weighs more there, where a move up pays, and in the
+        # other, where a move down does: the truth lies between.
+        weights = (1.0, 1 / squared, 1 / np.roll(squared, len(rows), axis=0))
+        shares = [
+            [errors.share_of(pixels, moves * (thirds == k), wanted, w) for w in weights]
+            for k in range(_THIRDS)
+        ]
+        halved = np.min(shares, axis=1)
+        return np.asarray(halved / (2 - halved))
+
+    def _warn(self, weights: Floats) -> None:
+        scenes = ", ".join(repr(scene["scene"]) for scene in self.provenance["scenes"])
+        shares = ", ".join(f"{weight:.2f}" for weight in weights)
+        message = (
+            f"{self.name} was trained on {scenes}, and these samples are not known to be of it: it "
+            "is mixed with the mean, as they say how far it pays. Its weight in the dark, middle "
+            f"and bright third of the image is {shares}; give Samples of the scene, or train on it"
+        )
+        warnings.warn(message, OtherSceneWarning, stacklevel=3)
+
+    def _to_file(self, state: learning.Learned) -> tuple[dict[str, Array], dict[str, Any]]:
+        sizes, shares = state.network.shrinkage or errors.FULL
+        arrays: dict[str, Array] = {"shrinkage.sizes": sizes, "shrinkage.shares": shares}
         arrays |= zip(("marks.places", "marks.samples"), state.marks, strict=True)
         arrays |= {f"network.{name}": w for name, w in state.network.to_arrays().items()}
         arrays |= {f"spread.{name}": a for name, a in vars(state.error_model).items()}
-        about = {"shape": state.network.shape, "inputs": list(self.inputs.names)}
+        about = {"shape": state.network.shape, "with_features": self.with_features}
         return arrays, about | {"unit": state.unit}
 
     @classmethod
@@ -400,21 +397,118 @@ class Progressive(TrainedModel[training.Learned]):
         def below(prefix: str) -> dict[str, Array]:
             return {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
 
-        if "trust.shares" not in arrays:
-            message = (
-                "this model was trained by an earlier version, which did not measure how far it "
-                "pays to follow the network; train it again"
-            )
+        if "with_features" not in about:
+            message = "this model was trained by an earlier version of chdstat; train it again"
             raise StoreError(message)
         network = Network(**about["shape"]).eval()
         network.load_arrays(below("network."))
-        network.shrinkage = shrinkage.checked_shares(**below("trust."))
-        model = cls(inputs=about["inputs"])
-        model._trained = training.Learned(
+        network.shrinkage = errors.checked_shares(**below("shrinkage."))
+        model = cls(with_features=bool(about["with_features"]))
+        model._trained = learning.Learned(
             network=network,
-            error_model=ErrorModel(**below("spread.")),
+            error_model=errors.ErrorModel(**below("spread.")),
             unit=float(about["unit"]),
             marks=(arrays["marks.places"], arrays["marks.samples"]),
             **common,
         )
         return model
+
+
+def _train(samples: Samples, *, with_features: bool, **options: Any) -> Progressive:
+    return Progressive(with_features=with_features).train(samples, **options)
+
+
+_SOURCE = "this library, after Zirr et al. 2018, doi:10.1111/cgf.13335"
+_TRAININGS = {given: partial(_train, with_features=given) for given in (False, True)}
+"""Entries of the same inputs share a training."""
+_ROWS = (
+    ("progressive", "", 0.5, False),
+    ("progressive_mse", ", for MSE", 0.0, False),
+    ("progressive_relmse", ", for relMSE", 1.0, False),
+    ("progressive_features", ", with features", 0.5, True),
+)
+"""Name, what its label adds, loss weight and whether it takes features."""
+for _name, _which, _loss_weight, _given in _ROWS:
+    register_learned(
+        LearnedEstimator(
+            _name,
+            _TRAININGS[_given],
+            _SOURCE,
+            inputs=None,
+            pixels=learning.PIXELS,
+            about=f"Network that weighs any number of samples by their luminance{_which}.",
+            label=f"progressive{_which}",
+            place=9,
+            options={"loss_weight": _loss_weight},
+            uses_features=_given,
+            joint_channels=True,
+        )
+    )
+
+
+def _rank(radiance: Floats) -> Floats:
+    """Return which share of the pixels (pixel, channel) is darker than each, shape (pixel,).
+
+    One without radiance counts as black: its rank would else be that of all, NaN.
+    """
+    luminance = np.nan_to_num(radiance.mean(axis=-1, dtype=np.float64))
+    return np.asarray((stats.rankdata(luminance) - 0.5) / max(len(radiance), 1))
+
+
+def _mixed(found: Estimates, rows: Array, weights: Floats) -> Estimates:
+    """Mix estimates of pixels with the means of their samples (pixel, channel, sample).
+
+    The interval reaches from that of the mean towards that of the estimate, as far as this counts;
+    where no two samples differ, these tell nothing of the error, and it reaches to both.
+    """
+    centres = (np.arange(_THIRDS) + 0.5) / _THIRDS
+    weight = np.interp(_rank(found.radiance), centres, weights)[:, np.newaxis]
+    low, high = found.low, found.high
+    # What exceeds single precision is infinite in the estimate, and 0 of it is not a number.
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = np.asarray(mean_of_good(rows), np.float64)
+        radiance = np.where(weight > 0, mean + weight * (found.radiance - mean), mean)
+        if not np.isnan(found.level):
+            below, above, unknown = _student(rows, mean, found.level)
+            share = np.where(unknown, 1.0, weight)
+            low = np.fmin(below, below + share * (low - below))
+            high = np.fmax(above, above + share * (high - above))
+        mixed = radiance, weight[:, 0] * found.certainty, low, high
+        radiance, certainty, low, high = (a.astype(np.float32) for a in mixed)
+    return Estimates(radiance, certainty, low, high, found.level)
+
+
+def _student(rows: Array, mean: Floats, level: float) -> tuple[Floats, Floats, Array]:
+    """Return the ends of Student's interval of the mean, and where no two samples differ.
+
+    Radiance of which no sample is negative is not negative, either.
+    """
+    good = ~is_bad(rows)
+    n = good.sum(axis=-1)
+    apart = np.where(good, rows, mean[..., np.newaxis]) - mean[..., np.newaxis]
+    error = np.sqrt(np.square(apart).sum(axis=-1) / np.maximum(n * (n - 1), 1))
+    reach = special.stdtrit(np.maximum(n - 1, 1), (1 + level) / 2) * error
+    signed = np.where(good, rows, 0).min(axis=-1) < 0
+    low = np.where(signed, mean - reach, np.maximum(mean - reach, 0))
+    return low, mean + reach, error == 0
+
+
+def _keep_constants(found: Estimates, rows: Array) -> None:
+    """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
+
+    In an image without any light nothing is known of its unit, either: it stays black. The interval
+    is kept, and widened to hold the mean: what few samples say may still be wrong.
+    """
+    first = rows[..., 0]
+    # The last one is another one in nearly all pixels; only the others are read as a whole.
+    same = np.asarray((np.isfinite(first) & (rows[..., -1] == first)).all(axis=-1))
+    same[same] = (rows[same] == first[same][..., np.newaxis]).all(axis=(-2, -1))
+    # Of nearly all images one sample a pixel tells that there is light.
+    lit = bool(first.any() or rows.any())
+    same &= first.any(axis=-1) | (not lit)
+    if same.any():
+        with np.errstate(over="ignore"):
+            mean = first[same].astype(np.float32)
+        found.radiance[same], found.certainty[same] = mean, 0
+        found.low[same] = np.minimum(found.low[same], mean)
+        found.high[same] = np.maximum(found.high[same], mean)

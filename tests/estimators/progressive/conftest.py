@@ -77,8 +77,8 @@ def trained() -> Progressive:
 
 
 @pytest.fixture(scope="session")
-def alone() -> Progressive:
-    """Return one that had none, and looks at features and neighbours."""
-    model = Progressive(inputs=["features", "neighbours"])
+def featured() -> Progressive:
+    """Return one that looks at first-hit features."""
     samples = _make(24, 32, seed=1, smooth=True).samples
-    return model.train(samples, reference=False, iterations=20, progress=False)
+    model = Progressive(with_features=True)
+    return model.train(samples, sizes=(8,), iterations=20, progress=False)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError
-from chdstat.estimators import Progressive, lookup, self_trained
+from chdstat.estimators import Progressive, lookup
 
 NAMES = ("progressive", "progressive_mse", "progressive_relmse")
 
@@ -32,6 +31,7 @@ def test_operating_points_share_one_model(quick, image):
     assert mixed == pytest.approx((first + last) / 2, rel=1e-4, abs=1e-5)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 def test_a_model_at_hand_is_not_trained_again(quick, trained, image):
     samples = image(16, 32, seed=9).samples
     found = chd.compare(samples, ["mean", *NAMES], n=8, model=trained)
@@ -43,7 +43,7 @@ def test_a_model_at_hand_is_not_trained_again(quick, trained, image):
 def test_features_reach_those_who_look_at_them(quick, image):
     samples = image(12, 32, seed=0).samples
     found = chd.compare(samples, ["mean", "progressive_features"], n=8)
-    assert quick[0].inputs.features
+    assert quick[0].with_features
     assert np.isfinite(found.estimates).all()
 
 
@@ -53,52 +53,3 @@ def test_they_are_marked_for_what_they_look_at():
         assert not entry.uses_neighbours
         assert entry.joint_channels
         assert entry.uses_features == (name == "progressive_features")
-    entry = lookup("self_trained")
-    assert entry.uses_neighbours
-    assert entry.uses_features
-    assert entry.minimum_samples == 4
-
-
-def test_an_image_improves_itself(image):
-    """Light that varies smoothly and comes seldom, so that much is to be gained: measured 0.5."""
-    source = image(24, 16, seed=6, smooth=True)
-    found = self_trained(source.x, features=source.samples.features, iterations=150)
-    assert found.dtype == np.float32
-    assert source.error(found) < 0.8
-    assert source.error(found, relative=True) < 0.8
-
-
-def test_it_repeats_with_its_seed(image):
-    source = image(24, 16, seed=6, smooth=True)
-    first, again, other = (self_trained(source.x, seed=seed, iterations=100) for seed in (0, 0, 1))
-    assert (first == again).all()
-    assert (first != other).any()
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_features_are_optional_and_bad_samples_no_obstacle(image):
-    x = image(8, 8, seed=6).x.copy()
-    x[0, 0] = np.nan
-    x[1, 1, 0, 0] = np.inf
-    found = self_trained(x, iterations=2)
-    assert np.isnan(found[0, 0]).all()
-    assert np.isfinite(found[1:]).all()
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize(
-    ("x", "match"),
-    [
-        (np.ones((4, 4, 3, 3)), "at least 4 spp, got 3"),
-        (np.ones((3, 8)), "(y, x, channel, sample)"),
-        (np.full((4, 4, 3, 8), np.nan), "at least 2 pixels"),
-    ],
-)
-def test_what_is_no_image_or_has_too_few_samples_is_refused(x, match):
-    with pytest.raises(InputError, match=match):
-        self_trained(x, iterations=1)
-
-
-def test_self_training_wants_an_image_with_channels():
-    with pytest.raises(InputError, match=r"\(y, x, channel, sample\), got \(4, 3, 8\)"):
-        self_trained(np.ones((4, 3, 8)), iterations=1)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from chdstat.errors import InputError
-from chdstat.estimators import Profile
-from chdstat.estimators.progressive.inputs import describe, pool_around
+from chdstat.estimators.progressive.inputs import describe
 
 
 def features(height=8, width=10, seed=0):
@@ -46,8 +45,6 @@ def test_what_is_not_finite_gives_finite_numbers(name):
     holes[name][1, 1] = np.inf
     holes[name][2, 2] = -np.inf
     assert np.isfinite(describe(holes, (8, 10))).all()
-    profile = Profile.of(np.ones((8, 10, 3, 4)), unit=1.0)
-    assert all(np.isfinite(found).all() for found in pool_around(profile, holes))
 
 
 def test_an_image_of_one_surface_is_described():

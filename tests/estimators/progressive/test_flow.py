@@ -45,29 +45,22 @@ def met(call: Callable[[], Any]) -> tuple[set[str], set[str]]:
     return files, classes
 
 
-def flow(samples: chd.Samples, *, inputs: list[Any]) -> tuple[set[str], set[str]]:
+def flow(samples: chd.Samples) -> tuple[set[str], set[str]]:
     def run() -> None:
         model.train(samples, iterations=2, progress=False)
-        model.estimate(samples.read(), features=samples.features if inputs else None)
+        model.estimate(samples)
 
-    model = Progressive(inputs=inputs)
+    model = Progressive(with_features=True)
     run()  # what is imported on the way is imported now
     found = met(run)
     for kind, names in zip(("files", "classes"), found, strict=True):
-        print(f"\n{inputs or 'samples alone'}: {len(names)} {kind}: {', '.join(sorted(names))}")
+        print(f"\n{len(names)} {kind}: {', '.join(sorted(names))}")
     return found
 
 
 def test_few_files_and_classes_lie_between_training_and_estimates(image):
-    files, classes = flow(image(24, 64, seed=0).samples, inputs=[])
+    files, classes = flow(image(24, 64, seed=0).samples)
     assert {"progressive/model.py", "progressive/network.py", "training.py"} <= files
-    assert {"progressive.network.Network", "progressive.inputs.Estimates"} <= classes
-    assert len(files) <= 9
-    assert len(classes) <= 6
-
-
-def test_neighbours_add_what_finds_similar_pixels(image):
-    found = flow(image(24, 16, seed=0).samples, inputs=["features", "neighbours"])
-    files, classes = ({n for n in names if n.startswith("progressive")} for names in found)
-    assert len(files) <= 7
+    assert {"progressive.network.Network", "registry.Estimates"} <= classes
+    assert len(files) <= 8
     assert len(classes) <= 6

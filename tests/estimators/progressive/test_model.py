@@ -13,6 +13,7 @@ from chdstat.estimators import Progressive
 from chdstat.estimators.training import read_model, write_model
 
 BALANCES = (0.0, 0.5, 1.0)
+pytestmark = pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def fresh(image):
 
 @pytest.fixture(scope="module")
 def smooth(image):
-    """An image with features, for those who look around."""
+    """An image with features, for those who look at them."""
     return image(24, 32, seed=1, smooth=True)
 
 
@@ -45,10 +46,10 @@ def test_any_factor_scales_the_estimate(trained, fresh, factor):
     assert scaled == pytest.approx(trained.predict(fresh.x), rel=1e-5, abs=1e-7)
 
 
-def test_any_factor_scales_the_estimate_of_one_that_looks_around(alone, smooth):
+def test_any_factor_scales_the_estimate_of_one_with_features(featured, smooth):
     features = smooth.samples.features
-    found = alone.predict(smooth.x, features=features)
-    scaled = alone.predict(smooth.x * np.float32(1e4), features=features) / 1e4
+    found = featured.predict(smooth.x, features=features)
+    scaled = featured.predict(smooth.x * np.float32(1e4), features=features) / 1e4
     assert scaled == pytest.approx(found, rel=1e-3)
 
 
@@ -93,8 +94,8 @@ def test_it_tends_to_the_mean(trained):
 
 
 def test_the_loss_weight_goes_from_one_estimate_to_the_other(trained, fresh):
-    ends = [trained.predict(fresh.x, loss_weight=b, trust=1.0) for b in (0.0, 1.0)]
-    middle = trained.predict(fresh.x, loss_weight=0.25, trust=1.0)
+    ends = [trained.predict(fresh.x, loss_weight=b, unit=1.0) for b in (0.0, 1.0)]
+    middle = trained.predict(fresh.x, loss_weight=0.25, unit=1.0)
     assert middle == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], rel=1e-4, abs=1e-6)
     assert np.abs(ends[1] - ends[0]).max() > 0
 
@@ -142,10 +143,10 @@ def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_no_estimate_of_one_that_looks_around_is_nan_either(alone, smooth):
+def test_no_estimate_of_one_with_features_is_nan_either(featured, smooth):
     x = wild(smooth.x)
     features = {name: field[:, :12] for name, field in smooth.samples.features.items()}
-    found = alone.estimate(x, features=features)
+    found = featured.estimate(x, features=features)
     assert (np.isfinite(found.radiance) == np.isfinite(chd.estimators.mean(x))).all()
 
 
@@ -192,14 +193,14 @@ def test_it_refuses_what_it_cannot_use(trained, call, match):
         call(trained)
 
 
-def test_an_estimator_that_looks_around_refuses_what_is_no_image(alone, smooth):
+def test_one_with_features_refuses_what_is_no_image(featured, smooth):
     features = smooth.samples.features
-    with pytest.raises(InputError, match=r"must be an image of shape \(y, x, channel, sample\)"):
-        alone.predict(smooth.x[0], features=features)
+    with pytest.raises(InputError, match=r"belong to an image \(y, x, channel, sample\)"):
+        featured.predict(smooth.x[0], features=features)
     with pytest.raises(InputError, match=r"must have shape \(24, 24\)"):
-        alone.predict(smooth.x, features={"albedo": features["albedo"][:5]})
+        featured.predict(smooth.x, features={"albedo": features["albedo"][:5]})
     with pytest.raises(InputError, match="sees 6 numbers .* give 0; pass features="):
-        alone.predict(smooth.x)
+        featured.predict(smooth.x)
 
 
 def test_an_untrained_one_says_so(tmp_path):
@@ -230,12 +231,12 @@ def test_a_saved_one_comes_back_to_the_bit(trained, fresh, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["model.safetensors"]
 
 
-def test_one_that_looks_around_comes_back_too(alone, smooth, tmp_path):
-    alone.save(tmp_path / "model")
+def test_one_with_features_comes_back_too(featured, smooth, tmp_path):
+    featured.save(tmp_path / "model")
     loaded = Progressive.load(tmp_path / "model")
-    assert loaded.inputs == alone.inputs
+    assert loaded.with_features
     features = smooth.samples.features
-    expected = alone.predict(smooth.x, features=features)
+    expected = featured.predict(smooth.x, features=features)
     assert (loaded.predict(smooth.x, features=features) == expected).all()
 
 

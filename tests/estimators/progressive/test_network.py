@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from chdstat.estimators import Profile
-from chdstat.estimators.progressive.error_model import LOSSES
-from chdstat.estimators.progressive.inputs import BANDS, RADII
+from chdstat.estimators.progressive.errors import LOSSES
+from chdstat.estimators.progressive.inputs import Profile
 from chdstat.estimators.progressive.network import Network
 
 SHAPES = [
     {"channels": 3},
     {"channels": 1},
     {"channels": 3, "described": 5},
-    {"channels": 3, "described": 5, "neighbours": True},
 ]
 
 
@@ -22,12 +20,8 @@ def given(shape, rows=20, n=16, seed=0):
     rng = np.random.default_rng(seed)
     channels = shape["channels"]
     profile = Profile.of(rng.gamma(0.5, size=(rows, channels, n)), unit=0.5)
-    auxiliary = {"described": rng.normal(size=(rows, shape.get("described", 0)))}
-    if "neighbours" in shape:
-        auxiliary["bands"] = rng.random((rows, len(RADII), BANDS, 1 + channels))
-        auxiliary["weight"] = rng.random((rows, len(RADII)))
-        auxiliary["shared"] = rng.random((rows, channels))
-    return profile, auxiliary
+    known = "described" in shape
+    return profile, rng.normal(size=(rows, shape["described"])) if known else None
 
 
 def scrambled(shape, seed=0):
@@ -59,8 +53,8 @@ def test_it_begins_near_the_mean(channels):
 
 
 def test_the_estimate_lies_between_the_mean_and_the_proposal():
-    profile, auxiliary = given({"channels": 3})
-    estimate, mean, certainty = scrambled({"channels": 3})(profile, auxiliary)
+    profile, described = given({"channels": 3})
+    estimate, mean, certainty = scrambled({"channels": 3})(profile, described)
     assert ((certainty > 0) & (certainty < 1)).all()
     assert (estimate >= 0).all()
     assert mean.detach().numpy() == pytest.approx(profile.mean() / profile.unit, rel=1e-5)
@@ -71,7 +65,7 @@ def test_with_ever_more_samples_of_the_same_kind_it_tends_to_the_mean():
     distances = []
     for times in (2**12, 2**20):
         many = Profile(profile.bins * times, profile.count * times, profile.unit)
-        estimate, mean, certainty = network(many, {})
+        estimate, mean, certainty = network(many, None)
         distances.append((estimate - mean[:, None]).abs().max().item())
         assert certainty.max() <= 2**12 / (2**12 + 16 * times)
     assert distances[1] < 0.01 * distances[0]
@@ -87,32 +81,30 @@ def test_gradients_reach_every_weight(shape):
 
 
 def test_each_row_is_on_its_own():
-    shape = {"channels": 3, "described": 5, "neighbours": True}
-    network, (profile, auxiliary) = scrambled(shape), given(shape)
-    part = network(profile[3:5], {name: array[3:5] for name, array in auxiliary.items()})
+    shape = {"channels": 3, "described": 5}
+    network, (profile, described) = scrambled(shape), given(shape)
+    part = network(profile[3:5], described[3:5])
     assert part[0].detach().numpy() == pytest.approx(
-        network(profile, auxiliary)[0][3:5].detach().numpy(), rel=1e-5
+        network(profile, described)[0][3:5].detach().numpy(), rel=1e-5
     )
 
 
 def test_black_and_very_bright_pixels_have_finite_estimates():
     x = np.zeros((2, 3, 8))
     x[1] = 1e30
-    estimate, _, _ = scrambled({"channels": 3})(Profile.of(x, unit=1.0), {})
+    estimate, _, _ = scrambled({"channels": 3})(Profile.of(x, unit=1.0), None)
     assert torch.isfinite(estimate).all()
 
 
 def test_shares_between_sizes_move_estimates_part_of_the_way():
     network, (profile, _) = scrambled({"channels": 3}), given({"channels": 3})
-    whole, mean, certainty = network(profile, {})
+    whole, mean, certainty = network(profile, None)
     shares = np.zeros((2, len(LOSSES), 14))
     shares[1] = 1
     network.shrinkage = np.array([4.0, 64.0]), shares
-    for shrunk in (network, network.at_spp(16)):
-        estimate, _, sure = shrunk(profile, {})
-        torch.testing.assert_close(estimate, (whole + mean[:, None]) / 2)
-        torch.testing.assert_close(sure, certainty / 2)
-    torch.testing.assert_close(network.at_spp(1000)(profile, {})[0], whole)
+    estimate, _, sure = network(profile, None)
+    torch.testing.assert_close(estimate, (whole + mean[:, None]) / 2)
+    torch.testing.assert_close(sure, certainty / 2)
 
 
 def test_arrays_go_out_and_come_in():

@@ -1,11 +1,10 @@
-"""Profiles: they add up, keep the mean, and know no order."""
+"""Profiles: they keep the mean, and know no order."""
 
 import numpy as np
 import pytest
 
 from chdstat.errors import InputError
-from chdstat.estimators import Profile
-from chdstat.estimators.progressive.dataset import OCTAVES
+from chdstat.estimators.progressive.inputs import OCTAVES, Profile
 
 
 def samples(shape=(6, 5, 3, 40), seed=0):
@@ -25,7 +24,6 @@ def test_profiles_keep_the_mean():
     found = Profile.of(x, unit=0.7)
     assert found.mean() == pytest.approx(x.mean(axis=-1, dtype=np.float64), rel=1e-5)
     assert found.bins.shape == (6, 5, OCTAVES, 4)
-    assert found.channels == 3
 
 
 def test_every_lit_sample_weighs_one_and_a_null_nothing():
@@ -42,14 +40,6 @@ def test_a_sample_lies_between_the_two_octaves_of_its_luminance():
     far = Profile.of([[1e-20, 1e20]], unit=1.0).bins[:, 0]
     assert far[0] == 1
     assert far[-1] == pytest.approx(1, abs=2e-3)
-
-
-def test_adding_profiles_is_that_of_all_samples():
-    x = samples()
-    kept = Profile.empty((6, 5), 3, unit=2.0)
-    for part in np.split(x, [1, 7, 20], axis=-1):
-        kept.add(Profile.of(part, unit=2.0))
-    same(kept, Profile.of(x, unit=2.0))
 
 
 def test_the_order_of_samples_does_not_matter():

@@ -30,6 +30,13 @@ def test_samples_that_trained_are_known(known, factor):
     assert knows(model, x[..., order])
 
 
+def test_a_small_image_is_known_too():
+    x = np.random.default_rng(4).exponential(size=(8, 8, 3, 16)).astype(np.float32)
+    model = Progressive().train(chd.Samples.from_array(x), iterations=2, progress=False)
+    assert knows(model, 7 * x[..., :8])
+    assert not knows(model, x[::-1])
+
+
 def test_other_samples_are_not(known):
     model, x = known
     rng = np.random.default_rng(2)

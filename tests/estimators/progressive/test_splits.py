@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.dataset import SampleSplits
+from chdstat.estimators.progressive.learning import TrainingSet
 
 
 def splits(seed=0, **options):
     rng = np.random.default_rng(seed)
     x = rng.exponential(size=(50, 3, 24)).astype(np.float32)
-    return SampleSplits(samples=x, unit=0.5, **options)
+    return TrainingSet(samples=x, **options)
 
 
 def test_both_parts_together_are_all_samples():
@@ -29,39 +29,31 @@ def test_only_the_given_pixels_are_drawn():
 
 def test_large_samples_make_small_minibatches():
     rng = np.random.default_rng(0)
-    made = SampleSplits(samples=np.ones((4, 1, 2**13), np.float32), unit=1.0)
+    made = TrainingSet(samples=np.ones((4, 1, 2**13), np.float32))
     assert len(made.draw(np.arange(4), 2**12, 1024, rng)[0]) == 32
-
-
-def test_halves_share_no_sample_with_each_other_or_with_the_part():
-    made = splits()
-    rng = np.random.default_rng(2)
-    rows, drawn = made.draw(np.arange(50), 6, 40, rng)
-    (first, second), _ = made.halves(rows, drawn, rng)
-    assert (first + second) / 2 == pytest.approx(made.minibatch(rows, drawn)[2], rel=1e-5)
-    assert np.abs(first - second).min() > 0
 
 
 def test_uneven_halves_tell_the_variance_of_the_target_without_bias():
     """Three samples are left, in halves of two and one: 40,000 pixels, within five deviations."""
     rng = np.random.default_rng(0)
     x = rng.normal(8, 1, size=(40_000, 1, 7)).astype(np.float32)
-    made = SampleSplits(samples=x, unit=1.0)
+    made = TrainingSet(samples=x)
     noise = made.noise(*made.draw(np.arange(40_000), 4, 40_000, rng), rng)
     assert abs(noise.mean() - 1 / 3) < 5 * noise.std() / np.sqrt(noise.size)
 
 
 def test_mean_and_variance_are_those_of_the_samples():
-    x = np.random.default_rng(0).exponential(size=(50, 3, 24)).astype(np.float32) / 0.5
+    x = np.random.default_rng(0).exponential(size=(50, 3, 24)).astype(np.float32)
     assert splits().mean == pytest.approx(x.mean(axis=-1), rel=1e-5)
     assert splits().variance == pytest.approx(x.var(axis=-1, ddof=1), rel=1e-4)
-    constant = SampleSplits(samples=np.full((2, 1, 9), 0.1, np.float32), unit=1.0)
+    constant = TrainingSet(samples=np.full((2, 1, 9), 0.1, np.float32))
     assert constant.variance == pytest.approx(0, abs=1e-8)
 
 
-def test_prepared_splits_are_kept_to():
-    places, shared = np.array([1, 5]), np.full((50, 3), 4.0, np.float32)
-    made = splits(prepared=[(places, shared)])
-    rows, drawn = made.draw(np.arange(50), 2, 10, np.random.default_rng(0))
-    assert (drawn == places).all()
-    assert (made.minibatch(rows, drawn)[1]["shared"] == 8).all()
+def test_a_given_truth_is_the_target_and_has_no_noise():
+    rng = np.random.default_rng(0)
+    truth = rng.random((50, 3))
+    made = splits(truth=truth)
+    rows, drawn = made.draw(np.arange(50), 6, 40, rng)
+    assert made.minibatch(rows, drawn)[2] == pytest.approx(truth[rows], rel=1e-6)
+    assert not made.noise(rows, drawn, rng).any()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.estimators import MLP, Progressive, Stream, lookup, names
-from chdstat.estimators.progressive import shrinkage, training
+from chdstat.estimators import MLP, LearnedEstimator, Progressive, lookup, mean_radiance, names
+from chdstat.estimators.progressive import errors, learning
 from chdstat.studies.claims import FINDINGS, SceneData
 from chdstat.studies.claims.learning import FACTORS, LEVELS, ROUNDING
 
@@ -36,7 +36,7 @@ def features(edge=EDGE):
 @pytest.fixture(scope="module")
 def samples():
     x = pixels(n=128)
-    return chd.Samples.from_array(x, features=features(), direct=x / 2)
+    return chd.Samples.from_array(x, features=features())
 
 
 @pytest.fixture(scope="module")
@@ -141,8 +141,11 @@ def test_bad_samples_in_some_pixels_do_not_decide(ask, samples):
 def trained(samples):
     """Return all learned estimators of the registry, trained a little, and the paper's network."""
     models, by_training = {}, {}
-    for name in set(names("learned")) - {"combination", "self_trained", "progressive_direct"}:
-        train = lookup(name).train
+    for name in names("learned"):
+        entry = lookup(name)
+        if not isinstance(entry, LearnedEstimator):
+            continue
+        train = entry.train
         if train not in by_training:  # those of the same inputs share one
             options = (
                 {"iterations": 200} if name == "elek2019" else {"iterations": 30, "sizes": [N]}
@@ -164,39 +167,28 @@ def test_ours_reduces_to_the_mean_and_the_papers_network_does_not(samples, compa
         assert isinstance(trained[name], Progressive)
 
 
-INPUTS = {
-    "samples": (),
-    "features": ("features",),
-    "direct": ("direct",),
-    "neighbours": ("neighbours",),
-    "neighbours and features": ("neighbours", "features"),
-}
-
-
-@pytest.fixture(scope="module", params=INPUTS)
+@pytest.fixture(scope="module", params=[False, True], ids=["samples", "features"])
 def model(request, samples):
     """Return each configuration of our estimator, trained a little and followed all the way.
 
     Whether it pays to follow so short a training is by chance; where it does not, the estimate is
     the mean, of which these laws ask nothing.
     """
-    model = Progressive(inputs=INPUTS[request.param])
-    iterations = 100 if model.inputs.neighbours else 30  # so many that it is worth some trust
+    model = Progressive(with_features=request.param)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "measure_shrinkage", lambda *_: shrinkage.FULL)
-        return model.train(samples, sizes=[N], iterations=iterations, progress=False)
+        patch.setattr(learning, "reference_shares", lambda *_: errors.FULL)
+        return model.train(samples, sizes=[N], iterations=30, progress=False)
 
 
 @pytest.fixture
 def ours(model):
-    """Return each of them as a function of samples."""
-    return lambda x, **more: model.estimate(x, **{"trust": 1.0, **inputs_of(model, x), **more})
+    """Return each of them as a function of samples, which it takes for those of its scene."""
 
+    def estimate(x, **more):
+        unit = more.pop("unit", None) or mean_radiance(x)
+        return model.estimate(x, features=features(), unit=unit, **more)
 
-def inputs_of(model, x):
-    """Return what a model wants beside the samples."""
-    features_too = {"features": features()} if model.inputs.features else {}
-    return features_too | ({"direct": x / 2} if model.inputs.direct else {})
+    return estimate
 
 
 def assert_close(found, first, *, factor=1.0, tolerance=2e-5):
@@ -230,24 +222,24 @@ def test_pixels_of_one_light_are_kept_among_noisy_ones(ours):
 
 def test_the_order_of_the_samples_does_not_matter(ours):
     x = pixels(3)
-    first = ours(x, trust=1.0)
+    first = ours(x)
     assert np.abs(first.radiance - mean(x)).max() > 0.01 * x.mean()  # or nothing was asked
     places = np.random.default_rng(0).random((EDGE, EDGE, 1, N)).argsort(axis=-1)
     for other in (x[..., ::-1], np.take_along_axis(x, places, axis=-1)):
-        found = ours(other, trust=1.0)
+        found = ours(other)
         np.testing.assert_allclose(found.certainty, first.certainty, rtol=2e-5)
         assert_close(found, first)
 
 
-def test_trust_in_a_network_reads_no_order_and_no_unit(model, samples):
-    """Measured between halves of the samples, which are the same halves in any order."""
-    x = samples.read()[..., :N]
-    first, turned = (model.trust(y, **inputs_of(model, y)) for y in (x, x[..., ::-1]))
-    assert 0 < first <= 1 or not model.inputs.neighbours  # which learn too little here to pay
-    assert turned == first
+@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
+def test_the_weight_beside_the_mean_reads_no_order_and_no_unit(model):
+    """It is measured between halves of the samples, which are the same halves in any order."""
+    x = pixels(7)
+    first = model.estimate(x, features=features())
+    assert_close(model.estimate(x[..., ::-1], features=features()), first)
     for factor in FACTORS:
-        scaled = x * np.float32(factor)
-        assert model.trust(scaled, **inputs_of(model, scaled)) == first
+        scaled = model.estimate(x * np.float32(factor), features=features())
+        assert_close(scaled, first, factor=factor, tolerance=0)
 
 
 @pytest.mark.parametrize("factor", [*FACTORS, 1e-3, 1e3, np.pi])
@@ -255,19 +247,6 @@ def test_estimates_scale_with_the_unit(ours, factor):
     x = pixels(3)
     first, found = ours(x), ours(x * np.float32(factor))
     assert_close(found, first, factor=factor, tolerance=0 if factor in FACTORS else 2e-5)
-
-
-def test_a_stream_keeps_constants_and_reads_no_order(trained):
-    def streamed(x):
-        stream = Stream(trained["progressive"], unit=1.0)
-        for part in np.split(x, 4, axis=-1):
-            stream.update(part)
-        return stream.estimate().radiance
-
-    for level in LEVELS:
-        assert (streamed(np.full((4, 4, 3, N), level, np.float32)) == np.float32(level)).all()
-    x = pixels(3)
-    np.testing.assert_allclose(streamed(x[..., ::-1]), streamed(x), rtol=2e-5, atol=1e-6)
 
 
 def test_the_control_moves_and_the_tolerance_is_tight():

@@ -1,15 +1,15 @@
-"""What networks are worth where they are followed by default: errors, bias and coverage.
+"""What networks are worth on their scene and on others: errors, bias and coverage.
 
-Run with ``pytest tests/benchmarks/test_trust.py --benchmark-only -s``. Errors are in units of the
-mean's; +- is their standard error over pixels. Bias is that of the whole image less the mean's own,
-which is noise.
+Run with ``pytest tests/benchmarks/test_other_scenes.py --benchmark-only -s``. Errors are in
+units of the mean's; +- is their standard error over pixels. Bias is that of the whole image less
+the mean's own, which is noise.
 """
 
 import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.estimators import Progressive
+from chdstat.estimators import Progressive, mean_radiance
 
 EDGE, SPP = 48, 1024
 SIZES = (4, 16, 64, 256)
@@ -81,7 +81,7 @@ def test_with_a_reference(as_benchmark):
             drift, held, pairs = [], [], None
             for first in range(0, min(SPP, 16 * n), n):
                 x = samples.read(ss=slice(first, first + n))
-                found = model.estimate(x, trust=1.0)
+                found = model.estimate(x, unit=mean_radiance(x))
                 mean = x.mean(axis=-1, dtype=np.float64)
                 drift.append((found.radiance.sum() - mean.sum()) / truth.sum())
                 holds = (found.low <= truth) & (truth <= found.high)
@@ -104,10 +104,12 @@ def test_with_a_reference(as_benchmark):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 def test_of_another_scene(as_benchmark):
     """Each network on all other images, at both ends of the loss weight and between them."""
     known = worlds()
     moved = asked = 0
+    worse = []
     print(f"\n{'':64}{'N':>5}{'MSE':>8}{'relMSE':>16}")
     for name, (samples, _) in known.items():
         model = Progressive().train(samples, iterations=600, progress=False)
@@ -122,23 +124,7 @@ def test_of_another_scene(as_benchmark):
                 if pairs[0][1] > 1e-6:
                     moved += 1
                     print(row(f"{name} on {other}", n, pairs))
-                assert_no_worse(pairs)
+                if any(error > 1.02 + 2 * noise for error, noise in pairs):
+                    worse.append(row(f"{name} on {other}", n, pairs))
     print(f"the others of {asked} keep the mean: {asked - moved}")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_without_a_reference(as_benchmark, seed):
-    """Trained on the very samples that are estimated from, which is what `estimate` does."""
-    print(f"\n{'':64}{'N':>5}{'MSE':>8}{'relMSE':>16}{'bias':>10}")
-    for name, (samples, truth) in worlds(32, 256, seed).items():
-        for n in SIZES:
-            few = samples.first(n)
-            mean = few.read().mean(axis=-1, dtype=np.float64)
-            found = chd.estimate(few, iterations=200, progress=False).radiance
-            pairs = errors(found, mean, truth)
-            bias = (found.sum() - mean.sum()) / truth.sum()
-            noise = (mean - truth).std() * np.sqrt(truth.size) / truth.sum()
-            print(row(name, n, pairs) + f"{100 * bias:+9.1f} %")
-            assert_no_worse(pairs)
-            assert abs(bias) <= max(0.02, 2 * noise)
+    assert not worse, "\n".join(worse)

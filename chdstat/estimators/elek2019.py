@@ -27,7 +27,7 @@ from chdstat._core.arrays import all_good, as_samples, generator, is_bad, spans,
 from chdstat._core.progress import track
 from chdstat.errors import InputError
 from chdstat.estimators import training, validation
-from chdstat.estimators.registry import mean_of_good
+from chdstat.estimators.registry import LearnedEstimator, mean_of_good, register_learned
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
@@ -298,6 +298,27 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             raise ValueError(message)
         model._trained = _TrainedMLP(weights=weights, scale=float(about["scale"]), **common)
         return model
+
+
+_ELEK = PRESETS["elek2019"]
+
+
+def _train(samples: Samples, **options: Any) -> MLP:
+    return MLP(_ELEK).train(samples, **options)
+
+
+register_learned(
+    LearnedEstimator(
+        _ELEK.name,
+        _train,
+        _ELEK.source,
+        inputs=_ELEK.inputs,
+        pixels=_ELEK.pixels,
+        about="Network of the paper: 32 samples of a channel in, its radiance out.",
+        label="Elek et al. 2019",
+        place=8,
+    )
+)
 
 
 def initial_weights(sizes: Sequence[int], rng: np.random.Generator) -> Weights:

@@ -1,33 +1,25 @@
-"""Error model: how large the errors of estimates are, from pixels that did not train the network.
+r"""Errors of the progressive estimator: how far it pays to follow it, and how large they are.
 
-The samples that an estimate p has not seen are cut in two. Their means t and u are independent and
-unbiased, and so ``(p - t)(p - u)`` has the expectation ``(p - y)^2`` whatever the truth y is:
-`validate` measures errors without a reference.
+`validate` lets the network estimate from some samples of pixels whose others are the target.
 
-Squared errors are explained by a sum of error terms, each with a weight that is not negative. The
-radiance of a pixel is then taken for gamma distributed with the estimate for its mean and that
-variance. With references the weights are least squares, and quantiles are calibrated by split
-conformal prediction (Lei et al. 2018, doi:10.1080/01621459.2017.1307116), separately for dark and
-for bright estimates.
+An estimate ``m + a (g - m)`` lies between the mean m and the network's g. Where t is an unbiased
+target that neither has seen, the share with the least squared error under weights w is
 
-Without a reference the products are so noisy that few pixels cannot tell six weights apart, and an
-image whose rare bright samples have not come yet seems to have no errors. So the weights keep the
-proportions `USUAL`, and one scale k is measured,
+.. math:: \alpha = \sum w (t - m) (g - m) / \sum w (g - m)^2
 
-    k = sum w s / sum w v,    w = v / (v + n)^2,
+and every share below :math:`2 \alpha` is better than the mean (Stein's shrinkage with a known
+target; Rousselle et al. 2012, doi:10.1145/2366145.2366214, choose between filters likewise).
+`reference_shares` finds shares for pixels of each brightness, brightened and darkened separately.
 
-s being the products, v what the usual weights expect, and n the noise of the target: the weights of
-a ratio whose terms have the variance ``2 (v + n)^2``. Then the upper end of its one-sided 95 %
-confidence interval is taken in place of k, with the standard error of a ratio of sums over pixels
-(Cochran 1977, Sampling Techniques, 6.4): an interval that is too wide claims less than one that is
-too narrow. The noise of a pixel that has not had its bright samples yet is underestimated, its
-weight is too large, and its distance from the target, too: this also errs on the side of width.
-Quantiles are normal ones: where errors are mixtures of many sizes, these hold 90 % nearly as often
-as they say, whatever the mixture.
+`ErrorModel` explains squared errors by a sum of error terms, each with a weight that is not
+negative, by least squares. The radiance of a pixel is then taken for gamma distributed with the
+estimate for its mean and that variance, and quantiles are calibrated by split conformal prediction
+(Lei et al. 2018, doi:10.1080/01621459.2017.1307116), separately for dark and for bright estimates.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -35,20 +27,25 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
-from chdstat.estimators.progressive.dataset import Floats, Indices, TrainingSet
+from chdstat.estimators.progressive.inputs import Floats, Indices
 
 if TYPE_CHECKING:
+    from chdstat.estimators.progressive.learning import TrainingSet
     from chdstat.estimators.progressive.network import Network
 
 __all__ = [
     "BRIGHTNESS",
     "FLOOR",
+    "FULL",
     "LOSSES",
     "ErrorModel",
-    "between_sizes",
+    "checked_shares",
     "error_terms",
     "of_size",
     "ratio",
+    "reference_shares",
+    "share_of",
+    "shares_at",
     "validate",
 ]
 
@@ -59,6 +56,14 @@ BRIGHTNESS = tuple(range(-8, 5, 2))
 FLOOR = 0.01
 """Part of the squared mean radiance of the image that keeps relative errors finite."""
 ERROR_TERMS = 6
+GROUPS = 2 * len(BRIGHTNESS)
+"""Groups of pixels with a share of their own: of each brightness, brightened and darkened ones."""
+FULL = np.ones(1), np.ones((1, len(LOSSES), GROUPS))
+"""Shares that follow all estimates all the way."""
+_LARGEST = 1.5
+"""Share of a move at most: beyond 1 where others are held back and the image would lose light."""
+_RIDGE = 1e-3
+"""Draws shares to 0 that no pixel speaks for."""
 DARK = 0.02
 """Radiance, in units of the image's, below which errors no longer fall with it."""
 _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
@@ -66,10 +71,6 @@ _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
 few samples of a lamp or a firefly are noisy."""
 _ROWS, _ENOUGH = 1024, 1 << 17
 """Rows of a minibatch, and of a size: so many tell enough, however rarely each pixel is seen."""
-_CUTS = 4
-"""Ways to cut the other samples in two: together they tell their noise better than one does. With a
-reference it is small, and one tells enough."""
-
 Validation = dict[str, npt.NDArray[Any]]
 """Estimates from splits of pixels, in units of the image's radiance, by name:
 
@@ -102,14 +103,14 @@ def validate(
         wanted = min(max(_TIMES, samples / n) * len(pixels), max(_ENOUGH, len(pixels)))
         while least > 0 or count < wanted:
             rows, drawn = training_set.draw(pixels, n, _ROWS, rng)
-            profile, auxiliary, target = training_set.minibatch(rows, drawn)
+            profile, described, target = training_set.minibatch(rows, drawn)
             with torch.inference_mode():
                 estimate, mean, certainty = (
-                    tensor.numpy().astype(np.float64) for tensor in network(profile, auxiliary)
+                    tensor.numpy().astype(np.float64) for tensor in network(profile, described)
                 )
             found.append(
                 {
-                    "size": np.full(len(rows), training_set.counts[drawn].sum()),
+                    "size": np.full(len(rows), n),
                     "rows": rows,
                     "estimate": np.moveaxis(estimate, 1, 0),
                     "certainty": certainty.T,
@@ -119,9 +120,7 @@ def validate(
                 }
             )
             if noise:
-                cuts = 1 if training_set.reference else _CUTS
-                measured = [training_set.noise(rows, drawn, rng) for _ in range(cuts)]
-                found[-1]["noise"] = np.mean(measured, axis=0)
+                found[-1]["noise"] = training_set.noise(rows, drawn, rng)
             count, least = count + len(rows), least - 1
     return {
         name: np.concatenate([one[name] for one in found], axis=int(name in _BY_LOSS))
@@ -179,35 +178,149 @@ def between_sizes(sizes: Floats, count: npt.NDArray[Any]) -> tuple[Indices, Indi
     return below, np.minimum(below + 1, last), place - below
 
 
-USUAL = np.array([0.03, 0.03, 0.17, 0.05, 0.3, 0.0])
-"""Weights of the error terms, up to their scale: about what errors against references have on
-simulated and on rendered images, scaled to 1."""
-_CONFIDENCE = 0.95
-_LEAST = 1e-3
-"""Scale that no measurement falls below, so that an interval is never a point."""
+# --- how far to follow a network ---------------------------------------------------------------
 
 
-def upper_bound(validation: Validation, loss: int) -> Floats:
-    """Return weights of error terms under which squared errors are hardly larger than expected."""
-    terms, squared = _explained(validation, loss)
-    expected = terms @ USUAL
-    weight = expected / (expected + _mean_noise(validation)) ** 2
-    above, below = (
-        np.bincount(validation["rows"], (weight * of_row).sum(axis=-1))
-        for of_row in (squared, expected)
+def checked_shares(sizes: Floats, shares: Floats) -> tuple[Floats, Floats]:
+    """Return shares as of `reference_shares`.
+
+    Raises
+    ------
+    ValueError
+        If they have another shape, or lie out of range.
+    """
+    if shares.shape != (len(sizes), len(LOSSES), GROUPS) or not len(sizes):
+        expected = f"(size, {len(LOSSES)}, {GROUPS}), size {len(sizes)}"
+        message = f"shares must have shape {expected}, got {shares.shape}"
+        raise ValueError(message)
+    if not ((shares >= 0) & (shares <= _LARGEST)).all():
+        message = f"shares must lie between 0 and {_LARGEST}"
+        raise ValueError(message)
+    return sizes, shares
+
+
+def shares_at(sizes: Floats, shares: Floats, count: npt.NDArray[Any]) -> Floats:
+    """Return the shares for numbers of samples, shape (row, loss, group)."""
+    below, above, part = between_sizes(sizes, count)
+    part = part[:, np.newaxis, np.newaxis]
+    return np.asarray((1 - part) * shares[below] + part * shares[above])
+
+
+def reference_shares(validation: Validation) -> tuple[Floats, Floats]:
+    """Return how far from the mean it pays to go to what a network estimates.
+
+    Shares are those with the least error among those under which neither MSE nor relMSE exceeds
+    the mean's and the image keeps its mean radiance.
+
+    Parameters
+    ----------
+    validation
+        Estimates of pixels of the image, at several numbers of samples, as of `validate`.
+
+    Returns
+    -------
+    sizes : ndarray
+        Numbers of samples that shares are known for, ascending.
+    shares : ndarray
+        0 for the mean, 1 for the estimate, beyond 1 where others are held back; shape (size, loss,
+        group), groups of pixels as of `network.group_weights`.
+    """
+    sizes = np.unique(validation["size"])
+    shares = [[_best_shares(of_size(validation, n), k) for k in range(len(LOSSES))] for n in sizes]
+    return sizes.astype(np.float64), np.array(shares)
+
+
+def _best_shares(validation: Validation, loss: int) -> Floats:
+    """Return the share of each group under which one of the errors is least.
+
+    Neither error exceeds the mean's, and the image keeps its mean.
+    """
+    import torch
+
+    from chdstat.estimators.progressive.network import group_weights
+
+    rows, mean, target = (validation[name] for name in ("rows", "mean", "target"))
+    move = validation["estimate"][loss] - mean
+    group = group_weights(torch.from_numpy(mean), torch.from_numpy(move)).numpy()
+    # Each pixel counts once, however often it was drawn: lamps are few.
+    once = 1 / np.bincount(rows)[rows][:, np.newaxis]
+    radiance = group.T @ (once * move).sum(axis=-1)
+    size = np.abs(radiance).sum()
+    noise = ((target - mean) ** 2).sum()
+    if not min(size, noise) > 0:
+        return np.zeros(GROUPS)
+    gains = []
+    for power in (0.0, 1.0):
+        weight = once * (target**2 + FLOOR) ** -power
+        along = group.T @ (weight * move * (target - mean)).sum(axis=-1)
+        squares = group.T @ ((weight * move**2).sum(axis=-1)[:, np.newaxis] * group)
+        scale = (weight * (target - mean) ** 2).sum()
+        gains.append((along / scale, squares / scale))
+    shares = _least(gains, loss, radiance / size)
+    step = (group @ shares)[:, np.newaxis] * move
+    certain = min(
+        share_of(rows, step, target - mean, (target**2 + FLOOR) ** -power, beyond=1.0)
+        for power in (0.0, 1.0)
     )
-    scale, error = ratio(above, below)
-    bound = max(scale, 0.0) + special.ndtri(_CONFIDENCE) * error
-    # One pixel alone has no standard error: then what is usual is all that is known.
-    return USUAL * max(bound if np.isfinite(bound) else 1.0, _LEAST)
+    return shares * certain
 
 
-def _explained(validation: Validation, loss: int) -> tuple[Floats, Floats]:
-    """Return error terms (row, channel, term), and unbiased squared errors (row, channel)."""
-    estimate = validation["estimate"][loss]
-    own = validation["mean"], validation["certainty"][loss], validation["variance"]
-    squared = (estimate - validation["target"]) ** 2 - validation["noise"]
-    return error_terms(estimate, *own), np.asarray(squared)
+def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) -> Floats:
+    """Minimise ``a squares a - 2 along a`` of one loss, that of neither being above 0."""
+    ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[loss][1]), 1e-12) / GROUPS
+
+    def gain(shares: Floats, k: int) -> float:
+        along, squares = gains[k]
+        return float(2 * along @ shares - shares @ squares @ shares)
+
+    def slope(shares: Floats, k: int) -> Floats:
+        along, squares = gains[k]
+        return np.asarray(2 * (along - squares @ shares))
+
+    found = optimize.minimize(
+        lambda a: a @ ridge @ a - gain(a, loss),
+        np.zeros(GROUPS),
+        jac=lambda a: 2 * ridge @ a - slope(a, loss),
+        method="SLSQP",
+        bounds=[(0, _LARGEST)] * GROUPS,
+        constraints=[
+            {"type": "eq", "fun": lambda a: radiance @ a, "jac": lambda _: radiance},
+            *({"type": "ineq", "fun": gain, "jac": slope, "args": (k,)} for k in range(len(gains))),
+        ],
+        options={"maxiter": 200},
+    )
+    return np.asarray(np.clip(found.x, 0, _LARGEST))
+
+
+def share_of(
+    pixels: Indices,
+    move: Floats,
+    wanted: Floats,
+    weight: Floats | float = 1.0,
+    *,
+    beyond: float = 0.0,
+) -> float:
+    r"""Return the share of a move that reduces the weighted squared error for sure, 0 to 1.
+
+    With the slope a of what is wanted over the move, and its standard error s over pixels, it is
+    :math:`\min(a + k s, 2 (a - s))`: every share below 2 a is better than none.
+
+    Parameters
+    ----------
+    pixels
+        Which pixel each row is of, shape (row,).
+    move, wanted, weight
+        Shape (row, channel).
+    beyond
+        k, the standard errors above the measured share that are allowed.
+    """
+    along, squares = (
+        np.bincount(pixels, (weight * move * other).sum(axis=-1)) for other in (wanted, move)
+    )
+    share, error = ratio(along, squares)
+    if not np.isfinite(error):  # too few pixels to tell
+        return 0.0
+    return float(np.clip(min(share + beyond * error, 2 * (share - error)), 0, 1))
 
 
 def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, float]:
@@ -226,17 +339,15 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
     return found, float(np.sqrt(squares * pixels / (pixels - 1))) / total
 
 
-def _mean_noise(validation: Validation) -> Floats:
-    """Return the variances of the targets, each averaged over all splits of a pixel and size."""
-    noise = np.empty_like(validation["noise"])
-    for size in np.unique(validation["size"]):
-        here = validation["size"] == size
-        rows = validation["rows"][here]
-        count = np.maximum(np.bincount(rows), 1)
-        for channel in range(noise.shape[-1]):
-            total = np.bincount(rows, validation["noise"][here, channel])
-            noise[here, channel] = (total / count)[rows]
-    return noise
+# --- how large its errors are ------------------------------------------------------------------
+
+
+def _explained(validation: Validation, loss: int) -> tuple[Floats, Floats]:
+    """Return error terms (row, channel, term), and unbiased squared errors (row, channel)."""
+    estimate = validation["estimate"][loss]
+    own = validation["mean"], validation["certainty"][loss], validation["variance"]
+    squared = (estimate - validation["target"]) ** 2 - validation["noise"]
+    return error_terms(estimate, *own), np.asarray(squared)
 
 
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
@@ -260,7 +371,7 @@ class ErrorModel:
     weights
         Of the error terms, shape (loss, term).
     sizes
-        Numbers of samples that quantiles were calibrated at, ascending; none without a reference.
+        Numbers of samples that quantiles were calibrated at, ascending.
     normal
         For each, the normal quantiles to take at `LEVELS` where an estimate is so bright, shape
         (size, loss weight, brightness, level).
@@ -289,9 +400,6 @@ class ErrorModel:
         """Learn from splits of pixels that did not train the network."""
         held_out = validate(network, training_set, pixels=pixels, rng=rng, noise=True)
         losses = range(len(LOSSES))
-        if not training_set.reference:
-            weights = np.array([upper_bound(held_out, loss) for loss in losses])
-            return cls(weights, np.empty(0), np.empty((0, *_CALIBRATED)))
         weights = np.array([least_squares(held_out, loss) for loss in losses])
         # Lamps are in all pixels, hardly in a tenth of them.
         pixels = np.arange(len(training_set))
@@ -318,22 +426,20 @@ class ErrorModel:
         Of a negative estimate, which signed samples make, it is that of a normal distribution.
         """
         wanted = special.ndtri(level)
-        z: Floats = np.full(len(count), wanted)
-        if len(self.sizes):
-            # Beyond the levels that were calibrated, tails go on as normal ones.
-            levels = special.ndtri(LEVELS)
-            beyond = wanted - np.clip(wanted, levels[0], levels[-1])
-            at_level = interpolate.interp1d(levels, self.normal)(wanted - beyond)
-            mixed = interpolate.interp1d(LOSS_WEIGHTS, at_level, axis=1)(loss_weight)
-            known = mixed @ _brightness_weights(estimate).T + beyond
-            below, above, part = between_sizes(self.sizes, count)
-            rows = np.arange(len(count))
-            z = (1 - part) * known[below, rows] + part * known[above, rows]
+        # Beyond the levels that were calibrated, tails go on as normal ones.
+        levels = special.ndtri(LEVELS)
+        beyond = wanted - np.clip(wanted, levels[0], levels[-1])
+        at_level = interpolate.interp1d(levels, self.normal)(wanted - beyond)
+        mixed = interpolate.interp1d(LOSS_WEIGHTS, at_level, axis=1)(loss_weight)
+        known = mixed @ _brightness_weights(estimate).T + beyond
+        below, above, part = between_sizes(self.sizes, count)
+        rows = np.arange(len(count))
+        z = (1 - part) * known[below, rows] + part * known[above, rows]
         z = z[:, np.newaxis]
         mean = np.maximum(estimate, 0) + DARK
         root = 1 - variance / (9 * mean**2) + z * np.sqrt(variance) / (3 * mean)
         found = np.maximum(mean * np.maximum(root, 0) ** 3 - DARK, 0)
-        return np.where(estimate < 0, estimate + z * np.sqrt(variance), found)
+        return np.asarray(np.where(estimate < 0, estimate + z * np.sqrt(variance), found))
 
 
 def _mixed(of_losses: Floats, loss_weight: float) -> Floats:

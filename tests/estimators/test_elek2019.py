@@ -9,7 +9,7 @@ import torch
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, PRESETS, Preset
-from chdstat.estimators.mlp import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.elek2019 import RECORD_EVERY, evaluate, initial_weights
 from chdstat.estimators.training import write_model
 from chdstat.estimators.validation import draw_pixels
 

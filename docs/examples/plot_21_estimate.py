@@ -2,8 +2,8 @@
 A better image without a reference
 ==================================
 
-A render has no reference: its samples are all there is. How can an estimator learn from those
-alone?
+A render has no reference: its samples are all there is. How do these say which of several images is
+nearest to the truth?
 """
 
 # %%
@@ -17,12 +17,11 @@ samples = chd.render("night-room", spp=128, size=(48, 48), seed=6, backend="scal
 few = samples.first(32)
 
 # %%
-# `chdstat.estimate` shows a network one part of a pixel's samples and asks for the mean of the
-# others. That mean is noisy, but its expectation is the truth, so the network learns the truth. It
-# also sees what the camera rays hit first, and the pixels around. By default it takes 2000 steps;
-# 80 keep this page short.
+# `chdstat.estimate` weights candidates pixel by pixel: the mean, a mean over pixels of similar
+# distributions, and what a denoiser makes of both. Candidates made of one half of the samples are
+# compared with the mean of the other half. That mean is noisy, but its expectation is the truth.
 
-found = chd.estimate(few, iterations=80, progress=False)
+found = chd.estimate(few, progress=False)
 
 # %%
 # Mean, estimate and reference under one exposure, with squared errors on one scale:
@@ -41,9 +40,15 @@ better = errors["estimate"] < errors["mean of 32"]
 print(f"closer to the reference in {better.mean():.0%} of the pixels")
 
 # %%
-# How far the estimate moves from the mean is measured on pixels that did not train it. Where the
-# training has learned nothing, the mean stays.
-#
+# The weights of the candidates, which sum to 1 in every pixel:
+
+weights = found.weights
+figure = viz.map_grid(len(weights), columns=3)
+for ax, (name, weight) in zip(figure.axes, weights.items(), strict=False):
+    viz.value_map(weight, title=name, limits=(0, 1), ax=ax)
+figure
+
+# %%
 # The command line writes an EXR with the estimate, its interval and its certainty:
 # ``chdstat estimate night-room -o night.exr``.
 #

@@ -1,0 +1,562 @@
+"""Training of the progressive estimator: from images to what was learned.
+
+Many samples are kept of some pixels of each image. Those of a pixel are cut in two at random for
+every minibatch: one part to learn from, and one whose mean is the target, unless a reference image
+is given. A tenth of the pixels is held out, to validate and to fit the error model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import generator, is_bad
+from chdstat._core.executor import cores, in_order
+from chdstat._core.image_scales import mean_radiance
+from chdstat._core.progress import track
+from chdstat.errors import InputError
+from chdstat.estimators.progressive.errors import FLOOR, ErrorModel, reference_shares, validate
+from chdstat.estimators.progressive.inputs import Array, Indices, Profile, describe
+from chdstat.estimators.training import Trained, descend, provenance_of, scene_record, threads
+from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels, without
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    import torch
+
+    from chdstat.estimators.progressive.network import Network, Output
+
+__all__ = [
+    "PIXELS",
+    "Learned",
+    "TrainingSet",
+    "learn",
+    "new_network",
+    "train_network",
+    "weighted_losses",
+]
+
+_LADDER = (4, 8, 16, 16, 32, 32, 64, 64, 128, 256, 512)
+"""Numbers of samples to learn from: as people ask for them."""
+_MOST_SPP = 2048
+PIXELS = 8192
+"""Of one image, at most, where several may train together."""
+_MOST_PIXELS = 4 * PIXELS
+"""Of all images together: more take memory, and tell little."""
+_ITERATIONS = 6000
+_VALIDATION = 0.1
+"""Share of the pixels held out for validation, to measure how large the errors are."""
+_ENOUGH, _MARKS_NEEDED = 0.5, 4
+"""Of the marks that are expected among the samples of an image: some pixels may be bad."""
+_SAME = 1e-6
+"""Logarithm of a ratio up to which samples are the same, in whatever unit."""
+_MOST_SAMPLES = 2**17
+"""Samples of a minibatch: of many samples, fewer rows tell as much."""
+_EQUAL = 1e-12
+"""Part of the squares below which what is left of them is rounding: samples are equal."""
+_MARKS, _TRIED = 2048, 2**15
+"""Samples that an image is recognised by, at most, and how many are drawn to find them."""
+_DARKEST = 1e-3
+"""Mean radiance of a channel, in units of the image's, below which it counts as this: relative
+errors of a channel that is black would outweigh all others."""
+_POWERS = (0.0, 1.0)
+"""Of the squared radiance in the loss of each output: MSE and relMSE."""
+_MINIBATCH = 1024
+_LEARNING_RATE = 2e-3
+"""At the start; it falls as a cosine to 0."""
+_RECORDS, _APART = 40, 10
+"""Records of a training at most, and iterations from one to the next at least: each takes a few."""
+_VALIDATION_ROWS = 4096
+_LARGEST_GRADIENT = 10.0
+"""Norm at which gradients are cut: a firefly shall not undo many steps, nor often be cut."""
+_KEEP = 0.995
+"""Of the average of the weights at each step, as Polyak and Juditsky 1992 average them: the targets
+are noisy, and so is each step."""
+_AVERAGED = 0.1
+"""Share of the steps that the average covers at most: a short training would keep its beginning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned(Trained):
+    """What the training of a progressive estimator leaves behind.
+
+    Attributes
+    ----------
+    network, error_model
+        What estimates, and what knows how large its errors are.
+    unit
+        Mean radiance of the image that it was trained on.
+    marks
+        Some of the samples that trained it, and their pixels, as of `TrainingSet.marks`: an array
+        has no provenance; its image is recognised by them.
+    """
+
+    network: Network
+    error_model: ErrorModel
+    unit: float
+    marks: tuple[Indices, Array]
+
+    def __post_init__(self) -> None:
+        used = sum(int(scene["pixels_used"]) for scene in self.provenance["scenes"])
+        if self.train_pixels.shape != (used, 2):
+            message = f"its scenes have {used} pixels, got {self.train_pixels.shape}"
+            raise ValueError(message)
+
+    def pixels_of(self, shape: tuple[int, int]) -> Indices:
+        """Return the pixels that trained in any image of a shape, rows (y, x)."""
+        scenes = self.provenance["scenes"]
+        ends = np.cumsum([scene["pixels_used"] for scene in scenes])
+        found = [
+            pixels
+            for pixels, scene in zip(np.split(self.train_pixels, ends[:-1]), scenes, strict=True)
+            if tuple(scene["samples_shape"][:2]) == tuple(shape)
+        ]
+        return np.unique(np.concatenate(found or [np.empty((0, 2), np.int64)]), axis=0)
+
+    def recognises(self, x: npt.NDArray[Any]) -> bool:
+        """Return whether samples (y, x, channel, sample), in any order and unit, trained it."""
+        pixels, samples = self.marks
+        for number, scene in enumerate(self.provenance["scenes"]):
+            own, (*shape, spp) = pixels[:, 0] == number, scene["samples_shape"]
+            if x.ndim != 4 or list(x.shape[:3]) != shape or not own.any():
+                continue
+            _, ys, xs = pixels[own].T
+            drawn = x[ys, xs].mean(axis=1, dtype=np.float64)
+            known = samples[own].mean(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.round(np.log(drawn / known[:, np.newaxis]) / _SAME)
+            # One factor, that of the units, leads from many marks to a sample of their pixel.
+            near = np.concatenate([ratio, ratio + 1], axis=1)
+            found = np.concatenate([np.unique(row[np.isfinite(row)]) for row in near])
+            most = np.unique(found, return_counts=True)[1].max(initial=0)
+            expected = own.sum() * min(1.0, x.shape[-1] / spp)
+            if most >= max(_ENOUGH * expected, _MARKS_NEEDED):
+                return True
+        return False
+
+
+@dataclass(eq=False, kw_only=True)
+class TrainingSet:
+    """Pixels that train a network, with all their samples.
+
+    Attributes
+    ----------
+    samples
+        Good samples in units of their image's mean radiance, shape (pixel, channel, sample).
+    truth
+        References in the same unit, shape (pixel, channel); None takes the samples that are not
+        learned from.
+    described
+        Numbers of the first hit, shape (pixel, number); None where features are no input.
+    sizes
+        Numbers of samples to learn from; each minibatch draws one.
+    iterations
+        Minibatches to train with.
+    pixels
+        The pixels in their images, rows (y, x), scene by scene.
+    excluded
+        Number of pixels that were left out for a bad sample.
+    scenes
+        What provenance says of each scene; ``pixels_used`` of it are here.
+    mean, variance
+        Mean of all samples of a pixel, and variance of one, shape (pixel, channel).
+    """
+
+    samples: Array
+    truth: npt.NDArray[np.float64] | None = None
+    described: Array | None = None
+    sizes: Sequence[int] = ()
+    iterations: int = _ITERATIONS
+    pixels: Indices = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    excluded: int = 0
+    scenes: Sequence[Mapping[str, Any]] = ()
+
+    def __post_init__(self) -> None:
+        self.spp = self.samples.shape[-1]
+        self._total = self.samples.sum(axis=-1, dtype=np.float64)
+        self.mean = self._total / self.spp
+        squares = np.einsum("rcn,rcn->rc", self.samples, self.samples, dtype=np.float64)
+        around = squares - self._total**2 / self.spp
+        around[around <= _EQUAL * squares] = 0
+        self.variance = around / max(self.spp - 1, 1)
+
+    @classmethod
+    def of(
+        cls,
+        images: Sequence[Samples],
+        *,
+        pixels: Sequence[npt.ArrayLike] | None,
+        references: Sequence[npt.ArrayLike] | None,
+        with_features: bool,
+        sizes: Sequence[int] | None,
+        iterations: int | None,
+        seed: int,
+    ) -> TrainingSet:
+        """Return pixels of several images, each measured in its own unit, with all their samples.
+
+        No image counts for being bright, and all have as many samples as the one with the fewest.
+
+        Raises
+        ------
+        InputError
+            As for `Progressive.train`.
+        """
+        wanted = _LADDER if sizes is None else tuple(sizes)
+        if not images:
+            message = "training needs at least one image, got none"
+            raise InputError(message)
+        if not wanted or min(wanted) < 1:
+            message = f"sizes must be one or more numbers of samples from 1, got {wanted}"
+            raise InputError(message)
+        if with_features and not all(image.features for image in images):
+            message = "this image has no first-hit features; render it, or leave with_features out"
+            raise InputError(message)
+        _check_same("channels", [image.shape[2] for image in images])
+        least = min(wanted) if sizes is None else max(wanted)
+        for image in images:
+            check_spp(image, least, reference=references is None)
+        truths = _checked_references(references, images)
+        spp = min(_MOST_SPP, *(image.spp for image in images))
+        most = spp if references is not None else spp // 2
+        found: list[tuple[Any, ...]] = []
+        scenes, excluded = [], 0
+        # One scene at a time: the samples of all pixels of one are much larger than what is kept.
+        for image, own, truth in zip(
+            images, training_pixels(images, pixels, seed=seed), truths, strict=True
+        ):
+            shape, unit = image.shape[:2], mean_radiance(image)
+            rows = _rows_of(image, own, spp)
+            target = None if truth is None else truth[tuple(own.T)] / unit
+            good = ~is_bad(rows).any(axis=(1, 2))
+            if target is not None:
+                good &= np.isfinite(target).all(axis=-1)
+            rows = rows if good.all() else rows[good]
+            rows /= np.float32(unit)
+            place = tuple(own[good].T)
+            first_hit = describe(image.features, shape)[place] if with_features else None
+            found.append((rows, None if target is None else target[good], first_hit, own[good]))
+            excluded += int((~good).sum())
+            facts = {"unit": unit, "pixels_used": len(rows)}
+            scenes.append(scene_record(image.name, image.attrs, image.shape, **facts))
+        if with_features:
+            _check_same("numbers of the first hit", [one[2].shape[1] for one in found])
+        samples, truth, described, kept = map(_joined, zip(*found, strict=True))
+        return cls(
+            samples=samples,
+            truth=truth,
+            described=described,
+            sizes=[n for n in wanted if n <= most],
+            iterations=iterations or _ITERATIONS,
+            pixels=kept,
+            excluded=excluded,
+            scenes=scenes,
+        )
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def draw(
+        self, pixels: Indices, n: int, rows: int, rng: np.random.Generator
+    ) -> tuple[Indices, Indices]:
+        """Draw about `rows` of the given pixels, fewer of many samples, and n of their samples.
+
+        All pixels share the places of their samples: these are exchangeable.
+        """
+        chosen = rng.choice(pixels, size=max(1, min(rows, _MOST_SAMPLES // n)))
+        return chosen, rng.permutation(self.spp)[:n]
+
+    def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, Array | None, Array]:
+        """Return what to learn from, and the target, for pixels `rows` and their samples `drawn`.
+
+        Returns
+        -------
+        profile, described
+            Inputs of the network.
+        target
+            The truth, or the mean of the other samples, shape (row, channel); 0 where there are
+            none.
+        """
+        seen = self._take(rows, drawn)
+        described = None if self.described is None else self.described[rows]
+        if self.truth is None:
+            others = without(self._total[rows], seen.sum(axis=-1, dtype=np.float64))
+            target = others / max(self.spp - len(drawn), 1)
+        else:
+            target = self.truth[rows]
+        return Profile.of(seen, unit=1.0), described, np.asarray(target, np.float32)
+
+    def noise(
+        self, rows: Indices, drawn: Indices, rng: np.random.Generator
+    ) -> npt.NDArray[np.float64]:
+        """Return an unbiased estimate of the variance of the target, shape (row, channel).
+
+        Of halves of a and b samples, with the means t and u, it is ``(t - u)^2 a b / (a + b)^2``;
+        of a given truth it is 0.
+        """
+        if self.truth is not None:
+            return np.zeros_like(self.truth[rows])
+        others = rng.permutation(np.setdiff1d(np.arange(self.spp), drawn))
+        one, two = np.array_split(others, 2)
+        means = [self._take(rows, half).mean(-1, np.float64) for half in (one, two)]
+        a, b = len(one), len(two)
+        return np.asarray((means[1] - means[0]) ** 2 * (a * b / (a + b) ** 2))
+
+    def marks(self, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """Draw samples that no other pixel has, by which the images are recognised.
+
+        Returns
+        -------
+        pixels : ndarray
+            Number of the image, y and x, shape (mark, 3).
+        samples : ndarray
+            In units of the image's radiance, shape (mark, channel).
+        """
+        # None twice: of a small image all are tried.
+        tried = np.unique(rng.integers(len(self) * self.spp, size=_TRIED))
+        rows, places = np.divmod(tried, self.spp)
+        drawn = self.samples[rows, :, places]
+        _, first, count = np.unique(drawn, axis=0, return_index=True, return_counts=True)
+        chosen = rng.permutation(first[(count == 1) & drawn[first].all(axis=1)])[:_MARKS]
+        used = [scene["pixels_used"] for scene in self.scenes]
+        image = np.repeat(np.arange(len(used)), used)[rows[chosen]]
+        return np.column_stack([image, self.pixels[rows[chosen]]]), drawn[chosen]
+
+    def _take(self, rows: Indices, drawn: Indices) -> Array:
+        """Return some samples of some pixels, shape (row, channel, sample)."""
+        _, channels, spp = self.samples.shape
+        starts = (rows[:, np.newaxis] * channels + np.arange(channels)) * spp
+        return np.asarray(self.samples.reshape(-1).take(starts[..., np.newaxis] + drawn))
+
+
+def training_pixels(
+    images: Sequence[Samples], given: Sequence[npt.ArrayLike] | None, *, seed: int
+) -> list[Indices]:
+    """Return the pixels of several images that train together, rows (y, x).
+
+    An image draws fewer beside many others, from those that it draws alone.
+
+    Raises
+    ------
+    InputError
+        If there are not as many arrays as images, or one is not of pixels of its image.
+    """
+    if given is None:
+        count = min(PIXELS, _MOST_PIXELS // len(images))
+        return [draw_pixels(image.shape[:2], count, seed=seed) for image in images]
+    if len(given) != len(images):
+        message = f"pixels must be one array for each of {len(images)} images, got {len(given)}"
+        raise InputError(message)
+    shapes = (image.shape[:2] for image in images)
+    return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
+
+
+def _checked_references(
+    references: Sequence[npt.ArrayLike] | None, images: Sequence[Samples]
+) -> list[npt.NDArray[np.float64] | None]:
+    if references is None:
+        return [None] * len(images)
+    found = [np.asarray(one, np.float64) for one in references]
+    shapes, expected = [one.shape for one in found], [image.shape[:3] for image in images]
+    if shapes != expected:
+        message = f"reference must have the shape (y, x, channel), {expected}, got {shapes}"
+        raise InputError(message)
+    return list(found)
+
+
+def _rows_of(image: Samples, pixels: Indices, spp: int) -> Array:
+    """Return samples (pixel, channel, sample) of some pixels of an image."""
+    rows = np.empty((len(pixels), image.shape[2], spp), np.float32)
+    place = np.full(image.shape[:2], -1)
+    place[tuple(pixels.T)] = np.arange(len(pixels))
+    for ys, xs, ss, block in image.blocks():
+        kept = block[..., : max(spp - ss.start, 0)]
+        here = place[ys, xs]
+        if kept.shape[-1]:
+            rows[here[here >= 0], :, ss.start : ss.start + kept.shape[-1]] = kept[here >= 0]
+    return rows
+
+
+def _joined(arrays: Sequence[Any]) -> Any:
+    """Return pixels of several scenes as those of one; one array alone is not copied."""
+    return np.concatenate(arrays) if len(arrays) > 1 and arrays[0] is not None else arrays[0]
+
+
+def _check_same(what: str, found: Sequence[int]) -> None:
+    if len(set(found)) > 1:
+        message = f"scenes that train together must have the same {what}, got {list(found)}"
+        raise InputError(message)
+
+
+def train_network(
+    training_set: TrainingSet, *, with_features: bool, seed: int, progress: bool | None
+) -> Learned:
+    """Train a new network, and measure how far to follow it and how large its errors are.
+
+    Raises
+    ------
+    InputError
+        If there are too few pixels.
+    """
+    count = len(training_set)
+    if count < 2:
+        message = (
+            f"training needs at least 2 pixels without a bad sample, got {count}; give a larger "
+            "image"
+        )
+        raise InputError(message)
+    rng = generator(seed).spawn(1)[0]
+    validation, train = np.split(rng.permutation(count), [max(1, round(count * _VALIDATION))])
+    network = new_network(training_set, seed=seed)
+    with track("training", training_set.iterations, unit="it", show=progress) as advance:
+        history = learn(network, training_set, train, validation, rng=rng, advance=advance)
+    # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
+    everywhere = validate(network, training_set, pixels=np.arange(count), rng=rng)
+    network.shrinkage = reference_shares(everywhere)
+    scenes = training_set.scenes
+    shape = scenes[0]["samples_shape"]
+    return Learned(
+        network=network,
+        error_model=ErrorModel.learn(network, training_set, pixels=validation, rng=rng),
+        unit=float(np.exp(np.mean([np.log(scene["unit"]) for scene in scenes]))),
+        marks=training_set.marks(generator(seed).spawn(2)[1]),
+        history=history,
+        train_pixels=training_set.pixels,
+        train_shape=(shape[0], shape[1]),
+        provenance=provenance_of(
+            ", ".join(scene["scene"] for scene in scenes),
+            scenes[0]["samples"],
+            shape,
+            scenes=list(scenes),
+            with_features=with_features,
+            seed=seed,
+            pixels_used=len(training_set.pixels),
+            pixels_excluded=training_set.excluded,
+            sizes=sorted(set(training_set.sizes)),
+            iterations=training_set.iterations,
+        ),
+    )
+
+
+def new_network(training_set: TrainingSet, *, seed: int) -> Network:
+    """Return an untrained network for the pixels of a training set."""
+    import torch
+
+    from chdstat.estimators.progressive.network import Network
+
+    described = training_set.described
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        channels = training_set.samples.shape[1]
+        return Network(channels, 0 if described is None else described.shape[1])
+
+
+def learn(
+    network: Network,
+    training_set: TrainingSet,
+    train: Indices,
+    validation: Indices,
+    *,
+    rng: np.random.Generator,
+    advance: Callable[[float], None],
+) -> npt.NDArray[np.float64]:
+    """Train a network in place.
+
+    Parameters
+    ----------
+    network
+        Left with the average of its weights over the last steps.
+    training_set
+        What to train with.
+    train, validation
+        Indices of the pixels that train and of those held out for validation.
+    rng
+        Draws minibatches.
+    advance
+        Called after every iteration.
+
+    Returns
+    -------
+    ndarray
+        Rows of `History`; the baseline is the sample mean under the same loss.
+    """
+    import torch
+    from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+    iterations = training_set.iterations
+    network.to("cuda" if torch.cuda.is_available() else "cpu").train()
+    keep = min(_KEEP, max(0.0, 1 - 1 / (_AVERAGED * iterations)))
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(keep))  # type: ignore[no-untyped-call]
+    losses_of = weighted_losses(training_set, network.answer.weight.device)
+
+    def drawn(pixels: Indices, n: int, rows: int, own: np.random.Generator) -> tuple[Any, ...]:
+        return (*training_set.minibatch(*training_set.draw(pixels, n, rows, own)), n)
+
+    def losses(
+        model: torch.nn.Module, minibatch: tuple[Any, ...]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        profile, described, target, size = minibatch
+        return losses_of(model(profile, described), target, size)
+
+    # The same splits for every record, at the middle number of samples.
+    middle = sorted(training_set.sizes)[len(training_set.sizes) // 2]
+    held_out = drawn(validation, middle, _VALIDATION_ROWS, rng)
+    own, sizes = rng.spawn(1)[0], rng.choice(training_set.sizes, iterations).tolist()
+    # Each is drawn while the one before it trains; one worker, so that they come in order.
+    minibatches = in_order(lambda n: drawn(train, n, _MINIBATCH, own), sizes, workers=1)
+    history = []
+    with threads(max(1, cores() - 1)):
+        for iteration, seen in descend(
+            list(network.parameters()),
+            (losses(network, minibatch) for minibatch in minibatches),
+            iterations=iterations,
+            every=max(_APART, iterations // _RECORDS),
+            learning_rate=_LEARNING_RATE,
+            annealed=True,
+            largest_gradient=_LARGEST_GRADIENT,
+            after_step=lambda: average.update_parameters(network),
+            advance=advance,
+        ):
+            with torch.inference_mode():
+                outside, of_mean = map(float, losses(average.module, held_out))
+            fit, baseline = np.mean([[float(loss) for loss in pair] for pair in seen], axis=0)
+            history.append((iteration, fit, outside, baseline, of_mean))
+    network.load_state_dict(average.module.state_dict())
+    network.to("cpu").eval()
+    return np.array(history)
+
+
+def weighted_losses(
+    training_set: TrainingSet, place: torch.device
+) -> Callable[[Output, Array, int], tuple[torch.Tensor, torch.Tensor]]:
+    """Return the loss of a network, in units of what the mean of as many samples loses on average.
+
+    It takes the output of the network, the target (row, channel), and how many samples were learned
+    from, and returns the loss of both estimates together, and that of the mean.
+    """
+    import torch
+
+    mean, variance = training_set.mean, training_set.variance
+    floor = FLOOR * np.maximum(mean.mean(axis=0), _DARKEST) ** 2
+    scales = np.array([(variance / (mean**2 + floor) ** power).mean() for power in _POWERS])
+    scales = np.where(scales > 0, scales, 1.0)
+    dark = torch.from_numpy(floor.astype(np.float32)).to(place)
+
+    def losses_of(output: Output, target: Array, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+        estimate, of_samples, _ = output
+        wanted = torch.from_numpy(target).to(place)
+        weight = torch.stack(
+            [
+                size / scale / (wanted**2 + dark) ** power
+                for power, scale in zip(_POWERS, scales, strict=True)
+            ],
+            dim=1,
+        )
+        errors = estimate - wanted[:, None], (of_samples - wanted)[:, None]
+        loss, baseline = ((weight * error**2).mean() for error in errors)
+        return loss, baseline
+
+    return losses_of
