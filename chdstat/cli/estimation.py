@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["bench", "compare", "contrast", "estimate", "train"]
 
+_ENDLESS = 2**20
+"""Samples of a pixel of a render that time or an error stops."""
 _COMPARED = {
     "estimator": "estimator",
     "mse_ratio": "MSE / mean's",
@@ -108,6 +110,14 @@ def estimate(
         bool,
         typer.Option("--while-rendering", help="Estimate from a render; keep no samples."),
     ] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--time", help="While rendering: stop after so many seconds."),
+    ] = None,
+    relative_error: Annotated[
+        float | None,
+        typer.Option("--error", help="While rendering: stop at this estimated relative error."),
+    ] = None,
     spp: cli.Spp = None,
     size: cli.Size = None,
     seed: cli.Seed = 0,
@@ -125,7 +135,8 @@ def estimate(
 
     Combines the mean and denoised images, pixel by pixel, by their errors on held-out samples, or
     lets a trained model estimate. The file holds the estimate, and as layers its certainty, the
-    ends of its interval, and the mean of the samples.
+    ends of its interval, and the mean of the samples. With --while-rendering it is written whenever
+    the number of samples has doubled.
     """
     from chdstat._core.cache import kept_until_written
     from chdstat._core.executor import client_of
@@ -146,9 +157,10 @@ def estimate(
         )
         raise InputError(message)
     if while_rendering:
+        endless = (seconds, relative_error) != (None, None)
         samples = render_batches(
             cli.scene_of(source, define),
-            spp=cli.SPP if spp is None else spp,
+            spp=spp or (_ENDLESS if endless else cli.SPP),
             size=cli.size_of(size),
             seed=seed,
             max_depth=max_depth,
@@ -179,6 +191,8 @@ def estimate(
             progress=not quiet,
             client=client,
             checkpoint=checkpoint,
+            seconds=seconds,
+            relative_error=relative_error,
         )
     output.say_written(path, as_json=as_json)
     output.say_next(quiet, f"open {path} in an EXR viewer; certainty, low, high, mean are layers")

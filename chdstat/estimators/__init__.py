@@ -22,7 +22,7 @@ import numpy.typing as npt
 from chdstat._core.image_scales import mean_radiance
 from chdstat.estimators.collaborative import boughida2017
 from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
-from chdstat.estimators.estimates import estimate, write_estimates
+from chdstat.estimators.estimates import estimate, refine, write_estimates
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.nlmeans import rousselle2012
 from chdstat.estimators.outliers import Cascade
@@ -39,13 +39,14 @@ from chdstat.estimators.registry import (
 )
 from chdstat.estimators.shrinkage import james_stein
 from chdstat.estimators.training import History, load_model, train_model
-from chdstat.estimators.weighting import Combination, combine
+from chdstat.estimators.weighting import Combination, CombinationStream, combine
 
 __all__ = [
     "MLP",
     "PRESETS",
     "Cascade",
     "Combination",
+    "CombinationStream",
     "Estimates",
     "Estimator",
     "Fireflies",
@@ -62,6 +63,7 @@ __all__ = [
     "lookup",
     "mean_radiance",
     "names",
+    "refine",
     "register",
     "register_learned",
     "rousselle2012",

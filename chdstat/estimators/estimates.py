@@ -9,11 +9,13 @@ file, with the certainty, the interval and the mean beside it. `chdstat.estimato
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import logging
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +25,14 @@ from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError
 from chdstat.estimators.progressive import Progressive
-from chdstat.estimators.registry import Estimates, check_probability, mean_of_good
+from chdstat.estimators.registry import (
+    Estimates,
+    check_positive,
+    check_probability,
+    mean_of_good,
+)
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
-from chdstat.estimators.weighting import Combination, combine
+from chdstat.estimators.weighting import LEAST, Combination, CombinationStream, combine
 from chdstat.io import denoise, write_exr
 from chdstat.samples import Image, Samples, check_equal_counts
 from chdstat.samples.tiles import check_independent
@@ -35,9 +42,13 @@ if TYPE_CHECKING:
 
     from chdstat.rendering import Rendering
 
-__all__ = ["check_denoiser", "estimate", "through_denoiser", "write_estimates"]
+__all__ = ["check_denoiser", "estimate", "refine", "through_denoiser", "write_estimates"]
+
+_log = logging.getLogger("chdstat")
 
 AnyModel = TrainedModel[Any]
+_FIRST = 16
+"""Samples of a pixel of the first estimate while rendering."""
 _COPIES = 2.2
 """Memory that an estimate by a model takes, over that of its samples (measured)."""
 _USUAL_CHANNELS = (1, 3)
@@ -114,7 +125,64 @@ def estimate(
     ((16, 16, 3), (16, 16))
     """
     options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
-    return _Estimated.of(samples, model, options).final
+    return _last(_Estimated.refined(samples, model, options)).final
+
+
+def refine(
+    rendering: Rendering, *, level: float = 0.9, seconds: float | None = None
+) -> Iterator[Combination]:
+    """Estimate while a scene renders: at 16 samples of a pixel, and whenever they have doubled.
+
+    Parameters
+    ----------
+    rendering
+        As `chdstat.rendering.render_batches` makes it. Of its samples only sums are kept, in memory
+        that does not grow with their number.
+    level
+        Probability of the intervals.
+    seconds
+        Stop after the batch that ends later than that; None renders all.
+
+    Yields
+    ------
+    Combination
+        What `chdstat.estimate` returns of the samples until now. The last one is, to the bit, that
+        of a store of the same samples.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range, or the samples are less than 4.
+
+    Examples
+    --------
+    Stop where the image is known to 20 %:
+
+    >>> from chdstat.rendering import render_batches
+    >>> rendering = render_batches("cornell-box", spp=1024, size=(16, 16), progress=False)
+    >>> for found in refine(rendering):
+    ...     if found.relative_error < 0.2:
+    ...         break
+    >>> found.spp < 1024
+    True
+    """
+    check_probability(level=level)
+    if seconds is not None:
+        check_positive(seconds=seconds)
+    if rendering.spp < LEAST:
+        message = f"expected at least {LEAST} samples of a pixel, got {rendering.spp}"
+        raise InputError(message)
+    y, x, channels, _ = rendering.shape
+    stream, due, begin = CombinationStream((y, x, channels)), _FIRST, time.monotonic()
+    for batch in rendering:
+        stream.update(batch)
+        late = seconds is not None and time.monotonic() - begin >= seconds
+        enough = stream.spp >= LEAST
+        if enough and (late or stream.spp >= min(due, rendering.spp)):
+            yield stream.estimate(features=rendering.features, level=level)
+            due = 2 * stream.spp
+            if late:
+                return
 
 
 def write_estimates(
@@ -129,6 +197,8 @@ def write_estimates(
     progress: bool | None = None,
     client: Client | None = None,
     checkpoint: str | Path | None = None,
+    seconds: float | None = None,
+    relative_error: float | None = None,
 ) -> Path:
     """Estimate the radiance of every pixel and write it to an EXR file.
 
@@ -139,9 +209,13 @@ def write_estimates(
     Parameters
     ----------
     path
-        The file, ending in .exr; one that is there already is replaced at the end.
+        The file, ending in .exr; one that is there already is replaced at the end. That of a
+        rendering is replaced whenever the number of samples has doubled.
     samples, model, spp, loss_weight, level, denoise, progress, client, checkpoint
         As for `estimate`.
+    seconds, relative_error
+        Stop a rendering after so many seconds, or where the estimated error of the image, over its
+        mean, is not larger.
 
     Returns
     -------
@@ -166,14 +240,31 @@ def write_estimates(
     """
     target = checked_target(path, ".exr")
     options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
-    image = _Estimated.of(samples, model, options)
-    return write_exr(
-        target,
-        image.final.radiance,
-        channels=None if image.mean.shape[-1] in _USUAL_CHANNELS else image.source.channels,
-        extra=image.layers(),
-        attributes=image.header(),
-    )
+    if relative_error is not None:
+        check_positive(relative_error=relative_error)
+    if not hasattr(samples, "batch") and (seconds, relative_error) != (None, None):
+        message = "seconds and relative_error stop a rendering; these samples are there already"
+        raise InputError(message)
+    for image in _Estimated.refined(samples, model, options, seconds):
+        write_exr(
+            target,
+            image.final.radiance,
+            channels=None if image.mean.shape[-1] in _USUAL_CHANNELS else image.source.channels,
+            extra=image.layers(),
+            attributes=image.header(),
+        )
+        found = image.first
+        if relative_error is not None and isinstance(found, Combination):
+            _log.info("%d spp: relative error %.3g", found.spp, found.relative_error)
+            if found.relative_error <= relative_error:
+                break
+    return target
+
+
+def _last(images: Iterator[_Estimated]) -> _Estimated:
+    """Return the last of some images."""
+    *_, image = images
+    return image
 
 
 @dataclass(frozen=True)
@@ -214,7 +305,14 @@ class _Estimated:
     mean: npt.NDArray[np.float32]
 
     @classmethod
-    def of(cls, source: Any, model: AnyModel | str | Path | None, options: _Options) -> _Estimated:
+    def refined(
+        cls,
+        source: Any,
+        model: AnyModel | str | Path | None,
+        options: _Options,
+        seconds: float | None = None,
+    ) -> Iterator[_Estimated]:
+        """Yield the estimate; of a rendering, one after another, of more and more samples."""
         if not 0 <= options.loss_weight <= 1:
             message = (
                 f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
@@ -224,45 +322,56 @@ class _Estimated:
         own = load_model(model) if isinstance(model, str | Path) else model
         # A rendering has batches; to test for its class would load Mitsuba here.
         if hasattr(source, "batch"):
-            return cls._of_rendering(source, own, options)
+            cls._check_rendering(source, own, options)
+            for found in refine(source, level=options.level, seconds=seconds):
+                yield cls._combined(source, options, found)
+            return
         samples = first_samples(source, options.spp)
         check_equal_counts(samples)
         if options.denoise:
             check_denoiser(samples.shape[2])  # refused before the work, not after
-        return cls._combined(samples, options) if own is None else cls._by(own, samples, options)
-
-    @classmethod
-    def _combined(cls, source: Samples | Rendering, options: _Options) -> _Estimated:
+        if own is not None:
+            yield cls._by(own, samples, options)
+            return
         found = combine(
-            cast("Any", source),
+            samples,
             level=options.level,
             progress=options.progress,
             client=options.client,
             checkpoint=options.checkpoint,
         )
+        yield cls._combined(samples, options, found)
+
+    @classmethod
+    def _combined(cls, source: Any, options: _Options, found: Combination) -> _Estimated:
         about = {"bias": found.bias, "bias_error": found.bias_error}
         training = "before, on built-in scenes with references"
         return cls(source, options, None, about, training, found, found.mean)
 
-    @classmethod
-    def _of_rendering(cls, rendering: Any, model: AnyModel | None, options: _Options) -> _Estimated:
-        """Estimate while rendering; what could not be estimated after it is refused before it."""
+    @staticmethod
+    def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) -> None:
+        """Refuse what could not be estimated after the rendering."""
         check_independent(rendering)
+        message = None
         if model is not None:
             message = (
                 f"{model!r} needs the samples, of which none are kept while rendering: render "
                 "first and estimate from the store, or leave the model out"
             )
-            raise InputError(message)
-        if options.spp not in (None, rendering.spp):
+        elif options.spp not in (None, rendering.spp):
             message = (
                 f"spp of a rendering is set where it is made: {rendering.spp}, "
                 f"got {options.spp} here"
             )
+        elif options.client is not None:
+            message = (
+                "a rendering draws in one process: leave client or --workers out, or render first "
+                "and estimate from the store"
+            )
+        if message is not None:
             raise InputError(message)
         if options.denoise:
             check_denoiser(rendering.shape[2])
-        return cls._combined(rendering, options)
 
     @classmethod
     def _by(cls, model: AnyModel, samples: Samples, options: _Options) -> _Estimated:
@@ -306,7 +415,7 @@ class _Estimated:
         about = {
             "software": f"chdstat {__version__}",
             "scene": self.source.name,
-            "spp": self.source.spp,
+            "spp": getattr(self.first, "spp", self.source.spp),
             "estimator": "combination" if self.model is None else self.model.name,
             "training": self.training,
             "loss_weight": self.options.loss_weight if mixes else "none",

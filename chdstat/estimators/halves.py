@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from chdstat._core.executor import in_order
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
-from chdstat.io.denoiser import denoise
+from chdstat.io.denoiser import denoise, works
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Work
 
@@ -147,16 +147,18 @@ def candidates(
 ) -> dict[str, Image]:
     """Return the images that are weighted, by name, each (y, x, channel); the first is the base.
 
-    Where no sample of a pixel is good, they are 0. With a client, its workers denoise.
+    Where no sample of a pixel is good, they are 0. With a client, its workers denoise; where the
+    library of the denoiser cannot be loaded, nothing is denoised.
     """
     starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
     albedo = features.get("albedo")
     normal = None if albedo is None else features.get("normal")
-    kinds = {"denoised with features": (albedo, normal)} if albedo is not None else {}
+    kinds: dict[str, Any] = {} if albedo is None else {"denoised with features": (albedo, normal)}
+    kinds = {**kinds, "denoised": (None, None)} if works() else {}
     jobs = {
         kind if name == "mean" else f"{kind} {name}": (np.maximum(image, 0), *guides)
         for name, image in starts.items()
-        for kind, guides in {**kinds, "denoised": (None, None)}.items()
+        for kind, guides in kinds.items()
     }
     # One at a time here: the denoiser uses all cores by itself.
     denoised = in_order(_denoised, jobs.values(), workers=1, client=client)

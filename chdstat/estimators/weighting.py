@@ -89,6 +89,8 @@ class Combination(Estimates):
         Standard error of that mean, as a share of it: a bias below twice this may be none.
     least
         The lower end of the mean's interval, shape (y, x, channel).
+    spp
+        Samples of a pixel, at most.
     """
 
     mean: Image = field(default_factory=lambda: np.empty(0, np.float32))
@@ -96,6 +98,7 @@ class Combination(Estimates):
     bias: float = np.nan
     bias_error: float = np.nan
     least: Image = field(default_factory=lambda: np.empty(0, np.float32))
+    spp: int = 0
 
     @property
     def relative_error(self) -> float:
@@ -154,8 +157,7 @@ def combine(
     Raises
     ------
     InputError
-        If Open Image Denoise is not installed, there are less than 4 samples, or no 1 or 3
-        channels.
+        If there are less than 4 samples, or no 1 or 3 channels.
 
     Examples
     --------
@@ -235,7 +237,6 @@ class CombinationStream:
         self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
     ) -> Combination:
         """Estimate the radiance from the samples until now, as `combine` does."""
-        check_probability(level=level)
         if self.spp < LEAST:
             message = f"expected at least {LEAST} samples of a pixel, got {self.spp}"
             raise InputError(message)
@@ -266,11 +267,20 @@ def combine_measured(
     Raises
     ------
     InputError
-        If the library of Open Image Denoise cannot be loaded.
+        If the level is no probability.
     """
+    check_probability(level=level)
     names, full, halves, inputs, scale = compare_halves(measured, features, client)
-    weighting = Weighting.shipped(with_features="albedo" in features)
-    weights, width = weighting(inputs)
+    mean, error = measured.mean, measured.errors[0]
+    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
+    if len(names) > 2:
+        weighting = Weighting.shipped(with_features="albedo" in features)
+        weights, width = weighting(inputs)
+        half = (weighting.quantile(level, scale) * width * scale)[..., np.newaxis]
+    else:
+        # Nothing is denoised: what is proposed is the limited mean, as certain as the mean is.
+        weights = np.broadcast_to(np.array(names) == "shared_shape", (*scale.shape, 2))
+        half = ends[1] - mean
     proposed = [
         Proposal(
             np.einsum("yxj,jyxc->yxc", weights, images),
@@ -283,11 +293,9 @@ def combine_measured(
         )
     ]
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
-    mean, error, image_of = measured.mean, measured.errors[0], proposed[0].image
+    image_of = proposed[0].image
     radiance = image_of + of_mean * (mean - image_of)
     balanced = _balanced(radiance, mean, error, 1 - of_mean)
-    half = (weighting.quantile(level, scale) * width * scale)[..., np.newaxis]
-    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
     # Where nothing was found, that tells nothing of what there is.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(image_of + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
@@ -315,6 +323,7 @@ def combine_measured(
         bias=bias,
         bias_error=bias_error,
         least=in_its_unit(_floor(mean, error, measured.count)),
+        spp=int(measured.count.max(initial=0)),
     )
 
 

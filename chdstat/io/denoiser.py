@@ -16,7 +16,7 @@ from scipy import ndimage
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError, brief
 
-__all__ = ["denoise", "library"]
+__all__ = ["denoise", "library", "works"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -116,6 +116,21 @@ def library() -> str:
     except InputError as error:
         return str(error)
     return f"Open Image Denoise {found.version.oidn_version}"
+
+
+def works() -> bool:
+    """Return whether Open Image Denoise can be loaded.
+
+    Examples
+    --------
+    >>> works()
+    True
+    """
+    try:
+        _loaded()
+    except InputError:
+        return False
+    return True
 
 
 def _loaded() -> Any:

@@ -6,7 +6,7 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import combine, estimate, weighting, write_estimates
+from chdstat.estimators import combine, estimate, halves, weighting, write_estimates
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.halves import Measured, candidates, compare_halves
 from chdstat.estimators.weighting import LEVELS, Combination, CombinationStream, Weighting
@@ -343,3 +343,15 @@ def test_the_relative_error_is_about_that_of_the_image(samples, found, reference
     truth, error = reference
     squared = ((found.radiance - truth) ** 2 - error**2).mean()
     assert found.relative_error == pytest.approx(np.sqrt(squared) / truth.mean(), rel=0.5)
+
+
+def test_without_the_denoiser_the_other_candidates_are_combined(samples, monkeypatch):
+    monkeypatch.setattr(halves, "works", lambda: False)
+    x = samples.read()[..., :32].copy()
+    x[10, 10, :, 3] = 1e4  # a firefly
+    found, mean = combine(x, features=samples.features), x.mean(axis=-1)
+    assert found.weights.keys() == {"mean", "shared_shape"}
+    assert found.radiance[10, 10].max() < 0.1 * mean[10, 10].max()
+    assert np.median(np.abs(found.radiance / mean - 1)) < 0.01
+    assert (found.low <= found.radiance).all()
+    assert (found.radiance <= found.high).all()
