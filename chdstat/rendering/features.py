@@ -24,6 +24,8 @@ AOVS = "albedo:albedo,normal:sh_normal,depth:depth,position:position"
 dr: Any = drjit
 _VOLUMETRIC = ("volpath", "volpathmis", "prbvolpath")
 """Mitsuba's integrators that see participating media."""
+_LEAST = 1e-30
+"""Extinction that a medium is divided by at least: scalars divided by 0 are an error."""
 
 
 def is_plain(mi: Any, scene: Any, sensor: Any, name: str, *, hides: bool) -> bool:
@@ -112,7 +114,7 @@ def _continued(
         event, t, scattered = _collision(mi, path, sampler, inside)
         collides = inside & event.is_valid() & (t < si.t)
         scatters = collides & scattered
-        share = event.sigma_s / event.sigma_t
+        share = event.sigma_s / dr.maximum(event.sigma_t, _LEAST)
         albedo = dr.select(scatters, srgb(mi, _flat(mi, share, path.ray), path.ray), albedo)
         place = dr.select(scatters, event.p, place)
     lamp = passes = mi.Bool(False)
@@ -147,7 +149,7 @@ def _collision(mi: Any, path: _Path, sampler: Any, inside: Any) -> tuple[Any, An
     """Return where a medium interacts with a ray next, how far away, and if it scatters there."""
     channel = mi.UInt32(dr.minimum(3 * sampler.next_1d(inside), 2)) if mi.is_rgb else 0
     event = path.medium.sample_interaction(path.ray, sampler.next_1d(inside), channel, inside)
-    real = dr.mean(event.sigma_t / event.combined_extinction)
+    real = dr.mean(event.sigma_t / dr.maximum(event.combined_extinction, _LEAST))
     return event, event.t, sampler.next_1d(inside) < real
 
 

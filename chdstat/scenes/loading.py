@@ -284,6 +284,9 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
         if value.get("type") == "bitmap" and isinstance(value.get("data"), np.ndarray):
             return _bitmap(value)
         return {name: _to_mitsuba(item, key=name) for name, item in value.items()}
+    if value is None:
+        message = f"a scene dict holds None for {key!r}; leave out what has no value"
+        raise SceneError(message)
     if isinstance(value, np.ndarray) and value.shape == (4, 4):
         return mi.ScalarTransform4f(value)
     if isinstance(value, np.ndarray) and value.shape == (3, 3):
@@ -295,6 +298,9 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
 
 def _mesh(spec: Mapping[str, Any], *, name: str) -> Any:
     """Return a mesh object: Mitsuba's dict has no plugin that takes vertices from memory."""
+    if missing := sorted({"vertices", "faces"} - spec.keys()):
+        message = f"a mesh needs vertices and faces; {name!r} has no {' and no '.join(missing)}"
+        raise SceneError(message)
     vertices = np.ascontiguousarray(spec["vertices"], dtype=np.float32)
     faces = np.ascontiguousarray(spec["faces"], dtype=np.uint32)
     properties = mi.Properties()

@@ -92,6 +92,20 @@ def test_a_medium_ends_rays_where_it_scatters(backend):
     assert np.linalg.norm(found["normal"].mean(axis=(0, 1))) == pytest.approx(through, abs=0.0125)
 
 
+def test_a_medium_may_be_clear_in_a_channel(backend):
+    clear = {"type": "rgb", "value": [0.5, 0.5, 0.0]}
+    fog = {"type": "homogeneous", "albedo": 0.9, "sigma_t": clear, "sample_emitters": True}
+    box = {
+        "type": "cube",
+        "to_world": translate(0, 0, 1.5) @ scale(2, 2, 1),
+        "bsdf": {"type": "null"},
+        "interior": fog,
+    }
+    found = features(backend, integrator={"type": "volpath"}, box=box)
+    assert np.isfinite(found["albedo"]).all()
+    assert found["albedo"][..., 0].mean() > 0.3
+
+
 def test_what_an_instance_is_made_of_is_passed_like_any_material(backend):
     copy = {"type": "instance", "shapes": {"type": "ref", "id": "group"}}
     for opacity in (0.0, 1.0):

@@ -66,3 +66,13 @@ def test_what_mitsuba_cannot_read_is_a_scene_error(draw):
     scene = plane_below_sky({"type": "no-such-material"})
     with pytest.raises(SceneError, match="no-such-material"):
         Scene("broken", scene).load()
+
+
+def test_what_mitsuba_would_crash_on_is_refused():
+    scene = plane_below_sky({"type": "diffuse", "reflectance": None})
+    with pytest.raises(SceneError, match="None for 'reflectance'; leave out"):
+        Scene("broken", scene).load()
+    scene = plane_below_sky({"type": "diffuse"})
+    scene["plane"] = {"type": "mesh", "vertices": np.zeros((3, 3))}
+    with pytest.raises(SceneError, match="a mesh needs vertices and faces; 'plane' has no faces"):
+        Scene("broken", scene).load()
