@@ -18,7 +18,7 @@ from chdstat._core.cache import beside
 from chdstat._core.executor import client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
-from chdstat.estimators import halves
+from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.weighting import combine
 from chdstat.rendering import render_batches, workers
 from chdstat.samples import Samples
@@ -233,19 +233,19 @@ def test_checkpoints_stay_until_the_output_is_there(tmp_path, monkeypatch):
 
 def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path, monkeypatch):
     folder, calls = tmp_path / "parts", list[int]()
-    whole = combine(store)
-    for most in (2, 10 * TILES):
+    whole, measure = combine(store), PowerSums.of  # twice a tile
+    for most in (4, 20 * TILES):
         with monkeypatch.context() as patch:
-            stopped = stopping(halves.is_null, calls, most)
-            patch.setattr(halves, "is_null", stopped)
-            if most == 2:
+            stopped = stopping(measure, calls, most)
+            patch.setattr(PowerSums, "of", stopped)
+            if most == 4:
                 with pytest.raises(KeyboardInterrupt):
                     combine(store, checkpoint=folder)
             else:
                 found = combine(store, checkpoint=folder)
     assert np.array_equal(found.radiance, whole.radiance)
-    assert TILES <= len(calls) <= TILES + 4
-    monkeypatch.setattr(halves, "is_null", stopping(halves.is_null, [], 4))
+    assert 2 * TILES <= len(calls) <= 2 * TILES + 8
+    monkeypatch.setattr(PowerSums, "of", stopping(measure, [], 4))
     with pytest.raises(KeyboardInterrupt):
         combine(store, checkpoint=folder)
     monkeypatch.undo()
@@ -285,7 +285,7 @@ def test_options_that_a_rendering_or_a_summary_cannot_take_are_refused(client, s
     for summarised in (rendering, chd.summarize(store)):
         with pytest.raises(InputError, match="thresholds and held_out are for patterns"):
             chd.analyze(summarised, held_out=False, progress=False)
-    with pytest.raises(InputError, match="trains on a rendering in one process"):
+    with pytest.raises(InputError, match="a rendering draws in one process"):
         chd.estimate(rendering, client=client)
 
 

@@ -112,11 +112,19 @@ def estimate(
     ] = False,
     seconds: Annotated[
         float | None,
-        typer.Option("--time", help="While rendering: stop after so many seconds."),
+        typer.Option(
+            "--time",
+            help="While rendering: stop after so many seconds.",
+            show_default="all samples",
+        ),
     ] = None,
     relative_error: Annotated[
         float | None,
-        typer.Option("--error", help="While rendering: stop at this estimated relative error."),
+        typer.Option(
+            "--error",
+            help="While rendering: stop at this estimated relative error.",
+            show_default="all samples",
+        ),
     ] = None,
     spp: cli.Spp = None,
     size: cli.Size = None,

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from chdstat.estimators.models import load_model, train_model
 
 import chdstat as chd
 from chdstat.errors import ChdstatError
+from chdstat.estimators.training import load_model, train_model
 from chdstat.samples import inspect
 
 SIZE, SPP, LONGEST = (66, 3), 66, 10
@@ -172,8 +172,7 @@ class Campaign:
         self.store, self.model = self.folder / "box.zarr", self.folder / "box.safetensors"
         samples = render(self.store)
         chd.render(**SCENE | {"out": self.folder / "other.zarr", "spp": SPP, "seed": 1})
-        inputs = ["features", "direct"]
-        train_model(samples, inputs=inputs, iterations=4, progress=False).save(self.model)
+        train_model(samples, iterations=4, progress=False).save(self.model)
         self.asked: dict[str, Callable[[], Any]] = {
             "info": lambda: told(self.store),
             "info --verify": lambda: told(self.store, verify=True),

@@ -5,7 +5,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import Progressive, Stream, mean_radiance
+from chdstat.estimators import Progressive, mean_radiance
 
 SIDES = range(1, 201)
 
@@ -151,12 +151,8 @@ def test_samples_without_channels_are_refused():
 
 
 @pytest.mark.parametrize("width", [64, 129])
-def test_training_and_streams_measure_an_image_in_it(width):
+def test_training_measures_an_image_in_it(width):
     x = noise_free(columns, 16, width, spp=16)
     expected = pytest.approx(x.mean(dtype=np.float64), rel=1e-6)
     model = Progressive().train(chd.Samples.from_array(x), sizes=[4], iterations=1, progress=False)
     assert model.unit == expected
-    stream = Stream(Progressive(), learns=True)
-    stream.update(x + np.random.default_rng(0).normal(0, 1e-6, x.shape).astype(np.float32))
-    stream.learn(iterations=1)
-    assert stream.model.unit == expected
