@@ -172,7 +172,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     averaged = _averaged(first.attributes)
 
     def frame(planes: Planes) -> Frame:
-        _check_alike(planes, first, [*names, *itertools.chain(*layers.values())])
+        _check_equal(planes, first, [*names, *itertools.chain(*layers.values())])
         image = planes.image(names, colours=True)
         features = {n: planes.image(of, colours=n == "albedo") for n, of in layers.items()}
         for kind in planes.notes.keys() - told:
@@ -190,7 +190,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     return Opened(Frames(paths[0].parent, shape, decode, featured=bool(layers)), attrs)
 
 
-def _check_alike(planes: Planes, first: Planes, names: Sequence[str]) -> None:
+def _check_equal(planes: Planes, first: Planes, names: Sequence[str]) -> None:
     """Refuse a file that is no further sample of what the first file shows."""
     path, counts = planes.path, [_averaged(p.attributes) for p in (planes, first)]
     if counts[0] != counts[1]:

@@ -114,7 +114,7 @@ class _Repeats(NamedTuple):
                 whole = whole * _ODD + of_tile
                 tile = block[y : y + _EDGE, x : x + _EDGE]
                 if repeated[row, column]:
-                    tiles += _judged(tile, ys.start + y, xs.start + x)
+                    tiles += _verdict(tile, ys.start + y, xs.start + x)
                 if len(noise) < _ENOUGH and (other := int((of_tile != of_tile[0]).argmax())):
                     differ = (tile[..., 0] != tile[..., other]).any(axis=2)
                     noise.append(_difference(tile[differ, :, 0], tile[differ, :, other]))
@@ -179,7 +179,7 @@ def _hashes(block: Image, edge: int) -> Hashes:
     return np.asarray(np.add.reduceat(rows, np.arange(0, width, edge), axis=1))
 
 
-def _judged(tile: Image, y: int, x: int) -> Iterator[_Tile]:
+def _verdict(tile: Image, y: int, x: int) -> Iterator[_Tile]:
     """Judge equal passes in a tile that are not black, of which there may be several groups."""
     lit = (np.isfinite(tile) & (tile != 0)).any(axis=2)
     if not lit.any():

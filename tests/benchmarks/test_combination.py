@@ -109,7 +109,9 @@ def coverage(found: Combination, reference: np.ndarray, noise: np.ndarray) -> np
 def judged(samples: chd.Samples, reference: np.ndarray, noise: np.ndarray) -> dict[str, np.ndarray]:
     """Return squared errors (pixel, 2) of images by name, and what else is printed."""
     found = chd.estimate(samples)
-    images = candidates(Measured.of(samples).starts[0], samples.features)
+    measured = Measured.of(samples)
+    made = candidates(measured.starts[0], samples.features)
+    images = {name: image * measured.unit for name, image in made.items()}
     images["estimate"], mean = found.radiance, images["mean"]
     features = {name: samples.features[name] for name in ("albedo", "normal")}
     for name, guides in {"from it": {}, "from it with features": features}.items():

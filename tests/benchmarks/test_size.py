@@ -53,6 +53,10 @@ def commands(store: Path, folder: Path) -> dict[str, list[str]]:
         "train": ["train", str(store), "--iterations=200", "-o", str(folder / "out.safetensors")],
         "report": ["report", str(store), "-e", "mean", "-o", str(folder / "out.pdf")],
         "study": ["study", str(store), "-e", "mean", "-o", str(folder / "out.pdf")],
+        "while-rendering": [
+            *("estimate", "cornell-box", "--while-rendering"),
+            *(*size, "-o", str(folder / "live.exr")),
+        ],
         "summary-only": ["render", "cornell-box", *size, "--summary-only", "-o", str(folder / "m")],
     }
 

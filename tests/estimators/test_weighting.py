@@ -62,7 +62,9 @@ def test_light_that_proposals_lose_is_given_back_but_not_to_what_is_certain():
 
 def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, reference):
     truth, _ = reference
-    made = candidates(Measured.of(samples).starts[0], samples.features)
+    measured = Measured.of(samples)
+    made = candidates(measured.starts[0], samples.features)
+    made = {name: image * measured.unit for name, image in made.items()}
     weight = 1 / (truth**2 + 0.01 * truth.mean() ** 2)
 
     def errors(image):
