@@ -104,7 +104,9 @@ def case(held: dict[str, np.ndarray], scene: str, name: str, n: int, *, guided: 
     """Return what is learned from n samples of a render, with features or without."""
     features = {key[2:]: held[key] for key in held if key.startswith("f_")} if guided else {}
     few = chd.Samples.from_array(held["x"][..., :n])
-    names, full, _, inputs, unit = compare_halves(Measured.of(few), features)
+    measured = Measured.of(few)
+    names, full, _, inputs, unit = compare_halves(measured, features)
+    full, unit = full * measured.unit, unit * measured.unit
     reference, noise = held["ref"], held["var"]
     weight = 1 / (np.maximum(reference, 0) ** 2 + 0.01 * reference.mean() ** 2)
     squared = (full - reference) ** 2 - noise
