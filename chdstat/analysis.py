@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, is_bad, seed_number, whole
+from chdstat._core.arrays import Counts, Seed, is_bad, seed_number, whole
 from chdstat._core.cache import checkpoints
 from chdstat._core.executor import in_order
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
-from chdstat._core.positive import Counts, PositivePart
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
 from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables

@@ -23,7 +23,13 @@ from chdstat.errors import InputError, InputWarning, LeftOutWarning
 
 __all__ = [
     "LUMINANCE",
+    "Array",
+    "Counts",
+    "Floats",
+    "Image",
     "LeftOut",
+    "Mask",
+    "Reals",
     "Seed",
     "all_good",
     "as_pixels",
@@ -45,6 +51,15 @@ __all__ = [
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 """Weights of linear sRGB in luminance (ITU-R BT.709)."""
+
+Array: TypeAlias = npt.NDArray[Any]
+Floats: TypeAlias = npt.NDArray[np.float64]
+Reals: TypeAlias = npt.NDArray[np.floating[Any]]
+"""Numbers of single or double precision, whichever the caller gave."""
+Image: TypeAlias = npt.NDArray[np.float32]
+"""Radiance or features, shape (y, x, ...), in the single precision that samples are kept in."""
+Counts: TypeAlias = npt.NDArray[np.int64]
+Mask: TypeAlias = npt.NDArray[np.bool_]
 
 Seed: TypeAlias = int | np.random.Generator | None
 """What a random function takes: a whole number from 0, a generator, or None for a new one."""

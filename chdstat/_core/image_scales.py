@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, as_pixels, is_bad, spans
+from chdstat._core.arrays import LeftOut, Reals, as_pixels, is_bad, spans
 from chdstat.errors import InputError
 
 __all__ = [
@@ -42,8 +42,6 @@ _SHARE = 0.04
 _PIXELS_A_FIREFLY, _MOST_FIREFLIES = 128, 8
 """An image has one firefly less than it has times so many pixels, and fewer than so many in all."""
 _SAMPLES_AT_ONCE = 2**18
-
-Array = npt.NDArray[np.floating[Any]]
 
 
 def display_stops(image: npt.ArrayLike) -> float:
@@ -116,7 +114,7 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
     return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
 
 
-def exposure_unit(pixels: Array, unit: float | None = None) -> float:
+def exposure_unit(pixels: Reals, unit: float | None = None) -> float:
     """Return the radiance that counts as 1: the log-average of the image is middle grey, 0.18.
 
     As in the tone reproduction of Reinhard et al. 2002, doi:10.1145/566654.566575, equation 1 and
@@ -227,7 +225,7 @@ class RadianceSums:
         self.extreme, self.others = np.zeros((2, *shape))
         self.count = np.zeros(shape, np.int64)
 
-    def add(self, x: Array, where: tuple[slice, ...] = (slice(None),)) -> None:
+    def add(self, x: Reals, where: tuple[slice, ...] = (slice(None),)) -> None:
         """Add samples (..., channel, sample) of some of the pixels."""
         if not x.size:
             return
@@ -253,7 +251,7 @@ class RadianceSums:
         return mean_of_pixels(self.extreme, self.others, self.count)
 
 
-def mean_of_pixels(extreme: Array, others: Array, count: npt.NDArray[Any]) -> float:
+def mean_of_pixels(extreme: Reals, others: Reals, count: npt.NDArray[Any]) -> float:
     """Return what `mean_radiance` does, from the attributes of `RadianceSums`."""
     known = count > 0
     number = count[known].astype(np.float64)

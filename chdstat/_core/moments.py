@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Floats, spans
 from chdstat.errors import InputError
 
 __all__ = ["Batches", "Moments"]
 
-Floats = npt.NDArray[np.float64]
 
 _CHUNK = 2**16
 """Samples worked on at once: their float64 copies stay in the cache."""

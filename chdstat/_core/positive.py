@@ -15,24 +15,28 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples, is_bad, is_null, luminance, spans, warn_left_out
+from chdstat._core.arrays import (
+    Counts,
+    Floats,
+    Mask,
+    as_samples,
+    is_bad,
+    is_null,
+    luminance,
+    spans,
+    warn_left_out,
+)
 from chdstat._core.reasons import first_of
 from chdstat.errors import InputError, Reason
 
 __all__ = [
     "CONSTANT_SPREAD",
     "SMALLEST",
-    "Counts",
-    "Floats",
     "LogStatistics",
-    "Mask",
     "PositivePart",
     "SplitRows",
 ]
 
-Floats = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 CONSTANT_SPREAD = 1e-6
 """Standard deviation of log x at or below which samples count as equal: 8 float32 spacings."""

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from chdstat._core.arrays import block_numbers, generator, spans
+from chdstat._core.arrays import Counts, Floats, block_numbers, generator, spans
 from chdstat._core.display import with_interval, written
 
 if TYPE_CHECKING:
@@ -39,8 +39,6 @@ __all__ = [
 
 Z_95 = float(special.ndtri(0.975))
 """Standard errors on each side of a normal interval of 95 %."""
-
-Floats = npt.NDArray[np.float64]
 
 
 def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
@@ -127,8 +125,6 @@ def wilson(count: npt.NDArray[Any], n: npt.NDArray[Any]) -> npt.NDArray[np.float
     return np.stack([low, high], axis=-1)
 
 
-Ints = npt.NDArray[np.int64]
-
 LEVEL = 0.95
 """Coverage of the intervals of a finding, all its parts together."""
 REPLICATES = 1000
@@ -208,8 +204,8 @@ class Blocks:
         Region of each block, shape (block,).
     """
 
-    of_pixel: Ints
-    region: Ints
+    of_pixel: Counts
+    region: Counts
 
     @classmethod
     def grid(cls, height: int, width: int, *, across: int = _ACROSS) -> Blocks:

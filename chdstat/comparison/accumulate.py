@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import block_numbers
+from chdstat._core.arrays import Array, block_numbers
 from chdstat._core.display import Shown
 from chdstat._core.executor import in_order
 from chdstat._core.progress import track
@@ -50,7 +50,6 @@ __all__ = [
     "stacked",
 ]
 
-Array = npt.NDArray[Any]
 
 MEASURES = {
     "mse": ("mean squared error", "(W sr-1 m-2)^2"),

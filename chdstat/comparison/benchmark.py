@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, seed_number, whole
+from chdstat._core.arrays import Array, Seed, seed_number, whole
 from chdstat._core.files import replacing
 from chdstat._core.progress import track
 from chdstat._core.resampling import Blocks
@@ -34,7 +33,6 @@ from chdstat.summary import summarize
 
 __all__ = ["bench"]
 
-Array = npt.NDArray[Any]
 Scenes = Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
 

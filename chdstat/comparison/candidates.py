@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import whole
+from chdstat._core.arrays import Array, whole
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser, through_denoiser
@@ -41,7 +41,6 @@ __all__ = [
     "without_denoiser",
 ]
 
-Array = npt.NDArray[Any]
 
 DEFAULT_ESTIMATE = "combination"
 """What `chdstat.estimate` returns where nothing else is asked for."""

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from chdstat._core.arrays import Array
 from chdstat._core.display import Card, Shown, number, percent
 from chdstat._core.files import checked_target, replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMATS", "MEASURES", "Bench", "Case", "flip"]
 
-Array = npt.NDArray[Any]
 
 _NAMES = {"mse": "MSE", "relmse": "relMSE", "smape": "SMAPE", "flip": "FLIP"}
 _HAS_FLIP = importlib.util.find_spec("flip_evaluator") is not None

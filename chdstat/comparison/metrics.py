@@ -10,12 +10,11 @@ Arrays hold channels on the last axis; every leading axis (pixels, batches) is a
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, spans, whole
+from chdstat._core.arrays import Array, generator, spans, whole
 from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
 from chdstat.estimators.registry import check_probability
@@ -30,7 +29,6 @@ __all__ = [
     "squared_error",
 ]
 
-Array = npt.NDArray[Any]
 
 _EPSILON = 0.01
 """Share of the squared scene mean that keeps relMSE finite in the dark."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Array
 from chdstat._core.display import number, percent, with_interval, written
 from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES
@@ -33,8 +34,6 @@ __all__ = [
     "titled",
     "variables_of",
 ]
-
-Array = npt.NDArray[Any]
 
 
 _SUFFIXES = {

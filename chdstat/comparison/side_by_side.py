@@ -13,12 +13,12 @@ has a bias that does not fall, its error does not.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, seed_number, whole
+from chdstat._core.arrays import Array, Seed, seed_number, whole
 from chdstat.comparison.accumulate import Units, counts, judge, labels_of, measures_of, stacked
 from chdstat.comparison.candidates import Candidates, Entry, Given, choose, curve_sizes
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 __all__ = ["compare", "error_curve"]
-
-Array = npt.NDArray[Any]
 
 
 def compare(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, plain, whole
+from chdstat._core.arrays import Array, generator, plain, whole
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Breakdown", "Comparison", "ErrorCurve"]
 
-Array = npt.NDArray[Any]
 
 _ALL_CHANNELS = -1
 """Last place of the channel axis of a measure: the average over channels."""

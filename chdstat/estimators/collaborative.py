@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, spans, whole
+from chdstat._core.arrays import Floats, Reals, as_pixels, spans, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.estimators import similarity
-from chdstat.estimators.registry import Array, Floats, check_positive, register
+from chdstat.estimators.registry import check_positive, register
 
 __all__ = ["boughida2017"]
 
@@ -35,14 +35,14 @@ _PATCHES = 2**14
     joint_channels=True,
 )
 def boughida2017(
-    x: Array,
+    x: Reals,
     *,
     threshold: float = 1.0,
     radius: int = 6,
     patch: int = 1,
     scales: int = 3,
     unit: float | None = None,
-) -> Array:
+) -> Reals:
     """Bayesian collaborative denoising: remove what noise adds to the variety of similar patches.
 
     Patches are similar as in `delbracio2014`. With C the covariance of the patches that are similar

@@ -23,7 +23,15 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_samples, generator, is_bad, spans, warn_left_out
+from chdstat._core.arrays import (
+    Array,
+    all_good,
+    as_samples,
+    generator,
+    is_bad,
+    spans,
+    warn_left_out,
+)
 from chdstat._core.progress import track
 from chdstat.errors import InputError
 from chdstat.estimators import training, validation
@@ -35,7 +43,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MLP", "PRESETS", "RECORD_EVERY", "Preset", "evaluate", "initial_weights"]
 
-Array = npt.NDArray[Any]
 Weights = list[npt.NDArray[np.float32]]
 
 RECORD_EVERY = 100

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from chdstat._core.arrays import Image, Reals
 from chdstat._core.executor import in_order
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 from chdstat.io.denoiser import denoise, works
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Measured", "candidates", "compare_halves"]
 
-Image = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.floating[Any]]
 
 _SCALES = (1.5, 4.0, 12.0)
 """Standard deviations in pixels of the windows that comparisons are averaged over."""
@@ -68,12 +67,12 @@ class Measured:
     """
 
     starts: Sequence[Mapping[str, Image]]
-    errors: Sequence[Floats]
-    mean: Floats
+    errors: Sequence[Reals]
+    mean: Reals
     unit: float
     absurd: npt.NDArray[np.bool_]
-    null: Floats
-    count: Floats
+    null: Reals
+    count: Reals
     signed: bool
 
     @classmethod
@@ -81,8 +80,8 @@ class Measured:
         """Measure an image in memory that does not grow with the number of samples."""
         names = [field.name for field in fields(PowerSums)]
 
-        def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Floats]]:
-            found: dict[str, tuple[tuple[str, ...], Floats]] = {}
+        def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Reals]]:
+            found: dict[str, tuple[tuple[str, ...], Reals]] = {}
             for i, half in enumerate((x[..., ::2], x[..., 1::2])):
                 sums = vars(PowerSums.of(half))
                 sums["roots"] = np.moveaxis(sums["roots"], 0, -1)
@@ -103,7 +102,7 @@ class Measured:
     def of_halves(cls, one: PowerSums, other: PowerSums) -> Measured:
         """Measure an image of which every other sample was added to the one sums, the others."""
         parts = (one.merged(other), one, other)
-        starts: list[dict[str, Floats]] = []
+        starts: list[dict[str, Reals]] = []
         for part in parts:
             shape = ShapeStatistics.of(part)
             starts.append({"mean": part.mean(), "shared_shape": shape.or_mean(shape.limited())})
@@ -122,7 +121,7 @@ class Measured:
         )
 
 
-def _unit_and_absurd(limited: Floats, mean: Floats) -> tuple[float, npt.NDArray[np.bool_]]:
+def _unit_and_absurd(limited: Reals, mean: Reals) -> tuple[float, npt.NDArray[np.bool_]]:
     """Return the unit of an image, and the pixels that no other may know of."""
     known = limited[np.isfinite(limited)].astype(np.float64)
     usual = known[known <= np.quantile(known, _USUAL)] if known.size else known
@@ -132,7 +131,7 @@ def _unit_and_absurd(limited: Floats, mean: Floats) -> tuple[float, npt.NDArray[
     return unit, np.asarray((mean > most).any(axis=-1))
 
 
-def _tamed(image: Floats, absurd: npt.NDArray[np.bool_]) -> Image:
+def _tamed(image: Reals, absurd: npt.NDArray[np.bool_]) -> Image:
     """Return an image with the median of what is around in place of absurd pixels."""
     if absurd.any():
         around = ndimage.median_filter(np.nan_to_num(image), size=(_NEAR, _NEAR, 1))
@@ -166,7 +165,7 @@ def candidates(
     return {name: image.astype(np.float32) for name, image in found.items()}
 
 
-def _denoised(job: tuple[Floats, Any, Any]) -> Floats:
+def _denoised(job: tuple[Reals, Any, Any]) -> Reals:
     """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
     image, albedo, normal = job
     return denoise(image, albedo=albedo, normal=normal) if image.any() else image
@@ -208,7 +207,7 @@ def _stacked(images: Mapping[str, Image]) -> tuple[list[str], Image]:
 
 
 def _inputs(
-    full: Image, parts: Image, targets: Image, variance: Floats, null: Floats, mean: Floats
+    full: Image, parts: Image, targets: Image, variance: Reals, null: Reals, mean: Reals
 ) -> tuple[Image, Image]:
     """Return what the network sees: logarithms, ratios and standard scores, without a unit.
 
@@ -225,7 +224,7 @@ def _inputs(
     found = np.empty((*unit.shape, count), np.float32)
     place = iter(range(count))
 
-    def write(*images: Floats) -> None:
+    def write(*images: Reals) -> None:
         for image in images:
             found[..., next(place)] = image
 
@@ -262,10 +261,10 @@ def _inputs(
     return found, unit.astype(np.float32)
 
 
-def _smooth(image: Floats, scale: float) -> Floats:
+def _smooth(image: Reals, scale: float) -> Reals:
     smooth = ndimage.gaussian_filter(image.astype(np.float32), scale, mode="nearest", truncate=3)
     return np.asarray(np.maximum(smooth, 0) if (image >= 0).all() else smooth)
 
 
-def _log(x: Floats, least: float) -> Floats:
+def _log(x: Reals, least: float) -> Reals:
     return np.asarray(np.log(x + least))

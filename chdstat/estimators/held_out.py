@@ -27,9 +27,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from chdstat._core.arrays import Reals
+
 __all__ = ["Proposal", "weight_of_mean"]
 
-Floats = npt.NDArray[np.floating[Any]]
 Places = npt.NDArray[np.signedinteger[Any]]
 
 _SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
@@ -71,18 +72,18 @@ class Proposal:
         The mean as `shared_shape` limits it, shape (y, x, channel).
     """
 
-    image: Floats
-    mean: Floats
-    error: Floats
-    limited: Floats
+    image: Reals
+    mean: Reals
+    error: Reals
+    limited: Reals
 
-    def unit(self) -> Floats:
+    def unit(self) -> Reals:
         """Return the radiance that errors are measured in, shape (y, x)."""
         bright = np.abs(self.image).mean(axis=-1)
         around = ndimage.gaussian_filter(bright, 1.5, mode="nearest")
         return np.asarray(around + (_FAINT * float(bright.mean(dtype=np.float64)) or 1.0))
 
-    def classes(self) -> list[tuple[Floats, Floats]]:
+    def classes(self) -> list[tuple[Reals, Reals]]:
         """Return what pixels are sorted by, each with the knots it is interpolated between."""
         unit = self.unit()
         apart = (self.image - self.mean) / (self.error + _ERROR * unit[..., np.newaxis])
@@ -96,7 +97,7 @@ class Proposal:
         ]
 
 
-def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Floats:
+def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
     """Return how much of the mean is kept of each pixel.
 
     Parameters
@@ -154,7 +155,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Floats:
     return np.asarray(sum(share * nodes[place] for place, share in _corners(whole, sides)))
 
 
-def _evidence(half: Proposal, held_out: Proposal) -> list[Floats]:
+def _evidence(half: Proposal, held_out: Proposal) -> list[Reals]:
     """Return what one half and the mean of the other tell of the weight in each pixel.
 
     The terms n of E d^2 and c of -E d (p - t) without half of their noise, and the products
@@ -170,7 +171,7 @@ def _evidence(half: Proposal, held_out: Proposal) -> list[Floats]:
     return [n, c, c * c, c * n, n * n]
 
 
-def _updated(before: Floats, evidence: Floats) -> Floats:
+def _updated(before: Reals, evidence: Reals) -> Reals:
     """Return weights after evidence, which confirms those before it or refutes them."""
     n, c, cc, cn, nn = evidence
     known = n > 1e-12
@@ -187,7 +188,7 @@ def _updated(before: Floats, evidence: Floats) -> Floats:
     return np.asarray(np.where(known, np.clip(before + step * apart, 0, 1), before))
 
 
-def _believed(knots: list[int]) -> Floats:
+def _believed(knots: list[int]) -> Reals:
     """Return the weight of the mean in each class before any evidence.
 
     k samples of equal radiance among nulls make a score of minus the root of k.
@@ -199,7 +200,7 @@ def _believed(knots: list[int]) -> Floats:
     return weight
 
 
-def _sides(shape: tuple[int, ...]) -> list[tuple[Places, Floats, int]]:
+def _sides(shape: tuple[int, ...]) -> list[tuple[Places, Reals, int]]:
     """Return the node before each row and column, how far it is passed, and how many there are."""
     found = []
     for axis, pixels in enumerate(shape):
@@ -210,7 +211,7 @@ def _sides(shape: tuple[int, ...]) -> list[tuple[Places, Floats, int]]:
     return found
 
 
-def _between(x: Floats, knots: npt.NDArray[Any]) -> tuple[Places, Floats]:
+def _between(x: Reals, knots: npt.NDArray[Any]) -> tuple[Places, Reals]:
     """Return the knot before each number and which share of the way to the next it has gone."""
     x = np.clip(x, knots[0], knots[-1])
     before = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
@@ -218,8 +219,8 @@ def _between(x: Floats, knots: npt.NDArray[Any]) -> tuple[Places, Floats]:
 
 
 def _corners(
-    pixels: Proposal, sides: list[tuple[Places, Floats, int]]
-) -> Iterator[tuple[Places, Floats]]:
+    pixels: Proposal, sides: list[tuple[Places, Reals, int]]
+) -> Iterator[tuple[Places, Reals]]:
     """Yield the nodes around each pixel, one kind at a time, and its share in them."""
     axes = [*sides, *((*_between(x, knots), len(knots)) for x, knots in pixels.classes())]
     shape = pixels.mean.shape[:2]
@@ -231,5 +232,5 @@ def _corners(
         yield place, share
 
 
-def _signed_log(x: Floats) -> Floats:
+def _signed_log(x: Reals) -> Reals:
     return np.asarray(np.sign(x) * np.log1p(np.abs(x)))

@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, whole
+from chdstat._core.arrays import Floats, Reals, as_pixels, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
 from chdstat.estimators import similarity
-from chdstat.estimators.registry import Array, Floats, check_positive, check_probability, register
+from chdstat.estimators.registry import check_positive, check_probability, register
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 
 __all__ = ["Fireflies", "delbracio2014", "sakai2024", "shared_patches"]
@@ -53,8 +53,8 @@ _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
     uses_neighbours=True,
 )
 def delbracio2014(
-    x: Array, *, threshold: float = 1.0, radius: int = 6, patch: int = 1, unit: float | None = None
-) -> Array:
+    x: Reals, *, threshold: float = 1.0, radius: int = 6, patch: int = 1, unit: float | None = None
+) -> Reals:
     """Ray histogram fusion: average patches whose samples have similar histograms.
 
     Pixels i and j share their samples if ``chi^2 = sum (n_j h_i - n_i h_j)^2 / (n_i n_j (h_i +
@@ -136,13 +136,13 @@ def delbracio2014(
     uses_features=True,
 )
 def sakai2024(
-    x: Array,
+    x: Reals,
     *,
     features: Mapping[str, npt.NDArray[Any]] | None = None,
     alpha: float = 0.005,
     radius: int = 20,
     spread: float = 10.0,
-) -> Array:
+) -> Reals:
     """Statistical denoising: average pixels whose means do not differ significantly.
 
     Pixels i and j share their samples if, in every channel, ``(m_i - m_j)^2 <= t_i^2 SE_i^2 + t_j^2
@@ -237,13 +237,13 @@ def _guides(
 
 @register("shared_patches", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_patches(
-    x: Array,
+    x: Reals,
     *,
     threshold: float = 1.0,
     radius: int = 5,
     patch: int = 1,
     fireflies: Fireflies = "limit",
-) -> Array:
+) -> Reals:
     """Average pixels whose patches are statistically similar, in two passes.
 
     The distance of two pixels is Welch's statistic, ``d = (m_i - m_j)^2 / (SE_i^2 + SE_j^2)``,

@@ -13,15 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import as_pixels, whole
-from chdstat.estimators.registry import (
-    Array,
-    Floats,
-    check_positive,
-    mean_of_good,
-    register,
-    whole_samples,
-)
+from chdstat._core.arrays import Floats, Reals, as_pixels, whole
+from chdstat.estimators.registry import check_positive, mean_of_good, register, whole_samples
 from chdstat.estimators.validation import reordered
 
 __all__ = ["rousselle2012"]
@@ -39,8 +32,8 @@ _LEAST = 0.05
     uses_neighbours=True,
 )
 def rousselle2012(
-    x: Array, *, damping: float = 0.45, radius: int = 10, patch: int = 3, cancelled: float = 1.0
-) -> Array:
+    x: Reals, *, damping: float = 0.45, radius: int = 10, patch: int = 3, cancelled: float = 1.0
+) -> Reals:
     """Dual-buffer non-local means: average pixels whose patches differ by noise alone.
 
     With u the mean of one half of the samples and v its squared standard error, pixels p and q

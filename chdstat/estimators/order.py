@@ -18,10 +18,10 @@ from functools import partial
 
 import numpy as np
 
-from chdstat._core.arrays import as_samples
+from chdstat._core.arrays import Floats, Reals, as_samples
 from chdstat.errors import InputError
 from chdstat.estimators import registry
-from chdstat.estimators.registry import Array, Floats, register
+from chdstat.estimators.registry import register
 
 __all__ = [
     "balance",
@@ -50,7 +50,7 @@ _TUKEY_TOLERANCE = 1e-10
     label="sample mean",
     place=0,
 )
-def mean(x: Array) -> Array:
+def mean(x: Reals) -> Reals:
     """Sample mean, (1/N) sum x_i: unbiased, and at the mercy of fireflies.
 
     Parameters
@@ -82,7 +82,7 @@ def mean(x: Array) -> Array:
 
 
 @register("median", "Hampel 1974, doi:10.1080/01621459.1974.10482962", place=1)
-def median(x: Array) -> Array:
+def median(x: Reals) -> Reals:
     """Median of the samples: unmoved by fireflies in less than half of them.
 
     It estimates the median of the distribution, not its mean, so its bias does not vanish with more
@@ -117,7 +117,7 @@ def median(x: Array) -> Array:
 
 
 @register("trimmed_mean", "Tukey 1962, doi:10.1214/aoms/1177704711", place=1)
-def trimmed_mean(x: Array, *, share: float = 0.1) -> Array:
+def trimmed_mean(x: Reals, *, share: float = 0.1) -> Reals:
     """Mean of the samples without the g smallest and the g largest, g = floor(share N).
 
     Parameters
@@ -152,7 +152,7 @@ def trimmed_mean(x: Array, *, share: float = 0.1) -> Array:
 
 
 @register("winsorized_mean", "Dixon 1960, doi:10.1214/aoms/1177705900", place=1)
-def winsorized_mean(x: Array, *, share: float = 0.1) -> Array:
+def winsorized_mean(x: Reals, *, share: float = 0.1) -> Reals:
     """Mean of the samples with the g smallest and largest set to those next to them.
 
     With the samples in ascending order, ``((g + 1) (x_(g+1) + x_(N-g)) + sum of those between) /
@@ -190,7 +190,7 @@ def winsorized_mean(x: Array, *, share: float = 0.1) -> Array:
 
 
 @register("huber", "Huber 1964, doi:10.1214/aoms/1177703732", label="Huber", place=2)
-def huber(x: Array, *, c: float = 1.345) -> Array:
+def huber(x: Reals, *, c: float = 1.345) -> Reals:
     """Huber's location: samples farther than c scales pull no harder than one at c scales.
 
     ``sum_i clip((x_i - theta) / s, -c, c) = 0`` with ``s = MAD / 0.6745``, the median absolute
@@ -244,7 +244,7 @@ def huber(x: Array, *, c: float = 1.345) -> Array:
 @register(
     "tukey", "Beaton and Tukey 1974, doi:10.1080/00401706.1974.10489171", label="Tukey", place=2
 )
-def tukey(x: Array, *, c: float = 4.685) -> Array:
+def tukey(x: Reals, *, c: float = 4.685) -> Reals:
     """Tukey's biweight location: samples farther than c scales do not count.
 
     ``theta = sum_i w_i x_i / sum_i w_i`` with ``w_i = (1 - ((x_i - theta) / (c s))^2)^2`` within
@@ -285,7 +285,7 @@ def tukey(x: Array, *, c: float = 4.685) -> Array:
 @register(
     "catoni", "Catoni 2012, doi:10.1214/11-AIHP454", label="Catoni", place=2, minimum_samples=10
 )
-def catoni(x: Array, *, delta: float = 0.01) -> Array:
+def catoni(x: Reals, *, delta: float = 0.01) -> Reals:
     """Catoni's mean: influences grow with the logarithm of the distance only.
 
     ``sum_i psi(a (x_i - theta)) = 0``, ``psi(t) = sign(t) log(1 + |t| + t^2 / 2)``, and, with
@@ -388,7 +388,7 @@ def row_sums(rows: Floats) -> Floats:
     return np.asarray(rows @ np.ones(rows.shape[-1]))
 
 
-def _without_ends(x: Array, share: float, *, pulled_in: bool) -> Array:
+def _without_ends(x: Reals, share: float, *, pulled_in: bool) -> Reals:
     """Average the samples without a share at each end, which is left out or set to the next."""
     if not 0 <= share < 0.5:
         message = f"share must be at least 0 and less than 0.5, got {share}"
@@ -405,7 +405,7 @@ def _without_ends(x: Array, share: float, *, pulled_in: bool) -> Array:
     return registry.estimate_rows(x, kernel, ordered=True)
 
 
-def _by_deviation(x: Array, solve: Callable[..., Floats], c: float) -> Array:
+def _by_deviation(x: Reals, solve: Callable[..., Floats], c: float) -> Reals:
     """Solve rows whose influences reach c times their normalised median absolute deviation."""
     registry.check_positive(c=c)
 

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from chdstat._core.arrays import as_pixels, luminance, spans, whole
+from chdstat._core.arrays import Floats, Reals, as_pixels, luminance, spans, whole
 from chdstat._core.image_scales import BASE, LAYERS, exposure_unit, layer_weights
 from chdstat.errors import InputError
 from chdstat.estimators import registry
-from chdstat.estimators.registry import Array, Floats, register
+from chdstat.estimators.registry import register
 from chdstat.estimators.similarity import window_sum
 
 __all__ = ["Cascade", "clamped", "decoro2010", "karis2013", "zirr2018", "zirr2018_pixel"]
@@ -38,7 +38,7 @@ _SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
 
 
 @register("zirr2018", _SOURCE, label="Zirr et al. 2018", place=6, uses_neighbours=True)
-def zirr2018(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Array:
+def zirr2018(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Reals:
     """Reweighted fireflies: each brightness counts as far as the pixels around confirm it.
 
     Samples are split over layers of brightness ``B_i = 8^i``. The estimate is ``sum_i w_i C_i``:
@@ -90,7 +90,7 @@ def zirr2018(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Arra
 
 
 @register("zirr2018_pixel", _SOURCE, label="Zirr et al. 2018, pixel", place=6, joint_channels=True)
-def zirr2018_pixel(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Array:
+def zirr2018_pixel(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Reals:
     """Reweighted fireflies of the pixel alone: `zirr2018` without its neighbourhood.
 
     Parameters
@@ -221,7 +221,7 @@ class Cascade:
         return window_sum(values, radius, mode="edge") / (2 * radius + 1) ** 2
 
 
-def _estimate(x: Array, kappa: float, unit: float | None, *, radius: int) -> Array:
+def _estimate(x: Reals, kappa: float, unit: float | None, *, radius: int) -> Reals:
     cascade = Cascade.of(x, unit=unit)
     found = cascade.resolve(kappa, radius=radius)
     empty = cascade.count == 0
@@ -232,7 +232,7 @@ def _estimate(x: Array, kappa: float, unit: float | None, *, radius: int) -> Arr
 @register(
     "karis2013", "Karis 2013, graphicrants.blogspot.com", label="Karis 2013", joint_channels=True
 )
-def karis2013(x: Array, *, unit: float | None = None) -> Array:
+def karis2013(x: Reals, *, unit: float | None = None) -> Reals:
     """Tone-mapped average: each sample is weighted by ``1 / (1 + L)``, L being its luminance.
 
     That is the mean of the samples after the tone curve ``x / (1 + L)``, taken back by the same
@@ -275,14 +275,14 @@ def karis2013(x: Array, *, unit: float | None = None) -> Array:
     return np.where(total > 0, found / np.where(total > 0, total, 1), registry.mean_of_good(x))
 
 
-def _exposed(kept: Array, whole: npt.NDArray[np.bool_], unit: float | None) -> np.float64:
+def _exposed(kept: Reals, whole: npt.NDArray[np.bool_], unit: float | None) -> np.float64:
     """Return the radiance of 1: that of an exposure of the pixels' means, unless it is given."""
     total = luminance(kept).sum(axis=-1, dtype=np.float64)
     return np.float64(exposure_unit(total / np.maximum(np.count_nonzero(whole, axis=-1), 1), unit))
 
 
 @register("clamped", "Pharr, Jakob and Humphreys 2023, pbr-book.org", joint_channels=True)
-def clamped(x: Array, *, limit: float = 10.0, unit: float | None = None) -> Array:
+def clamped(x: Reals, *, limit: float = 10.0, unit: float | None = None) -> Reals:
     """Mean of clamped samples: one whose largest channel exceeds a limit is scaled down to it.
 
     What renderers offer against fireflies: ``maxcomponentvalue`` of pbrt's film, which keeps the
@@ -337,13 +337,13 @@ def clamped(x: Array, *, limit: float = 10.0, unit: float | None = None) -> Arra
     uses_neighbours=True,
 )
 def decoro2010(
-    x: Array,
+    x: Reals,
     *,
     neighbours: int = 4,
     bandwidth: float = 1.0,
     radius: int = 1,
     unit: float | None = None,
-) -> Array:
+) -> Reals:
     """Mean of the samples that are not alone in joint image and colour space.
 
     A sample stays if at least k others are less than 1 away, ``d^2 = (dx^2 + dy^2) / (r + 1)^2 +

@@ -25,7 +25,16 @@ from typing import Any, ClassVar, Literal, Protocol, TypedDict, TypeVar, Unpack,
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_pixels, as_samples, is_bad, spans, warn_left_out
+from chdstat._core.arrays import (
+    Floats,
+    Reals,
+    all_good,
+    as_pixels,
+    as_samples,
+    is_bad,
+    spans,
+    warn_left_out,
+)
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, check_probability
@@ -34,10 +43,8 @@ from chdstat.scenes.plugins import owns_estimator
 __all__ = [
     "ENTRIES",
     "LABELS",
-    "Array",
     "Estimates",
     "Estimator",
-    "Floats",
     "LearnedEstimator",
     "Model",
     "check_positive",
@@ -54,9 +61,7 @@ __all__ = [
     "whole_samples",
 ]
 
-Array = npt.NDArray[np.floating[Any]]
-Floats = npt.NDArray[np.float64]
-Function = TypeVar("Function", bound=Callable[..., Array])
+Function = TypeVar("Function", bound=Callable[..., Reals])
 
 _LAST = 100
 """Place of an estimator that names none."""
@@ -81,7 +86,7 @@ class Model(Protocol):
     def train_shape(self) -> tuple[int, int]:
         """Height and width of the image that `train_pixels` lie in."""
 
-    def predict(self, x: npt.ArrayLike, /) -> Array:
+    def predict(self, x: npt.ArrayLike, /) -> Reals:
         """Estimate from samples (..., sample); the result has shape (...)."""
 
 
@@ -149,7 +154,7 @@ class Estimator(Shown):
     """
 
     name: str
-    function: Callable[..., Array]
+    function: Callable[..., Reals]
     source: str
     label: str = ""
     place: int = _LAST
@@ -164,7 +169,7 @@ class Estimator(Shown):
         """What it does, in a sentence: the first of its documentation."""
         return (self.function.__doc__ or "").strip().partition("\n")[0].replace("`", "")
 
-    def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
+    def __call__(self, x: npt.ArrayLike, **options: Any) -> Reals:
         """Estimate the radiance that the samples `x` are draws of.
 
         Parameters
@@ -181,7 +186,7 @@ class Estimator(Shown):
         """
         return self.function(self.checked(x, minimum=self.minimum_samples), **options)
 
-    def checked(self, x: npt.ArrayLike, *, minimum: int = 1) -> Array:
+    def checked(self, x: npt.ArrayLike, *, minimum: int = 1) -> Reals:
         """Return samples as a floating-point array with the axes that the estimator looks at."""
         if self.joint_channels or self.uses_neighbours:
             return as_pixels(x, minimum=minimum, image=self.uses_neighbours)
@@ -269,7 +274,7 @@ def register(name: str, source: str, **facts: Unpack[Facts]) -> Callable[[Functi
 
     def enter(function: Function) -> Function:
         @functools.wraps(function)
-        def estimate(x: npt.ArrayLike, *args: Any, **options: Any) -> Array:
+        def estimate(x: npt.ArrayLike, *args: Any, **options: Any) -> Reals:
             samples = entry.checked(x)
             warn_left_out(samples, channel_axis=-2 if joint else None, within="chdstat.estimators")
             return np.asarray(function(samples, *args, **options), samples.dtype)

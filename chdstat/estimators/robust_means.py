@@ -16,11 +16,11 @@ from typing import Literal
 
 import numpy as np
 
-from chdstat._core.arrays import all_good, is_bad, whole
+from chdstat._core.arrays import Floats, Reals, all_good, is_bad, whole
 from chdstat.errors import InputError
 from chdstat.estimators import registry
 from chdstat.estimators.order import huber, row_sums
-from chdstat.estimators.registry import Array, Floats, register
+from chdstat.estimators.registry import register
 
 __all__ = [
     "bayesian_median_of_means",
@@ -37,7 +37,7 @@ _BUISINE = "Buisine et al. 2021, doi:10.2312/sr.20211296"
 
 
 @register("median_of_means", "Nemirovsky and Yudin 1983", place=3, minimum_samples=11)
-def median_of_means(x: Array, buckets: int = 11) -> Array:
+def median_of_means(x: Reals, buckets: int = 11) -> Reals:
     """Median of means: deal the samples into M buckets, take the median of the buckets' means.
 
     A firefly spoils one bucket, so fewer than M/2 of them do not move the estimate far. Radiance is
@@ -75,7 +75,7 @@ def median_of_means(x: Array, buckets: int = 11) -> Array:
 
 
 @register("gmon_binary", _BUISINE, label="G-MoN, binary", place=3, minimum_samples=11)
-def gmon_binary(x: Array, *, buckets: int = 11, threshold: float = 0.25) -> Array:
+def gmon_binary(x: Reals, *, buckets: int = 11, threshold: float = 0.25) -> Reals:
     """Binary G-MoN: the mean where the buckets agree, else the median of means.
 
     The buckets agree where their Gini coefficient (`gini`) is at most the threshold. Formula and
@@ -121,7 +121,7 @@ def gmon_binary(x: Array, *, buckets: int = 11, threshold: float = 0.25) -> Arra
 
 
 @register("gmon_adaptive", _BUISINE, label="G-MoN, adaptive", place=3, minimum_samples=11)
-def gmon_adaptive(x: Array, *, buckets: int = 11) -> Array:
+def gmon_adaptive(x: Reals, *, buckets: int = 11) -> Reals:
     """Adaptive G-MoN: leave out the more buckets at both ends, the less they agree.
 
     With G the Gini coefficient of the buckets (`gini`) and their means in ascending order, the mean
@@ -173,7 +173,7 @@ def gmon_adaptive(x: Array, *, buckets: int = 11) -> Array:
     label="aBMM",
     place=4,
 )
-def bayesian_median_of_means(x: Array, *, alpha: float = 1.0) -> Array:
+def bayesian_median_of_means(x: Reals, *, alpha: float = 1.0) -> Reals:
     """Approximate Bayesian median of means (aBMM): the mean, corrected by the skewness.
 
     ``mean - sigma g / (3 (N alpha + 2))`` with the standard deviation sigma (divisor N) and the
@@ -232,7 +232,7 @@ def bayesian_median_of_means(x: Array, *, alpha: float = 1.0) -> Array:
     place=4,
     minimum_samples=5,
 )
-def lee_valiant(x: Array, *, delta: float = 0.01, buckets: int | None = None) -> Array:
+def lee_valiant(x: Reals, *, delta: float = 0.01, buckets: int | None = None) -> Reals:
     """Lee and Valiant's mean: take a set amount of weight off the samples far from the centre.
 
     With kappa the `median_of_means`, ``w_i = min(a (x_i - kappa)^2, 1)`` with a such that ``sum w_i
@@ -304,8 +304,8 @@ def _strength(square: Floats, amount: float) -> Floats:
     place=4,
 )
 def jung2015(
-    x: Array, *, resamples: int = 128, location: Location = "median", seed: int = 0
-) -> Array:
+    x: Reals, *, resamples: int = 128, location: Location = "median", seed: int = 0
+) -> Reals:
     """Robust location of the bootstrap distribution of the mean.
 
     ``location(mean_1 .. mean_B)`` of B resamples of the N samples, drawn with replacement. Where a
@@ -401,7 +401,7 @@ def gini(ascending: Floats) -> Floats:
     return np.asarray(np.clip(share, 0, 1))
 
 
-def bucket_means(x: Array, buckets: int) -> Floats:
+def bucket_means(x: Reals, buckets: int) -> Floats:
     """Return the means of round-robin buckets, shape (..., bucket); NaN for one without samples.
 
     Raises

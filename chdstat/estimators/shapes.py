@@ -12,15 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, whole
+from chdstat._core.arrays import Floats, Reals, as_pixels, whole
 from chdstat.estimators import similarity
-from chdstat.estimators.registry import (
-    Array,
-    Floats,
-    check_positive,
-    check_probability,
-    register,
-)
+from chdstat.estimators.registry import check_positive, check_probability, register
 
 __all__ = ["PowerSums", "ShapeStatistics", "shared_shape"]
 
@@ -32,8 +26,8 @@ _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
 @register("shared_shape", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_shape(
-    x: Array, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
-) -> Array:
+    x: Reals, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
+) -> Reals:
     """Mean of the pixel, limited by the shape that its samples share with those of similar pixels.
 
     ``min(mean_i, limit l_i / average_j(l_j / mean_j))``. The level ``l = p E(sqrt x)^2`` is that of

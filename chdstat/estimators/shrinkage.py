@@ -20,10 +20,10 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, is_bad
+from chdstat._core.arrays import Floats, Reals, all_good, is_bad
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.estimators.registry import Array, Floats, estimate_rows, mean_of_good, register
+from chdstat.estimators.registry import estimate_rows, mean_of_good, register
 from chdstat.estimators.robust_means import gmon_adaptive
 from chdstat.fit.families import FAMILIES, Fit, fit_part
 from chdstat.fit.mixtures import Mixture, mixture
@@ -121,7 +121,7 @@ def james_stein(
     minimum_samples=11,
     joint_channels=True,
 )
-def gmon_shrinkage(x: Array, *, buckets: int = 11) -> Array:
+def gmon_shrinkage(x: Reals, *, buckets: int = 11) -> Reals:
     """James-Stein combination of the mean with the adaptive G-MoN, see `james_stein`.
 
     Parameters
@@ -160,7 +160,7 @@ def gmon_shrinkage(x: Array, *, buckets: int = 11) -> Array:
 
 
 @register("gamma_shrinkage", _SOURCE, label="shrinkage to gamma", place=5, joint_channels=True)
-def gamma_shrinkage(x: Array) -> Array:
+def gamma_shrinkage(x: Reals) -> Reals:
     """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
 
     It is the mean: of a gamma distribution, the maximum-likelihood estimate of the expectation is
@@ -201,7 +201,7 @@ def gamma_shrinkage(x: Array) -> Array:
 @register(
     "lognormal_shrinkage", _SOURCE, label="shrinkage to log-normal", place=5, joint_channels=True
 )
-def lognormal_shrinkage(x: Array) -> Array:
+def lognormal_shrinkage(x: Reals) -> Reals:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal.
 
     The plug-in ``(1 - null share) exp(mu + sigma^2 / 2)`` weighs the largest samples less than the
@@ -241,7 +241,7 @@ def lognormal_shrinkage(x: Array) -> Array:
 
 
 @register("mixture_shrinkage", _SOURCE, label="shrinkage to mixture", place=5, joint_channels=True)
-def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
+def mixture_shrinkage(x: Reals, *, max_k: int = 3) -> Reals:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal mixture.
 
     The plug-in ``(1 - null share) sum_j w_j exp(mu_j + sigma_j^2 / 2)`` extrapolates less than that
@@ -289,7 +289,7 @@ def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
     def kernel(rows: Floats) -> Floats:
         return _mean_of_fit(rows, lambda x: mixture(x, max_k=max_k, effort="fast"))
 
-    def plug_in(x: Array) -> Array:
+    def plug_in(x: Reals) -> Reals:
         # Near 1, logarithms are exact enough for the narrowest components, of a width of 1e-3.
         with np.errstate(over="ignore"):
             return estimate_rows(x.astype(np.float64, copy=False), kernel)
@@ -297,7 +297,7 @@ def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
     return _shrink_mean(x, plug_in)
 
 
-def _shrink_mean(x: Array, towards: Callable[[Array], Array]) -> Array:
+def _shrink_mean(x: Reals, towards: Callable[[Reals], Reals]) -> Reals:
     """Pull the mean of samples (..., channel, sample) towards another estimate of them.
 
     All channels of a sample are left out where one is bad, unless that leaves a pixel with none.
@@ -318,7 +318,7 @@ def _shrink_mean(x: Array, towards: Callable[[Array], Array]) -> Array:
         return james_stein(mean / unit, biased / unit, (error / unit) ** 2) * unit
 
 
-def _mean_of_fit(x: Array, fit: Callable[[Array], Fit | Mixture]) -> Floats:
+def _mean_of_fit(x: Reals, fit: Callable[[Reals], Fit | Mixture]) -> Floats:
     """Return the mean of a fit, for which negative samples are zeros, and add their values."""
     # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -326,5 +326,5 @@ def _mean_of_fit(x: Array, fit: Callable[[Array], Fit | Mixture]) -> Floats:
         return mean if x.min(initial=0) >= 0 else mean + mean_of_good(np.minimum(x, 0))
 
 
-def _mean_of_family(x: Array, name: str) -> Floats:
+def _mean_of_family(x: Reals, name: str) -> Floats:
     return _mean_of_fit(x, lambda x: fit_part(PositivePart.of(x), FAMILIES[name]))

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Floats, spans
 from chdstat._core.image_scales import exposure_unit
-from chdstat.estimators.registry import Floats, mean_of_good, whole_samples
+from chdstat.estimators.registry import mean_of_good, whole_samples
 
 __all__ = [
     "ScaledSamples",

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from chdstat._core.arrays import as_pixels
+from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.cache import checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.halves import Measured, compare_halves
@@ -51,8 +51,6 @@ __all__ = [
     "combine_measured",
 ]
 
-Image = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.floating[Any]]
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Probabilities of which the width of an interval was measured."""
@@ -308,7 +306,7 @@ def combine_measured(
     weights[..., names.index("mean")] += of_mean[..., 0]
     lost = np.isnan(measured.starts[0]["mean"]) & ~measured.absurd[..., np.newaxis]
 
-    def in_its_unit(image: Floats) -> Image:
+    def in_its_unit(image: Reals) -> Image:
         return np.where(lost, np.nan, image * measured.unit).astype(np.float32)
 
     bias, bias_error = _bias(np.where(lost, 0, balanced), mean, error)
@@ -377,8 +375,8 @@ def combination(
 
 
 def _interval_of_mean(
-    mean: Floats, error: Floats, count: Floats, level: float, *, signed: bool
-) -> Floats:
+    mean: Reals, error: Reals, count: Reals, level: float, *, signed: bool
+) -> Reals:
     """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
 
     Means of positive samples are nearly gamma distributed, of the shape k = (mean / error)^2: those
@@ -397,7 +395,7 @@ def _interval_of_mean(
     return ends
 
 
-def _floor(mean: Floats, error: Floats, count: Floats) -> Floats:
+def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
     """Return what a pixel's radiance is at least when it is denoised once more.
 
     The lower end of Student's interval. One bright sample of n makes mean and standard error
@@ -409,7 +407,7 @@ def _floor(mean: Floats, error: Floats, count: Floats) -> Floats:
     return np.asarray(mean - certain[place] * error)
 
 
-def _balanced(radiance: Floats, mean: Floats, error: Floats, moved: Floats) -> Floats:
+def _balanced(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals:
     """Return an image whose sum agrees with that of the mean, which has no bias.
 
     What proposals lose or add beyond `_AGREES` standard errors of that sum is given back in
@@ -423,13 +421,13 @@ def _balanced(radiance: Floats, mean: Floats, error: Floats, moved: Floats) -> F
     return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -_MOST, _MOST) * share)
 
 
-def _error_of_sum(error: Floats) -> float:
+def _error_of_sum(error: Reals) -> float:
     """Return the standard error of an image's sum, of those of its pixels."""
     # Channels of a sample vary together: their errors add up as if they were the same.
     return float(np.sqrt(np.square(error.sum(axis=-1)).sum()))
 
 
-def _bias(radiance: Image, mean: Floats, error: Floats) -> tuple[float, float]:
+def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
     """Return by how much an image is brighter than the mean, and the standard error of that."""
     whole = float(mean.sum())
     if not whole:
@@ -454,10 +452,10 @@ class Weighting:
         an image, shape (third, level).
     """
 
-    layers: Sequence[tuple[Floats, Floats]]
-    centre: Floats
-    spread: Floats
-    quantiles: Floats
+    layers: Sequence[tuple[Reals, Reals]]
+    centre: Reals
+    spread: Reals
+    quantiles: Reals
 
     @classmethod
     @functools.cache

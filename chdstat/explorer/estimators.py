@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import estimators
-from chdstat._core.arrays import is_bad
+from chdstat._core.arrays import Floats, Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.accumulate import SUMS, errors_of
 from chdstat.comparison.candidates import Entry, choose, estimate_by, takes
@@ -53,8 +53,6 @@ _AROUND, _AROUND_LEARNED = 10, 24
 """Pixels to each side that fixed and trained estimators look at."""
 _QUICK = 4e-3
 
-Floats = npt.NDArray[np.float64]
-Image = npt.NDArray[np.float32]
 Step = Callable[[], None]
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import is_bad, luminance, spans
+from chdstat._core.arrays import Image, is_bad, luminance, spans
 from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource
@@ -64,7 +64,6 @@ _LABELS = (
     *("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e", "#2f6fb7", "#8a5a9e"),
     *("#8f9296", "#9c3b3b", "#5b7f2b", "#c8c9ca"),
 )
-Image = npt.NDArray[np.float32]
 Step = Callable[[float, Image], None]
 
 

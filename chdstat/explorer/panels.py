@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from chdstat._core.arrays import Array
 from chdstat._core.display import number
 from chdstat._core.resampling import Z_95
 from chdstat.explorer.plots import BLENDED, DASHES, PanelData, Series, Trace
@@ -23,7 +23,6 @@ from chdstat.viz.estimators import NAMES
 
 __all__ = ["panels"]
 
-Floats = npt.NDArray[Any]
 
 _POINTS = 160
 _QUANTILES = (np.arange(100) + 0.5) / 100
@@ -69,7 +68,7 @@ class Density:
         Share of the samples beyond the end of the outline.
     """
 
-    outline: tuple[Floats, Floats] | None = None
+    outline: tuple[Array, Array] | None = None
     curves: Sequence[Trace] = ()
     mean: float = float("nan")
     value: float | None = None
@@ -119,10 +118,10 @@ def _row(group: Sequence[tuple[Series, Density]], base: int | None, *, own_x: bo
     whole = np.concatenate(ends)
     low, high = float(whole.min()), float(whole.max())
 
-    def across(x: Floats) -> Floats:
+    def across(x: Array) -> Array:
         return (x - low) / (high - low) if high > low else np.full_like(x, 0.5)
 
-    def put(x: Floats, y: Floats, *look: Any) -> Trace:
+    def put(x: Array, y: Array, *look: Any) -> Trace:
         x = across(x) if own_x else x
         return Trace(x, y if base is None else base + _ROW_HEIGHT * y / peak, *look)
 
@@ -175,7 +174,7 @@ def _histogram(view: View, scale: str, s: Series) -> Density:
     return Density((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
 
 
-def _steps(edges: Floats, density: Floats, row: int) -> tuple[Floats, Floats]:
+def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
     """Return the outline of the occupied bins, from the axis up and down to it again."""
     # All rows of a log histogram share their edges.
     edges = edges[row] if edges.ndim > 1 else edges
@@ -313,7 +312,7 @@ def _averages(n: int, s: Series) -> Density:
     return Density(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
 
 
-def _gaussian(averages: Floats, edges: Floats, color: str) -> Trace:
+def _gaussian(averages: Array, edges: Array, color: str) -> Trace:
     mean, sd = averages.mean(), averages.std(ddof=1)
     low, high = edges[0], edges[-1]
     x = np.linspace(max(low - sd, min(0.0, low)), min(high + sd, 2 * high - low), 120)

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from bokeh import models
 from bokeh.plotting import figure
 
+from chdstat._core.arrays import Array
 from chdstat.explorer.statistics import PlaceStatistics
 from chdstat.explorer.view import View
 from chdstat.fit.families import FAMILIES
@@ -66,7 +67,6 @@ _PATTERNS = ("solid", "6 6", "2 4 6 4", "2 4", "12 4", "6 4 2 4 2 4", "12 4 2 4"
 DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4 2 4"}
 """Line dashes of fits by name: lengths of lines and gaps, as Bokeh and SVG read them."""
 
-Floats = npt.NDArray[Any]
 Scale = Literal["linear", "log"]
 Extent = tuple[float, float]
 
@@ -118,8 +118,8 @@ class Trace:
         In screen pixels.
     """
 
-    x: Floats
-    y: Floats
+    x: Array
+    y: Array
     color: str
     dash: str = "solid"
     width: float = 1.3

@@ -11,9 +11,8 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans
+from chdstat._core.arrays import Image, generator, is_bad, is_null, luminance, spans
 from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
 from chdstat._core.moments import Moments
 from chdstat.errors import ChdstatError, SceneError, StoreError
@@ -38,7 +37,6 @@ __all__ = [
     "pooled",
 ]
 
-Image = npt.NDArray[np.float32]
 
 _BLOCK_BYTES = 16 * 2**20
 KEPT_BYTES = 128 * 2**20

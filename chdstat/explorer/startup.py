@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import luminance
+from chdstat._core.arrays import Image, luminance
 from chdstat._core.display import png
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.explorer.render_process import RenderProcess
@@ -28,8 +28,6 @@ __all__ = ["COARSE", "Startup", "coarse_png", "isolated", "ramp", "rgba", "start
 COARSE = 128
 """Pixels of the longer side of the coarse image."""
 _BANDS = 4
-
-Image = npt.NDArray[np.float32]
 
 
 class Startup:

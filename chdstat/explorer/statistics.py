@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import inference
-from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans, take_rows
+from chdstat._core.arrays import Floats, generator, is_bad, is_null, luminance, spans, take_rows
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat.explorer.sources import Overall, Source
@@ -43,7 +43,6 @@ _POINTS = 96
 MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
 
-Floats = npt.NDArray[np.float64]
 Fitted = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
 """Name of a fit, and density and quantiles of its positive part."""
 

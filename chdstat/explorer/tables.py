@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import inference
+from chdstat._core.arrays import Array, Floats
 from chdstat._core.display import number, percent
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
@@ -44,8 +45,6 @@ _VARIANCE = {
 _FIRST = 7
 """Rows of the table of estimates that are shown at once: the default ones and the best others."""
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 Column = tuple[str, PlaceStatistics, int]
 """Title, place and row of a column."""
 Table = dict[str, Any]

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special, stats
 
-from chdstat._core.positive import Floats, Mask
+from chdstat._core.arrays import Floats, Mask
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters
 from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part

@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
 from chdstat.fit.weighted_samples import WeightedSamples, of_rows
 from chdstat.summary.dispatch import Part

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats
 from chdstat.fit.family import Estimate, Family, Parameters
 from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part

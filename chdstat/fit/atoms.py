@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.positive import PositivePart
 from chdstat.errors import Reason
 from chdstat.fit.weighted_samples import cumulative
 from chdstat.summary.dispatch import Part

@@ -18,8 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.positive import PositivePart
 from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import Estimate, Family, Parameters, summed, take
 from chdstat.fit.mixtures import Mixture, mixture_of_part

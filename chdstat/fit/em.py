@@ -28,7 +28,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import special
 
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat.fit._gamma import gap_of_shape
 from chdstat.fit.weighted_samples import SPREAD_FLOOR, Summaries
 

@@ -19,9 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Seed, generator
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
 from chdstat._core.display import Card, Shown, each, reasons, with_error, with_interval, written
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
 from chdstat.errors import Reason, check_option

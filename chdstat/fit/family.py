@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.positive import Floats, Mask
+from chdstat._core.arrays import Floats, Mask
 from chdstat.fit.weighted_samples import Halves, WeightedSamples, of_rows, sum_over_samples
 from chdstat.summary.dispatch import Part
 

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, seed_number, whole
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, seed_number, whole
 from chdstat._core.display import Shown
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError, Reason

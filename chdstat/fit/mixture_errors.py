@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats
 from chdstat.errors import Reason
 from chdstat.fit import em
 from chdstat.fit.em import ComponentFamily, Solution

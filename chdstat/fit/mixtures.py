@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, generator
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
 from chdstat._core.display import Card
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.atoms import Atoms, split
 from chdstat.fit.clamps import before_clamps

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.arrays import Counts, Floats, Mask
+from chdstat._core.positive import PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import Solution
 from chdstat.fit.mixture_errors import covariance, directions

@@ -23,8 +23,7 @@ from typing import Literal
 
 import numpy as np
 
-from chdstat._core.arrays import spans, take_rows
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask, spans, take_rows
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
 from chdstat.fit.weighted_samples import (

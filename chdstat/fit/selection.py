@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Floats, Mask, spans
 from chdstat._core.display import Card, Shown, reasons
-from chdstat._core.positive import Floats, Mask
 from chdstat._core.reasons import label_variables, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, special
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.tail_fits import (

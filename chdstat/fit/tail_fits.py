@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.display import Card, Shown, each, reasons, with_interval
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
 from chdstat.fit.family import RADIANCE

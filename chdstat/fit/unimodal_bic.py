@@ -29,8 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.positive import PositivePart
 from chdstat.fit.em import COMPONENTS
 from chdstat.fit.families import FAMILIES, SELECTED, Fit, fit_part, zero_log_likelihood
 from chdstat.fit.search import log_samples

@@ -20,8 +20,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans, take_rows
-from chdstat._core.positive import SMALLEST, Counts, Floats, LogStatistics, Mask, PositivePart
+from chdstat._core.arrays import Counts, Floats, Mask, spans, take_rows
+from chdstat._core.positive import SMALLEST, LogStatistics, PositivePart
 from chdstat.errors import Reason
 from chdstat.summary.dispatch import Part, PositiveHistogram
 

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.positive import CONSTANT_SPREAD
 from chdstat._core.reasons import first_of
 from chdstat._core.resampling import Z_95
 from chdstat.errors import Reason

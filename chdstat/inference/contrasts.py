@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import Seed, plain, seed_number
+from chdstat._core.arrays import Floats, Seed, plain, seed_number
 from chdstat._core.display import Card, Shown, number, percent, png, with_interval
 from chdstat._core.image_scales import tonemap
-from chdstat._core.positive import Floats
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat.errors import Reason, check_probability

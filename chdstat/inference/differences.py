@@ -13,7 +13,10 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import (
+    Counts,
+    Floats,
     LeftOut,
+    Mask,
     Seed,
     as_samples,
     generator,
@@ -24,7 +27,6 @@ from chdstat._core.arrays import (
     whole,
 )
 from chdstat._core.display import Shown
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.errors import InputError
 from chdstat.inference.permutation import p_of_means
 from chdstat.samples import Image, Samples, opened

@@ -17,8 +17,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask, spans
 
 __all__ = ["dips"]
 

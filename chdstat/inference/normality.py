@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.display import Shown
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError, Reason, check_option, check_probability

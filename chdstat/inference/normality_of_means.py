@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples, is_bad, warn_left_out
+from chdstat._core.arrays import Counts, Floats, Mask, as_samples, is_bad, warn_left_out
 from chdstat._core.display import Shown
-from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, check_option, check_probability
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import averages

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from scipy import special
 from scipy.stats import rankdata
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask, Reals, spans
 
 __all__ = ["Shuffles", "p_of_means", "p_of_tail"]
 
@@ -39,8 +38,6 @@ _TAIL = 0.2
 _ROWS = 2048
 """Rows that are shuffled at once."""
 _COMPONENTS = 6
-
-Singles = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ class Shuffles:
         order = rng.random((sum(n), count), dtype=np.float32).argsort(axis=0)
         return cls(n, False, (order < n[0]).astype(np.float32))
 
-    def p_of_variances(self, a: Singles, b: Singles) -> Floats:
+    def p_of_variances(self, a: Reals, b: Reals) -> Floats:
         """Return p-values of equal variances of rows (row, sample), two-sided.
 
         The statistic is the log of the ratio of the variances; of pairs, the correlation of sum and
@@ -84,7 +81,7 @@ class Shuffles:
             found[rows] = p_of_tail(*(np.abs(x) for x in here(a[rows], b[rows])))
         return found
 
-    def p_of_distributions(self, a: Singles, b: Singles) -> Floats:
+    def p_of_distributions(self, a: Reals, b: Reals) -> Floats:
         """Return p-values of equal distributions of rows (row, sample).
 
         The statistic is Cramer and von Mises' distance, the energy distance of the ranks
@@ -105,7 +102,7 @@ class Shuffles:
             found[rows] = p_of_tail(*self._distance(a[rows], b[rows]))
         return found
 
-    def _of_pairs(self, a: Singles, b: Singles) -> tuple[Singles, Singles]:
+    def _of_pairs(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         total, apart = a + b, a - b
         total = total - total.mean(axis=1, keepdims=True)
         product = (total * apart).astype(np.float32)
@@ -114,7 +111,7 @@ class Shuffles:
             moved = (product @ self.weights) / scale[:, np.newaxis]
             return _finite(product.sum(axis=1) / scale), _finite(moved)
 
-    def _ratio(self, a: Singles, b: Singles) -> tuple[Singles, Singles]:
+    def _ratio(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         z = np.concatenate([a, b], axis=1).astype(np.float32)
         z -= z.mean(axis=1, keepdims=True)
         scale = np.sqrt(np.square(z).mean(axis=1, keepdims=True))
@@ -136,7 +133,7 @@ class Shuffles:
             found = _finite(np.log(one / other))
         return found[:, 0], found[:, 1:]
 
-    def _distance(self, a: Singles, b: Singles) -> tuple[Floats, Singles]:
+    def _distance(self, a: Reals, b: Reals) -> tuple[Floats, Reals]:
         pooled = np.concatenate([a, b], axis=1)
         ranks = (rankdata(pooled, axis=1) - 0.5) / pooled.shape[1]
         found = np.zeros(len(a))
@@ -155,7 +152,7 @@ class Shuffles:
         return found, shuffled
 
 
-def p_of_tail(statistic: Singles, shuffled: Singles) -> Floats:
+def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     """Return p-values of statistics of which large ones speak against the hypothesis.
 
     Parameters
@@ -196,7 +193,7 @@ def p_of_tail(statistic: Singles, shuffled: Singles) -> Floats:
     return p
 
 
-def _beyond(statistic: Singles, shuffled: Singles) -> Floats:
+def _beyond(statistic: Reals, shuffled: Reals) -> Floats:
     """Return the share of fitted tails beyond statistics."""
     count = shuffled.shape[1]
     kept = max(_EXCEEDING, int(_TAIL * count))
@@ -214,13 +211,13 @@ def _beyond(statistic: Singles, shuffled: Singles) -> Floats:
     return np.where(np.isfinite(found) & (over > 0), found, 1.0)
 
 
-def _finite(x: Singles) -> Singles:
+def _finite(x: Reals) -> Reals:
     """Return what does not vary as no difference."""
     return np.nan_to_num(x, nan=0.0)
 
 
 def p_of_means(
-    a: Singles, b: Singles, good_a: Mask | None = None, good_b: Mask | None = None
+    a: Reals, b: Reals, good_a: Mask | None = None, good_b: Mask | None = None
 ) -> Floats:
     """Return p-values of equal means of rows (row, sample), under all divisions into two groups.
 
@@ -266,7 +263,7 @@ def p_of_means(
     return np.concatenate(found) if found else np.zeros(0)
 
 
-def _p_of_divisions(x: Singles, good: Mask, first: int) -> Floats:
+def _p_of_divisions(x: Reals, good: Mask, first: int) -> Floats:
     """Return p-values of rows whose first samples are one group."""
     n, count = good[:, :first].sum(axis=1), good.sum(axis=1)
     x = np.where(good, x, 0)
@@ -309,9 +306,7 @@ def _log_choices(n: npt.NDArray[Any], k: npt.NDArray[Any]) -> Floats:
     return np.where(possible, found, -np.inf)
 
 
-def _counted(
-    x: Singles, apart: Singles, good: Mask, n: Counts, count: Counts, first: int
-) -> Floats:
+def _counted(x: Reals, apart: Reals, good: Mask, n: Counts, count: Counts, first: int) -> Floats:
     """Return the share of divisions whose sum is as large, of a few samples that are not 0."""
     width = min(_ENUMERATED, x.shape[1])
     at = np.argpartition(-np.where(good, apart, -1), width - 1, axis=1)[:, :width]
@@ -330,7 +325,7 @@ def _counted(
     return np.asarray((weight * as_far).sum(axis=1))
 
 
-def _of_largest(ordered: Singles, n: Counts, count: Counts) -> Floats:
+def _of_largest(ordered: Reals, n: Counts, count: Counts) -> Floats:
     """Return the share of divisions that choose the largest of samples in order."""
     border = np.take_along_axis(ordered, (count - n)[:, np.newaxis], axis=1)
     last = np.arange(ordered.shape[1]) < count[:, np.newaxis]
@@ -339,7 +334,7 @@ def _of_largest(ordered: Singles, n: Counts, count: Counts) -> Floats:
     return np.exp(_log_choices(tied, n - above) - _log_choices(count, n))
 
 
-def _beyond_saddlepoint(z: Singles, good: Mask, total: Floats, n: Counts, count: Counts) -> Floats:
+def _beyond_saddlepoint(z: Reals, good: Mask, total: Floats, n: Counts, count: Counts) -> Floats:
     """Return the share of divisions with such a sum, 0 or more, or a larger one.
 
     The saddlepoint (tilt, level) is the maximum of the log-likelihood of a logistic regression.
@@ -385,7 +380,7 @@ def _beyond_saddlepoint(z: Singles, good: Mask, total: Floats, n: Counts, count:
     return np.asarray(special.ndtr(-np.maximum(star, 0)))
 
 
-def _slopes(z: Singles, good: Mask, tilt: Floats, level: Floats) -> tuple[Floats, Floats]:
+def _slopes(z: Reals, good: Mask, tilt: Floats, level: Floats) -> tuple[Floats, Floats]:
     """Return first (2, row) and second (3, row) derivatives of the cumulant function."""
     chance = special.expit((tilt[:, np.newaxis] * z + level[:, np.newaxis]).astype(z.dtype)) * good
     first = np.stack([np.einsum("ij,ij->i", chance, z, dtype=float), chance.sum(1, dtype=float)])
@@ -395,7 +390,7 @@ def _slopes(z: Singles, good: Mask, tilt: Floats, level: Floats) -> tuple[Floats
     return first, np.stack([second, weighted.sum(1, dtype=float), chance.sum(1, dtype=float)])
 
 
-def _cumulant(z: Singles, good: Mask, tilt: Floats, level: Floats) -> Floats:
+def _cumulant(z: Reals, good: Mask, tilt: Floats, level: Floats) -> Floats:
     """Return sums of log(1 + exp(tilt z + level)) over samples."""
     x = (tilt[:, np.newaxis] * z + level[:, np.newaxis]).astype(z.dtype)
     return np.asarray(

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LUMINANCE, LeftOut, all_good, is_bad, spans
+from chdstat._core.arrays import LUMINANCE, Floats, LeftOut, all_good, is_bad, spans
 from chdstat._core.display import number
-from chdstat._core.positive import Floats
 from chdstat._core.reasons import first_of
 from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
@@ -44,9 +43,6 @@ _ROUNDING = 1e-3
 """Relative precision of half floats."""
 _CELLS, _LEAST_CELL = 32, 4
 """Cells along the longer edge of the image, and pixels along theirs, the latter at least."""
-
-Exact = npt.NDArray[np.float64]
-"""An image (y, x, channel) without noise."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +92,7 @@ class Pair:
     """Two renders, or one and an exact image, and how many samples of each are compared."""
 
     a: Samples
-    b: Samples | Exact
+    b: Samples | Floats
     names: tuple[str, str]
     spp: tuple[int, int]
     seconds: tuple[float, float]
@@ -443,7 +439,7 @@ def _joined(parts: list[FlipMoments], mean: Floats) -> FlipMoments:
     return FlipMoments(n=parts[0].n, mean=np.nan_to_num(mean), **arrays)
 
 
-def _other(b: Any) -> Samples | Exact:
+def _other(b: Any) -> Samples | Floats:
     """Return samples, or an exact image (y, x, channel)."""
     if isinstance(b, str | Path) and Path(b).suffix.lower() == ".exr":
         b = read_exr(b)
@@ -479,7 +475,7 @@ def _name(source: Any, samples: Any) -> str:
     return "image"
 
 
-def _check_sizes(a: Samples, b: Samples | Exact) -> None:
+def _check_sizes(a: Samples, b: Samples | Floats) -> None:
     one, other = a.shape[:3], b.shape[:3]
     if one[:2] != other[:2]:
         message = (
@@ -492,7 +488,7 @@ def _check_sizes(a: Samples, b: Samples | Exact) -> None:
         raise InputError(message)
 
 
-def _seconds_of(samples: Samples | Exact) -> float:
+def _seconds_of(samples: Samples | Floats) -> float:
     """Return how long all pixels of a sample took to render."""
     total = samples.attrs.get("render_seconds") if isinstance(samples, Samples) else None
     return float(total) / samples.shape[3] if total else np.nan

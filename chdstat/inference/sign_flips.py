@@ -20,8 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, sparse, special
 
-from chdstat._core.arrays import Seed, generator, spans
-from chdstat._core.positive import Floats, Mask
+from chdstat._core.arrays import Floats, Mask, Seed, generator, spans
 
 __all__ = [
     "CellUnits",

@@ -25,7 +25,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import special
 
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask
 
 __all__ = [
     "DIP_QUANTILES",

@@ -35,13 +35,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Image
 from chdstat._core.files import check_claim
 from chdstat.errors import InputError, StoreError, brief
 from chdstat.io.frames import Frame, Frames
 from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.axes import ordered, single
 from chdstat.samples.layout import FOREIGN
-from chdstat.samples.tiles import Image
 
 __all__ = [
     "DAMAGED",

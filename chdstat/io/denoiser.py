@@ -13,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from chdstat._core.arrays import Floats
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError, brief
 
 __all__ = ["denoise", "library", "works"]
-
-Floats = npt.NDArray[np.float64]
 
 
 def denoise(

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import warn_caller
+from chdstat._core.arrays import Array, warn_caller
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import replacing
 from chdstat._core.image_scales import tonemap
@@ -24,7 +24,6 @@ from chdstat.io.primaries import REC709
 
 __all__ = ["ExrImage", "read_exr", "read_feature", "write_exr"]
 
-Array = npt.NDArray[Any]
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
 _TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Array
 from chdstat._core.files import check_claim
 from chdstat.errors import InputError, StoreError
 from chdstat.io.primaries import AP0, REC709, from_xyz, named, to_rec709
 
 __all__ = ["OF_THE_FORMAT", "Planes", "read_planes"]
 
-Array = npt.NDArray[Any]
 
 _MAGIC = b"\x76\x2f\x31\x01"
 """What every EXR file begins with."""

@@ -34,11 +34,11 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import warn_caller
+from chdstat._core.arrays import Image, warn_caller
 from chdstat.errors import InputError, StoreError
 from chdstat.io.exr_planes import Planes, read_planes
 from chdstat.io.reading import Opened, ReadOptions
-from chdstat.samples.tiles import BATCH, Image
+from chdstat.samples.tiles import BATCH
 
 __all__ = ["Frame", "Frames", "open_exr", "open_rawls"]
 

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import warn_caller
+from chdstat._core.arrays import Image, warn_caller
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 from chdstat.samples.axes import check_counts, check_features
 from chdstat.samples.layout import canonical
 from chdstat.samples.repeats import warn_of_repeats
-from chdstat.samples.tiles import BATCH, Image, Source
+from chdstat.samples.tiles import BATCH, Source
 
 __all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]
 

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import warn_caller
+from chdstat._core.arrays import Image, warn_caller
 from chdstat._core.executor import check_memory
 from chdstat.errors import InputError, StoreError
 from chdstat.io.reading import Opened, ReadOptions
@@ -38,7 +38,7 @@ from chdstat.io.stream_blocks import (
     read_header,
     text,
 )
-from chdstat.samples.tiles import BATCH, Image
+from chdstat.samples.tiles import BATCH
 
 __all__ = ["StreamSource", "get_include", "open_stream"]
 

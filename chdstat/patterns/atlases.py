@@ -14,10 +14,20 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, generator, is_bad, luminance, spans, whole
+from chdstat._core.arrays import (
+    Counts,
+    Floats,
+    Mask,
+    Seed,
+    generator,
+    is_bad,
+    luminance,
+    spans,
+    whole,
+)
 from chdstat._core.display import Card, Shown, each, number, percent, with_interval
 from chdstat._core.moments import Moments
-from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
+from chdstat._core.positive import CONSTANT_SPREAD
 from chdstat._core.reasons import first_of, flag_attributes, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, warn_left_out
+from chdstat._core.arrays import Floats, Mask, as_pixels, warn_left_out
 from chdstat._core.display import Shown
-from chdstat._core.positive import Floats, Mask, PositivePart
+from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import first_of, flag_attributes, label_variables, place_attributes
 from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason

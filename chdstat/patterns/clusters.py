@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from chdstat._core.positive import Counts, Floats
+from chdstat._core.arrays import Counts, Floats
 from chdstat.errors import InputError
 
 __all__ = ["Groups", "find_groups", "ratio"]

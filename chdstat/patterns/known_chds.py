@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Seed, generator
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats, Seed, generator
 from chdstat.errors import InputError
 
 __all__ = ["CHD", "CHDS", "Component", "random_chd"]

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from chdstat._core.arrays import take_rows
-from chdstat._core.positive import Floats, Mask, PositivePart
+from chdstat._core.arrays import Floats, Mask, take_rows
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.mixtures import Mixture

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat._core.resampling import Z_95, wilson
 from chdstat.patterns.pixel_statistics import PixelStatistics, Thresholds, firefly_limit
 

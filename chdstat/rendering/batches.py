@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from chdstat._core.arrays import Seed, spans, whole
+from chdstat._core.arrays import Image, Seed, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.executor import Interrupts
 from chdstat._core.progress import track
@@ -24,7 +24,7 @@ from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.rendering.writers import provenance, renderer_of
 from chdstat.samples import Samples, description
-from chdstat.samples.layout import BATCH, Chunk, Image, chunk_grid
+from chdstat.samples.layout import BATCH, Chunk, chunk_grid
 from chdstat.scenes import SceneLike
 
 __all__ = ["Rendering", "render_batches"]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, whole
+from chdstat._core.arrays import Image, Seed, whole
 from chdstat._core.places import place_of
 from chdstat._core.progress import track
 from chdstat.errors import InputError, RenderError, StoreError, brief
@@ -29,7 +29,7 @@ from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import features_restored, rendered
 from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import Image, part_folder
+from chdstat.samples.layout import part_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH, Part
 from chdstat.scenes import SceneLike, load_scene

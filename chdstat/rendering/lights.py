@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from chdstat._core.arrays import Image
 from chdstat.errors import InputError, RenderError
-from chdstat.samples.layout import Image
 
 __all__ = ["check_lights", "darken", "flush", "light_names", "switched_off"]
 

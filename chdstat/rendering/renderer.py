@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Image
 from chdstat._core.executor import Interrupted
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate, one_thread
@@ -24,7 +25,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.lights import check_lights, darken, flush, light_names, switched_off
 from chdstat.rendering.rays import drawn, sensed
 from chdstat.rendering.seeds import Streams
-from chdstat.samples.layout import BATCH, TILE, Chunk, Image
+from chdstat.samples.layout import BATCH, TILE, Chunk
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.plugins import failure, used
 from chdstat.scenes.scene import LiveScene

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
+from chdstat._core.arrays import Image
 from chdstat._core.executor import Interrupts, Pool, cores, pool
 from chdstat.errors import RenderError, StoreError
 from chdstat.rendering.backend import activate, one_thread
@@ -18,7 +19,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import grouped
 from chdstat.samples.access import reopened
-from chdstat.samples.layout import Chunk, Image, differing
+from chdstat.samples.layout import Chunk, differing
 
 if TYPE_CHECKING:
     from distributed import Client

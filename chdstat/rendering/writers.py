@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from chdstat._core.arrays import Image
 from chdstat._core.executor import check_memory
 from chdstat._core.files import free_disk
 from chdstat._core.places import place_of
@@ -18,7 +19,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import STREAMS, check_spp
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import Chunk, Image, Part, check_appendable, chunk_grid, differing
+from chdstat.samples.layout import Chunk, Part, check_appendable, chunk_grid, differing
 from chdstat.samples.store import Store
 
 __all__ = ["MemoryWriter", "Writer", "check_room", "opened_store", "provenance", "renderer_of"]

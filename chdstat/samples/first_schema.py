@@ -11,9 +11,10 @@ import numpy.typing as npt
 import zarr
 from zarr.storage import LocalStore
 
+from chdstat._core.arrays import Image
 from chdstat.errors import StoreError
 from chdstat.samples import layout
-from chdstat.samples.layout import FOREIGN, Chunk, DamageError, Image, brief
+from chdstat.samples.layout import FOREIGN, Chunk, DamageError, brief
 from chdstat.samples.store import Store
 
 __all__ = ["FirstStore"]

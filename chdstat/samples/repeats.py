@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans, warn_caller
-from chdstat.samples.tiles import TILE, Image
+from chdstat._core.arrays import Image, spans, warn_caller
+from chdstat.samples.tiles import TILE
 
 __all__ = ["warn_of_repeats"]
 

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, SupportsIndex, Unpack, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Image, spans
 from chdstat._core.places import place_of
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
 from chdstat.samples.repeats import warn_of_repeats
-from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Part, Source, Work
+from chdstat.samples.tiles import DIRECT_DEPTH, Mapped, Part, Source, Work
 
 if TYPE_CHECKING:
     import xarray as xr

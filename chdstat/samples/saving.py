@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from chdstat._core.arrays import Image
 from chdstat._core.progress import track
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import is_store
-from chdstat.samples.layout import Chunk, Image
+from chdstat.samples.layout import Chunk
 from chdstat.samples.samples import Samples
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import check_sequences, sequence_of

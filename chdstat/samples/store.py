@@ -19,12 +19,13 @@ import numpy as np
 import numpy.typing as npt
 from zarr.storage import MemoryStore
 
+from chdstat._core.arrays import Image
 from chdstat._core.files import Lock, checksum, locked, remove
 from chdstat._core.places import exists, is_remote, zarr_store
 from chdstat.errors import StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import of_store, reopened
-from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Image, Part, Shape
+from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Part, Shape
 from chdstat.samples.samples import Samples
 
 __all__ = ["Store"]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, SupportsIndex, TypedDict,
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, spans, whole
+from chdstat._core.arrays import Image, LeftOut, spans, whole
 from chdstat._core.cache import Cache
 from chdstat._core.executor import check_memory, in_order
 from chdstat._core.files import release, room
@@ -28,7 +28,6 @@ __all__ = [
     "BATCH",
     "DIRECT_DEPTH",
     "TILE",
-    "Image",
     "Mapped",
     "Part",
     "Source",
@@ -62,7 +61,6 @@ _ALWAYS_READ = 2**26
 _OF_BAD = ("bad_count", "nan_count", "n_bad")
 """Counts of bad samples: of those that a pixel lacks, which read as NaN, they are cleared."""
 
-Image = npt.NDArray[np.float32]
 Part = int | str
 """A part of the light of samples: paths up to so many segments, or the lights of such names."""
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
+from chdstat._core.arrays import Floats
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import code_of, described, digest_of
@@ -185,26 +185,25 @@ def _plain(value: Any) -> Any:
     raise SceneError(message)
 
 
-Array = npt.NDArray[np.float64]
-Vector = Sequence[float] | Array
+Vector = Sequence[float] | Floats
 Axis = Literal["x", "y", "z"]
 
 _AXES: dict[str, int] = {"x": 0, "y": 1, "z": 2}
 
 
-def translate(x: float, y: float, z: float) -> Array:
+def translate(x: float, y: float, z: float) -> Floats:
     """Return the matrix that moves by (x, y, z)."""
     matrix = np.eye(4)
     matrix[:3, 3] = x, y, z
     return matrix
 
 
-def scale(x: float, y: float, z: float) -> Array:
+def scale(x: float, y: float, z: float) -> Floats:
     """Return the matrix that stretches by (x, y, z)."""
     return np.diag([x, y, z, 1.0])
 
 
-def rotate(axis: Axis, degrees: float) -> Array:
+def rotate(axis: Axis, degrees: float) -> Floats:
     """Return the matrix that turns counterclockwise about a coordinate axis.
 
     Examples
@@ -221,7 +220,7 @@ def rotate(axis: Axis, degrees: float) -> Array:
     return matrix
 
 
-def look_at(origin: Vector, target: Vector, *, up: Vector = (0.0, 0.0, 1.0)) -> Array:
+def look_at(origin: Vector, target: Vector, *, up: Vector = (0.0, 0.0, 1.0)) -> Floats:
     """Return the matrix that places a camera or an emitter, whose own view is along +z.
 
     Raises
@@ -243,7 +242,7 @@ def look_at(origin: Vector, target: Vector, *, up: Vector = (0.0, 0.0, 1.0)) -> 
     return matrix.round(9)
 
 
-def _unit(vector: Array) -> Array:
+def _unit(vector: Floats) -> Floats:
     return np.asarray(vector / np.linalg.norm(vector))
 
 

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, spans
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats, generator, spans
 from chdstat._core.resampling import Interval
 from chdstat.studies.outcomes import ClaimTest, PlotData
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, is_bad, luminance
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import Counts, Floats, Mask, generator, is_bad, luminance
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region

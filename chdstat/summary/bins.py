@@ -11,8 +11,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_samples, is_bad, is_null
-from chdstat._core.positive import Floats, Mask
+from chdstat._core.arrays import Floats, Mask, all_good, as_samples, is_bad, is_null
 from chdstat.errors import InputError, Reason
 from chdstat.samples import Samples
 

@@ -29,7 +29,8 @@ from typing import (
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.positive import Counts, Floats, LogStatistics, PositivePart, SplitRows
+from chdstat._core.arrays import Counts, Floats
+from chdstat._core.positive import LogStatistics, PositivePart, SplitRows
 from chdstat.errors import InputError
 from chdstat.samples import Image, Mapped, Samples
 from chdstat.summary.histograms import Histogram

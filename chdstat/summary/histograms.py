@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples, spans, warn_left_out
+from chdstat._core.arrays import Counts, Floats, Mask, as_samples, spans, warn_left_out
 from chdstat._core.display import Shown
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError, check_option
 from chdstat.samples import Blocks, Image, Mapped, Samples, opened, reduce_tiles

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, is_bad
+from chdstat._core.arrays import Counts, Floats, Mask, as_pixels, is_bad
 from chdstat._core.display import Shown
 from chdstat._core.moments import Batches, Moments
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of

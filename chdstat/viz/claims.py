@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -27,7 +26,6 @@ from chdstat.viz.styling import PALETTE, WIDTH, axes_in, grid, page, qualitative
 
 __all__ = ["VERDICTS", "claim_intervals", "finding_plots", "verdict_matrix"]
 
-Array = npt.NDArray[Any]
 
 VERDICTS = {
     "supported": ("#0072B2", "✓"),

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
-from chdstat._core.arrays import luminance
+from chdstat._core.arrays import Array, luminance
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, PixelEstimates
 from chdstat.errors import InputError
@@ -52,7 +52,6 @@ __all__ = [
     "training",
 ]
 
-Array = npt.NDArray[Any]
 
 _GREY = "#888888"
 _TITLES = {

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from chdstat._core.arrays import take_rows
+from chdstat._core.arrays import Array, take_rows
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram
 from chdstat.viz.styling import (
@@ -42,7 +42,6 @@ __all__ = [
     "fits",
 ]
 
-Array = npt.NDArray[Any]
 Density = Callable[[Array], Array]
 """Of the positive samples, per unit of radiance."""
 

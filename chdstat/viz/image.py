@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from chdstat._core.arrays import Array
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram
@@ -37,7 +38,6 @@ __all__ = [
     "with_marks",
 ]
 
-Array = npt.NDArray[Any]
 
 _PAIR = (PALETTE[5], PALETTE[4])
 """Colours of two things that are compared."""

@@ -27,7 +27,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
-from chdstat.estimators.progressive.inputs import Floats, Indices
+from chdstat._core.arrays import Reals
+from chdstat.estimators.progressive.inputs import Indices
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.learning import TrainingSet
@@ -134,7 +135,7 @@ def of_size(validation: Validation, size: int) -> Validation:
     return {name: a.take(rows, axis=int(name in _BY_LOSS)) for name, a in validation.items()}
 
 
-def error_terms(estimate: Floats, mean: Floats, certainty: Floats, variance: Floats) -> Floats:
+def error_terms(estimate: Reals, mean: Reals, certainty: Reals, variance: Reals) -> Reals:
     """Return the terms of squared errors, shape (..., row, channel, term), float64.
 
     A constant for the dark, the square of the estimate, of its distance to the mean, the variance
@@ -162,7 +163,7 @@ def error_terms(estimate: Floats, mean: Floats, certainty: Floats, variance: Flo
     return np.stack(terms, axis=-1)
 
 
-def between_sizes(sizes: Floats, count: npt.NDArray[Any]) -> tuple[Indices, Indices, Floats]:
+def between_sizes(sizes: Reals, count: npt.NDArray[Any]) -> tuple[Indices, Indices, Reals]:
     """Return where numbers of samples lie among ascending sizes, along the logarithm.
 
     Returns
@@ -181,7 +182,7 @@ def between_sizes(sizes: Floats, count: npt.NDArray[Any]) -> tuple[Indices, Indi
 # --- how far to follow a network ---------------------------------------------------------------
 
 
-def checked_shares(sizes: Floats, shares: Floats) -> tuple[Floats, Floats]:
+def checked_shares(sizes: Reals, shares: Reals) -> tuple[Reals, Reals]:
     """Return shares as of `reference_shares`.
 
     Raises
@@ -199,14 +200,14 @@ def checked_shares(sizes: Floats, shares: Floats) -> tuple[Floats, Floats]:
     return sizes, shares
 
 
-def shares_at(sizes: Floats, shares: Floats, count: npt.NDArray[Any]) -> Floats:
+def shares_at(sizes: Reals, shares: Reals, count: npt.NDArray[Any]) -> Reals:
     """Return the shares for numbers of samples, shape (row, loss, group)."""
     below, above, part = between_sizes(sizes, count)
     part = part[:, np.newaxis, np.newaxis]
     return np.asarray((1 - part) * shares[below] + part * shares[above])
 
 
-def reference_shares(validation: Validation) -> tuple[Floats, Floats]:
+def reference_shares(validation: Validation) -> tuple[Reals, Reals]:
     """Return how far from the mean it pays to go to what a network estimates.
 
     Shares are those with the least error among those under which neither MSE nor relMSE exceeds
@@ -230,7 +231,7 @@ def reference_shares(validation: Validation) -> tuple[Floats, Floats]:
     return sizes.astype(np.float64), np.array(shares)
 
 
-def _best_shares(validation: Validation, loss: int) -> Floats:
+def _best_shares(validation: Validation, loss: int) -> Reals:
     """Return the share of each group under which one of the errors is least.
 
     Neither error exceeds the mean's, and the image keeps its mean.
@@ -265,15 +266,15 @@ def _best_shares(validation: Validation, loss: int) -> Floats:
     return shares * certain
 
 
-def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) -> Floats:
+def _least(gains: Sequence[tuple[Reals, Reals]], loss: int, radiance: Reals) -> Reals:
     """Minimise ``a squares a - 2 along a`` of one loss, that of neither being above 0."""
     ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[loss][1]), 1e-12) / GROUPS
 
-    def gain(shares: Floats, k: int) -> float:
+    def gain(shares: Reals, k: int) -> float:
         along, squares = gains[k]
         return float(2 * along @ shares - shares @ squares @ shares)
 
-    def slope(shares: Floats, k: int) -> Floats:
+    def slope(shares: Reals, k: int) -> Reals:
         along, squares = gains[k]
         return np.asarray(2 * (along - squares @ shares))
 
@@ -294,9 +295,9 @@ def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) 
 
 def share_of(
     pixels: Indices,
-    move: Floats,
-    wanted: Floats,
-    weight: Floats | float = 1.0,
+    move: Reals,
+    wanted: Reals,
+    weight: Reals | float = 1.0,
     *,
     beyond: float = 0.0,
 ) -> float:
@@ -342,7 +343,7 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
 # --- how large its errors are ------------------------------------------------------------------
 
 
-def _explained(validation: Validation, loss: int) -> tuple[Floats, Floats]:
+def _explained(validation: Validation, loss: int) -> tuple[Reals, Reals]:
     """Return error terms (row, channel, term), and unbiased squared errors (row, channel)."""
     estimate = validation["estimate"][loss]
     own = validation["mean"], validation["certainty"][loss], validation["variance"]
@@ -377,9 +378,9 @@ class ErrorModel:
         (size, loss weight, brightness, level).
     """
 
-    weights: Floats
-    sizes: Floats
-    normal: Floats
+    weights: Reals
+    sizes: Reals
+    normal: Reals
 
     def __post_init__(self) -> None:
         expected = (len(LOSSES), ERROR_TERMS), (len(self.sizes), *_CALIBRATED)
@@ -408,19 +409,19 @@ class ErrorModel:
         normal = [calibrate(weights, of_size(held_out, n), of_size(everywhere, n)) for n in sizes]
         return cls(weights, sizes.astype(np.float64), np.array(normal))
 
-    def variance(self, terms: Floats, loss_weight: float) -> Floats:
+    def variance(self, terms: Reals, loss_weight: float) -> Reals:
         """Return expected squared errors of mixed estimates, from terms (loss, ..., term)."""
         return _expected(self.weights, terms, loss_weight)
 
     def quantile(
         self,
-        estimate: Floats,
-        variance: Floats,
+        estimate: Reals,
+        variance: Reals,
         count: npt.NDArray[Any],
         *,
         loss_weight: float,
         level: float,
-    ) -> Floats:
+    ) -> Reals:
         """Return a quantile; estimate and variance (row, channel), samples (row,).
 
         Of a negative estimate, which signed samples make, it is that of a normal distribution.
@@ -442,17 +443,17 @@ class ErrorModel:
         return np.asarray(np.where(estimate < 0, estimate + z * np.sqrt(variance), found))
 
 
-def _mixed(of_losses: Floats, loss_weight: float) -> Floats:
+def _mixed(of_losses: Reals, loss_weight: float) -> Reals:
     """Return the mixture of what two losses give, shape (loss, ...)."""
     return np.asarray((1 - loss_weight) * of_losses[0] + loss_weight * of_losses[1])
 
 
-def _expected(weights: Floats, terms: Floats, loss_weight: float) -> Floats:
+def _expected(weights: Reals, terms: Reals, loss_weight: float) -> Reals:
     """Return expected squared errors from weights (loss, term) and terms (loss, ..., term)."""
     return _mixed(np.stack([t @ w for t, w in zip(terms, weights, strict=True)]), loss_weight)
 
 
-def least_squares(validation: Validation, loss: int) -> Floats:
+def least_squares(validation: Validation, loss: int) -> Reals:
     """Return the weights of the error terms by least squares, errors relative to the radiance."""
     by_channel, squared = _explained(validation, loss)
     terms = by_channel.reshape(-1, ERROR_TERMS)
@@ -466,7 +467,7 @@ def least_squares(validation: Validation, loss: int) -> Floats:
     return np.asarray(weights)
 
 
-def calibrate(weights: Floats, held_out: Validation, everywhere: Validation) -> Floats:
+def calibrate(weights: Reals, held_out: Validation, everywhere: Validation) -> Reals:
     """Return the normal quantiles of the truth, shape (loss weight, brightness, level).
 
     They are those of pixels that did not train. Among all pixels, those as bright may differ from
@@ -487,7 +488,7 @@ def calibrate(weights: Floats, held_out: Validation, everywhere: Validation) -> 
     return np.array(found)
 
 
-def _quantiles(normal: Floats, share: Floats) -> Floats:
+def _quantiles(normal: Reals, share: Reals) -> Reals:
     """Return quantiles at `LEVELS`, each as far from the middle as chance may have it.
 
     Of few pixels, too many would else be farther out (Vovk 2013, as above).
@@ -498,8 +499,8 @@ def _quantiles(normal: Floats, share: Floats) -> Floats:
 
 
 def _normals(
-    weights: Floats, validation: Validation, loss_weight: float
-) -> tuple[Floats, Floats, Floats]:
+    weights: Reals, validation: Validation, loss_weight: float
+) -> tuple[Reals, Reals, Reals]:
     """Return normal places of truths, what share of a pixel each is, and how bright it seems.
 
     The cube root of a gamma variable is near normal (Wilson and Hilferty 1931,
@@ -520,7 +521,7 @@ def _normals(
     return normal[usable], share[usable], near[usable]
 
 
-def _brightness_weights(estimate: Floats) -> Floats:
+def _brightness_weights(estimate: Reals) -> Reals:
     """Return how near estimates (row, channel) are to each of `BRIGHTNESS`; rows sum to 1."""
     octave = np.log2(np.maximum(estimate.mean(axis=-1), 1e-12))
     return np.stack(

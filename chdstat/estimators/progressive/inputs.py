@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from chdstat._core.arrays import LUMINANCE, as_pixels, is_bad, spans
+from chdstat._core.arrays import LUMINANCE, Image, Reals, as_pixels, is_bad, spans
 from chdstat._core.executor import in_order
 from chdstat.errors import InputError
 
-__all__ = ["OCTAVES", "Array", "Features", "Floats", "Indices", "Profile", "describe"]
+__all__ = ["OCTAVES", "Features", "Indices", "Profile", "describe"]
 
 OCTAVES = 24
 _LOWEST = -12
@@ -40,8 +40,6 @@ _WAVES = 3
 _DARK = 0.02
 """Albedo below which logarithms are cut."""
 
-Array = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.floating[Any]]
 Indices = npt.NDArray[np.int64]
 Features = Mapping[str, npt.NDArray[Any]]
 
@@ -63,7 +61,7 @@ class Profile:
         the same scene has the same profiles.
     """
 
-    bins: Floats
+    bins: Reals
     count: npt.NDArray[np.int64]
     unit: float
 
@@ -99,12 +97,12 @@ class Profile:
             raise InputError(message)
         return cls(*_blocks_of(samples, np.float32(unit)), unit)
 
-    def mean(self) -> Floats:
+    def mean(self) -> Reals:
         """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
         count = np.where(self.count > 0, self.count, np.nan)[..., np.newaxis]
         return np.asarray(self.bins[..., 1:].sum(axis=-2) * self.unit / count)
 
-    def variance_of_mean(self) -> Floats:
+    def variance_of_mean(self) -> Reals:
         """Return the variance of the mean as far as octaves tell, shape (..., channel).
 
         It is in squared units of `unit`.
@@ -120,7 +118,7 @@ class Profile:
         return type(self)(self.bins[pixels], self.count[pixels], self.unit)
 
 
-def _blocks_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:
+def _blocks_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]]:
     """Return bins and counts of samples (..., channel, sample), block by block on all cores."""
     *shape, channels, n = x.shape
     rows = x.reshape(-1, channels, n)
@@ -137,7 +135,7 @@ def _blocks_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int6
     return bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape)
 
 
-def _bins_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:
+def _bins_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]]:
     """Return bins (row, octave, 1 + channel) and good samples of rows (row, channel, sample).
 
     The bins are the product of a sparse matrix, with the two weights of each sample in its column,
@@ -175,7 +173,7 @@ def _bins_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]
     return bins.reshape(rows, OCTAVES, -1), n - bad.sum(axis=1)
 
 
-def describe(features: Features, shape: tuple[int, ...]) -> Array:
+def describe(features: Features, shape: tuple[int, ...]) -> Image:
     """Return numbers of about unit size for each pixel, shape (y, x, number).
 
     Albedo and its logarithm, the normal, the logarithm of the depth, and the position in units of

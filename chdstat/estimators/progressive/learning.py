@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, is_bad
+from chdstat._core.arrays import Image, generator, is_bad
 from chdstat._core.executor import cores, in_order
 from chdstat._core.image_scales import mean_radiance
 from chdstat._core.progress import track
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.errors import FLOOR, ErrorModel, reference_shares, validate
-from chdstat.estimators.progressive.inputs import Array, Indices, Profile, describe
+from chdstat.estimators.progressive.inputs import Indices, Profile, describe
 from chdstat.estimators.training import Trained, descend, provenance_of, scene_record, threads
 from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels, without
 from chdstat.samples import Samples
@@ -98,7 +98,7 @@ class Learned(Trained):
     network: Network
     error_model: ErrorModel
     unit: float
-    marks: tuple[Indices, Array]
+    marks: tuple[Indices, Image]
 
     def __post_init__(self) -> None:
         used = sum(int(scene["pixels_used"]) for scene in self.provenance["scenes"])
@@ -166,9 +166,9 @@ class TrainingSet:
         Mean of all samples of a pixel, and variance of one, shape (pixel, channel).
     """
 
-    samples: Array
+    samples: Image
     truth: npt.NDArray[np.float64] | None = None
-    described: Array | None = None
+    described: Image | None = None
     sizes: Sequence[int] = ()
     iterations: int = _ITERATIONS
     pixels: Indices = field(default_factory=lambda: np.empty((0, 2), np.int64))
@@ -269,7 +269,7 @@ class TrainingSet:
         chosen = rng.choice(pixels, size=max(1, min(rows, _MOST_SAMPLES // n)))
         return chosen, rng.permutation(self.spp)[:n]
 
-    def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, Array | None, Array]:
+    def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, Image | None, Image]:
         """Return what to learn from, and the target, for pixels `rows` and their samples `drawn`.
 
         Returns
@@ -305,7 +305,7 @@ class TrainingSet:
         a, b = len(one), len(two)
         return np.asarray((means[1] - means[0]) ** 2 * (a * b / (a + b) ** 2))
 
-    def marks(self, rng: np.random.Generator) -> tuple[Indices, Array]:
+    def marks(self, rng: np.random.Generator) -> tuple[Indices, Image]:
         """Draw samples that no other pixel has, by which the images are recognised.
 
         Returns
@@ -325,7 +325,7 @@ class TrainingSet:
         image = np.repeat(np.arange(len(used)), used)[rows[chosen]]
         return np.column_stack([image, self.pixels[rows[chosen]]]), drawn[chosen]
 
-    def _take(self, rows: Indices, drawn: Indices) -> Array:
+    def _take(self, rows: Indices, drawn: Indices) -> Image:
         """Return some samples of some pixels, shape (row, channel, sample)."""
         _, channels, spp = self.samples.shape
         starts = (rows[:, np.newaxis] * channels + np.arange(channels)) * spp
@@ -367,7 +367,7 @@ def _checked_references(
     return list(found)
 
 
-def _rows_of(image: Samples, pixels: Indices, spp: int) -> Array:
+def _rows_of(image: Samples, pixels: Indices, spp: int) -> Image:
     """Return samples (pixel, channel, sample) of some pixels of an image."""
     rows = np.empty((len(pixels), image.shape[2], spp), np.float32)
     place = np.full(image.shape[:2], -1)
@@ -531,7 +531,7 @@ def learn(
 
 def weighted_losses(
     training_set: TrainingSet, place: torch.device
-) -> Callable[[Output, Array, int], tuple[torch.Tensor, torch.Tensor]]:
+) -> Callable[[Output, Image, int], tuple[torch.Tensor, torch.Tensor]]:
     """Return the loss of a network, in units of what the mean of as many samples loses on average.
 
     It takes the output of the network, the target (row, channel), and how many samples were learned
@@ -545,7 +545,7 @@ def weighted_losses(
     scales = np.where(scales > 0, scales, 1.0)
     dark = torch.from_numpy(floor.astype(np.float32)).to(place)
 
-    def losses_of(output: Output, target: Array, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def losses_of(output: Output, target: Image, size: int) -> tuple[torch.Tensor, torch.Tensor]:
         estimate, of_samples, _ = output
         wanted = torch.from_numpy(target).to(place)
         weight = torch.stack(

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from chdstat._core.arrays import as_pixels, generator, is_bad, warn_left_out
+from chdstat._core.arrays import Array, Reals, as_pixels, generator, is_bad, warn_left_out
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError, OtherSceneWarning, StoreError, check_probability
 from chdstat.estimators.progressive import errors, learning
-from chdstat.estimators.progressive.inputs import Features, Floats, describe
+from chdstat.estimators.progressive.inputs import Features, describe
 from chdstat.estimators.registry import (
     Estimates,
     LearnedEstimator,
@@ -38,8 +38,6 @@ _THIRDS = 3
 """Parts of an image by brightness, as large as each other, that have a weight of their own."""
 _FEWEST = 4
 """Samples that a weight is measured on: two halves of two."""
-
-Array = npt.NDArray[Any]
 
 
 class Progressive(TrainedModel[learning.Learned]):
@@ -331,7 +329,7 @@ class Progressive(TrainedModel[learning.Learned]):
 
     def _cross_validated(
         self, rows: Array, described: Array | None, *, unit: float, loss_weight: float
-    ) -> Floats:
+    ) -> Reals:
         """Return the weight of the network beside the mean in each third of an image, 0 to 1.
 
         Estimates from one half of the samples are compared with the mean of the other half, under
@@ -369,7 +367,7 @@ class Progressive(TrainedModel[learning.Learned]):
         halved = np.min(shares, axis=1)
         return np.asarray(halved / (2 - halved))
 
-    def _warn(self, weights: Floats) -> None:
+    def _warn(self, weights: Reals) -> None:
         scenes = ", ".join(repr(scene["scene"]) for scene in self.provenance["scenes"])
         shares = ", ".join(f"{weight:.2f}" for weight in weights)
         message = (
@@ -446,7 +444,7 @@ for _name, _which, _loss_weight, _given in _ROWS:
     )
 
 
-def _rank(radiance: Floats) -> Floats:
+def _rank(radiance: Reals) -> Reals:
     """Return which share of the pixels (pixel, channel) is darker than each, shape (pixel,).
 
     One without radiance counts as black: its rank would else be that of all, NaN.
@@ -455,7 +453,7 @@ def _rank(radiance: Floats) -> Floats:
     return np.asarray((stats.rankdata(luminance) - 0.5) / max(len(radiance), 1))
 
 
-def _mixed(found: Estimates, rows: Array, weights: Floats) -> Estimates:
+def _mixed(found: Estimates, rows: Array, weights: Reals) -> Estimates:
     """Mix estimates of pixels with the means of their samples (pixel, channel, sample).
 
     The interval reaches from that of the mean towards that of the estimate, as far as this counts;
@@ -478,7 +476,7 @@ def _mixed(found: Estimates, rows: Array, weights: Floats) -> Estimates:
     return Estimates(radiance, certainty, low, high, found.level)
 
 
-def _student(rows: Array, mean: Floats, level: float) -> tuple[Floats, Floats, Array]:
+def _student(rows: Array, mean: Reals, level: float) -> tuple[Reals, Reals, Array]:
     """Return the ends of Student's interval of the mean, and where no two samples differ.
 
     Radiance of which no sample is negative is not negative, either.

@@ -22,10 +22,10 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import Image, Reals, spans
 from chdstat._core.executor import in_order
 from chdstat.estimators.progressive.errors import BRIGHTNESS, LOSSES, error_terms, shares_at
-from chdstat.estimators.progressive.inputs import OCTAVES, Array, Floats, Profile
+from chdstat.estimators.progressive.inputs import OCTAVES, Profile
 from chdstat.estimators.registry import Estimates
 from chdstat.estimators.training import threads
 
@@ -84,7 +84,7 @@ class Network(nn.Module):
             "layers": layers,
         }
         self.channels, self.described = channels, described
-        self.shrinkage: tuple[Floats, Floats] | None = None
+        self.shrinkage: tuple[Reals, Reals] | None = None
         # Of octaves, offsets, and the worth of the experience.
         self.outputs = (OCTAVES, channels, 1)
         inputs = OCTAVES * (1 + channels) + 1 + described
@@ -95,7 +95,7 @@ class Network(nn.Module):
         nn.init.zeros_(self.answer.weight)
         nn.init.zeros_(self.answer.bias)
 
-    def forward(self, profile: Profile, described: Array | None) -> Output:
+    def forward(self, profile: Profile, described: Image | None) -> Output:
         """Estimate under every loss from profiles of pixels, and numbers of their first hit."""
         samples = np.maximum(profile.count, 1).astype(np.float32)
         bins = self._tensor(profile.bins / samples[:, np.newaxis, np.newaxis])
@@ -179,7 +179,7 @@ def group_weights(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
 def estimate_pixels(
     learned: Learned,
     rows: npt.NDArray[Any],
-    described: Array | None,
+    described: Image | None,
     *,
     unit: float,
     loss_weight: float,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Floats
 from chdstat.errors import InputError
 from chdstat.scenes.scene import Axis
 
@@ -36,8 +37,6 @@ __all__ = [
     "tube",
 ]
 
-Array = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Mesh:
@@ -55,12 +54,12 @@ class Mesh:
         Unit shading normals, shape (n, 3), or None for flat shading.
     """
 
-    vertices: Array
+    vertices: Floats
     faces: npt.NDArray[np.int64]
-    uv: Array
-    normals: Array | None = None
+    uv: Floats
+    normals: Floats | None = None
 
-    def moved(self, matrix: Array) -> Mesh:
+    def moved(self, matrix: Floats) -> Mesh:
         """Return the mesh under an affine map that does not mirror, shape (4, 4)."""
         linear = matrix[:3, :3]
         normals = self.normals
@@ -89,7 +88,7 @@ class Mesh:
         }
 
     @property
-    def face_normals(self) -> Array:
+    def face_normals(self) -> Floats:
         """Normals of the faces, twice as long as the faces are large, shape (m, 3)."""
         a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
         return np.cross(b - a, c - a)
@@ -198,12 +197,12 @@ def surface(points: npt.ArrayLike, *, crease: float = 180.0) -> Mesh:
     return join(*(_smooth_sheet(grid[a : b + 1]) for a, b in itertools.pairwise(cuts)))
 
 
-def sheet(x: Array, y: Array, z: Array, *, crease: float = 180.0) -> Mesh:
+def sheet(x: Floats, y: Floats, z: Floats, *, crease: float = 180.0) -> Mesh:
     """Return the `surface` through points whose coordinates broadcast to (rows, columns)."""
     return surface(np.stack(np.broadcast_arrays(x, y, z), axis=-1), crease=crease)
 
 
-def circle(segments: int) -> Array:
+def circle(segments: int) -> Floats:
     """Return points on the unit circle, shape (segments + 1, 2), the last equal to the first."""
     angle = np.linspace(0, 2 * np.pi, segments + 1)
     angle[-1] = 0.0
@@ -267,7 +266,7 @@ def tube(path: npt.ArrayLike, radius: float, *, segments: int = 16) -> Mesh:
     return surface(np.concatenate([caps[:1], rings, caps[1:]]), crease=50.0)
 
 
-def loft(outlines: Sequence[Array], heights: Sequence[float], *, crease: float = 50.0) -> Mesh:
+def loft(outlines: Sequence[Floats], heights: Sequence[float], *, crease: float = 50.0) -> Mesh:
     """Return the surface through closed outlines, each shape (n, 2), at heights from first to last.
 
     The first and the last outline are filled by fans about their centres.
@@ -277,7 +276,7 @@ def loft(outlines: Sequence[Array], heights: Sequence[float], *, crease: float =
     return surface(np.stack([first, *rings, last]), crease=crease)
 
 
-def rounded_rectangle(width: float, depth: float, radius: float, *, arc: int = 8) -> Array:
+def rounded_rectangle(width: float, depth: float, radius: float, *, arc: int = 8) -> Floats:
     """Return a closed outline about the origin, counterclockwise, shape (4 `arc` + 5, 2)."""
     turn = np.linspace(0, np.pi / 2, arc + 1)
     half = np.array([width, depth]) / 2 - radius
@@ -333,15 +332,15 @@ def tiles(
     return Mesh(quads.reshape(-1, 3), index.reshape(-1, 3), np.repeat(centre, 20, axis=0))
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _at_height(points: Array, z: float) -> Array:
+def _at_height(points: Floats, z: float) -> Floats:
     return np.concatenate([points, np.full((*points.shape[:-1], 1), z)], axis=-1)
 
 
-def _smooth_sheet(grid: Array) -> Mesh:
+def _smooth_sheet(grid: Floats) -> Mesh:
     rows, columns = grid.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     below, above = index[:-1], index[1:]
@@ -354,7 +353,7 @@ def _smooth_sheet(grid: Array) -> Mesh:
     return replace(mesh, normals=_smooth_normals(mesh))
 
 
-def _smooth_normals(mesh: Mesh) -> Array:
+def _smooth_normals(mesh: Mesh) -> Floats:
     """Sum the face normals at every position, weighted by the angle that a face has there.
 
     Vertices that share a position share the normal, so seams and poles are smooth; weights by
@@ -375,7 +374,7 @@ def _smooth_normals(mesh: Mesh) -> Array:
     return np.asarray(normals[position.ravel()])
 
 
-def _sharp_rows(grid: Array, crease: float) -> npt.NDArray[np.int64]:
+def _sharp_rows(grid: Floats, crease: float) -> npt.NDArray[np.int64]:
     """Return the inner rows across which the sheet bends by more than `crease` degrees."""
     along, across = np.diff(grid, axis=0), np.diff(grid, axis=1)
     # All columns bend alike where a crease is meant, so the first stands for them.
@@ -385,7 +384,7 @@ def _sharp_rows(grid: Array, crease: float) -> npt.NDArray[np.int64]:
     return np.flatnonzero(cosine < np.cos(np.deg2rad(crease))) + 1
 
 
-def _box_polygon(half: Array, bevel: float, direction: npt.NDArray[np.int64]) -> Array:
+def _box_polygon(half: Floats, bevel: float, direction: npt.NDArray[np.int64]) -> Floats:
     """Return the part of a cut box that faces a direction of signs, counterclockwise."""
     axes = np.flatnonzero(direction)
     free = [(d,) if d else (-1, 1) for d in direction.tolist()]
@@ -405,7 +404,7 @@ def _box_polygon(half: Array, bevel: float, direction: npt.NDArray[np.int64]) ->
     return np.asarray(points[np.argsort(angle.round(6))])
 
 
-def _polygons(polygons: Sequence[Array], *, grain: Axis) -> Mesh:
+def _polygons(polygons: Sequence[Floats], *, grain: Axis) -> Mesh:
     """Return convex polygons as one flat mesh, with uv in metres and u along `grain`."""
     vertices, faces, uv = [], [], []
     start = 0

@@ -19,6 +19,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Floats, Image
+
 __all__ = [
     "Entry",
     "bands",
@@ -38,8 +40,6 @@ __all__ = [
     "wood",
 ]
 
-Array = npt.NDArray[np.float64]
-Image = npt.NDArray[np.float32]
 Color = Sequence[float]
 
 
@@ -142,7 +142,7 @@ def gradient(stops: Sequence[tuple[float, Color]], *, rows: int = 64) -> Image:
     return _stored(np.repeat(column[:, None], 2, axis=1))
 
 
-def _mix(first: Color, second: Color, share: Array) -> Image:
+def _mix(first: Color, second: Color, share: Floats) -> Image:
     a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     return _stored(a + (b - a) * share[..., None])
 
@@ -156,14 +156,14 @@ def _stored(image: npt.NDArray[np.floating[Any]]) -> Image:
     return np.asarray(np.round(np.clip(image, 0, 1) * 4096) / 4096, dtype=np.float32)
 
 
-def _noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> Array:
+def _noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> Floats:
     """Return seamless value noise in [-1, 1]: a lattice of random numbers, smoothly joined."""
     lattice = 2 * rng.random(cells) - 1
     rows, columns = (_along(n, c) for n, c in zip(size, cells, strict=True))
     return np.asarray(rows @ lattice @ columns.T)
 
 
-def _along(length: int, cells: int) -> Array:
+def _along(length: int, cells: int) -> Floats:
     """Return the weights of `cells` lattice points at `length` pixels, shape (length, cells)."""
     position = np.arange(length) * cells / length
     low = np.floor(position).astype(int)

@@ -21,9 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import Floats, Mask, generator
 from chdstat._core.moments import Moments
-from chdstat._core.positive import Floats, Mask
 from chdstat._core.resampling import Blocks, Interval, holm, interval_of, median_of
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
 from chdstat.studies.scene_data import SceneData, fold_of, logs, ratio_of, slope_of

@@ -16,9 +16,8 @@ from itertools import combinations
 
 import numpy as np
 
-from chdstat._core.arrays import luminance
+from chdstat._core.arrays import Counts, Floats, Mask, luminance
 from chdstat._core.moments import Moments
-from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
 from chdstat.inference import modality
 from chdstat.studies.claims.surfaces import (

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, is_bad, luminance
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats, generator, is_bad, luminance
 from chdstat._core.resampling import Blocks, Interval, mean_of, q_values
 from chdstat.patterns import Label
 from chdstat.samples import Samples

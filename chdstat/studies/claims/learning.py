@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import generator, is_bad
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Array, Floats, generator, is_bad
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
 from chdstat.comparison.candidates import entry_of, estimate_by
@@ -33,7 +32,6 @@ from chdstat.studies.scene_data import SceneData, ratio_of
 
 __all__ = ["measure", "measure_reduction"]
 
-Array = npt.NDArray[Any]
 Estimate = Callable[[Array], Floats]
 
 PAPER = "elek2019"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats
 from chdstat._core.resampling import LEVEL, Interval, interval_of, mean_of
 from chdstat.inference import modality
 from chdstat.studies.claims.scene_shapes import common_count, drawn

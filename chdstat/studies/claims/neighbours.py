@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from chdstat._core.arrays import generator
-from chdstat._core.positive import Counts, Floats
+from chdstat._core.arrays import Counts, Floats, generator
 from chdstat._core.resampling import interval_of, largest_of, median_of
 from chdstat.rendering.recipes import Region
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance

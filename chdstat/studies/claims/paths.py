@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from chdstat._core.arrays import luminance
-from chdstat._core.positive import Floats
+from chdstat._core.arrays import Floats, luminance
 from chdstat._core.resampling import Blocks, Interval, mean_of, median_of
 from chdstat.fit import tail_index
 from chdstat.patterns import Thresholds

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, spans
-from chdstat._core.positive import Counts, Floats
+from chdstat._core.arrays import Counts, Floats, generator, spans
 from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
 from chdstat.patterns.atlases import WIDTH, of_histograms
 from chdstat.samples import Samples

@@ -8,8 +8,8 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy import ndimage, special
 
+from chdstat._core.arrays import Floats
 from chdstat._core.moments import Moments
-from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, largest_of, mean_of, median_of
 from chdstat.fit._gamma import gamma_shape
 from chdstat.studies.log_chds import (
