@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Seed, is_bad, seed_number, whole
-from chdstat._core.cache import checkpoints
-from chdstat._core.executor import in_order
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
+from chdstat._core.work import checkpoints, in_order
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
 from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
@@ -33,7 +32,7 @@ from chdstat.inference.normality_of_means import N_MEANS
 from chdstat.patterns import classification
 from chdstat.patterns.overview import Overview, Share, overview, pooled_shares
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
-from chdstat.samples import Image, Mapped, checkpoint_key, samples_of
+from chdstat.samples import ImageLike, Mapped, checkpoint_key, samples_of
 from chdstat.samples.tiles import Work, assemble, tiles
 from chdstat.summary.dispatch import PositiveHistogram
 from chdstat.summary.statistics import summarize
@@ -61,7 +60,7 @@ _COMMENT = (
 
 
 def analyze(
-    samples: Image | xr.Dataset | Rendering | npt.ArrayLike,
+    samples: ImageLike | xr.Dataset | Rendering | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
     held_out: bool = True,

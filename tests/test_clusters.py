@@ -14,8 +14,7 @@ import pytest
 from xarray.testing import assert_allclose
 
 import chdstat as chd
-from chdstat._core.cache import beside
-from chdstat._core.executor import client_of, in_order
+from chdstat._core.work import beside, client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
 from chdstat.estimators.shapes import PowerSums

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chdstat._core.places import place_of
+from chdstat._core.files import place_of
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import InputError
@@ -146,9 +146,8 @@ def estimate(
     ends of its interval, and the mean of the samples. With --while-rendering it is written whenever
     the number of samples has doubled.
     """
-    from chdstat._core.cache import kept_until_written
-    from chdstat._core.executor import client_of
     from chdstat._core.files import checked_target
+    from chdstat._core.work import client_of, kept_until_written
     from chdstat.estimators.estimates import write_estimates
     from chdstat.estimators.training import load_model
     from chdstat.rendering import Rendering, render_batches
@@ -240,8 +239,8 @@ def compare(
 ) -> None:
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
-    from chdstat._core.executor import client_of
     from chdstat._core.files import unused
+    from chdstat._core.work import client_of
     from chdstat.reporting.figures import save_comparison
 
     cli.load_plugins(plugin)

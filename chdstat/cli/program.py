@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 
 from chdstat import __version__
-from chdstat._core.places import is_path, place_of
+from chdstat._core.files import is_path, place_of
 from chdstat.errors import (
     ChdstatError,
     InputError,

@@ -39,9 +39,8 @@ def analyze(
 ) -> None:
     """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat._core.cache import kept_until_written
-    from chdstat._core.executor import client_of
     from chdstat._core.files import unused
+    from chdstat._core.work import client_of, kept_until_written
     from chdstat.analysis import overview, save
 
     if out is not None:

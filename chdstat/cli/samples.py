@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from chdstat._core.places import is_remote, place_of
+from chdstat._core.files import is_remote, place_of
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError, InputError
@@ -114,9 +114,8 @@ def render(
     nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
     """
     import chdstat
-    from chdstat._core.cache import kept_until_written
-    from chdstat._core.executor import client_of
     from chdstat._core.files import unused
+    from chdstat._core.work import client_of, kept_until_written
     from chdstat.analysis import save
     from chdstat.rendering import render_batches
 

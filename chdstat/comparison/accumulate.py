@@ -22,10 +22,9 @@ from scipy import stats
 
 from chdstat._core.arrays import Array, block_numbers
 from chdstat._core.display import Shown
-from chdstat._core.executor import in_order
-from chdstat._core.progress import track
 from chdstat._core.reasons import flag_attributes
 from chdstat._core.resampling import Interval
+from chdstat._core.work import in_order, track
 from chdstat.comparison.candidates import Candidates
 from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError

@@ -19,8 +19,8 @@ import numpy as np
 
 from chdstat._core.arrays import Array, Seed, seed_number, whole
 from chdstat._core.files import replacing
-from chdstat._core.progress import track
 from chdstat._core.resampling import Blocks
+from chdstat._core.work import track
 from chdstat.comparison.candidates import Entry, choose, estimate_by, takes, without_denoiser
 from chdstat.comparison.cases import MEASURES, Bench, Case, flip
 from chdstat.errors import InputError

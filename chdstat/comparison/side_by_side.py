@@ -24,7 +24,7 @@ from chdstat.comparison.candidates import Candidates, Entry, Given, choose, curv
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.validation import check_spp
-from chdstat.samples import Image, check_equal_counts, samples_of
+from chdstat.samples import ImageLike, check_equal_counts, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -34,7 +34,7 @@ __all__ = ["compare", "error_curve"]
 
 
 def compare(
-    samples: Image | npt.ArrayLike,
+    samples: ImageLike | npt.ArrayLike,
     estimators: Sequence[str | Entry] | None = None,
     *,
     n: int = 32,
@@ -71,7 +71,7 @@ def compare(
         2 n samples per pixel.
     estimators
         Names of registered estimators, alone or followed by " + OIDN" or " + OIDN features" for
-        Open Image Denoise after them; or entries of your own. None takes those of
+        Open ImageLike Denoise after them; or entries of your own. None takes those of
         `chdstat.comparison.DEFAULT_ESTIMATORS` that apply to the image and to n: the default
         estimate first, then the sample mean. An estimator that uses neighbours, as the default
         estimate does, is given the whole image of each batch with its first-hit features; it is
@@ -88,7 +88,7 @@ def compare(
         name of the estimator that they are. Where one was trained on an image of the same size,
         its pixels do not judge.
     denoise
-        Judge every estimator with Open Image Denoise after it, too: with the image alone, with
+        Judge every estimator with Open ImageLike Denoise after it, too: with the image alone, with
         first-hit features where there are any, and mixed with the estimate as far as it says how
         certain it is.
     labels
@@ -111,7 +111,7 @@ def compare(
     ------
     InputError
         If an estimator is unknown, named twice, or does not take n samples; if there are too few
-        samples; if labels do not fit the image; if Open Image Denoise is wanted and missing; if
+        samples; if labels do not fit the image; if Open ImageLike Denoise is wanted and missing; if
         a model is given that nobody asked for; or if no pixel is left to judge by.
 
     Examples
@@ -180,7 +180,7 @@ def _breakdown(
 
 
 def error_curve(
-    samples: Image | npt.ArrayLike,
+    samples: ImageLike | npt.ArrayLike,
     estimators: Sequence[str | Entry] | None = None,
     *,
     sizes: Sequence[int] | None = None,

@@ -32,7 +32,7 @@ from chdstat._core.arrays import (
     spans,
     warn_left_out,
 )
-from chdstat._core.progress import track
+from chdstat._core.work import track
 from chdstat.errors import InputError
 from chdstat.estimators import training, validation
 from chdstat.estimators.registry import LearnedEstimator, mean_of_good, register_learned

@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import __version__
-from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
+from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import (
@@ -34,7 +34,7 @@ from chdstat.estimators.registry import (
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
 from chdstat.estimators.weighting import LEAST, Combination, CombinationStream, combine
 from chdstat.io import denoise, write_exr
-from chdstat.samples import Image, Samples, check_equal_counts
+from chdstat.samples import ImageLike, Samples, check_equal_counts
 from chdstat.samples.tiles import check_independent
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ _USUAL_CHANNELS = (1, 3)
 
 
 def estimate(
-    samples: Image | Rendering | npt.ArrayLike,
+    samples: ImageLike | Rendering | npt.ArrayLike,
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
@@ -89,7 +89,7 @@ def estimate(
     level
         Probability of the interval.
     denoise
-        Put the image through Open Image Denoise, with first-hit features where there are any.
+        Put the image through Open ImageLike Denoise, with first-hit features where there are any.
         Certainty and interval remain those of the estimate before it. Where candidates are
         combined, a pixel is denoised once more only as far as its weights are those of denoised
         images, and stays within the interval of its mean.
@@ -110,7 +110,7 @@ def estimate(
     ------
     InputError
         If the samples are too few, or more than the memory of this machine holds, the model does
-        not fit them, an option is out of range, or Open Image Denoise is wanted and cannot be
+        not fit them, an option is out of range, or Open ImageLike Denoise is wanted and cannot be
         loaded.
     StoreError
         If the model cannot be read.
@@ -187,7 +187,7 @@ def refine(
 
 def write_estimates(
     path: str | Path,
-    samples: Image | Rendering | npt.ArrayLike,
+    samples: ImageLike | Rendering | npt.ArrayLike,
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
@@ -420,7 +420,7 @@ class _Estimated:
             "training": self.training,
             "loss_weight": self.options.loss_weight if mixes else "none",
             "level": "none" if np.isnan(self.first.level) else self.first.level,
-            "denoiser": "Open Image Denoise" if self.options.denoise else "none",
+            "denoiser": "Open ImageLike Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,
             "model": self.about,
         }

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from chdstat._core.arrays import Image, Reals
-from chdstat._core.executor import in_order
+from chdstat._core.work import in_order
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 from chdstat.io.denoiser import denoise, works
 from chdstat.samples import Samples

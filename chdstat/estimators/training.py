@@ -28,7 +28,7 @@ from chdstat._core.display import Card, Shown, number
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators.registry import LearnedEstimator, lookup, names
-from chdstat.samples import Image, Samples, samples_of
+from chdstat.samples import ImageLike, Samples, samples_of
 
 if TYPE_CHECKING:
     import torch
@@ -404,7 +404,7 @@ def _checksum(text: str, arrays: Mapping[str, npt.NDArray[Any]]) -> str:
 
 
 def train_model(
-    samples: Image | npt.ArrayLike,
+    samples: ImageLike | npt.ArrayLike,
     name: str = "progressive",
     *,
     with_features: bool = False,
@@ -509,7 +509,7 @@ def load_model(path: str | Path) -> TrainedModel[Any]:
     return TrainedModel.kinds[kind].load(path)
 
 
-def first_samples(samples: Image | npt.ArrayLike, spp: int | None) -> Samples:
+def first_samples(samples: ImageLike | npt.ArrayLike, spp: int | None) -> Samples:
     """Return the first samples of each pixel, in memory; None returns all as they are.
 
     Raises

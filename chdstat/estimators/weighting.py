@@ -28,7 +28,7 @@ import numpy.typing as npt
 from scipy import special, stats
 
 from chdstat._core.arrays import Image, Reals, as_pixels
-from chdstat._core.cache import checkpoints
+from chdstat._core.work import checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.halves import Measured, compare_halves
 from chdstat.estimators.held_out import Proposal, weight_of_mean

@@ -21,7 +21,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.places import place_of
+from chdstat._core.files import place_of
 from chdstat.errors import InputError
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.startup import Startup, startup_handler

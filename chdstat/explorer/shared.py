@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
-from chdstat._core.cache import Cache, user_cache
+from chdstat._core.work import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.estimators import Learner, learners, quick_names

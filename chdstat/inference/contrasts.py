@@ -22,7 +22,7 @@ from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat.errors import Reason, check_probability
 from chdstat.inference.render_pairs import Compared, Pair
 from chdstat.inference.sign_flips import Unseen, WindowTest, scan_windows, window_sums
-from chdstat.samples import Image, Samples
+from chdstat.samples import ImageLike, Samples
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -231,8 +231,8 @@ class Contrast(Shown):
 
 
 def contrast(
-    a: Image,
-    b: Image | ExrImage | npt.ArrayLike,
+    a: ImageLike,
+    b: ImageLike | ExrImage | npt.ArrayLike,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,

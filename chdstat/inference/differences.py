@@ -29,7 +29,7 @@ from chdstat._core.arrays import (
 from chdstat._core.display import Shown
 from chdstat.errors import InputError
 from chdstat.inference.permutation import p_of_means
-from chdstat.samples import Image, Samples, opened
+from chdstat.samples import ImageLike, Samples, opened
 from chdstat.samples.tiles import check_independent
 
 __all__ = ["Difference", "difference"]
@@ -80,8 +80,8 @@ class Difference(Shown):
 
 
 def difference(
-    a: npt.ArrayLike | Image,
-    b: npt.ArrayLike | Image,
+    a: npt.ArrayLike | ImageLike,
+    b: npt.ArrayLike | ImageLike,
     *,
     paired: bool | None = None,
     replicates: int = _REPLICATES,

@@ -39,7 +39,7 @@ from chdstat.fit.search import Found, search
 from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
-from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.samples import ImageLike, Mapped, Samples, opened
 from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ _CERTAIN = 0.01
 
 @of_image
 def modality(
-    x: Image | npt.ArrayLike, *, null: npt.ArrayLike | None = None, progress: bool | None = None
+    x: ImageLike | npt.ArrayLike, *, null: npt.ArrayLike | None = None, progress: bool | None = None
 ) -> Modality | xr.Dataset:
     """Count the modes of the positive samples in the log domain, and test whether there is one.
 

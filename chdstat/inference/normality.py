@@ -29,7 +29,7 @@ from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.inference import statistics
 from chdstat.inference.statistics import Rows, standardise
-from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.samples import ImageLike, Mapped, Samples, opened
 from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ class Gaussianity(Shown):
 
 @of_image
 def gaussianity(
-    x: Image | npt.ArrayLike,
+    x: ImageLike | npt.ArrayLike,
     *,
     transform: Transform | Sequence[Transform] = "log",
     test: TestName | Sequence[TestName] = "anderson-darling",

@@ -27,7 +27,7 @@ from chdstat.inference.normality import (
     TestName,
     finish_tests,
 )
-from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.samples import ImageLike, Mapped, Samples, opened
 from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class GaussianityOfMeans(Shown):
 
 @of_image
 def gaussianity_of_means(
-    x: Image | npt.ArrayLike,
+    x: ImageLike | npt.ArrayLike,
     *,
     sizes: Sequence[int] | None = None,
     n_means: int = N_MEANS,

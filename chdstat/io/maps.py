@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from chdstat._core.files import checked_target, writing
-from chdstat._core.places import local
+from chdstat._core.files import checked_target, local, writing
 from chdstat.errors import InputError, StoreError
 from chdstat.io.exr import write_exr
 

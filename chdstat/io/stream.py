@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, warn_caller
-from chdstat._core.executor import check_memory
+from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
 from chdstat.io.reading import Opened, ReadOptions
 from chdstat.io.stream_blocks import (

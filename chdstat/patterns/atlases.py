@@ -32,7 +32,7 @@ from chdstat._core.reasons import first_of, flag_attributes, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
 from chdstat.patterns.clusters import Groups, find_groups, ratio
-from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.samples import Blocks, ImageLike, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.samples.tiles import Work
 from chdstat.summary.bins import Support
 from chdstat.summary.dispatch import PositiveHistogram
@@ -165,7 +165,7 @@ class Atlas(Shown):
 
 
 def atlas(
-    samples: Image | npt.ArrayLike | xr.Dataset,
+    samples: ImageLike | npt.ArrayLike | xr.Dataset,
     *,
     clusters: int | None = None,
     max_clusters: int = 12,

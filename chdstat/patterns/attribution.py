@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.reasons import first_of, label_variables
 from chdstat.errors import InputError, Reason
-from chdstat.samples import Image, Mapped, Samples, samples_of
+from chdstat.samples import ImageLike, Mapped, Samples, samples_of
 from chdstat.samples.tiles import DIRECT_DEPTH, Part, over_tiles, tiles
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ By = Literal["depth", "light"]
 
 
 def attribute(
-    samples: Image | npt.ArrayLike, *, by: By = "depth", progress: bool | None = None
+    samples: ImageLike | npt.ArrayLike, *, by: By = "depth", progress: bool | None = None
 ) -> xr.Dataset:
     """Say which lengths of paths, or lights, make the luminance of each pixel, and its variance.
 

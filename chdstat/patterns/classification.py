@@ -27,7 +27,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds, gather
 from chdstat.patterns.table import PATTERNS
-from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.samples import ImageLike, Mapped, Samples, opened
 from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
@@ -122,7 +122,10 @@ class Patterns(Shown):
 
 @of_image
 def classify(
-    x: Image | npt.ArrayLike, *, thresholds: Thresholds | None = None, progress: bool | None = None
+    x: ImageLike | npt.ArrayLike,
+    *,
+    thresholds: Thresholds | None = None,
+    progress: bool | None = None,
 ) -> Patterns | xr.Dataset:
     """Say which patterns the sample distribution of each pixel shows.
 

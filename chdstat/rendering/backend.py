@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from chdstat._core.cache import Cache, installed, user_cache
-from chdstat._core.executor import cores, memory
+from chdstat._core.work import Cache, cores, installed, memory, user_cache
 from chdstat.errors import InputError, RenderError
 
 __all__ = [

@@ -15,8 +15,7 @@ import numpy as np
 
 from chdstat._core.arrays import Image, Seed, spans, whole
 from chdstat._core.display import Card
-from chdstat._core.executor import Interrupts
-from chdstat._core.progress import track
+from chdstat._core.work import Interrupts, track
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.renderer import Renderer

@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, Seed, whole
-from chdstat._core.places import place_of
-from chdstat._core.progress import track
+from chdstat._core.files import place_of
+from chdstat._core.work import track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job

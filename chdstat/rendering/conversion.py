@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from chdstat._core.files import replacing, unused
-from chdstat._core.places import place_of
+from chdstat._core.files import place_of, replacing, unused
 from chdstat.errors import StoreError
 from chdstat.rendering.capture import render
 from chdstat.samples import Samples

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image
-from chdstat._core.executor import Interrupted
+from chdstat._core.work import Interrupted
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate, one_thread
 from chdstat.rendering.instances import IntegratorObject, told

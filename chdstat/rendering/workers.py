@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 from chdstat._core.arrays import Image
-from chdstat._core.executor import Interrupts, Pool, cores, pool
+from chdstat._core.work import Interrupts, Pool, cores, pool
 from chdstat.errors import RenderError, StoreError
 from chdstat.rendering.backend import activate, one_thread
 from chdstat.rendering.instances import IntegratorObject

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from chdstat._core.arrays import Image
-from chdstat._core.executor import check_memory
-from chdstat._core.files import free_disk
-from chdstat._core.places import place_of
+from chdstat._core.files import free_disk, place_of
+from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer

@@ -13,10 +13,8 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from chdstat._core.cache import kept_until_written
-from chdstat._core.executor import cores
 from chdstat._core.files import checked_target, scratch
-from chdstat._core.progress import track
+from chdstat._core.work import cores, kept_until_written, track
 from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.candidates import (

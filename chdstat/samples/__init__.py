@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from chdstat.samples.access import (
     Blocks,
-    Image,
+    ImageLike,
     cache_key,
     check_equal_counts,
     checkpoint_key,
@@ -20,7 +20,7 @@ from chdstat.samples.tiles import Mapped
 
 __all__ = [
     "Blocks",
-    "Image",
+    "ImageLike",
     "Mapped",
     "Samples",
     "cache_key",

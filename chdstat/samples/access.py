@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut
-from chdstat._core.places import exists, is_path, is_remote, place_of
+from chdstat._core.files import exists, is_path, is_remote, place_of
 from chdstat.errors import InputError, StoreError
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import (
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Blocks",
-    "Image",
+    "ImageLike",
     "cache_key",
     "check_equal_counts",
     "checkpoint_key",
@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 Blocks = Iterator[npt.NDArray[np.float32]]
-Image: TypeAlias = Samples | str | Path
+ImageLike: TypeAlias = Samples | str | Path
 """The samples of an image, or the path of the store that holds them."""
 
 
@@ -215,13 +215,13 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     return found
 
 
-def opened(x: Image | npt.ArrayLike) -> Samples | npt.ArrayLike:
+def opened(x: ImageLike | npt.ArrayLike) -> Samples | npt.ArrayLike:
     """Return the samples of a store that is given by its path; everything else passes through."""
     return open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
 
 
 def samples_of(
-    source: Image | npt.ArrayLike, *, averages: bool = False, dependent: bool = False
+    source: ImageLike | npt.ArrayLike, *, averages: bool = False, dependent: bool = False
 ) -> Samples:
     """Return the samples of an image, be they given as such, in an array or by a store's path.
 

@@ -50,8 +50,7 @@ import zarr
 from zarr.storage import StorePath
 
 from chdstat._core.arrays import Image
-from chdstat._core.files import checksum, replacing
-from chdstat._core.places import is_remote, tail
+from chdstat._core.files import checksum, is_remote, replacing, tail
 from chdstat.errors import StoreError
 from chdstat.samples.access import is_store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Part

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, spans
-from chdstat._core.places import place_of
+from chdstat._core.files import place_of
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers

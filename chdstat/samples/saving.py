@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from chdstat._core.arrays import Image
-from chdstat._core.progress import track
+from chdstat._core.work import track
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import is_store

@@ -20,8 +20,7 @@ import numpy.typing as npt
 from zarr.storage import MemoryStore
 
 from chdstat._core.arrays import Image
-from chdstat._core.files import Lock, checksum, locked, remove
-from chdstat._core.places import exists, is_remote, zarr_store
+from chdstat._core.files import Lock, checksum, exists, is_remote, locked, remove, zarr_store
 from chdstat.errors import StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import of_store, reopened

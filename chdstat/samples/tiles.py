@@ -14,10 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, LeftOut, spans, whole
-from chdstat._core.cache import Cache
-from chdstat._core.executor import check_memory, in_order
 from chdstat._core.files import release, room
-from chdstat._core.progress import track
+from chdstat._core.work import Cache, check_memory, in_order, track
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:

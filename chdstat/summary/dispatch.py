@@ -32,7 +32,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Counts, Floats
 from chdstat._core.positive import LogStatistics, PositivePart, SplitRows
 from chdstat.errors import InputError
-from chdstat.samples import Image, Mapped, Samples
+from chdstat.samples import ImageLike, Mapped, Samples
 from chdstat.summary.histograms import Histogram
 
 if TYPE_CHECKING:
@@ -205,13 +205,15 @@ class OfImage(Protocol[Options, Own]):
     """Type of a function that returns a dataset for an image, or the path of one, as `OfSource`."""
 
     @overload
-    def __call__(self, x: Image, *args: Options.args, **options: Options.kwargs) -> xr.Dataset: ...
+    def __call__(
+        self, x: ImageLike, *args: Options.args, **options: Options.kwargs
+    ) -> xr.Dataset: ...
     @overload
     def __call__(self, x: npt.ArrayLike, *args: Options.args, **options: Options.kwargs) -> Own: ...
 
 
 def of_image(
-    function: Callable[Concatenate[Image | npt.ArrayLike, Options], Own | xr.Dataset],
+    function: Callable[Concatenate[ImageLike | npt.ArrayLike, Options], Own | xr.Dataset],
 ) -> OfImage[Options, Own]:
     """Tell type checkers what a function of an image or an array returns, as `of_source` does."""
     return cast("OfImage[Options, Own]", function)

@@ -19,7 +19,7 @@ from chdstat._core.arrays import Counts, Floats, Mask, as_samples, spans, warn_l
 from chdstat._core.display import Shown
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError, check_option
-from chdstat.samples import Blocks, Image, Mapped, Samples, opened, reduce_tiles
+from chdstat.samples import Blocks, ImageLike, Mapped, Samples, opened, reduce_tiles
 from chdstat.summary.bins import (
     LOG_SUPPORT,
     SCALES,
@@ -143,7 +143,7 @@ class Histogram(Shown):
 
 @overload
 def histogram(  # type: ignore[overload-overlap]  # a str is an ArrayLike, but no radiance
-    x: Image, *, scale: Scale = ..., bins: int = ..., support: GivenSupport | None = ...
+    x: ImageLike, *, scale: Scale = ..., bins: int = ..., support: GivenSupport | None = ...
 ) -> xr.Dataset: ...
 @overload
 def histogram(
@@ -156,7 +156,7 @@ def histogram(
     bad: Mask | None = ...,
 ) -> Histogram: ...
 def histogram(
-    x: npt.ArrayLike | Image,
+    x: npt.ArrayLike | ImageLike,
     *,
     scale: Scale = "log",
     bins: int = 100,

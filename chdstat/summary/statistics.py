@@ -18,7 +18,7 @@ from chdstat._core.display import Shown
 from chdstat._core.moments import Batches, Moments
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
-from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.samples import Blocks, ImageLike, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.samples.tiles import Work, check_sequences, sequence_of
 from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
 from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
@@ -246,7 +246,7 @@ class Summary:
 
 
 def summarize(
-    samples: Image | npt.ArrayLike,
+    samples: ImageLike | npt.ArrayLike,
     *,
     batch_size: int = 32,
     max_batches: int = 64,

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.executor import in_order
+from chdstat._core.work import in_order
 
 WORKERS = [int(n) for n in os.environ.get("CHDSTAT_WORKERS", "1,2,4").split(",")]
 SPP = int(os.environ.get("CHDSTAT_SPP", "256"))

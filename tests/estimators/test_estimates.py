@@ -33,7 +33,7 @@ def model():
 
 def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch, model):
     samples = image(spp=64)
-    monkeypatch.setattr("chdstat._core.executor.memory", lambda: 1.5 * samples.nbytes)
+    monkeypatch.setattr("chdstat._core.work.memory", lambda: 1.5 * samples.nbytes)
     with pytest.raises(InputError, match=r"64 spp.* GB of memory, of which there are .*--spp"):
         estimate(samples, model)
     estimate(samples, model, spp=32)

@@ -17,7 +17,7 @@ import pytest
 import zarr
 
 import chdstat as chd
-from chdstat._core.places import place_of
+from chdstat._core.files import place_of
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_batches, render_pixels, writers
 from chdstat.rendering.backend import activate, probe
@@ -586,7 +586,7 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     path = tmp_path / out if out else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writers, "free_disk", lambda _: 10**9)
-        patch.setattr("chdstat._core.executor.memory", lambda: 10**9)
+        patch.setattr("chdstat._core.work.memory", lambda: 10**9)
         with pytest.raises(InputError, match=f"take 48.3 GB{place}"):
             chd.render(**job, out=path)
     assert list(tmp_path.iterdir()) == []

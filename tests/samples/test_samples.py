@@ -295,7 +295,7 @@ def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatc
         store.write(chunk, np.ones((2, 2, 3, chunk.shape[2]), np.float32))
     samples = chd.open(tmp_path / "s.zarr")
     monkeypatch.setattr("chdstat.samples.tiles._ALWAYS_READ", 0)
-    monkeypatch.setattr("chdstat._core.executor.memory", lambda: samples.nbytes - 1)
+    monkeypatch.setattr("chdstat._core.work.memory", lambda: samples.nbytes - 1)
     with pytest.raises(InputError, match=r"these samples take .* of memory, .*blocks\(\)"):
         samples.read()
     assert samples.read(slice(0, 1)).shape == (1, 2, 3, 70)

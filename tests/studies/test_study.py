@@ -379,7 +379,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         del content["provenance"], content["scenes"][0]["seconds"]
     assert told == as_before
     with monkeypatch.context() as patch:
-        patch.setattr("chdstat._core.cache.code_digest", lambda: "another")
+        patch.setattr("chdstat._core.work.code_digest", lambda: "another")
         patch.setattr(run, "atlas", refuse)
         with pytest.raises(pytest.fail.Exception, match="done again"):
             study("cornell-box", folder=copy, **TINY)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from chdstat._core.arrays import LUMINANCE, Image, Reals, as_pixels, is_bad, spans
-from chdstat._core.executor import in_order
+from chdstat._core.work import in_order
 from chdstat.errors import InputError
 
 __all__ = ["OCTAVES", "Features", "Indices", "Profile", "describe"]

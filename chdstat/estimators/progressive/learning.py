@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, generator, is_bad
-from chdstat._core.executor import cores, in_order
 from chdstat._core.image_scales import mean_radiance
-from chdstat._core.progress import track
+from chdstat._core.work import cores, in_order, track
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.errors import FLOOR, ErrorModel, reference_shares, validate
 from chdstat.estimators.progressive.inputs import Indices, Profile, describe

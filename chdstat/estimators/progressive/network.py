@@ -23,7 +23,7 @@ import torch
 from torch import nn
 
 from chdstat._core.arrays import Image, Reals, spans
-from chdstat._core.executor import in_order
+from chdstat._core.work import in_order
 from chdstat.estimators.progressive.errors import BRIGHTNESS, LOSSES, error_terms, shares_at
 from chdstat.estimators.progressive.inputs import OCTAVES, Profile
 from chdstat.estimators.registry import Estimates

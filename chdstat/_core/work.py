@@ -1,0 +1,795 @@
+"""Long work: threads or a Dask cluster, progress, interrupts, and results that are kept."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import glob
+import hashlib
+import importlib.metadata
+import json
+import logging
+import math
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+import zipfile
+from asyncio import CancelledError as AsyncCancelledError
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
+from multiprocessing import resource_tracker
+from pathlib import Path, PurePath
+from types import FrameType
+from typing import TYPE_CHECKING, Any, TypeVar, get_origin
+
+import numpy as np
+import numpy.typing as npt
+
+import chdstat
+from chdstat._core.display import duration
+from chdstat._core.files import remove, writing
+from chdstat.errors import ClusterError, InputError, StoreError
+
+if TYPE_CHECKING:
+    from distributed import Client
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn, Task
+    from rich.text import Text
+if TYPE_CHECKING:
+    from cattrs import Converter
+
+__all__ = [
+    "Cache",
+    "Interrupted",
+    "Interrupts",
+    "Pool",
+    "beside",
+    "check_memory",
+    "check_workers",
+    "checkpoints",
+    "client_of",
+    "cores",
+    "in_order",
+    "installed",
+    "kept_until_written",
+    "memory",
+    "pool",
+    "track",
+    "user_cache",
+]
+
+# Those of the signal module may be called in the main thread only.
+_get_handler = ctypes.pythonapi.PyOS_getsig
+_get_handler.argtypes, _get_handler.restype = [ctypes.c_int], ctypes.c_void_p
+_set_handler = ctypes.pythonapi.PyOS_setsig
+_set_handler.argtypes, _set_handler.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
+
+
+class Interrupted(Exception):  # noqa: N818 - like KeyboardInterrupt, for which it stands
+    """A pass was cancelled, by Mitsuba or before it began; its samples are worthless."""
+
+
+class Interrupts:
+    """While it is entered, Ctrl-C stops passes; its own handler is called once it is left.
+
+    Two things would go wrong without it. KeyboardInterrupt may be raised anywhere, also where
+    threads are waited for, and passes that nobody waits for hang the next render. And a scalar pass
+    puts a handler of Mitsuba's in the place of Python's: on Ctrl-C that one cancels the pass, puts
+    back what the pass had found, and has it called, too. Of passes in several threads one would
+    find Mitsuba's, and the signal be lost: so `before_pass` has each of them find Python's.
+    """
+
+    def __enter__(self) -> Interrupts:
+        self._stopped = threading.Event()
+        self._caught: tuple[int, FrameType | None] | None = None
+        self._before = signal.getsignal(signal.SIGINT)
+        self._defers = (
+            callable(self._before) and threading.current_thread() is threading.main_thread()
+        )
+        if self._defers:
+            signal.signal(signal.SIGINT, self._note)
+        self._handler = _get_handler(signal.SIGINT)
+        return self
+
+    def before_pass(self) -> None:
+        """Raise `Interrupted` if no pass shall begin; to be called in the thread that renders."""
+        _set_handler(signal.SIGINT, self._handler)
+        if self._stopped.is_set():
+            raise Interrupted
+
+    def stop(self) -> None:
+        """Let no pass begin any more."""
+        self._stopped.set()
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        _set_handler(signal.SIGINT, self._handler)
+        if self._defers:
+            signal.signal(signal.SIGINT, self._before)
+        if self._caught and callable(self._before):
+            self._before(*self._caught)
+        if self._caught or isinstance(error, Interrupted):
+            raise KeyboardInterrupt from error
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._caught = number, frame
+        self._stopped.set()
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
+def memory() -> int | None:
+    """Return the memory of the machine, or of the container, in bytes; None where it is unknown."""
+    try:
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (ValueError, OSError, AttributeError):
+        return None
+    try:
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+    except OSError:
+        return total
+    return min(int(limit), total) if limit.isdecimal() else total
+
+
+def check_memory(needed: float, what: str, advice: str) -> None:
+    """Refuse what the memory of the machine cannot hold, in words and before the work.
+
+    Raises
+    ------
+    InputError
+        If more bytes are needed than there are in all; more than that would not be known to fail.
+
+    Examples
+    --------
+    >>> check_memory(1e18, "the samples", "use fewer")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.InputError: the samples take 1e+09 GB of memory, of which there are ...
+    """
+    there = memory()
+    if there is not None and needed > there:
+        message = (
+            f"{what} take {needed / 1e9:.3g} GB of memory, of which there are {there / 1e9:.3g}; "
+            f"{advice}"
+        )
+        raise InputError(message)
+
+
+def in_order(
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    workers: int | None = None,
+    client: Client | None = None,
+) -> Iterator[Result]:
+    """Yield the results of a function in the order of its items, `workers` of them at work.
+
+    About as many results wait for their turn, so that memory stays bounded. An exception of the
+    function is raised where its result would be; nothing new is begun after it. With a Dask
+    client, its workers are at work, to which function and items travel.
+
+    Raises
+    ------
+    ClusterError
+        If the cluster of the client is lost, or fails `check_workers`.
+
+    Examples
+    --------
+    >>> list(in_order(abs, [-1, 2, -3], workers=2))
+    [1, 2, 3]
+    """
+    waiting: deque[Future[Result]] = deque()
+    with pool(workers, client) as at_work:
+        try:
+            for item in items:
+                waiting.append(at_work.submit(function, item))
+                if len(waiting) > at_work.window:
+                    yield at_work.result(waiting.popleft())
+            while waiting:
+                yield at_work.result(waiting.popleft())
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+# --- clusters -----------------------------------------------------------------------------------
+
+_PATIENCE = 6
+"""Seconds to wait for a scheduler, for its first worker, or for one in place of the last."""
+_VERSIONED = ("chdstat", "mitsuba", "numpy", "scipy")
+"""Packages on whose versions results depend."""
+_LOST = (
+    "the Dask cluster was lost while it worked; what is stored is kept: start it again, or work "
+    "here, with the same command to resume"
+)
+
+
+class Pool:
+    """What works: threads of this process, or the workers of a cluster.
+
+    Attributes
+    ----------
+    window
+        How many pieces of work to have under way.
+    """
+
+    def __init__(self, executor: Executor, window: int, client: Client | None = None) -> None:
+        self._executor, self.window, self._client = executor, window, client
+
+    def submit(
+        self, function: Callable[..., Result], *arguments: Any, **options: Any
+    ) -> Future[Result]:
+        """Begin a piece of work."""
+        return self._executor.submit(function, *arguments, **options)
+
+    def result(self, future: Future[Result]) -> Result:
+        """Return the result of a piece of work when it is done."""
+        self.first_done([future])
+        return future.result()
+
+    def first_done(self, futures: Collection[Future[Result]]) -> set[Future[Result]]:
+        """Return those that are done, at least one of them, unless nothing works on them."""
+        while not (
+            done := wait(futures, None if self._client is None else _PATIENCE, FIRST_COMPLETED).done
+        ):
+            if self._client is not None:
+                _wait_for_workers(self._client)
+        return done
+
+
+@contextlib.contextmanager
+def pool(workers: int | None = None, client: Client | None = None) -> Iterator[Pool]:
+    """Yield threads, one for each core if `workers` is None, or the workers of a cluster.
+
+    Raises
+    ------
+    ClusterError
+        If the cluster is lost while the context lasts, or fails `check_workers`. Futures of Dask
+        raise no error of their own when their scheduler dies; they are cancelled.
+    """
+    if client is None:
+        workers = workers or cores()
+        threads = ThreadPoolExecutor(workers, thread_name_prefix="chdstat")
+        try:
+            yield Pool(threads, workers)
+        finally:
+            threads.shutdown(wait=True, cancel_futures=True)
+        return
+    from distributed import KilledWorker
+    from distributed.comm import CommClosedError
+
+    try:
+        check_workers(client)
+        window = 2 * max(1, sum(client.ncores().values()))
+        with warnings.catch_warnings():
+            # Samples in memory have to travel.
+            warnings.filterwarnings("ignore", "Sending large graph")
+            yield Pool(client.get_executor(pure=False), window, client)
+    except KilledWorker as error:
+        message = (
+            "workers of the Dask cluster were killed again and again by the same piece of work: "
+            "most likely they have too little memory; give them more, or fewer threads"
+        )
+        raise ClusterError(message) from error
+    except (CancelledError, AsyncCancelledError, CommClosedError) as error:
+        raise ClusterError(_LOST) from error
+
+
+@contextlib.contextmanager
+def client_of(scheduler: str | None, workers: int | None) -> Iterator[Client | None]:
+    """Yield a client of a Dask scheduler, or of so many workers of this machine, or None.
+
+    Raises
+    ------
+    InputError
+        If both are given, or there is no scheduler at the address.
+    """
+    if scheduler is None and workers is None:
+        yield None
+        return
+    if scheduler is not None and workers is not None:
+        message = "workers are started here, a scheduler has its own; give one of them"
+        raise InputError(message)
+    from distributed import Client, LocalCluster
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors come as such
+    address: Any = scheduler
+    with contextlib.ExitStack() as stack:
+        if scheduler is None:
+            threads = {"n_workers": workers, "threads_per_worker": 1}
+            quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
+            with _unheard_by_children():
+                address = stack.enter_context(LocalCluster(**threads, **quiet))
+        try:
+            client = Client(address, timeout=_PATIENCE)
+        except (OSError, ValueError) as error:
+            message = f"cannot reach a Dask scheduler at {scheduler}: {error}"
+            raise InputError(message) from error
+        yield stack.enter_context(client)
+
+
+@contextlib.contextmanager
+def _unheard_by_children() -> Iterator[None]:
+    """Let processes begun here not hear of Ctrl-C, which a terminal tells all; here it waits.
+
+    A cluster that is interrupted while it starts may never end, and workers print tracebacks.
+    """
+    with Interrupts():
+        if not hasattr(signal, "pthread_sigmask"):
+            yield
+            return
+        resource_tracker.ensure_running()  # it would clear the mask, which processes inherit
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def check_workers(client: Client) -> None:
+    """Refuse a cluster that has no workers, or workers of other versions.
+
+    Raises
+    ------
+    ClusterError
+        If there are none within a few seconds, or their versions differ from those here.
+    """
+    _wait_for_workers(client)
+    versions = client.get_versions(packages=list(_VERSIONED))
+    ours = versions["client"]["packages"]
+    for address, worker in versions["workers"].items():
+        theirs = worker["packages"]
+        differing = [n for n in _VERSIONED if theirs.get(n) != ours.get(n)]
+        if differing:
+            detail = ", ".join(f"{n} {theirs.get(n)}, here {ours.get(n)}" for n in differing)
+            message = (
+                f"the Dask worker at {address} has other versions ({detail}), with which results "
+                "differ; install the same ones there"
+            )
+            raise ClusterError(message)
+
+
+def _wait_for_workers(client: Client) -> None:
+    if client.status in ("closed", "closing"):
+        raise ClusterError(_LOST)
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except TimeoutError as error:
+        address = client.scheduler.address if client.scheduler is not None else "its address"
+        message = (
+            f"the Dask scheduler at {address} has no workers after {_PATIENCE} seconds; "
+            f"start some with: dask worker {address}"
+        )
+        raise ClusterError(message) from error
+
+
+_LINE_EVERY = 10.0
+"""Seconds between two lines of progress where no terminal is attached."""
+
+
+@contextlib.contextmanager
+def track(
+    description: str,
+    total: float,
+    *,
+    unit: str = "it",
+    show: bool | None = None,
+    line_every: float = _LINE_EVERY,
+) -> Iterator[Callable[[float], None]]:
+    """Show the progress of a piece of work while the context lasts.
+
+    Parameters
+    ----------
+    description
+        What is being done, a few words.
+    total
+        How much there is to do, in `unit`.
+    unit
+        What is counted; the rate is shown in it per second.
+    show
+        Show the progress, as a bar if the error stream is a terminal and as lines otherwise; None
+        draws the bar only.
+    line_every
+        Seconds between two lines.
+
+    Yields
+    ------
+    callable
+        Call it with the amount done since the last call.
+
+    Examples
+    --------
+    >>> with track("counting", 3, show=False) as advance:
+    ...     for _ in range(3):
+    ...         advance(1)
+    """
+    terminal = sys.stderr.isatty()
+    if not (terminal if show is None else show):
+        yield lambda _: None
+        return
+    if not terminal:
+        with _lines(description, total, line_every) as advance:
+            yield advance
+        return
+    from rich import progress as bars
+    from rich.console import Console
+
+    columns = (
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.TaskProgressColumn(),
+        _rate_column(unit),
+        bars.TimeRemainingColumn(),
+    )
+    with bars.Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda amount: bar.advance(task, amount)
+
+
+_PAUSE = 1.0
+"""Seconds without work after which new work begins."""
+_line_before = _ended = -math.inf
+"""When the last line of progress was written, and when work ended: work of many short pieces has
+lines, too."""
+
+
+@contextlib.contextmanager
+def _lines(description: str, total: float, every: float) -> Iterator[Callable[[float], None]]:
+    """Write a line of progress now and then while the context lasts, also where work stands."""
+    global _line_before, _ended
+    start, ended, done = time.monotonic(), threading.Event(), 0.0
+    if start > _ended + _PAUSE:
+        _line_before = start
+
+    def advance(amount: float) -> None:
+        nonlocal done
+        done += amount
+
+    def write() -> None:
+        global _line_before
+        while not ended.wait(max(0, _line_before + every - time.monotonic())):
+            _line_before = time.monotonic()
+            share, passed = done / total if total else 1.0, duration(max(1, _line_before - start))
+            sys.stderr.write(f"{description}: {share:.0%} after {passed}\n")
+            sys.stderr.flush()
+
+    writer = threading.Thread(target=write, name="chdstat-progress", daemon=True)
+    writer.start()
+    try:
+        yield advance
+    finally:
+        ended.set()
+        writer.join()
+        _ended = time.monotonic()
+
+
+def _rate_column(unit: str) -> ProgressColumn:
+    """Return a rich column that shows the speed as 1.2 M unit/s."""
+    from rich.filesize import pick_unit_and_suffix
+    from rich.progress import ProgressColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            if speed is None:
+                return Text("")
+            scale, suffix = pick_unit_and_suffix(int(speed), ["", "k", "M", "G"], 1000)
+            return Text(f"{speed / scale:.2f} {suffix}{unit}/s")
+
+    return Rate()
+
+
+T = TypeVar("T")
+
+_ARRAY = "array number"
+
+
+def write_record(path: Path, value: Any) -> Path:
+    """Write results; what was there is replaced when the new file is complete.
+
+    Parameters
+    ----------
+    path
+        An ``.npz`` file.
+    value
+        A dataclass, or tuples and mappings of such. Numbers of NumPy that stand alone become
+        Python's.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from chdstat._core.resampling import Interval
+    >>> found = Interval(*np.arange(6.0).reshape(3, 2))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_record(Path(folder, "found.npz"), {"mse": found})
+    ...     read_record(path, dict[str, Interval[npt.NDArray[Any]]])["mse"].high
+    array([4., 5.])
+    """
+    arrays: list[npt.NDArray[Any]] = []
+
+    def written(item: Any) -> Any:
+        if isinstance(item, np.ndarray) and not item.dtype.hasobject:
+            arrays.append(item)
+            return {_ARRAY: len(arrays) - 1}
+        if isinstance(item, np.generic):
+            return item.item()
+        message = f"a record holds numbers, words and arrays, not {type(item).__name__}"
+        raise TypeError(message)
+
+    tree = json.dumps(_converter().unstructure(value), default=written)
+    with writing(path) as partial, partial.open("wb") as file:
+        np.savez(file, *arrays, tree=np.array(tree))
+    return path
+
+
+_DAMAGED = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
+"""What reading arrays raises where a file is damaged."""
+
+
+def read_record(path: Path, kind: type[T]) -> T:
+    """Read results of a kind, such as ``tuple[Finding, ...]``.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged, or holds something else.
+    """
+    from cattrs.errors import BaseValidationError
+
+    try:
+        with np.load(path, allow_pickle=False) as file:
+
+            def found(item: dict[str, Any]) -> Any:
+                return file[f"arr_{item[_ARRAY]}"] if item.keys() == {_ARRAY} else item
+
+            tree = json.loads(str(file["tree"]), object_hook=found)
+        return _converter().structure(tree, kind)
+    except (*_DAMAGED, BaseValidationError) as error:
+        message = f"{path} is no record of {kind}: {error}"
+        raise StoreError(message) from error
+
+
+@functools.cache
+def _converter() -> Converter:
+    from cattrs import Converter
+
+    # What cannot be in a record can still be a type of what an empty mapping would hold.
+    converter = Converter(structure_fallback_factory=lambda _: _refused)
+    # Arrays are found while the tree is read.
+    converter.register_structure_hook_func(
+        _is_array, lambda item, kind: item if isinstance(item, np.ndarray) else _refused(item, kind)
+    )
+    return converter
+
+
+def _is_array(kind: Any) -> bool:
+    return get_origin(kind) is np.ndarray
+
+
+def _refused(item: Any, kind: Any) -> Any:
+    message = f"expected {kind}, got {type(item).__name__}"
+    raise ValueError(message)
+
+
+_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "torch", "pyoidn")
+"""Whose numbers are kept; without the last one, a denoiser, some are missing."""
+
+
+@functools.cache
+def code_digest() -> str:
+    """Return a digest of all code that numbers rest on: what other code computed is not read."""
+    digest = hashlib.sha256(repr([installed(name) for name in _LIBRARIES]).encode())
+    package = Path(chdstat.__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def installed(package: str) -> str:
+    """Return the version of an installed package, "" of one that is not there."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def user_cache() -> Path:
+    """Return the folder of the user's cache, which holds what may be computed again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "chdstat")
+
+
+@contextlib.contextmanager
+def checkpoints(
+    folder: str | Path | None, identify: Callable[[], str], *inputs: object
+) -> Iterator[Cache | None]:
+    """Yield what keeps the parts of a long computation until it is whole, then removes them.
+
+    Parameters
+    ----------
+    folder
+        Where; None keeps nothing.
+    identify
+        Returns what identifies the samples.
+    inputs
+        What else the result depends on, with a `repr` that identifies it.
+
+    Examples
+    --------
+    >>> from chdstat._core.files import scratch
+    >>> with scratch() as folder:
+    ...     with checkpoints(folder / "parts", lambda: "box-32", 0.05) as kept:
+    ...         found = kept.record("first", int, lambda: 1 + 1)
+    ...     found, (folder / "parts").exists()
+    (2, False)
+    """
+    if folder is None:
+        yield None
+        return
+    # Workers of a cluster write to it, too, from folders of their own.
+    place, options = Path(folder).absolute(), hashlib.sha256(repr(inputs).encode()).hexdigest()
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"cannot keep checkpoints in {place}: {error.strerror}; give another folder"
+        raise StoreError(message) from error
+    try:
+        yield Cache(place, f"{_CHECKPOINT}{identify()}-{options[:12]}")
+    except BaseException:
+        with contextlib.suppress(OSError):
+            place.rmdir()  # if nothing was kept
+        raise
+    if place not in _held:
+        _clear(place)
+
+
+_CHECKPOINT = "checkpoint-"
+_held: set[Path] = set()
+"""Folders whose checkpoints stay until what was computed is written."""
+
+
+@contextlib.contextmanager
+def kept_until_written(out: Path | None) -> Iterator[Path | None]:
+    """Yield the folder of the checkpoints of an output, which stay while the context lasts."""
+    place = None if out is None else beside(out).absolute()
+    if place is None:
+        yield None
+        return
+    _held.add(place)
+    try:
+        yield place
+    finally:
+        _held.discard(place)
+    _clear(place)
+
+
+def beside(out: Path) -> Path:
+    """Return the folder of the checkpoints of what becomes a file or folder."""
+    return out.with_name(f"{out.name}.checkpoint")
+
+
+def _clear(place: Path) -> None:
+    """Remove checkpoints, and their folder unless it holds anything else."""
+    for pattern in (f"{_CHECKPOINT}*.npz", f".{_CHECKPOINT}*.partial.npz"):
+        for file in place.glob(pattern):
+            remove(file)
+    with contextlib.suppress(OSError):
+        place.rmdir()
+
+
+class Cache:
+    """Results computed from one store, kept in a folder until the samples or the code change.
+
+    A result that is damaged is computed again. A cache that cannot be written costs time and is no
+    error.
+
+    Parameters
+    ----------
+    folder
+        Where results are kept; None keeps nothing.
+    key
+        What identifies the samples; "", as of samples in memory, keeps nothing.
+    most
+        Files in the folder, at most: the oldest are deleted. None for any number.
+
+    Examples
+    --------
+    >>> from chdstat._core.files import scratch
+    >>> with scratch() as folder:
+    ...     cache = Cache(folder, "box-32")
+    ...     cache.record("sum", int, lambda: 1 + 1), cache.record("sum", int, lambda: 1 / 0)
+    (2, 2)
+    """
+
+    def __init__(self, folder: Path | None, key: str, *, most: int | None = None) -> None:
+        self.folder, self._key, self._most = folder if key else None, key, most
+
+    def record(
+        self,
+        name: str,
+        kind: type[T],
+        compute: Callable[[], T],
+        *,
+        inputs: object = (),
+        again: bool = False,
+    ) -> T:
+        """Return a result of a kind that `write_record` takes, computed where it is not there.
+
+        Parameters
+        ----------
+        name, inputs
+            What it is, and what else it depends on, with a `repr` that identifies it.
+        kind
+            Its type, such as ``tuple[Finding, ...]``.
+        compute
+            Returns it.
+        again
+            Compute it though it is there.
+        """
+        name = f"{name}-{hashlib.sha256(repr(inputs).encode()).hexdigest()[:12]}.npz"
+        found = None if again else self.read(name, lambda path: read_record(path, kind))
+        if found is not None:
+            return found
+        value = compute()
+        self.write(name, lambda path: write_record(path, value))
+        # As it will be read, so that it does not matter where it comes from.
+        back = self.read(name, lambda path: read_record(path, kind))
+        return value if back is None else back
+
+    def read(self, name: str, read: Callable[[Path], T]) -> T | None:
+        """Read a result by its name with a suffix; None where it is not there, or damaged."""
+        path = self._path(name)
+        if path is None:
+            return None
+        try:
+            return read(path)
+        except (OSError, KeyError, ValueError, RuntimeError, StoreError):
+            return None
+
+    def write(self, name: str, write: Callable[[Path], object]) -> None:
+        """Write a result in place of what is there, and of what other code kept."""
+        path = self._path(name)
+        if path is None:
+            return
+        any_code = glob.escape(path.stem.removesuffix(code_digest()))
+        for old in path.parent.glob(f"{any_code}*{path.suffix}"):
+            remove(old)
+        with contextlib.suppress(OSError, StoreError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(path)
+            files = sorted(path.parent.glob(f"*{path.suffix}"), key=lambda f: -f.stat().st_mtime)
+            for old in files[self._most :] if self._most else ():
+                remove(old)
+
+    def _path(self, name: str) -> Path | None:
+        if self.folder is None:
+            return None
+        file = PurePath(name)
+        return self.folder / f"{self._key}-{file.stem}-{code_digest()}{file.suffix}"
