@@ -1,8 +1,9 @@
-"""Mean and central moments of samples, and batch means, both in constant memory.
+"""Moments of samples in constant memory, and means of consecutive batches of them.
 
-Use `Moments.of` on the samples at hand and `Moments.merge` to join parts without loss. Batch means
-show how the mean drifts over consecutive samples; batches double in size whenever there would be
-too many of them.
+Use `Moments.of` on the samples at hand and `Moments.merge` to join parts without loss. Use
+`PixelMoments` on the samples of an image that come in blocks: it counts the bad ones, too. Batch
+means show how the mean drifts over consecutive samples; batches double in size whenever there would
+be too many of them.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, spans
+from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat.errors import InputError
 
-__all__ = ["Batches", "Moments"]
+__all__ = ["COUNTS", "Batches", "Moments", "PixelMoments"]
 
+COUNTS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
+"""Names of the counts of samples that `PixelMoments` keeps."""
 
 _CHUNK = 2**16
 """Samples worked on at once: their float64 copies stay in the cache."""
@@ -136,6 +139,53 @@ def _fields(rows: npt.NDArray[Any], good: npt.NDArray[np.bool_] | None) -> tuple
 def _divide(a: Floats, b: Floats, *, where: npt.NDArray[np.bool_]) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.where(where, np.divide(a, b), np.nan)
+
+
+class PixelMoments:
+    """Counts and moments of the samples of each pixel, which come in blocks: update, merge, read.
+
+    Attributes
+    ----------
+    moments
+        Moments of the good samples, shape (..., channel); None before the first block.
+    counts
+        By name: null samples, bad ones, those with a NaN or an infinite channel, and good ones with
+        a negative channel, each of shape (...).
+    """
+
+    def __init__(self) -> None:
+        self.moments: Moments | None = None
+        self.counts: dict[str, Counts] = {}
+
+    def update(self, x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> None:
+        """Take the next samples, shape (..., channel, sample).
+
+        `null` and `bad` mark whole samples, shape (..., 1, sample); None for none bad.
+        """
+
+        def count(mask: Mask) -> Counts:
+            return np.asarray(np.count_nonzero(mask.any(axis=-2), axis=-1), dtype=np.int64)
+
+        counts = dict.fromkeys(COUNTS, np.zeros(x.shape[:-2], dtype=np.int64))
+        counts["null_count"] = count(null)
+        if bad is not None:
+            counts["bad_count"] = count(bad)
+            counts["nan_count"] = count(np.isnan(x))
+            counts["inf_count"] = count(np.isinf(x))
+        if not x.min(initial=0) >= 0:
+            counts["negative_count"] = count(x < 0 if bad is None else (x < 0) & ~bad)
+        self._add(Moments.of(x, None if bad is None else ~bad), counts)
+
+    def merge(self, other: PixelMoments) -> None:
+        """Take what `other` has seen."""
+        if other.moments is not None:
+            self._add(other.moments, other.counts)
+
+    def _add(self, moments: Moments, counts: dict[str, Counts]) -> None:
+        if self.moments is not None:
+            moments = self.moments.merge(moments)
+            counts = {name: self.counts[name] + counts[name] for name in COUNTS}
+        self.moments, self.counts = moments, counts
 
 
 class Batches:

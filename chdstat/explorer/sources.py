@@ -12,9 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from chdstat._core.arrays import Image, generator, is_bad, is_null, luminance, spans
+from chdstat._core.arrays import Image, generator, luminance, spans
 from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
-from chdstat._core.moments import Moments
+from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.startup import COARSE
@@ -23,6 +23,7 @@ from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
 from chdstat.samples.layout import BLOCK, TILE, Chunk
 from chdstat.samples.tiles import sequence_of
+from chdstat.summary.bins import sample_masks
 
 __all__ = [
     "FIRST_SPP",
@@ -109,31 +110,26 @@ class ImageAccumulator:
     """Sums over blocks (y, x, channel, sample) of the same pixels, in constant memory."""
 
     def __init__(self, height: int, width: int) -> None:
-        self._moments: Moments | None = None
+        self._pixels = PixelMoments()
         self._sums = RadianceSums((height, width))
-        self._nulls, self._bads = np.zeros((2, height, width), np.int64)
 
     def add(self, block: Image) -> None:
         """Count more samples."""
-        bad = np.asarray(is_bad(block).any(axis=-2))
         self._sums.add(block)
-        self._nulls += np.count_nonzero(is_null(block) & ~bad, axis=-1)
-        self._bads += np.count_nonzero(bad, axis=-1)
         with np.errstate(invalid="ignore", over="ignore"):
             rows = np.concatenate([block, luminance(block)[..., np.newaxis, :]], axis=-2)
-        found = Moments.of(rows, ~bad[..., np.newaxis, :] if bad.any() else None)
-        self._moments = found if self._moments is None else self._moments.merge(found)
+        self._pixels.update(rows, *sample_masks(block))
 
     def overall(self) -> Overall:
         """Return the image of the samples so far."""
-        moments, sums = self._moments, self._sums
+        moments, counts, sums = self._pixels.moments, self._pixels.counts, self._sums
         assert moments is not None, "add samples first"
         mean, variance = moments.seen(moments.mean), moments.variance[..., -1]
         count = moments.count[..., 0]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
-            share = self._nulls / count
-            found = (mean[..., :-1], share, count, self._bads, variance, variation)
+            share = counts["null_count"] / count
+            found = (mean[..., :-1], share, count, counts["bad_count"], variance, variation)
             maps = [part.astype(np.float32) for part in (*found, sums.extreme, sums.others)]
         return Overall(*maps)
 

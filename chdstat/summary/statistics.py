@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, as_pixels, is_bad
+from chdstat._core.arrays import Counts, Floats, as_pixels, is_bad
 from chdstat._core.display import Shown
-from chdstat._core.moments import Batches, Moments
+from chdstat._core.moments import Batches, PixelMoments
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import Blocks, ImageLike, Mapped, Samples, reduce_tiles, samples_of
@@ -49,7 +49,6 @@ _PER_CHANNEL: dict[str, str | tuple[str, str]] = {
 }
 _SEQUENCES = 256
 """Means of sequences of dependent samples that are kept: of more, neighbours become one."""
-_FLAGS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
 
 
 @dataclass(frozen=True, repr=False)
@@ -152,13 +151,13 @@ class Summary:
         self._batches = Batches((), size=batch_size, limit=max_batches)
         self._linear = StreamingHistogram(scale="linear", bins=bins, support=support)
         self._log = StreamingHistogram(scale="log", bins=bins)
-        self._moments: Moments | None = None
-        self._flags: dict[str, Counts] = {}
+        self._pixels = PixelMoments()
 
     @property
     def shape(self) -> tuple[int, ...] | None:
         """Shape of the batch, (..., channel); None before the first update."""
-        return None if self._moments is None else self._moments.count.shape
+        moments = self._pixels.moments
+        return None if moments is None else moments.count.shape
 
     def update(self, block: npt.ArrayLike) -> Summary:
         """Take the next samples, shape (..., channel, sample).
@@ -176,12 +175,13 @@ class Summary:
             )
             raise InputError(message)
         null, bad = sample_masks(x)
-        good = None if bad is None else ~bad
         # The histograms go first: they are what may refuse the block.
         for histogram in (self._linear, self._log):
             histogram.update(x, null=null, bad=bad)
-        self._add(Moments.of(x, good), _count_flags(x, null, bad))
-        self._batches.update(x, good)
+        if self.shape is None:
+            self._batches = self._batches.empty(x.shape[:-1])
+        self._pixels.update(x, null, bad)
+        self._batches.update(x, None if bad is None else ~bad)
         return self
 
     def merge(self, other: Summary) -> Summary:
@@ -192,9 +192,9 @@ class Summary:
         InputError
             If the two differ in shape, options or the support of the linear histogram.
         """
-        if other._moments is None:
+        if other.shape is None:
             return self
-        if self._moments is not None and self.shape != other.shape:
+        if self.shape not in (None, other.shape):
             message = (
                 f"summaries merge only with the same shape, got {self.shape} and {other.shape}"
             )
@@ -202,18 +202,11 @@ class Summary:
         self._batches.check(other._batches)
         self._linear.merge(other._linear)
         self._log.merge(other._log)
-        self._add(other._moments, other._flags)
+        if self.shape is None:
+            self._batches = self._batches.empty(other.shape)
+        self._pixels.merge(other._pixels)
         self._batches.merge(other._batches)
         return self
-
-    def _add(self, moments: Moments, flags: dict[str, Counts]) -> None:
-        """Add moments and counts; the first ones set the shape."""
-        if self._moments is None:
-            self._batches = self._batches.empty(moments.count.shape)
-            self._moments, self._flags = moments, flags
-        else:
-            self._moments = self._moments.merge(moments)
-            self._flags = {name: self._flags[name] + flags[name] for name in _FLAGS}
 
     def read(self) -> Statistics:
         """Return the statistics of all samples so far.
@@ -223,16 +216,16 @@ class Summary:
         InputError
             If there are none.
         """
-        if self._moments is None:
+        moments = self._pixels.moments
+        if moments is None:
             message = "the summary has seen no samples; call update first"
             raise InputError(message)
-        moments = self._moments
         of_channels = {name: moments.seen(getattr(moments, name)) for name in _PER_CHANNEL}
-        known: dict[str, Any] = {**self._flags, **of_channels}
+        known: dict[str, Any] = {**self._pixels.counts, **of_channels}
         means, spp = self._batches.read()
         count = moments.count[..., 0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            null_share = np.asarray(self._flags["null_count"] / count)
+            null_share = np.asarray(self._pixels.counts["null_count"] / count)
         return Statistics(
             draws=self._batches.total,
             count=count.astype(np.int64),
@@ -335,21 +328,6 @@ def _error_of_sequences(sequences: Batches, found: Statistics) -> Floats:
         return np.full(found.mean.shape, np.nan)
     variance = means.var(axis=-1, ddof=1)
     return np.asarray(np.sqrt(variance * sequences.size / found.draws))
-
-
-def _count_flags(x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> dict[str, Counts]:
-    def count(mask: Mask) -> Counts:
-        return np.asarray(np.count_nonzero(mask.any(axis=-2), axis=-1), dtype=np.int64)
-
-    flags = {name: np.zeros(x.shape[:-2], dtype=np.int64) for name in _FLAGS}
-    flags["null_count"] = count(null)
-    if bad is not None:
-        flags["bad_count"] = count(bad)
-        flags["nan_count"] = count(np.isnan(x))
-        flags["inf_count"] = count(np.isinf(x))
-    if not x.min(initial=0) >= 0:
-        flags["negative_count"] = count(x < 0 if bad is None else (x < 0) & ~bad)
-    return flags
 
 
 def _variables(statistics: Statistics) -> Mapped:
