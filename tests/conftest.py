@@ -1,13 +1,30 @@
-"""What several tests share: small rendered samples, and guards around them.
+"""What several tests share: renders and models that are made once for each test process.
 
-Tests marked `external` need real scenes: a folder named by the environment variable CHDSTAT_SCENES.
+`cornell`
+    16 x 16 pixels of the Cornell box at 64 spp, `Samples` in memory.
+`stored`
+    ``stored(scene="cornell-box", spp=64, size=(24, 16), **settings)`` returns the path of a store,
+    rendered by the scalar backend on the first call with these settings. Open it with `chd.open`;
+    a test that changes a store copies its folder first (`shutil.copytree`).
+`model`
+    ``model("progressive")`` and ``model("elek2019")`` return estimators that were trained for a few
+    iterations on ``stored()``: for tests of what is done with a model, not of how good it is.
+`llvm`
+    Name of the LLVM backend; the test is skipped where there is none.
+`scenes_folder`
+    Folder of real scenes, named by the environment variable CHDSTAT_SCENES. Tests that need it are
+    marked `external` and are skipped without it.
+
+No test may change what these return.
 """
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 # One thread for each of several test processes, before a library that would start more is loaded.
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -55,6 +72,43 @@ def scenes_folder() -> Path:
 def cornell() -> chd.Samples:
     """Return 16 x 16 pixels of the Cornell box at 64 spp, in memory."""
     return chd.render("cornell-box", spp=64, size=(16, 16), backend="scalar")
+
+
+@pytest.fixture(scope="session")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return what renders stores, each once: ``stored(scene, spp=, size=, **settings)``."""
+    folder = tmp_path_factory.mktemp("stored")
+
+    @functools.cache
+    def render(
+        scene: str = "cornell-box",
+        *,
+        spp: int = 64,
+        size: tuple[int, int] = (24, 16),
+        **settings: Any,
+    ) -> Path:
+        path = folder / f"{len(list(folder.iterdir()))}-{scene}.zarr"
+        settings = {"backend": "scalar", "progress": False, **settings}
+        chd.render(scene, spp=spp, size=size, out=path, **settings)
+        return path
+
+    return render
+
+
+@pytest.fixture(scope="session")
+def model(stored: Callable[..., Path]) -> Callable[[str], Any]:
+    """Return what trains models, each once: ``model(kind)``."""
+
+    @functools.cache
+    def train(kind: str) -> Any:
+        samples = chd.open(stored())
+        if kind == "progressive":
+            return chd.estimators.Progressive().train(
+                samples, sizes=(4, 8), iterations=2, progress=False
+            )
+        return chd.estimators.train_model(samples, kind, iterations=20, progress=False)
+
+    return train
 
 
 @pytest.fixture(scope="session")

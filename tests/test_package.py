@@ -1,4 +1,4 @@
-"""What holds for the package as a whole: its names, the direction of its imports, its weight."""
+"""What holds for the package as a whole: its names, the direction of its imports, its size."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -49,6 +51,19 @@ DOWNSTREAM = {
     ("patterns.pixel", "viz"),
 }
 """Imports against that order, inside methods that show or write a result."""
+
+SAME_CLASSES = {
+    *("Blocks", "Color", "Compared", "Density", "Entry", "Estimate", "Fitted", "Found", "Indices"),
+    *("Kind", "Matrix", "Outcome", "Part", "Pixel", "Places", "Scale", "Seed", "Share", "Source"),
+    *("Step", "Verdict", "Window"),
+}
+"""Names that two classes or aliases still share. Take out what is renamed; add none."""
+
+SAME_MODULES = {
+    *("arrays", "errors", "estimators", "files", "histograms", "learning", "maps", "modes"),
+    *("registry", "samples", "selection", "shapes", "statistics", "tables"),
+}
+"""Names that two modules still share. Take out what is renamed; add none."""
 
 HEAVY = (
     "mitsuba",
@@ -165,6 +180,41 @@ def test_every_module_says_what_it_offers():
         if not name.endswith("__main__"):
             module = importlib.import_module(name)
             assert all(hasattr(module, public) for public in module.__all__), name
+
+
+def names_of_types(tree: ast.Module) -> Iterator[str]:
+    """Yield the public classes and type aliases of a module; type variables are none."""
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef):
+            yield node.name
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            variable = re.match("TypeVar|ParamSpec", ast.unparse(node.value))
+            if isinstance(target, ast.Name) and not target.id.isupper() and not variable:
+                yield target.id
+
+
+def twice(names: Iterable[str]) -> set[str]:
+    return {name for name, count in Counter(names).items() if count > 1}
+
+
+def test_a_class_or_alias_has_a_name_of_its_own():
+    found = [n for m in modules() for n in names_of_types(syntax(m)) if n[0].isupper()]
+    assert len(found) > 100
+    assert twice(found) <= SAME_CLASSES
+
+
+def test_a_module_has_a_name_of_its_own():
+    found = [p.stem.lstrip("_") for p in ROOT.rglob("*.py") if p.name != "__init__.py"]
+    assert twice(found) <= SAME_MODULES
+
+
+def test_the_package_does_not_grow():
+    """The number may fall. A commit that raises it says what users gain from it."""
+    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))
+    trees = [ast.parse(path.read_text("utf-8")) for path in ROOT.rglob("*.py")]
+    count = sum(isinstance(node, ast.stmt) for tree in trees for node in ast.walk(tree))
+    assert count <= project["tool"]["chdstat"]["most_statements"]
 
 
 # --- weight -------------------------------------------------------------------------------------
