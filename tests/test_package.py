@@ -45,7 +45,7 @@ ORDER = (
 """Folders and modules of chdstat, upstream first: each imports only from earlier ones."""
 
 DOWNSTREAM = {
-    ("comparison.cases", "reporting.bench_report"),
+    ("comparison.benchmark", "reporting.bench_report"),
     ("studies.run", "reporting.study_report"),
     ("samples.samples", "patterns.pixel"),
     ("patterns.pixel", "viz"),

@@ -384,7 +384,7 @@ def bench(
     """Compare estimators on several scenes against converged references, as a paper would."""
     import chdstat
     from chdstat._core.files import checked_target
-    from chdstat.comparison.cases import FORMATS
+    from chdstat.comparison.benchmark import FORMATS
 
     if out is not None:
         checked_target(out, *FORMATS)  # refused before the work
@@ -439,6 +439,6 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
 
 def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return rows of measures as a report shows them, by the names that commands take."""
-    from chdstat.comparison.presentation import in_words
+    from chdstat.comparison.tables import in_words
 
     return [row | in_words(row) for row in rows]

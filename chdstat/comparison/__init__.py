@@ -11,12 +11,11 @@ returns a `Bench`. `MEASURES` says what is measured; each measure is an `Interva
 from __future__ import annotations
 
 from chdstat._core.resampling import Interval
-from chdstat.comparison.accumulate import MEASURES, PixelEstimates
-from chdstat.comparison.benchmark import bench
-from chdstat.comparison.candidates import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
-from chdstat.comparison.cases import Bench, Case
-from chdstat.comparison.side_by_side import compare, error_curve
-from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
+from chdstat.comparison.benchmark import Bench, Case, bench
+from chdstat.comparison.entries import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
+from chdstat.comparison.metrics import MEASURES
+from chdstat.comparison.protocol import compare, error_curve
+from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve, PixelEstimates
 
 __all__ = [
     "DEFAULT_ESTIMATORS",

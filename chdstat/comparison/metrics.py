@@ -3,16 +3,22 @@
 `mse` and `relmse` measure the error, `improved` counts the estimates that beat the sample mean, and
 `bias` belongs next to each of them: an estimator that darkens the image can have a small error.
 `bootstrap` gives any of them a standard error and an interval over pixels, or blocks of them.
-
 Arrays hold channels on the last axis; every leading axis (pixels, batches) is averaged over.
+
+`MEASURES` are what a comparison reports. Each is a ratio of sums over units, so that one bootstrap
+over the units serves all of them: `errors_of` returns what is summed, `measures_of` the measures of
+the sums. A unit is a block of pixels with all their batches, or a batch with all its pixels.
+Neighbours see the same light and gain or lose together; therefore, intervals are over blocks
+(Künsch 1989, doi:10.1214/aos/1176347265).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from chdstat._core.arrays import Array, generator, spans, whole
 from chdstat._core.resampling import Interval
@@ -20,13 +26,19 @@ from chdstat.errors import InputError
 from chdstat.estimators.registry import check_probability
 
 __all__ = [
+    "MEASURES",
+    "SUMS",
     "bias",
     "bootstrap",
+    "counts",
+    "errors_of",
     "improved",
+    "measures_of",
     "mse",
     "relative_squared_error",
     "relmse",
     "squared_error",
+    "stacked",
 ]
 
 
@@ -266,3 +278,116 @@ def _difference(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> Array:
 
 def _over_pixels(values: Array) -> npt.NDArray[np.float64]:
     return np.asarray(values.mean(axis=tuple(range(values.ndim - 1))), np.float64)
+
+
+# --- measures of a comparison -------------------------------------------------------------------
+
+MEASURES = {
+    "mse": ("mean squared error", "(W sr-1 m-2)^2"),
+    "relmse": ("relative mean squared error", "1"),
+    "improved": ("share of estimates closer to the reference than the sample mean", "1"),
+    "unchanged": ("share of estimates equal to the sample mean", "1"),
+    "bias": ("mean error over mean reference", "1"),
+    "fireflies": ("share of estimates far brighter than the reference", "1"),
+    "mse_ratio": ("mean squared error over that of the sample mean", "1"),
+    "relmse_ratio": ("relative mean squared error over that of the sample mean", "1"),
+    "fireflies_left": ("fireflies over those of the sample mean", "1"),
+}
+"""Long name and unit of every measure."""
+
+SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
+"""What is added up for every estimator and channel: of estimates that count, the last is 1."""
+
+_SAME = 1e-6
+"""Relative difference below which an estimate is the mean, summed in another order."""
+_FIREFLY = 3.0
+"""Excess over the reference, in units of it, from which an estimate is a firefly: two stops."""
+
+
+def counts(sums: Array) -> npt.NDArray[np.int64]:
+    """Return how many estimates of each channel were added, shape (unit,)."""
+    return np.asarray(sums[:, -1, 0, 0], np.int64)
+
+
+def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
+    """Return every measure with its interval over units, shape (estimator, channel + 1).
+
+    The last place of the channel axis is the average over channels. The measures of a single unit
+    have no interval. Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal
+    quantile in place of Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789); they are
+    moved apart by as much.
+
+    Parameters
+    ----------
+    sums
+        By the names of `SUMS`, shape (unit, sum, 1 + estimator, channel); the sample mean is
+        estimator 0.
+    seed
+        Of the bootstrap.
+    """
+    used = sums[counts(sums) > 0]
+    found, units = bootstrap(used, _measures, seed=seed), len(used)
+    spread = float(np.sqrt(units / (units - 1))) if units > 1 else np.nan
+    reach = spread * float(stats.t.ppf(0.975, units - 1) / stats.norm.ppf(0.975))
+    low, high = (found.value + reach * (end - found.value) for end in (found.low, found.high))
+    found = Interval(found.value, low, high, found.level, spread * found.standard_error)
+    return {name: found[index] for index, name in enumerate(MEASURES)}
+
+
+def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:
+    r"""Return what `SUMS` names of every estimate, shape (pixel, sum, channel).
+
+    An estimate p with :math:`|p - \bar x| \le 10^{-6} \bar x` is the sample mean, neither better
+    nor worse. It is a *firefly* where
+
+    .. math:: p - y > 3 \sqrt{y^2 + 0.01\, m^2},
+
+    y being the reference and m the mean reference of the scene: at least two stops too bright, and
+    no matter of a faint pixel in a bright scene. The scale is that of relMSE, so that a firefly has
+    a relative squared error above 9. We know of no published threshold; this one is ours.
+
+    Parameters
+    ----------
+    estimate, mean, reference
+        Radiance, shape (pixel, channel); the mean is that of the samples that the estimate saw.
+    scene_mean
+        Mean reference of the scene, shape (channel,).
+    """
+    # An estimate without end would make NaN of all pixels that are drawn 0 times.
+    p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
+    mean = mean.astype(np.float64)
+    error = p - reference
+    relative = relative_squared_error(p, reference, scene_mean=scene_mean)
+    unchanged = np.abs(p - mean) <= _SAME * np.abs(mean)
+    improved = (np.abs(error) < np.abs(mean - reference)) & ~unchanged
+    firefly = (error > 0) & (relative > _FIREFLY**2)
+    ones = np.ones_like(p)
+    parts = [error**2, relative, improved, unchanged, firefly, error, reference, ones]
+    return np.stack(parts, axis=1)
+
+
+def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interval[Array]]:
+    """Return the measures of several parts, averaged over channels, along a new first axis."""
+    found = {}
+    for name in MEASURES:
+        value, low, high, error = (
+            np.stack([getattr(part[name], field)[:, -1] for part in parts])
+            for field in ("value", "low", "high", "standard_error")
+        )
+        found[name] = Interval(value, low, high, standard_error=error)
+    return found
+
+
+def _measures(sums: Array) -> Array:
+    """Return measures (replicate, measure, estimator, channel + 1) of sums over units."""
+    *shares, error, reference, count = np.moveaxis(sums, 1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.stack([*(part / count for part in shares), error / reference])
+        found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
+        squared, relative, improved, unchanged, firefly, bias = found
+        # What is left of the mean's error of equal samples is rounding, and divides nothing.
+        exact = relative[:, :1] <= _SAME**2
+        ratios = [np.where(exact, np.nan, part / part[:, :1]) for part in (squared, relative)]
+        ratios.append(firefly / firefly[:, :1])
+    measures = [squared, relative, improved, unchanged, bias, firefly, *ratios]
+    return np.stack(measures, axis=1)[:, :, 1:]

@@ -1,12 +1,13 @@
-"""Results of a comparison as tables, dictionaries, datasets and JSON.
+"""Results of a comparison as tables, words, dictionaries, datasets, LaTeX and JSON.
 
 `Comparison` holds every measure with its interval, `Breakdown` the measures of each pattern, and
-`ErrorCurve` those of many numbers of samples.
+`ErrorCurve` those of many numbers of samples. `PixelEstimates` are a few pixels one by one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,36 +15,277 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, generator, plain, whole
-from chdstat._core.display import Card, Shown, png
+from chdstat._core.display import Card, Shown, number, percent, png, with_interval, written
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
-from chdstat.comparison.accumulate import MEASURES, PixelEstimates
-from chdstat.comparison.presentation import (
-    columns_of,
-    data_frame,
-    dataset_of,
-    described,
-    latex,
-    notes,
-    rows_of,
-    text_coordinate,
-    titled,
-    variables_of,
-)
+from chdstat.comparison.entries import DEFAULT_ESTIMATE
+from chdstat.comparison.metrics import MEASURES
 from chdstat.errors import InputError
-from chdstat.estimators.registry import Model
+from chdstat.estimators.registry import LABELS, Estimator, Model, lookup
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-__all__ = ["Breakdown", "Comparison", "ErrorCurve"]
+__all__ = [
+    "Breakdown",
+    "Comparison",
+    "ErrorCurve",
+    "PixelEstimates",
+    "in_words",
+    "latex",
+    "notes",
+    "shown_ratio",
+]
 
+Measures = Mapping[str, Interval[Array]]
+Columns = dict[str, tuple[Array, dict[str, str]]]
 
 _ALL_CHANNELS = -1
 """Last place of the channel axis of a measure: the average over channels."""
-_LOOKS = "whether it looks at the pixels around"
-_ALL_BUT_FIRST = "mean of all but the first n"
+_SUFFIXES = {
+    "": ("value", ""),
+    "_se": ("standard_error", ", standard error"),
+    "_low": ("low", ", lower end of the 95 % interval"),
+    "_high": ("high", ", upper end of the 95 % interval"),
+}
+
+
+# --- measures as columns --------------------------------------------------------------------------
+
+
+def _columns(measures: Measures, *, over_batches: bool = False) -> Columns:
+    """Return the arrays of all intervals with what they are; over batches, without the measures."""
+    end, where = ("_over_batches", " over batches") if over_batches else ("", "")
+    return {
+        measure + suffix + end: (
+            getattr(interval, part),
+            _described(MEASURES[measure][0] + what + where, MEASURES[measure][1]),
+        )
+        for measure, interval in measures.items()
+        for suffix, (part, what) in _SUFFIXES.items()
+        if suffix or not over_batches
+    }
+
+
+def _described(long_name: str, units: str = "1") -> dict[str, str]:
+    """Return the attributes of a variable."""
+    return {"long_name": long_name, "units": units}
+
+
+def _rows(
+    columns: Columns, found: Breakdown | Comparison | ErrorCurve, *before: int
+) -> list[dict[str, Any]]:
+    """Return a flat row for each estimator: what all columns hold of it at a place."""
+    return [
+        {"estimator": name, "uses_neighbours": bool(found.uses_neighbours[k])}
+        | {column: float(values[before][k]) for column, (values, _) in columns.items()}
+        for k, name in enumerate(found.estimators)
+    ]
+
+
+def _dataset(
+    columns: Mapping[tuple[str, ...], Mapping[str, tuple[Any, dict[str, str]]]],
+    coordinates: Mapping[str, Any],
+    found: Comparison | ErrorCurve,
+    **attrs: Any,
+) -> xr.Dataset:
+    """Return a dataset of columns by their dims, with the attributes that a file can hold.
+
+    What is neither text nor whole is JSON there. Names are objects: zarr v3 has no stable type for
+    text of fixed length.
+    """
+    import xarray as xr
+
+    looks = _described("whether it looks at the pixels around")
+    variables = {
+        name: (dims, *column) for dims, group in columns.items() for name, column in group.items()
+    }
+    variables["uses_neighbours"] = (("estimator",), found.uses_neighbours, looks)
+    coordinates = {
+        name: np.array(values, dtype=object) if isinstance(values, list) else values
+        for name, values in {"estimator": [*found.estimators], **coordinates}.items()
+    }
+    attrs |= found.provenance
+    plain_attrs = {
+        k: v if isinstance(v, str | int) else json.dumps(v, default=str) for k, v in attrs.items()
+    }
+    return xr.Dataset(variables, coordinates, plain_attrs)
+
+
+def _data_frame(measures: Measures, where: Any = ..., **index: Sequence[Any]) -> pd.DataFrame:
+    """Return measures with their intervals as a data frame, a row for each place of the index."""
+    import pandas as pd
+
+    columns = {
+        (measure, part): getattr(interval, part)[where].reshape(-1)
+        for measure, interval in measures.items()
+        for part in ("value", "low", "high")
+    }
+    if len(index) == 1:
+        ((name, values),) = index.items()
+        return pd.DataFrame(columns, pd.Index(values, name=name))
+    return pd.DataFrame(columns, pd.MultiIndex.from_product([*index.values()], names=[*index]))
+
+
+# --- measures as words ----------------------------------------------------------------------------
+
+_TITLES = {
+    "label": "pattern",
+    "pixels": "pixels",
+    "n": "N",
+    "name": "estimator",
+    "mse_ratio": "MSE / mean's",
+    "relmse_ratio": "relMSE / mean's",
+    "improved": "improved",
+    "bias": "bias",
+    "fireflies": "fireflies left",
+}
+_LATEX = str.maketrans(
+    {"%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "−": "$-$", "—": "---", "\xa0": "~"}
+)
+
+
+def shown_ratio(row: Mapping[str, Any], name: str) -> str:
+    """Return a measure of a row of `Comparison.table`, with its 95 % interval."""
+    return with_interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
+
+
+def in_words(row: Mapping[str, Any]) -> dict[str, str]:
+    r"""Return a row of a table of estimators as a reader wants it, with 95 % intervals of ratios.
+
+    Examples
+    --------
+    >>> ends = {"mse_ratio": 0.9131, "mse_ratio_low": 0.8691, "mse_ratio_high": 0.9502}
+    >>> rest = dict.fromkeys(["relmse_ratio", "relmse_ratio_low", "relmse_ratio_high"], np.nan)
+    >>> others = {"mse": 0.5, "improved": 0.6, "bias": -0.012, "fireflies_left": 0.0}
+    >>> words = in_words({"estimator": "catoni", **ends, **rest, **others})
+    >>> words["mse_ratio"], words["improved"].replace("\xa0", " ")
+    ('0.913 [0.869, 0.950]', '60 %')
+    """
+    label = {"label": row["label"].replace("_", " ")} if "label" in row else {}
+    return {
+        **label,
+        "name": LABELS.get(row["estimator"], row["estimator"]),
+        "mse": number(row["mse"]),
+        "mse_ratio": shown_ratio(row, "mse_ratio"),
+        "relmse_ratio": shown_ratio(row, "relmse_ratio"),
+        "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
+        "bias": percent(row["bias"], sign=True),
+        "fireflies": number(row["fireflies_left"]),
+    }
+
+
+def _titled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Return rows of measures in words, under titles."""
+    texts = ({**row, **in_words(row)} for row in rows)
+    return [
+        {title: written(row[key]) for key, title in _TITLES.items() if key in row} for row in texts
+    ]
+
+
+def notes(
+    estimators: Sequence[str],
+    *,
+    uses_neighbours: npt.ArrayLike = (),
+    left_out: Mapping[str, str] | None = None,
+) -> dict[str, str]:
+    """Return what a reader of a table of estimators has to know beside it.
+
+    Parameters
+    ----------
+    estimators
+        Names, those of the rows.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,), where that is known.
+    left_out
+        Those of the default estimators that do not apply, with the reason.
+
+    Examples
+    --------
+    >>> notes(["mean", "zirr2018"], uses_neighbours=[False, True])
+    {'use neighbours': 'Zirr et al. 2018'}
+    """
+    found = {}
+    default = lookup(DEFAULT_ESTIMATE)
+    if DEFAULT_ESTIMATE in estimators and isinstance(default, Estimator):
+        about = f"{default.about[:1].lower()}{default.about[1:]}"
+        found["default estimate"] = f"{LABELS[DEFAULT_ESTIMATE]}: {about}"
+    around = [estimators[k] for k in np.flatnonzero(uses_neighbours).tolist()]
+    if around:
+        found["use neighbours"] = ", ".join(LABELS.get(name, name) for name in around)
+    if left_out:
+        reasons = (f"{LABELS.get(name, name)} {why}" for name, why in left_out.items())
+        found["left out"] = "; ".join(reasons)
+    return found
+
+
+def latex(rows: Sequence[Mapping[str, str]]) -> str:
+    r"""Return rows of text as a LaTeX table with the rules of the package booktabs.
+
+    Examples
+    --------
+    >>> print(latex([{"estimator": "mean", "bias": "-1 %"}]))
+    \begin{tabular}{lr}
+    \toprule
+    estimator & bias \\
+    \midrule
+    mean & -1 \% \\
+    \bottomrule
+    \end{tabular}
+    """
+    texts = ([*rows[0]], *([*row.values()] for row in rows))
+    head, *body = (" & ".join(t.translate(_LATEX) for t in row) + r" \\" for row in texts)
+    begin = rf"\begin{{tabular}}{{l{'r' * (len(rows[0]) - 1)}}}"
+    lines = begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"
+    return "\n".join(lines)
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class PixelEstimates(Shown):
+    """A few pixels that no estimator was trained on, one batch each.
+
+    Attributes
+    ----------
+    pixels
+        Rows (y, x), from dark to bright, shape (pixel, 2).
+    estimators, channels
+        Names.
+    reference
+        Mean of all other samples, radiance, shape (pixel, channel).
+    mean
+        Sample mean of the batch, radiance, shape (pixel, channel).
+    estimates
+        Radiance, shape (estimator, pixel, channel).
+    n
+        Samples per estimate.
+    """
+
+    pixels: npt.NDArray[np.int64]
+    estimators: tuple[str, ...]
+    channels: tuple[str, ...]
+    reference: npt.NDArray[np.float64]
+    mean: npt.NDArray[np.float32]
+    estimates: npt.NDArray[np.float32]
+    n: int
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per pixel and channel: where, reference, mean, every estimate."""
+        return [
+            {
+                "y": int(y),
+                "x": int(x),
+                "channel": channel,
+                "reference": float(self.reference[k, c]),
+                "sample_mean": float(self.mean[k, c]),
+                **{name: float(self.estimates[e, k, c]) for e, name in enumerate(self.estimators)},
+            }
+            for k, (y, x) in enumerate(self.pixels)
+            for c, channel in enumerate(self.channels)
+        ]
 
 
 @dataclass(frozen=True, repr=False)
@@ -93,24 +335,19 @@ class Breakdown(Shown):
         )
 
     def _card(self) -> Card:
-        return Card("Breakdown by pattern", table=titled(self.table()))
+        return Card("Breakdown by pattern", table=_titled(self.table()))
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` as that of a `Comparison`, by label and estimator."""
-        import pandas as pd
-
-        index = pd.MultiIndex.from_product(
-            [self.labels, self.estimators], names=["label", "estimator"]
-        )
-        return data_frame(self.measures, index, ...)
+        return _data_frame(self.measures, label=self.labels, estimator=self.estimators)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per label and estimator: names, pixels and every measure."""
-        columns = columns_of(self.measures)
+        columns = _columns(self.measures)
         return [
             {"label": label, "pixels": int(self.pixels[row]), **one}
             for row, label in enumerate(self.labels)
-            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
+            for one in _rows(columns, self, row)
         ]
 
 
@@ -211,8 +448,7 @@ class Comparison(Shown):
             {name: measure[:, _ALL_CHANNELS] for name, measure in measures.items()}
             for measures in (self.measures, self.over_batches)
         )
-        columns = columns_of(over_blocks) | columns_of(over_batches, over_batches=True)
-        return rows_of(columns, self.estimators, self.uses_neighbours)
+        return _rows(_columns(over_blocks) | _columns(over_batches, over_batches=True), self)
 
     def _card(self) -> Card:
         pixels = f"{self.test_pixels.sum()} test pixels"
@@ -221,7 +457,7 @@ class Comparison(Shown):
         if len(self.channels) in (1, 3):
             images["reference: the mean of all samples"] = png(tonemap(self.reference))
         facts |= {name: text for name, text in self.notes.items() if name != "use neighbours"}
-        return Card("Comparison of estimators", facts, titled(self.table()), images)
+        return Card("Comparison of estimators", facts, _titled(self.table()), images)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the measures as a `pandas.DataFrame`, averaged over channels.
@@ -237,10 +473,7 @@ class Comparison(Shown):
         >>> float(found.to_dataframe().loc["mean", ("mse_ratio", "value")])
         1.0
         """
-        import pandas as pd
-
-        index = pd.Index(self.estimators, name="estimator")
-        return data_frame(self.measures, index, (slice(None), _ALL_CHANNELS))
+        return _data_frame(self.measures, (slice(None), _ALL_CHANNELS), estimator=self.estimators)
 
     def to_latex(self) -> str:
         r"""Return the table as LaTeX with the rules of the package booktabs.
@@ -255,7 +488,7 @@ class Comparison(Shown):
         >>> print(found.to_latex().splitlines()[4])
         sample mean & 1.00 [1.00, 1.00] & 1.00 [1.00, 1.00] &  & 0.0~\% & --- \\
         """
-        return latex(titled(self.table()))
+        return latex(_titled(self.table()))
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
         """Draw pixels at random from those that judge, with what was estimated for each.
@@ -326,36 +559,38 @@ class Comparison(Shown):
         have dims (label, estimator) and the prefix ``label_``.
         """
         height, width = self.test_pixels.shape
+        part, image, radiance = ("estimator", "part"), ("y", "x", "channel"), "W sr-1 m-2"
+        others = "mean of all but the first n"
+        columns: dict[tuple[str, ...], Columns] = {
+            part: _columns(self.measures) | _columns(self.over_batches, over_batches=True),
+            ("estimator", *image): {
+                "estimate": (self.estimates, _described("estimate", radiance)),
+                "squared_error": (
+                    self.squared_error,
+                    _described("squared error", f"({radiance})^2"),
+                ),
+            },
+            image: {
+                "reference": (self.reference, _described("reference", radiance)),
+                "first_mean": (self.first_mean, _described("mean of the first n", radiance)),
+                "first_reference": (self.first_reference, _described(others, radiance)),
+            },
+            image[:2]: {"test_pixel": (self.test_pixels, _described("pixel counts"))},
+        }
         coordinates: dict[str, Any] = {
-            "estimator": text_coordinate(self.estimators),
-            "part": text_coordinate([*self.channels, "mean"]),
-            "channel": text_coordinate(self.channels),
+            "part": [*self.channels, "mean"],
+            "channel": [*self.channels],
             "y": np.arange(height),
             "x": np.arange(width),
         }
-        dims, radiance = ("estimator", "y", "x", "channel"), "W sr-1 m-2"
-        images = {
-            "estimate": (dims, self.estimates, "estimate", radiance),
-            "squared_error": (dims, self.squared_error, "squared error", f"({radiance})^2"),
-            "reference": (dims[1:], self.reference, "reference", radiance),
-            "first_mean": (dims[1:], self.first_mean, "mean of the first n", radiance),
-            "first_reference": (dims[1:], self.first_reference, _ALL_BUT_FIRST, radiance),
-            "test_pixel": (dims[1:3], self.test_pixels, "pixel counts", "1"),
-        }
-        variables = {
-            **variables_of(columns_of(self.measures), "estimator", "part"),
-            **variables_of(columns_of(self.over_batches, over_batches=True), "estimator", "part"),
-            **{k: (where, v, described(*about)) for k, (where, v, *about) in images.items()},
-            "uses_neighbours": (dims[:1], self.uses_neighbours, described(_LOOKS)),
-        }
-        if self.breakdown is not None:
-            found = self.breakdown
-            coordinates["label"] = text_coordinate(found.labels)
-            about = described("pixels with the label that judge")
-            variables["label_pixels"] = (("label",), found.pixels, about)
-            columns = columns_of(found.measures)
-            variables |= variables_of(columns, "label", "estimator", prefix="label_")
-        return dataset_of(variables, coordinates, {"n": self.n, **self.provenance})
+        if (found := self.breakdown) is not None:
+            coordinates["label"] = [*found.labels]
+            about = _described("pixels with the label that judge")
+            columns["label",] = {"label_pixels": (found.pixels, about)}
+            columns["label", "estimator"] = {
+                f"label_{name}": column for name, column in _columns(found.measures).items()
+            }
+        return _dataset(columns, coordinates, self, n=self.n)
 
 
 @dataclass(frozen=True, repr=False)
@@ -392,24 +627,20 @@ class ErrorCurve(Shown):
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per size and estimator that takes it, with every measure."""
-        columns = columns_of(self.measures)
+        columns = _columns(self.measures)
         return [
             {"n": size, **one}
             for row, size in enumerate(self.sizes)
-            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
+            for one in _rows(columns, self, row)
             if np.isfinite(one["mse"])
         ]
 
     def _card(self) -> Card:
-        return Card("Error curve", table=titled(self.table()))
+        return Card("Error curve", table=_titled(self.table()))
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` as that of a `Comparison`, by n and estimator."""
-        import pandas as pd
-
-        names = ["n", "estimator"]
-        index = pd.MultiIndex.from_product([self.sizes, self.estimators], names=names)
-        return data_frame(self.measures, index, ...)
+        return _data_frame(self.measures, n=self.sizes, estimator=self.estimators)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the models, ready for JSON (NaN becomes None)."""
@@ -419,13 +650,14 @@ class ErrorCurve(Shown):
 
     def to_dataset(self) -> xr.Dataset:
         """Return the measures with dims (n, estimator), each with ``_se``, ``_low``, ``_high``."""
-        variables = variables_of(columns_of(self.measures), "n", "estimator")
-        for measure, noise in self.reference_noise.items():
-            long_name, units = MEASURES[measure]
-            about = described(f"{long_name} of a perfect estimator", units)
-            variables[f"{measure}_reference_noise"] = (("n",), noise, about)
-        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, described(_LOOKS))
-        variables["batches"] = (("n",), self.batches, described("estimates that count"))
-        sizes = ("n", np.array(self.sizes), described("samples per estimate"))
-        coordinates = {"n": sizes, "estimator": text_coordinate(self.estimators)}
-        return dataset_of(variables, coordinates, self.provenance)
+        by_size: Columns = {
+            f"{measure}_reference_noise": (
+                noise,
+                _described(f"{MEASURES[measure][0]} of a perfect estimator", MEASURES[measure][1]),
+            )
+            for measure, noise in self.reference_noise.items()
+        }
+        by_size["batches"] = self.batches, _described("estimates that count")
+        columns = {("n", "estimator"): _columns(self.measures), ("n",): by_size}
+        sizes = ("n", np.array(self.sizes), _described("samples per estimate"))
+        return _dataset(columns, {"n": sizes}, self)

@@ -89,7 +89,7 @@ def estimate(
     level
         Probability of the interval.
     denoise
-        Put the image through Open ImageLike Denoise, with first-hit features where there are any.
+        Put the image through Open Image Denoise, with first-hit features where there are any.
         Certainty and interval remain those of the estimate before it. Where candidates are
         combined, a pixel is denoised once more only as far as its weights are those of denoised
         images, and stays within the interval of its mean.
@@ -110,7 +110,7 @@ def estimate(
     ------
     InputError
         If the samples are too few, or more than the memory of this machine holds, the model does
-        not fit them, an option is out of range, or Open ImageLike Denoise is wanted and cannot be
+        not fit them, an option is out of range, or Open Image Denoise is wanted and cannot be
         loaded.
     StoreError
         If the model cannot be read.
@@ -420,7 +420,7 @@ class _Estimated:
             "training": self.training,
             "loss_weight": self.options.loss_weight if mixes else "none",
             "level": "none" if np.isnan(self.first.level) else self.first.level,
-            "denoiser": "Open ImageLike Denoise" if self.options.denoise else "none",
+            "denoiser": "Open Image Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,
             "model": self.about,
         }

@@ -22,8 +22,8 @@ import numpy.typing as npt
 from chdstat import estimators
 from chdstat._core.arrays import Floats, Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
-from chdstat.comparison.accumulate import SUMS, errors_of
-from chdstat.comparison.candidates import Entry, choose, estimate_by, takes
+from chdstat.comparison.entries import Entry, choose, estimate_by, takes
+from chdstat.comparison.metrics import SUMS, errors_of
 from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.training import TrainedModel, load_model

@@ -17,7 +17,7 @@ from chdstat import viz
 from chdstat._core.arrays import take_rows
 from chdstat._core.display import percent
 from chdstat._core.files import scratch
-from chdstat.comparison.presentation import notes
+from chdstat.comparison.tables import notes
 from chdstat.explorer import estimators, tables
 from chdstat.explorer.panels import panels
 from chdstat.explorer.plots import BLENDED, PanelData, series_of

@@ -12,7 +12,7 @@ from chdstat import viz
 from chdstat._core.display import duration, number, percent, with_interval
 from chdstat._core.files import scratch
 from chdstat._core.image_scales import display_stops
-from chdstat.comparison.cases import Bench, Case
+from chdstat.comparison.benchmark import Bench, Case
 from chdstat.reporting.typst import Document, typeset
 from chdstat.viz.estimators import called
 from chdstat.viz.styling import verbatim

@@ -13,7 +13,7 @@ from chdstat._core.display import number, percent
 from chdstat._core.resampling import Interval, mean_of, median_of
 from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
-from chdstat.comparison.presentation import shown_ratio
+from chdstat.comparison.tables import shown_ratio
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS
 from chdstat.patterns.attribution import By, attribute

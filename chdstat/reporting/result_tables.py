@@ -16,7 +16,7 @@ from chdstat import viz
 from chdstat._core.display import between, number, percent, with_interval
 from chdstat.analysis import Overview, pooled_shares
 from chdstat.comparison import Comparison
-from chdstat.comparison.presentation import in_words
+from chdstat.comparison.tables import in_words
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
 from chdstat.rendering.recipes import remake_of

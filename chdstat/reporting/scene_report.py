@@ -17,7 +17,7 @@ from chdstat._core.files import checked_target, scratch
 from chdstat._core.work import cores, kept_until_written, track
 from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
-from chdstat.comparison.candidates import (
+from chdstat.comparison.entries import (
     DEFAULT_ESTIMATORS,
     Entry,
     entry_of,

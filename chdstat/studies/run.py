@@ -21,7 +21,7 @@ from chdstat._core.display import Card, Shown, duration
 from chdstat._core.files import checked_target, writing
 from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
-from chdstat.comparison.candidates import Entry, entry_of
+from chdstat.comparison.entries import Entry, entry_of
 from chdstat.errors import InputError, StoreError
 from chdstat.patterns import Atlas, atlas
 from chdstat.rendering import refuse_render

@@ -17,7 +17,7 @@ from chdstat._core.files import release, room
 from chdstat._core.work import Cache, kept_until_written
 from chdstat.analysis import analyze, save
 from chdstat.comparison import DEFAULT_ESTIMATORS, Comparison, compare
-from chdstat.comparison.candidates import Entry, entry_of, without_denoiser
+from chdstat.comparison.entries import Entry, entry_of, without_denoiser
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model

@@ -9,7 +9,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.cli import main
-from chdstat.comparison import cases, denoised
+from chdstat.comparison import benchmark, denoised
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
 
@@ -55,7 +55,7 @@ def test_errors_and_biases_are_those_that_are_known(found):
 
 def test_flip_is_between_what_cannot_and_what_must_be_seen():
     pytest.importorskip("flip_evaluator")
-    from chdstat.comparison.cases import flip
+    from chdstat.comparison.benchmark import flip
 
     same = flip(TRUTH, TRUTH)
     assert same.shape == SHAPE
@@ -80,13 +80,13 @@ def test_geometric_means_and_ranks_are_over_all_cases(found):
 
 
 def test_the_summary_says_bias_fireflies_and_how_to_get_flip(found, monkeypatch):
-    monkeypatch.setattr(cases, "_HAS_FLIP", False)
+    monkeypatch.setattr(benchmark, "_HAS_FLIP", False)
     lines = repr(found).splitlines()
     head, *_, black = lines[-4:]
     assert head.split()[-4:] == ["bias", "fireflies", "rank", "worst"]
     assert black.replace("\xa0", " ").split()[-6:-2] == ["−100", "%", "0", "%"]
     assert sum("pip install 'chdstat[flip]'" in line for line in lines) == 1
-    monkeypatch.setattr(cases, "_HAS_FLIP", True)
+    monkeypatch.setattr(benchmark, "_HAS_FLIP", True)
     assert "pip install" not in repr(found)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import DEFAULT_ESTIMATORS
-from chdstat.comparison.candidates import DEFAULT_ESTIMATE, choose, entry_of
+from chdstat.comparison.entries import DEFAULT_ESTIMATE, choose, entry_of
 from chdstat.errors import InputError
 from chdstat.estimators import lookup, registry
 from chdstat.explorer.estimators import batches_of, learners, scored, scored_around

@@ -11,7 +11,8 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import MEASURES, metrics
-from chdstat.comparison.accumulate import SUMS, Units, errors_of, measures_of
+from chdstat.comparison.metrics import SUMS, errors_of, measures_of
+from chdstat.comparison.protocol import Units
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
 from chdstat.patterns import Label

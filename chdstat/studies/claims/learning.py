@@ -21,7 +21,7 @@ from scipy import stats
 from chdstat._core.arrays import Array, Floats, generator, is_bad
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
-from chdstat.comparison.candidates import entry_of, estimate_by
+from chdstat.comparison.entries import entry_of, estimate_by
 from chdstat.comparison.metrics import relative_squared_error
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names

@@ -1,0 +1,339 @@
+"""Entries: the estimators that take part in a comparison, looked up by name and checked.
+
+`DEFAULT_ESTIMATORS` is the one list of what is compared where nobody names any. `Denoised` is an
+estimator followed by Open Image Denoise: use it to see whether a denoiser does better from a
+better start. ``compare(..., denoise=True)`` adds every estimator so; `denoised` makes one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from chdstat._core.arrays import Array, whole
+from chdstat._core.image_scales import mean_radiance
+from chdstat.errors import InputError
+from chdstat.estimators.estimates import through_denoiser
+from chdstat.estimators.progressive import Progressive
+from chdstat.estimators.registry import Estimator, LearnedEstimator, lookup
+from chdstat.estimators.validation import check_spp
+from chdstat.samples import Samples
+
+__all__ = [
+    "DEFAULT_ESTIMATE",
+    "DEFAULT_ESTIMATORS",
+    "Chosen",
+    "Denoised",
+    "Entry",
+    "choose",
+    "curve_sizes",
+    "denoised",
+    "entry_of",
+    "estimate_by",
+    "takes",
+    "without_denoiser",
+]
+
+
+DEFAULT_ESTIMATE = "combination"
+"""What `chdstat.estimate` returns where nothing else is asked for."""
+DEFAULT_ESTIMATORS = (
+    DEFAULT_ESTIMATE,
+    "mean",
+    "mean + OIDN features",
+    "median_of_means",
+    "elek2019",
+)
+"""What is compared where no estimators are named: the default estimate; the sample mean, to which
+errors are ratios; its denoised image, a robust mean and the network of the paper."""
+
+_EDGE = 8
+"""Edge in pixels of the image of equal samples on which an estimator says what it refuses."""
+_SMALLEST, _SHARE = 4, 8
+"""By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
+
+
+@dataclass(frozen=True)
+class Denoised:
+    """An estimator followed by Open Image Denoise.
+
+    Attributes
+    ----------
+    entry
+        What estimates.
+    with_features
+        Whether the denoiser is given albedo and normal of the first hit.
+    with_certainty
+        Whether an estimate is kept as far as its model is certain of it.
+    uses_neighbours
+        A denoiser always looks across pixels.
+    """
+
+    entry: Estimator | LearnedEstimator
+    with_features: bool = False
+    with_certainty: bool = False
+    uses_neighbours: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """What it is called by, such as "progressive + OIDN features"."""
+        features = " features" if self.with_features else ""
+        return f"{self.entry.name} + OIDN{features}{' certainty' if self.with_certainty else ''}"
+
+
+def denoised(
+    estimator: str | Estimator | LearnedEstimator,
+    *,
+    with_features: bool = False,
+    with_certainty: bool = False,
+) -> Denoised:
+    """Return an estimator followed by Open Image Denoise, for `chdstat.compare`.
+
+    Where it learns, it shares the training of the estimator itself. Negative estimates count as 0.
+
+    Parameters
+    ----------
+    estimator
+        Name of a registered estimator, or an entry.
+    with_features
+        Give the denoiser albedo and normal of the first hit; the image must have them.
+    with_certainty
+        Mix with the estimate as far as it is certain, ``c estimate + (1 - c) denoised``; only for
+        learned estimators whose models predict a certainty.
+
+    Raises
+    ------
+    InputError
+        If there is no such estimator, or a certainty is wanted of one that does not learn.
+
+    References
+    ----------
+    A. T. Afra, "Intel Open Image Denoise", https://www.openimagedenoise.org. The blend: Firmino,
+    Frisvad and Jensen 2022, "Progressive denoising of Monte Carlo rendered images", Computer
+    Graphics Forum 41(2), doi:10.1111/cgf.14454.
+
+    Examples
+    --------
+    >>> denoised("mean").name
+    'mean + OIDN'
+    >>> denoised("progressive", with_features=True, with_certainty=True).name
+    'progressive + OIDN features certainty'
+    """
+    entry = lookup(estimator) if isinstance(estimator, str) else estimator
+    if with_certainty and not isinstance(entry, LearnedEstimator):
+        message = f"with_certainty=True is for estimators that learn, and {entry.name!r} does not"
+        raise InputError(message)
+    return Denoised(entry, with_features, with_certainty)
+
+
+Entry = Estimator | LearnedEstimator | Denoised
+
+
+def entry_of(given: str | Entry) -> Entry:
+    """Return the entry of a name, which may end in " + OIDN" or " + OIDN features".
+
+    Raises
+    ------
+    InputError
+        If there is no such estimator, or it is neither a name nor an entry.
+
+    Examples
+    --------
+    >>> entry_of("mean + OIDN features").with_features
+    True
+    """
+    if isinstance(given, str):
+        name, denoiser, guides = given.partition(" + OIDN")
+        if denoiser and guides in ("", " features"):
+            return denoised(name, with_features=bool(guides))
+        return lookup(given)
+    entry: Any = given
+    if not isinstance(entry, Entry):
+        message = f"expected names of estimators or entries of your own, got {given!r}"
+        raise InputError(message)
+    return entry
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Estimators that are compared.
+
+    Attributes
+    ----------
+    entries
+        By name, in the order asked for.
+    left_out
+        Those of `DEFAULT_ESTIMATORS` that do not apply, with the reason.
+    by_default
+        Whether nobody named them: then one that cannot be trained is left out, too.
+    """
+
+    entries: Mapping[str, Entry]
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    by_default: bool = False
+
+
+def choose(
+    estimators: Sequence[str | Entry] | None,
+    sizes: Sequence[int],
+    *,
+    samples: Samples | None = None,
+) -> Chosen:
+    """Look up the estimators of a comparison.
+
+    Parameters
+    ----------
+    estimators
+        Names or entries; None takes those of `DEFAULT_ESTIMATORS` that apply.
+    sizes
+        Samples per estimate.
+    samples
+        The image, on which default estimators train; None where there are several images, and
+        nothing is trained.
+
+    Raises
+    ------
+    InputError
+        If one is unknown, named twice, or takes none of the `sizes`.
+    """
+    found = _entries(estimators)
+    if estimators is not None:
+        entries = {entry.name: entry for entry in found}
+        if not entries or len(entries) < len(found):
+            names = [entry.name for entry in found]
+            message = f"estimators must be one or more different names, got {names}"
+            raise InputError(message)
+        for entry in found:
+            if reason := _too_few(entry, sizes):
+                message = f"{without_denoiser(entry).name} {reason}; give another n"
+                raise InputError(message)
+        return Chosen(entries)
+    if samples is not None:
+        guided = "albedo" in samples.features
+        found = [replace(e, with_features=guided) if isinstance(e, Denoised) else e for e in found]
+    reasons = {e.name: _too_few(e, sizes) or _refusal(e, sizes, samples) for e in found}
+    return Chosen(
+        {entry.name: entry for entry in found if not reasons[entry.name]},
+        {name: reason for name, reason in reasons.items() if reason},
+        by_default=True,
+    )
+
+
+def _entries(estimators: Sequence[str | Entry] | None) -> list[Entry]:
+    if isinstance(estimators, str):
+        message = f"estimators must be a list of names, got the single name {estimators!r}"
+        raise InputError(message)
+    return [entry_of(given) for given in (DEFAULT_ESTIMATORS if estimators is None else estimators)]
+
+
+def _too_few(entry: Entry, sizes: Sequence[int]) -> str:
+    """Return why an estimator takes none of the numbers of samples; "" where it takes one."""
+    if any(takes(entry, n) for n in sizes):
+        return ""
+    least, exact = _taken(entry)
+    given = f"n={sizes[0]}" if len(sizes) == 1 else f"sizes {tuple(sizes)}"
+    return f"takes {'exactly' if exact else 'at least'} {least} samples, got {given}"
+
+
+def _refusal(entry: Entry, sizes: Sequence[int], samples: Samples | None) -> str:
+    """Return why an estimator takes no such image; "" where it does."""
+    if isinstance(without_denoiser(entry), LearnedEstimator):
+        return "" if samples is not None else "trains on each scene, against a reference"
+    channels = 3 if samples is None else samples.shape[2]
+    try:
+        estimate_by(entry, np.ones((_EDGE, _EDGE, channels, max(sizes)), np.float32))
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def curve_sizes(
+    samples: Samples,
+    estimators: Sequence[str | Entry] | None = None,
+    *,
+    sizes: Sequence[int] | None = None,
+) -> tuple[int, ...]:
+    """Return the N of an error curve in ascending order, checked before any work.
+
+    Raises
+    ------
+    InputError
+        As `error_curve` does.
+    """
+    if sizes is None:
+        largest = max(_SMALLEST, samples.spp // _SHARE)
+        sizes = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
+        none = [entry for entry in _entries(estimators) if _too_few(entry, sizes)]
+        fewest = {_taken(entry)[0] for entry in none}
+        sizes += [n for n in fewest if 2 * n <= samples.spp]
+    if np.ndim(sizes) != 1:
+        message = f"sizes must be several numbers, got {sizes!r}"
+        raise InputError(message)
+    chosen = tuple(sorted(whole("a size", n, least=1) for n in sizes))
+    if not chosen or len(set(chosen)) < len(chosen):
+        message = f"sizes must be one or more different numbers from 1, got {chosen}"
+        raise InputError(message)
+    check_spp(samples, chosen[-1])
+    choose(estimators, chosen, samples=samples)
+    return chosen
+
+
+def takes(entry: Entry, n: int) -> bool:
+    """Return whether an estimator takes n samples."""
+    least, exact = _taken(entry)
+    return n == least if exact else n >= least
+
+
+def _taken(entry: Entry) -> tuple[int, bool]:
+    """Return the fewest samples that an estimator takes, and whether it takes no other number."""
+    own = without_denoiser(entry)
+    if isinstance(own, LearnedEstimator):
+        return own.inputs or 1, own.inputs is not None
+    return own.minimum_samples, False
+
+
+def without_denoiser(entry: Entry) -> Estimator | LearnedEstimator:
+    """Return the estimator that a denoiser follows, or the estimator itself."""
+    return entry.entry if isinstance(entry, Denoised) else entry
+
+
+def estimate_by(
+    entry: Entry,
+    x: Array,
+    *,
+    features: Mapping[str, Array] | None = None,
+    model: Any = None,
+    at_home: bool = False,
+) -> Array:
+    """Estimate radiance (y, x, channel) from samples (y, x, channel, sample).
+
+    Parameters
+    ----------
+    entry
+        What estimates; a denoiser follows where it is `Denoised`.
+    x
+        Samples of a whole image, or of as much as it should see.
+    features
+        First-hit features of the same pixels, for those that take them.
+    model
+        Of an estimator that learns.
+    at_home
+        Whether the model was trained on this scene, so that it is followed all the way.
+    """
+    own, known = without_denoiser(entry), features or {}
+    options = dict(own.options) if isinstance(own, LearnedEstimator) else {}
+    if own.uses_features and known:
+        options["features"] = known
+    if at_home and isinstance(model, Progressive):
+        options["unit"] = mean_radiance(x)
+    if not isinstance(entry, Denoised):
+        return np.asarray(own(x, **options) if model is None else model.predict(x, **options))  # type: ignore[operator]
+    guides = known if entry.with_features else {}
+    if entry.with_certainty:
+        found = model.estimate(x, **options)
+        return through_denoiser(found.radiance, guides, certainty=found.certainty)
+    radiance = estimate_by(own, x, features=known, model=model, at_home=at_home)
+    return through_denoiser(radiance, guides)
