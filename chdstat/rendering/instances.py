@@ -14,7 +14,7 @@ import numpy as np
 
 from chdstat.errors import InputError
 from chdstat.rendering.backend import BACKENDS, Backend, Verdict
-from chdstat.scenes.files import code_of
+from chdstat.scenes.plugins import code_of
 
 __all__ = ["IntegratorObject", "own_backend", "told"]
 

@@ -26,8 +26,7 @@ from chdstat.rendering.lights import check_lights, darken, flush, light_names, s
 from chdstat.rendering.rays import drawn, sensed
 from chdstat.rendering.seeds import Streams
 from chdstat.samples.layout import BATCH, TILE, Chunk
-from chdstat.scenes.files import code_of, plugins_made
-from chdstat.scenes.plugins import failure, used
+from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import check_variant
 

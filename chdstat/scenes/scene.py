@@ -1,19 +1,24 @@
-"""Scene: what is to be rendered, independent of any Mitsuba variant.
+"""Scene: what is rendered, independent of any Mitsuba variant.
 
-A scene is described without Mitsuba (a file and its parameters, or a dict of plain values), so it
-can be hashed, pickled and sent to another process; `chdstat.scenes.loading` has Mitsuba read it.
+A scene is described without Mitsuba, by a file and its parameters or by a dict of plain values, so
+that it can be hashed, pickled and sent to another process; `chdstat.scenes.loading` has Mitsuba
+read it. A scene that Mitsuba has built already is rendered as it is, in this process.
 
-A scene that Mitsuba has built already is rendered as it is, in this process.
+The built-in scenes are such dicts, written as JSON, one file each. Their meshes and textures are
+arrays in ``builtin/arrays.npz``, which ``tools/make_scenes.py`` has made.
 
-Transforms for the built-in scenes: (4, 4) matrices that act on columns, in NumPy alone. Chain them
-with ``@``: the rightmost acts first.
+Transforms for scene dicts are (4, 4) matrices that act on columns. Chain them with ``@``: the
+rightmost acts first.
 """
 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import hashlib
+import json
 import re
+import reprlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,20 +31,46 @@ import numpy as np
 from chdstat._core.arrays import Floats
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError
-from chdstat.scenes.files import code_of, described, digest_of
+from chdstat.scenes.files import described, digest_of, is_file
+from chdstat.scenes.plugins import code_of
 
 __all__ = [
-    "Axis",
+    "BUILTIN",
+    "REMAKES",
     "LiveScene",
     "Scene",
+    "SceneLike",
     "Vector",
     "is_built",
+    "load_scene",
     "look_at",
     "rotate",
     "scale",
     "translate",
 ]
 
+SceneLike = str | Path | Mapping[str, Any] | Any
+"""A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
+BUILTIN: dict[str, str] = {
+    "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",
+    "caustic": "Glass and gold under a small lamp: caustics, fireflies, hard shadows.",
+    "cornell-box": "The classic test box: seconds to render.",
+    "day-room": "A living room by day, a red evening sky before three windows: few nulls.",
+    "fog": "A park in fog at dawn: a participating medium, halos, silhouettes. Uses volpath.",
+    "gallery": "A symmetric hall of columns, lit by white panels and small yellow lamps.",
+    "many-lights": "A terrace under strings of 112 coloured bulbs: mixtures of many modes.",
+    "night-room": "The same living room by night, two lamps with paper shades: mostly nulls.",
+}
+"""Names of the built-in scenes and what each shows."""
+REMAKES = {
+    "bathroom": "Bathroom",
+    "day-room": "WhiteRoom",
+    "night-room": "NightRoom",
+    "gallery": "MeasureOne",
+}
+"""Built-in scenes that were made after one of Elek, Thomas and Forbes 2019, and that one's name."""
+_FOLDER = Path(__file__).parent / "builtin"
+Vector = Sequence[float] | Floats
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types of which two values are the same if they print the same."""
 
@@ -133,6 +164,116 @@ class Scene(Shown):
         return self.source.sensors() if isinstance(self.source, LiveScene) else self.source
 
 
+def load_scene(source: SceneLike, **parameters: object) -> Scene:
+    """Return a scene by built-in name, Mitsuba XML path, Mitsuba dict, or as Mitsuba has built it.
+
+    Parameters
+    ----------
+    source
+        A name in `BUILTIN`, the path of a Mitsuba XML file, a dict in Mitsuba's form, or a
+        ``mi.Scene``, which is rendered as it is, in this process. A `Scene` passes through.
+    **parameters
+        Values for the ``$name`` parameters of an XML file, as ``-D`` gives them to Mitsuba.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        If it is none of these.
+    SceneError
+        If the name is unknown (the nearest is suggested), the file is missing or is not XML, or
+        parameters are given to a scene that takes none.
+
+    Examples
+    --------
+    >>> from chdstat import load_scene
+    >>> load_scene("cornell-box").name
+    'cornell-box'
+    >>> load_scene("cornel-box")
+    Traceback (most recent call last):
+    chdstat.errors.SceneError: no built-in scene or file 'cornel-box'; did you mean 'cornell-box'...
+    """
+    if isinstance(source, Scene):
+        scene = source
+    elif LiveScene.fits(source):
+        scene = Scene("scene", LiveScene(source))
+    elif not isinstance(source, str | Path | Mapping):
+        kind = f"{type(source).__module__}.{type(source).__qualname__}"
+        message = (
+            "scene must be a name, the path of an XML file, a dict, a chdstat Scene or a mi.Scene, "
+            f"got a {kind}"
+        )
+        raise InputError(message)
+    elif isinstance(source, Mapping):
+        if source.get("type") != "scene":
+            message = f"a scene dict needs 'type': 'scene', got 'type': {source.get('type')!r}"
+            raise SceneError(message)
+        scene = Scene("scene", source)
+    elif str(source) in BUILTIN:
+        with np.load(_FOLDER / "arrays.npz") as arrays:
+            scene = Scene(str(source), _built_in(str(source), arrays))
+    else:
+        return Scene(*_checked_file(Path(source)), {k: str(v) for k, v in parameters.items()})
+    if parameters:
+        message = (
+            f"scene {scene.name!r} takes no parameters (only XML files do), "
+            f"got {', '.join(sorted(parameters))}"
+        )
+        raise SceneError(message)
+    return scene
+
+
+def _built_in(name: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a built-in scene: its JSON file with matrices and arrays put in.
+
+    The data of a mesh and of a bitmap are names of arrays; ``include`` names another file, whose
+    parts are put in its place.
+    """
+
+    def filled(value: Any) -> Any:
+        if isinstance(value, list):
+            return [filled(item) for item in value]
+        if not isinstance(value, dict):
+            return value
+        found: dict[str, Any] = {}
+        for key, item in value.items():
+            if key == "include":
+                found |= _built_in(item, arrays)
+            elif key == "to_world":
+                found[key] = np.array(item)
+            elif key == "data" and value["type"] == "mesh":
+                parts = ("vertices", "faces", "uv", "normals")
+                found |= {part: arrays.get(f"{item}.{part}") for part in parts}
+            else:
+                found[key] = arrays[item] if key == "data" else filled(item)
+        return found
+
+    description: dict[str, Any] = filled(json.loads((_FOLDER / f"{name}.json").read_text("utf-8")))
+    return description
+
+
+def _checked_file(path: Path) -> tuple[str, Path]:
+    """Return the name and the absolute path of an XML scene that exists."""
+    if is_file(path / "scene.xml"):
+        path = path / "scene.xml"
+    if not is_file(path):
+        near = difflib.get_close_matches(str(path)[:100], BUILTIN, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        message = (
+            f"no built-in scene or file {reprlib.repr(str(path))}; {hint}"
+            f"Built-in scenes: {', '.join(sorted(BUILTIN))}"
+        )
+        raise SceneError(message)
+    if path.suffix.lower() != ".xml":
+        message = f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}"
+        raise SceneError(message)
+    name = path.parent.name if path.stem == "scene" else path.stem
+    return name, path.resolve()
+
+
 @contextlib.contextmanager
 def _bounded(name: str) -> Iterator[None]:
     """Refuse a scene dict that is nested so deep that walking through it overflows the stack."""
@@ -185,12 +326,6 @@ def _plain(value: Any) -> Any:
     raise SceneError(message)
 
 
-Vector = Sequence[float] | Floats
-Axis = Literal["x", "y", "z"]
-
-_AXES: dict[str, int] = {"x": 0, "y": 1, "z": 2}
-
-
 def translate(x: float, y: float, z: float) -> Floats:
     """Return the matrix that moves by (x, y, z)."""
     matrix = np.eye(4)
@@ -203,7 +338,7 @@ def scale(x: float, y: float, z: float) -> Floats:
     return np.diag([x, y, z, 1.0])
 
 
-def rotate(axis: Axis, degrees: float) -> Floats:
+def rotate(axis: Literal["x", "y", "z"], degrees: float) -> Floats:
     """Return the matrix that turns counterclockwise about a coordinate axis.
 
     Examples
@@ -211,7 +346,7 @@ def rotate(axis: Axis, degrees: float) -> Floats:
     >>> (rotate("z", 90.0) @ [1.0, 0.0, 0.0, 1.0]).round(6)
     array([0., 1., 0., 1.])
     """
-    first, second = ((_AXES[axis] + k) % 3 for k in (1, 2))
+    first, second = (("xyz".index(axis) + k) % 3 for k in (1, 2))
     angle = np.deg2rad(degrees)
     matrix = np.eye(4)
     matrix[first, first] = matrix[second, second] = np.cos(angle)

@@ -1,51 +1,20 @@
-"""Procedural image textures for the built-in scenes, in NumPy alone.
+"""Image textures for the built-in scenes, in NumPy alone.
 
 Every texture is linear RGB, shape (height, width, 3), float32, and the same on every call; all but
-`panes` and `gradient` repeat seamlessly. `bitmap` makes a scene entry of one, `light` one that
-shines.
-
-Materials for the built-in scenes, as plain scene entries.
-
-Use `matte` for plaster and cloth, `glossy` for glaze and lacquer, `walnut` for furniture, `metal`
-for taps and frames, `glass` for what light goes through, `translucent` for lamp shades and paper.
-All but glass look the same from both sides.
+`panes` and `gradient` repeat seamlessly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Image
-
-__all__ = [
-    "Entry",
-    "bands",
-    "bitmap",
-    "checks",
-    "glass",
-    "glossy",
-    "light",
-    "matte",
-    "metal",
-    "panes",
-    "planks",
-    "rgb",
-    "tile_colors",
-    "translucent",
-    "walnut",
-    "wood",
-]
-
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
 Color = Sequence[float]
-
-
-def bitmap(image: Image, *, sharp: bool = False) -> dict[str, Any]:
-    """Return the scene entry of a texture; `sharp` shows its pixels as they are."""
-    return {"type": "bitmap", "data": image, "filter_type": "nearest" if sharp else "bilinear"}
 
 
 def wood(
@@ -109,21 +78,8 @@ def bands(ground: Color, stripe: Color, *, edges: Sequence[tuple[float, float]])
     return _stored(_mix(ground, stripe, inside[:, None] * np.ones((1, 32))) * weave[..., None])
 
 
-def light(stops: Sequence[tuple[float, Color]], radiance: float) -> dict[str, Any]:
-    """Return the scene entry of a `gradient` that shines, times `radiance`."""
-    image = (radiance * gradient(stops)).astype(np.float32)
-    # Raw: what shines is not a reflectance, which Mitsuba would hold below 1.
-    return {"type": "bitmap", "data": image, "filter_type": "bilinear", "raw": True}
-
-
 def panes(colors: Sequence[Sequence[Color]]) -> Image:
-    """Return one pixel per pane of a grid of colours, the first row at v = 0.
-
-    Examples
-    --------
-    >>> panes([[(0, 0, 0), (1, 1, 1)]]).shape
-    (1, 2, 3)
-    """
+    """Return one pixel per pane of a grid of colours, the first row at v = 0."""
     return _stored(np.asarray(colors, dtype=float))
 
 
@@ -142,7 +98,7 @@ def gradient(stops: Sequence[tuple[float, Color]], *, rows: int = 64) -> Image:
     return _stored(np.repeat(column[:, None], 2, axis=1))
 
 
-def _mix(first: Color, second: Color, share: Floats) -> Image:
+def _mix(first: Color, second: Color, share: Array) -> Image:
     a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     return _stored(a + (b - a) * share[..., None])
 
@@ -156,14 +112,14 @@ def _stored(image: npt.NDArray[np.floating[Any]]) -> Image:
     return np.asarray(np.round(np.clip(image, 0, 1) * 4096) / 4096, dtype=np.float32)
 
 
-def _noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> Floats:
+def _noise(rng: np.random.Generator, size: tuple[int, int], cells: tuple[int, int]) -> Array:
     """Return seamless value noise in [-1, 1]: a lattice of random numbers, smoothly joined."""
     lattice = 2 * rng.random(cells) - 1
     rows, columns = (_along(n, c) for n, c in zip(size, cells, strict=True))
     return np.asarray(rows @ lattice @ columns.T)
 
 
-def _along(length: int, cells: int) -> Floats:
+def _along(length: int, cells: int) -> Array:
     """Return the weights of `cells` lattice points at `length` pixels, shape (length, cells)."""
     position = np.arange(length) * cells / length
     low = np.floor(position).astype(int)
@@ -173,64 +129,3 @@ def _along(length: int, cells: int) -> Floats:
     weights[np.arange(length), low % cells] += 1 - t
     weights[np.arange(length), (low + 1) % cells] += t
     return weights
-
-
-Entry = dict[str, Any]
-
-
-def rgb(red: float, green: float, blue: float) -> Entry:
-    """Return a linear RGB colour."""
-    return {"type": "rgb", "value": [red, green, blue]}
-
-
-def matte(color: Entry) -> Entry:
-    """Return a diffuse surface."""
-    return _twosided({"type": "diffuse", "reflectance": color})
-
-
-def glossy(color: Entry, *, roughness: float) -> Entry:
-    """Return a diffuse surface under a clear coat."""
-    return _twosided(
-        {
-            "type": "roughplastic",
-            "distribution": "ggx",
-            "alpha": roughness,
-            "diffuse_reflectance": color,
-            "nonlinear": True,
-        }
-    )
-
-
-def metal(material: Literal["Ag", "Au", "Cr"], *, roughness: float = 0.0) -> Entry:
-    """Return silver, gold or chromium; a mirror where `roughness` is 0."""
-    if roughness == 0:
-        return _twosided({"type": "conductor", "material": material})
-    return _twosided({"type": "roughconductor", "material": material, "alpha": roughness})
-
-
-def glass() -> Entry:
-    """Return clear glass in air."""
-    return {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
-
-
-def translucent(color: Entry, *, through: float) -> Entry:
-    """Return thin cloth or paper that scatters the share `through` of its light to the far side."""
-    # Mitsuba counts from 0, all reflected, to 2, all transmitted.
-    return {
-        "type": "principledthin",
-        "base_color": color,
-        "roughness": 0.7,
-        "spec_trans": 0.0,
-        "eta": 1.3,
-        "diff_trans": 2.0 * through,
-    }
-
-
-def walnut(seed: int, *, roughness: float = 0.12) -> Entry:
-    """Return walnut under a clear coat; the seed tells which board."""
-    image = wood((0.085, 0.036, 0.016), (0.36, 0.185, 0.085), seed=seed)
-    return glossy(bitmap(image), roughness=roughness)
-
-
-def _twosided(bsdf: Entry) -> Entry:
-    return {"type": "twosided", "bsdf": bsdf}
