@@ -14,27 +14,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Seed, is_bad, seed_number, whole
+from chdstat._core.arrays import Seed, is_bad, seed_number, whole
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
+from chdstat._core.statistic import Statistic
 from chdstat._core.work import checkpoints, in_order
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
 from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
 from chdstat.fit.mixtures import Mixture, mixture_of_part
 from chdstat.fit.selection import finish_selection, select_part, selection_variables
-from chdstat.fit.tail_fits import finish_tail, tail_variables
-from chdstat.inference import modes, normality
-from chdstat.inference import normality_of_means as means
-from chdstat.inference.normality import TESTS, TestName, Transform
-from chdstat.inference.normality_of_means import N_MEANS
+from chdstat.fit.tail import TailIndex
+from chdstat.inference.averages import N_MEANS, NormalityOfMeans, sizes_of_means
+from chdstat.inference.modes import Modes
+from chdstat.inference.normality import TESTS, Normality
 from chdstat.patterns import classification
 from chdstat.patterns.overview import Overview, Share, overview, pooled_shares
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
 from chdstat.samples import ImageLike, Mapped, checkpoint_key, samples_of
 from chdstat.samples.tiles import Work, assemble, tiles
-from chdstat.summary.dispatch import PositiveHistogram
+from chdstat.summary.histograms import Histogram
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -46,9 +46,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
-_TRANSFORMS: tuple[Transform, ...] = ("log", "sqrt", "linear")
-_TESTS: tuple[TestName, ...] = tuple(TESTS)
-_TEST_OF_MEANS: TestName = "shapiro-wilk"
 _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables carry their name."""
 _AT_ONCE = 2**26
@@ -153,28 +150,24 @@ def analyze(
         return _of_summary(given, resamples, seed, progress, client)
     samples, thresholds = samples_of(given), thresholds or Thresholds()
     enough = samples.spp >= N_MEANS
-    sizes = means.sizes_of_means(samples.spp, test=_TEST_OF_MEANS) if enough else None
+    sizes = tuple(sizes_of_means(samples.spp).tolist()) if enough else None
+    statistics = _statistics(sizes)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         fits = PixelFits(PositivePart.of_pixels(block, rows="both"), held_out=held_out)
         channels = fits.rows(slice(block.shape[-2]))
-        part, tail, selection = channels.part, channels.tail, channels.selection
+        part, selection = channels.part, channels.selection
         goodness = goodness_of_part(part, selection, resamples=resamples, seed=seed)
-        tested = normality.gaussianity_of_part(part, _TRANSFORMS, _TESTS)
         patterns = classification.patterns_of(fits.rows(-1), thresholds)
         measured = {
             "luminance": _luminance(block, fits.part.x[..., -1, :]),
             "selection": selection_variables(selection),
             "goodness": goodness_variables(goodness),
-            "tail": tail_variables(tail),
             "mixture": fit_variables(channels.mixture),
-            "modality": modes.modality_variables(channels.modes),
-            "normality": normality.gaussianity_variables(tested),
+            "modality": Modes().variables(channels.modes),
             "patterns": classification.patterns_variables(patterns),
         }
-        if sizes is not None:
-            averages = means.means_of_block(block, sizes, test=_TEST_OF_MEANS, tail=tail)
-            measured["averages"] = means.means_variables(averages)
+        measured |= {s: each.variables(part.measured(each)) for s, each in statistics.items()}
         return {
             f"{stage}/{name}": variable
             for stage, variables in measured.items()
@@ -216,7 +209,7 @@ def _of_summary(
             f"it, got one over {dict(summary.sizes)}"
         )
         raise InputError(message)
-    PositiveHistogram.of_dataset(summary.isel(y=[0], x=[0]))  # refused before the work
+    Histogram.of_dataset(summary.isel(y=[0], x=[0]))  # refused before the work
     summary = summary.transpose("y", "x", "channel", ...)
     task = functools.partial(_fits_of_histograms, resamples, seed)
     counted = summary[[str(n) for n in summary if str(n).startswith("log_") or "count" in str(n)]]
@@ -251,7 +244,7 @@ def _released(found: xr.Dataset) -> None:
 
 def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> Mapped:
     """Return families, their goodness and mixtures of the log histograms of a tile."""
-    part = PositiveHistogram.of_dataset(counted)
+    part = Histogram.of_dataset(counted).positive
     selection = select_part(part, [FAMILIES[name] for name in SELECTED])
     stages = {
         "selection": selection_variables(selection),
@@ -338,24 +331,25 @@ def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
 
 
 def _finishes(
-    thresholds: Thresholds, resamples: int, sizes: Counts | None
+    thresholds: Thresholds, resamples: int, sizes: tuple[int, ...] | None
 ) -> dict[str, Callable[[xr.Dataset], xr.Dataset]]:
     """Return what is done with each stage once the image is whole, by name."""
     finish: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
         "luminance": _label_luminance,
         "selection": lambda d: finish_selection(d, list(SELECTED), "bic"),
         "goodness": lambda d: finish_goodness(d, "best", resamples=resamples),
-        "tail": finish_tail,
         "mixture": lambda d: label_fit(d, "lognormal", Mixture),
-        "modality": modes.finish_modality,
-        "normality": lambda d: normality.finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
+        "modality": Modes().finish,
         "patterns": lambda d: classification.finish_patterns(d, thresholds),
     }
-    if sizes is not None:
-        finish["averages"] = lambda d: means.finish_means(
-            d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS
-        )
-    return finish
+    return finish | {stage: each.finish for stage, each in _statistics(sizes).items()}
+
+
+def _statistics(sizes: tuple[int, ...] | None) -> dict[str, Statistic[Any]]:
+    """Return what is measured of the channels, by the names of the stages."""
+    found: dict[str, Statistic[Any]] = {"tail": TailIndex()}
+    found["normality"] = Normality(("log", "sqrt", "linear"), tuple(TESTS))
+    return found if sizes is None else found | {"averages": NormalityOfMeans(sizes)}
 
 
 def _finished(

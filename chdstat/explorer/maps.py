@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, is_bad, luminance, spans
+from chdstat._core.arrays import Image, luminance, spans
 from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource
 from chdstat.explorer.startup import ramp
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
-from chdstat.fit.tail import tail_of_part
+from chdstat.fit.tail import TailIndex
 from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
-from chdstat.inference.normality_of_means import means_of_block
+from chdstat.inference.averages import NormalityOfMeans
 from chdstat.io.maps import open_maps
 from chdstat.patterns import classification
 from chdstat.patterns.pixel_statistics import PixelFits
@@ -355,18 +355,17 @@ def _value(name: str, block: Image) -> npt.NDArray[Any]:
         spp = block.shape[-1]
         if spp < N_MEANS:
             return np.full(block.shape[:2], np.nan)
-        bad, sizes = is_bad(block).any(axis=-2), sizes_of_means(spp)
-        with np.errstate(invalid="ignore", over="ignore"):
-            light = np.where(bad, np.nan, luminance(block))[..., np.newaxis, :]
-        needed = means_of_block(light, sizes).n_needed[..., 0]
+        sizes = sizes_of_means(spp)
+        part = classification.luminance_part(block)
+        needed = part.measured(NormalityOfMeans(tuple(sizes.tolist()))).n_needed
         # The place of the N needed among those tested; one more where it is larger.
         place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
         return np.where(needed == MORE_THAN_TESTED, len(sizes), place)
     part = classification.luminance_part(block)
     if name == "tail_index":
-        return tail_of_part(part).xi
+        return part.measured(TailIndex()).xi
     if name == "finite_variance":
-        tail = tail_of_part(part)
+        tail = part.measured(TailIndex())
         verdict = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
         return np.where(tail.reason == Reason.OK, verdict, np.nan)
     best = select_part(part, [FAMILIES[family] for family in SELECTED]).best

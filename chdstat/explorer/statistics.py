@@ -24,8 +24,8 @@ from chdstat.explorer.view import Pixel
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, fit_part, get_family
 from chdstat.fit.goodness_of_fit import goodness_of_part
-from chdstat.inference.normality import gaussianity_of_part
-from chdstat.inference.normality_of_means import means_of_block
+from chdstat.inference.averages import NormalityOfMeans
+from chdstat.inference.normality import Normality
 from chdstat.patterns import Patterns, Thresholds
 from chdstat.patterns.classification import luminance_part, patterns_of
 from chdstat.patterns.pixel_statistics import PixelFits, firefly_limit
@@ -133,15 +133,16 @@ class PlaceStatistics:
     @cached_property
     def gaussianity(self) -> inference.Gaussianity:
         """Anderson-Darling's test of the logarithms and of the samples, shape (row, 2, 1)."""
-        return gaussianity_of_part(self.fits.part, ("log", "linear"))
+        tests = Normality(("log", "linear"), ("anderson-darling",))
+        return self.fits.part.measured(tests)
 
     @cached_property
     def means(self) -> inference.GaussianityOfMeans | None:
         """Normality of averages, of each row; None with fewer samples than averages to test."""
         if self.fitted_spp < inference.N_MEANS:
             return None
-        block = np.where(self.bad, np.float32(np.nan), self.rows)[:, : self.fitted_spp]
-        return means_of_block(block, inference.sizes_of_means(self.fitted_spp))
+        sizes = inference.sizes_of_means(self.fitted_spp)
+        return self.fits.part.measured(NormalityOfMeans(tuple(sizes.tolist())))
 
     def averages(self, n: int) -> Floats:
         """Return the averages of consecutive good samples, n each, shape (row, average)."""

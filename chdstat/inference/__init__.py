@@ -9,11 +9,7 @@ log-normal or gamma components: the number of modes, their places and their sepa
 
 from __future__ import annotations
 
-from chdstat.inference.contrasts import Contrast, contrast
-from chdstat.inference.differences import Difference, difference
-from chdstat.inference.modes import MODES, Modality, modality
-from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
-from chdstat.inference.normality_of_means import (
+from chdstat.inference.averages import (
     MORE_THAN_TESTED,
     N_MEANS,
     UNTESTED,
@@ -21,6 +17,10 @@ from chdstat.inference.normality_of_means import (
     gaussianity_of_means,
     sizes_of_means,
 )
+from chdstat.inference.contrasts import Contrast, contrast
+from chdstat.inference.differences import Difference, difference
+from chdstat.inference.modes import MODES, Modality, modality
+from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
 
 __all__ = [
     "MODES",

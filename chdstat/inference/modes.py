@@ -18,17 +18,15 @@ over what was rounded to it, but never across a gap that is wider than the steps
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import label_variables
-from chdstat._core.resampling import q_values
+from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import Reason
 from chdstat.fit.atoms import split
 from chdstat.fit.clamps import before_clamps
@@ -39,8 +37,7 @@ from chdstat.fit.search import Found, search
 from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
-from chdstat.samples import ImageLike, Mapped, Samples, opened
-from chdstat.summary.dispatch import of_image
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,34 +45,18 @@ if TYPE_CHECKING:
 __all__ = [
     "MODES",
     "Modality",
-    "finish_modality",
+    "Modes",
     "mixture_and_modes_of_part",
     "modality",
     "modality_of_part",
-    "modality_variables",
 ]
 
 MODES = 3
 """Most modes, and most components of a mixture, that are looked for."""
 
-_LABELS = {
-    "dip": "Hartigan's dip of log10 radiance",
-    "dip_p_value": "p-value of unimodality",
-    "dip_q_value": "q-value of unimodality over the image",
-    "tied_share": "share of positive samples equal to another one",
-    "modes": "modes of the best mixture in log10 radiance",
-    "places": "modes, log10 of radiance in W sr-1 m-2",
-    "weights": "mass of the modes",
-    "ashman_d": "separation of neighbouring modes, Ashman's D",
-    "ashman_d_se": "standard error of the separation",
-    "delta_bic": "BIC of the best distribution of one mode minus that of the best mixture",
-    "reason": "why no modes were counted",
-}
-_DIMS = {"places": "mode", "weights": "mode", "ashman_d": "pair", "ashman_d_se": "pair"}
 
-
-@dataclass(frozen=True, repr=False)
-class Modality(Shown):
+@result
+class Modality(Result):
     """Modes of the positive part; arrays of the batch's shape, NaN where `reason` says why.
 
     Attributes
@@ -120,34 +101,19 @@ class Modality(Shown):
         `Reason` codes.
     """
 
-    dip: Floats
-    dip_p_value: Floats
-    tied_share: Floats
-    modes: npt.NDArray[np.int8]
-    places: Floats
-    weights: Floats
-    ashman_d: Floats
-    ashman_d_se: Floats
-    delta_bic: Floats
+    dip: Floats = variable("Hartigan's dip of log10 radiance")
+    dip_p_value: Floats = variable("p-value of unimodality", pooled=True)
+    tied_share: Floats = variable("share of positive samples equal to another one")
+    modes: npt.NDArray[np.int8] = variable("modes of the best mixture in log10 radiance")
+    places: Floats = variable("modes, log10 of radiance in W sr-1 m-2", "mode")
+    weights: Floats = variable("mass of the modes", "mode")
+    ashman_d: Floats = variable("separation of neighbouring modes, Ashman's D", "pair")
+    ashman_d_se: Floats = variable("standard error of the separation", "pair")
+    delta_bic: Floats = variable(
+        "BIC of the best distribution of one mode minus that of the best mixture"
+    )
     n: Counts
-    reason: npt.NDArray[np.int8]
-
-
-def modality_variables(result: Modality) -> Mapped:
-    """Return modes over (y, x, channel), or over (y, x), as variables for `Samples.map`."""
-    first = ("channel",) if result.n.ndim == 3 else ()
-    names = [field.name for field in fields(result) if field.name != "n"]
-    return {
-        name: ((*first, _DIMS[name]) if name in _DIMS else first, getattr(result, name))
-        for name in names
-    }
-
-
-def finish_modality(dataset: xr.Dataset) -> xr.Dataset:
-    """Add the q-values over the image, and set long names, units and flag meanings."""
-    p_value = dataset["dip_p_value"]
-    dataset = dataset.assign(dip_q_value=p_value.copy(data=q_values(p_value.to_numpy())))
-    return label_variables(dataset, _LABELS)
+    reason: npt.NDArray[np.int8] = variable("why no modes were counted")
 
 
 _MINIMUM = 20
@@ -157,9 +123,21 @@ _CERTAIN = 0.01
 """Level at which no distribution of one mode is: the dip test holds its level for all of them."""
 
 
-@of_image
+@dataclass(frozen=True)
+class Modes(Statistic[Modality]):
+    """The modes of the positive samples in the log domain, see `modality`."""
+
+    result: ClassVar = Modality
+    description: ClassVar = "counting modes"
+
+    def measure(self, part: PositivePart) -> Modality:
+        """Look for modes of each row."""
+        return modality_of_part(part)
+
+
+@of_source
 def modality(
-    x: ImageLike | npt.ArrayLike, *, null: npt.ArrayLike | None = None, progress: bool | None = None
+    x: Source, *, null: npt.ArrayLike | None = None, progress: bool | None = None
 ) -> Modality | xr.Dataset:
     """Count the modes of the positive samples in the log domain, and test whether there is one.
 
@@ -192,16 +170,7 @@ def modality(
     >>> int(result.modes), float(result.dip_p_value), result.weights.round(2)
     (2, 1e-05, array([0.5, 0.5, nan]))
     """
-    given = opened(x)
-    if not isinstance(given, Samples):
-        return modality_of_part(PositivePart.given(given, null=null))
-
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        return modality_variables(modality_of_part(PositivePart.of_pixels(block)))
-
-    return finish_modality(
-        given.map(of_block, logarithms=True, description="counting modes", progress=progress)
-    )
+    return run(Modes(), x, null=null, progress=progress)
 
 
 def mixture_and_modes_of_part(

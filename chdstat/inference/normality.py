@@ -14,23 +14,20 @@ of samples, and transforms and standardises sorted rows once for each transform.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import label_variables
-from chdstat._core.resampling import q_values, rejections
+from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.inference import statistics
 from chdstat.inference.statistics import Rows, standardise
-from chdstat.samples import ImageLike, Mapped, Samples, opened
-from chdstat.summary.dispatch import of_image
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,14 +36,11 @@ __all__ = [
     "TESTS",
     "TRANSFORMS",
     "Gaussianity",
+    "Normality",
     "NormalityTest",
     "TestName",
     "Transform",
-    "finish_gaussianity",
-    "finish_tests",
     "gaussianity",
-    "gaussianity_of_part",
-    "gaussianity_variables",
     "run_tests",
 ]
 
@@ -158,8 +152,8 @@ def _copied(
     return x, left_out, largest
 
 
-@dataclass(frozen=True, repr=False)
-class Gaussianity(Shown):
+@result
+class Gaussianity(Result):
     """Tests of normality with their effect sizes; arrays of the batch's shape, (...).
 
     Where several transforms or tests were asked for, they are further axes, in this order.
@@ -180,17 +174,80 @@ class Gaussianity(Shown):
 
     test: TestName | tuple[TestName, ...]
     transform: Transform | tuple[Transform, ...]
-    statistic: Floats
-    p_value: Floats
-    skewness: Floats
-    kurtosis: Floats
-    n: Counts
-    reason: npt.NDArray[np.int8]
+    statistic: Floats = variable("test statistic of normality", "transform", "test")
+    p_value: Floats = variable(
+        "p-value of normality",
+        "transform",
+        "test",
+        pooled=True,
+        rejected="1 where not Gaussian, at the false discovery rate of the dataset",
+    )
+    skewness: Floats = variable("skewness of what was tested", "transform")
+    kurtosis: Floats = variable("excess kurtosis of what was tested", "transform")
+    n: Counts = variable("samples that were tested")
+    reason: npt.NDArray[np.int8] = variable("why there is no test", "test")
 
 
-@of_image
+@dataclass(frozen=True)
+class Normality(Statistic[Gaussianity]):
+    """Tests of normality of the positive samples; options as of `gaussianity`."""
+
+    result: ClassVar = Gaussianity
+    description: ClassVar = "testing normality"
+
+    transform: Transform | tuple[Transform, ...] = "log"
+    test: TestName | tuple[TestName, ...] = "anderson-darling"
+    alpha: float = 0.05
+
+    def __post_init__(self) -> None:
+        tables: dict[str, Iterable[str]] = {"transform": TRANSFORMS, "test": TESTS}
+        for name, table in tables.items():
+            choice = getattr(self, name)
+            choices = (choice,) if isinstance(choice, str) else choice
+            if not choices or len(set(choices)) < len(choices):
+                message = f"{name} must be a name or several different ones, got {choice!r}"
+                raise InputError(message)
+            for each in choices:
+                check_option(name, each, table)
+        check_probability(alpha=self.alpha)
+
+    def coordinates(self) -> dict[str, tuple[str, ...] | None]:
+        """Return the transforms and the tests, where there are several of them."""
+        choices = {"transform": self.transform, "test": self.test}
+        return {n: None if isinstance(choice, str) else choice for n, choice in choices.items()}
+
+    def attrs(self) -> dict[str, Any]:
+        """Return what was tested, and the level of ``rejected``."""
+        tests, transforms = (
+            choice if isinstance(choice, str) else ", ".join(choice)
+            for choice in (self.test, self.transform)
+        )
+        return {"test": f"{tests} on {transforms} samples", "false_discovery_rate": self.alpha}
+
+    def measure(self, part: PositivePart) -> Gaussianity:
+        """Test each row; an option of which there is only a name has no axis."""
+        transforms = (self.transform,) if isinstance(self.transform, str) else self.transform
+        names = (self.test,) if isinstance(self.test, str) else self.test
+        tests = [TESTS[name] for name in names]
+        reason = np.stack([part.reason(test.minimum) for test in tests], axis=-1)
+        usable = (reason == Reason.OK).any(axis=-1)
+        found = run_tests(part.sorted, part.n, usable, transforms, tests)
+        i, j = (0 if isinstance(c, str) else slice(None) for c in (self.transform, self.test))
+        return Gaussianity(
+            test=self.test,
+            transform=self.transform,
+            statistic=found["statistic"][..., i, j],
+            p_value=found["p_value"][..., i, j],
+            skewness=found["skewness"][..., i],
+            kurtosis=found["kurtosis"][..., i],
+            n=part.n,
+            reason=reason[..., j],
+        )
+
+
+@of_source
 def gaussianity(
-    x: ImageLike | npt.ArrayLike,
+    x: Source,
     *,
     transform: Transform | Sequence[Transform] = "log",
     test: TestName | Sequence[TestName] = "anderson-darling",
@@ -257,120 +314,6 @@ def gaussianity(
     array([[ True,  True],
            [False, False]])
     """
-    _check_names(transform, TRANSFORMS, "transform")
-    _check_names(test, TESTS, "test")
-    check_probability(alpha=alpha)
-    given = opened(x)
-    if not isinstance(given, Samples):
-        return _of_part(PositivePart.given(given, null=null), transform, test)
-
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        return gaussianity_variables(_of_part(PositivePart.of_pixels(block), transform, test))
-
-    dataset = given.map(
-        of_block, logarithms=True, description="testing normality", progress=progress
-    )
-    return finish_gaussianity(dataset, transform=transform, test=test, alpha=alpha)
-
-
-def gaussianity_of_part(
-    part: PositivePart,
-    transforms: Sequence[Transform] = ("log",),
-    tests: Sequence[TestName] = ("anderson-darling",),
-) -> Gaussianity:
-    """Test samples that are already split; the result has both axes, whatever their lengths."""
-    rows = [TESTS[name] for name in tests]
-    reason = np.stack([part.reason(test.minimum) for test in rows], axis=-1)
-    usable = (reason == Reason.OK).any(axis=-1)
-    found = run_tests(part.sorted, part.n, usable, transforms, rows)
-    return Gaussianity(
-        test=tuple(tests), transform=tuple(transforms), **found, n=part.n, reason=reason
-    )
-
-
-def gaussianity_variables(result: Gaussianity) -> Mapped:
-    """Return the variables of a block with the names of the dims that follow (y, x)."""
-    transform = () if isinstance(result.transform, str) else ("transform",)
-    test = () if isinstance(result.test, str) else ("test",)
-    dims = {
-        "statistic": (*transform, *test),
-        "p_value": (*transform, *test),
-        "skewness": transform,
-        "kurtosis": transform,
-        "n": (),
-        "reason": test,
-    }
-    return {name: (("channel", *after), getattr(result, name)) for name, after in dims.items()}
-
-
-def finish_gaussianity(
-    dataset: xr.Dataset,
-    *,
-    transform: Transform | Sequence[Transform],
-    test: TestName | Sequence[TestName],
-    alpha: float = 0.05,
-) -> xr.Dataset:
-    """Add q-values, ``rejected``, coordinates and the names and units of all variables."""
-    for name, choice in {"transform": transform, "test": test}.items():
-        if not isinstance(choice, str):
-            dataset = dataset.assign_coords({name: np.array(choice, dtype=object)})
-    tests, transforms = (c if isinstance(c, str) else ", ".join(c) for c in (test, transform))
-    return finish_tests(dataset, f"{tests} on {transforms} samples", alpha)
-
-
-_LABELS = {
-    "statistic": "test statistic of normality",
-    "p_value": "p-value of normality",
-    "skewness": "skewness of what was tested",
-    "kurtosis": "excess kurtosis of what was tested",
-    "predicted_skewness": "skewness of averages of independent samples",
-    "predicted_kurtosis": "excess kurtosis of averages of independent samples",
-    "skewness_ratio": "skewness of averages over what independent samples predict",
-    "n_predicted": "samples per average of a predicted shape that is nearly Gaussian",
-    "n_predicted_interval": "95 % interval of n_predicted",
-    "n_predicted_reason": "why there is no n_predicted",
-    "n": "samples that were tested",
-    "q_value": "q-value of normality over the image",
-    "rejected": "1 where not Gaussian, at the false discovery rate of the dataset",
-    "reason": "why there is no test",
-}
-
-
-def finish_tests(dataset: xr.Dataset, title: str, alpha: float) -> xr.Dataset:
-    """Add q-value and ``rejected`` for every axis beyond (y, x) separately, and set names."""
-    p_value = dataset["p_value"]
-    q_value = p_value.copy(data=q_values(p_value.to_numpy()))
-    dataset = dataset.assign(q_value=q_value, rejected=rejections(q_value, alpha))
-    labelled = label_variables(dataset, _LABELS)
-    return labelled.assign_attrs(test=title, false_discovery_rate=alpha)
-
-
-def _of_part(
-    part: PositivePart,
-    transform: Transform | Sequence[Transform],
-    test: TestName | Sequence[TestName],
-) -> Gaussianity:
-    """Test, without the axis of an option of which there is only a name."""
-    transforms = (transform,) if isinstance(transform, str) else transform
-    tests = (test,) if isinstance(test, str) else test
-    result = gaussianity_of_part(part, transforms, tests)
-    one_transform, one_test = (0 if isinstance(c, str) else slice(None) for c in (transform, test))
-    return replace(
-        result,
-        test=test if isinstance(test, str) else result.test,
-        transform=transform if isinstance(transform, str) else result.transform,
-        statistic=result.statistic[..., one_transform, one_test],
-        p_value=result.p_value[..., one_transform, one_test],
-        skewness=result.skewness[..., one_transform],
-        kurtosis=result.kurtosis[..., one_transform],
-        reason=result.reason[..., one_test],
-    )
-
-
-def _check_names(choice: str | Sequence[str], table: Iterable[str], name: str) -> None:
-    choices = (choice,) if isinstance(choice, str) else tuple(choice)
-    if not choices or len(set(choices)) < len(choices):
-        message = f"{name} must be a name or several different ones, got {choice!r}"
-        raise InputError(message)
-    for each in choices:
-        check_option(name, each, table)
+    transforms = transform if isinstance(transform, str) else tuple(transform)
+    tests = test if isinstance(test, str) else tuple(test)
+    return run(Normality(transforms, tests, alpha), x, null=null, progress=progress)

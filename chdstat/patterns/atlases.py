@@ -35,8 +35,7 @@ from chdstat.patterns.clusters import Groups, find_groups, ratio
 from chdstat.samples import Blocks, ImageLike, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.samples.tiles import Work
 from chdstat.summary.bins import Support
-from chdstat.summary.dispatch import PositiveHistogram
-from chdstat.summary.histograms import StreamingHistogram
+from chdstat.summary.histograms import Histogram, StreamingHistogram
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -347,7 +346,7 @@ def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
         If the dataset lacks a variable of a log histogram.
     """
     middle = slice(dataset.sizes.get("channel", 0) // 2, None)
-    part = PositiveHistogram.of_dataset(dataset.isel(channel=middle, missing_dims="ignore"))
+    part = Histogram.of_dataset(dataset.isel(channel=middle, missing_dims="ignore")).positive
     counts, n, n_null = part.counts[:, :, 0], part.n[:, :, 0], part.n_null[:, :, 0]
     width, first = part.width[:, :, 0] / np.log(10), part.log_centers[:, :, 0, 0] / np.log(10)
     grid = _Grid(*(np.broadcast_to(v, n.shape) for v in (first - width / 2, width)))

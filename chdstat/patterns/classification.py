@@ -13,7 +13,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from chdstat.fit.families import SELECTED
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds, gather
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples import ImageLike, Mapped, Samples, opened
-from chdstat.summary.dispatch import of_image
+from chdstat.summary.runner import Source, of_source
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -120,12 +120,9 @@ class Patterns(Shown):
     reason: npt.NDArray[np.int8]
 
 
-@of_image
+@of_source
 def classify(
-    x: ImageLike | npt.ArrayLike,
-    *,
-    thresholds: Thresholds | None = None,
-    progress: bool | None = None,
+    x: Source, *, thresholds: Thresholds | None = None, progress: bool | None = None
 ) -> Patterns | xr.Dataset:
     """Say which patterns the sample distribution of each pixel shows.
 
@@ -168,7 +165,8 @@ def classify(
     >>> [Label(code).name for code in classify(gray).label]
     ['GAMMA_LIKE', 'NULL_HEAVY', 'BIMODAL', 'CONSTANT']
     """
-    given, thresholds = opened(x), thresholds or Thresholds()
+    given = opened(cast("ImageLike | npt.ArrayLike", x))
+    thresholds = thresholds or Thresholds()
     if not isinstance(given, Samples):
         pixels = as_pixels(given)
         warn_left_out(pixels, channel_axis=-2, logarithms=True)

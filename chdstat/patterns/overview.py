@@ -11,7 +11,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import plain
 from chdstat._core.resampling import wilson
 from chdstat.fit.selection import family_shares
-from chdstat.inference.normality_of_means import MORE_THAN_TESTED, UNTESTED
+from chdstat.inference.averages import MORE_THAN_TESTED, UNTESTED
 from chdstat.patterns.table import PATTERNS
 
 if TYPE_CHECKING:

@@ -17,8 +17,7 @@ from chdstat._core.arrays import is_bad, is_null, take_rows
 from chdstat._core.display import Card, Shown, number, percent, with_interval
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import Selection, select
-from chdstat.fit.tail import tail_index
-from chdstat.fit.tail_fits import Tail
+from chdstat.fit.tail import Tail, tail_index
 from chdstat.inference.modes import Modality, modality
 from chdstat.patterns.attribution import By, by_part, groups_of, part_names, shares
 from chdstat.patterns.classification import Label, Patterns, classify

@@ -21,7 +21,7 @@ from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.mixtures import Mixture
 from chdstat.fit.selection import Selection, select_part
-from chdstat.fit.tail import Tail, effective_tail_index, tail_of_part
+from chdstat.fit.tail import Tail, TailIndex, effective_tail_index
 from chdstat.inference.modes import Modality, mixture_and_modes_of_part
 
 __all__ = ["PixelFits", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
@@ -116,7 +116,7 @@ class PixelFits:
     @cached_property
     def tail(self) -> Tail:
         """Tail of each row."""
-        return tail_of_part(self.part)
+        return self.part.measured(TailIndex())
 
     @cached_property
     def _mixture_and_modes(self) -> tuple[Mixture, Modality]:

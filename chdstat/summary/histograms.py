@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, as_samples, spans, warn_left_out
 from chdstat._core.display import Shown
+from chdstat._core.positive import PositiveHistogram
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError, check_option
 from chdstat.samples import Blocks, ImageLike, Mapped, Samples, opened, reduce_tiles
@@ -134,6 +135,73 @@ class Histogram(Shown):
             dims = ("channel", f"{self.scale}_bin") if name == "counts" else ("channel",)
             variables[f"{self.scale}_{name}"] = dims, value
         return variables
+
+    @classmethod
+    def of_dataset(cls, dataset: xr.Dataset) -> Histogram:
+        """Return the log histogram that the dataset of an image holds, over (y, x, channel).
+
+        Raises
+        ------
+        InputError
+            If the dataset lacks a variable of it.
+        """
+        needed = ("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count")
+        missing = [name for name in needed if name not in dataset]
+        if missing:
+            message = (
+                "expected the dataset of chdstat.histogram(samples, scale='log'), "
+                f"got one without {', '.join(missing)}"
+            )
+            raise InputError(message)
+        # Older datasets counted negative samples as bad.
+        negative = dataset.get("log_negative", 0 * dataset["log_underflow"])
+        names = ("counts", "low", "high", "underflow", "overflow")
+        return cls(
+            scale="log",
+            **{name: dataset[f"log_{name}"].to_numpy() for name in names},
+            negative=negative.to_numpy(),
+            null_count=dataset["null_count"].to_numpy()[..., np.newaxis],
+            bad_count=dataset["bad_count"].to_numpy()[..., np.newaxis],
+            reason=np.zeros(negative.shape, dtype=np.int8),
+            n=0,
+        )
+
+    @property
+    def positive(self) -> PositiveHistogram:
+        """The positive samples in the bins of a log histogram, as fits take them.
+
+        Raises
+        ------
+        InputError
+            If the bins divide radiance, not its logarithm.
+        """
+        if self.scale != "log":
+            message = f"a fit needs a log histogram, got one of {self.scale} scale"
+            raise InputError(message)
+        bins = self.counts.shape[-1]
+        # Most histograms have one support for all rows.
+        with np.errstate(invalid="ignore"):
+            ends = np.log(self.low), np.log(self.high)
+        first = (slice(0, 1),) * self.low.ndim
+        start, stop = (end[first] if (end == end[first]).all() else end for end in ends)
+        width = (stop - start) / bins
+        filled = self.counts.astype(np.float64)
+        filled[..., -1] += self.overflow
+        n = filled.sum(axis=-1).astype(np.int64)
+        null, bad = (
+            np.broadcast_to(count, n.shape).astype(np.int64)
+            for count in (self.null_count, self.bad_count)
+        )
+        return PositiveHistogram(
+            counts=filled,
+            log_centers=start[..., np.newaxis] + width[..., np.newaxis] * (np.arange(bins) + 0.5),
+            width=width,
+            n=n,
+            n_null=null,
+            n_zero=(self.underflow - self.negative).astype(np.int64),
+            n_negative=self.negative.astype(np.int64),
+            n_bad=bad,
+        )
 
     def _at(self, position: npt.NDArray[Any]) -> Floats:
         low, high = (end[..., np.newaxis] for end in axis_ends(self.scale, self.low, self.high))

@@ -79,10 +79,11 @@ def test_the_rows_of_a_pixel_are_its_channels_its_luminance_or_both():
     channels, light, both = (
         PositivePart.of_pixels(block, rows=rows) for rows in ("channels", "luminance", "both")
     )
-    np.testing.assert_array_equal(channels.x, block)
+    bad = np.isnan(block).any(axis=1, keepdims=True)
+    np.testing.assert_array_equal(channels.x, np.where(bad, np.nan, block))
     expected = np.array([0.212671, 0.715160, 0.072169]) @ block
     assert light.x == pytest.approx(expected, rel=1e-6, nan_ok=True)
-    np.testing.assert_array_equal(both.x, np.concatenate([block, light.x[:, None]], axis=1))
+    np.testing.assert_array_equal(both.x, np.concatenate([channels.x, light.x[:, None]], axis=1))
     for name in ("positive", "n", "n_null", "n_zero", "n_negative", "n_bad"):
         parts = [getattr(channels, name), getattr(light, name)[:, None]]
         np.testing.assert_array_equal(getattr(both, name), np.concatenate(parts, axis=1))

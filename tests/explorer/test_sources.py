@@ -28,7 +28,7 @@ from chdstat.explorer.sources import (
     pooled,
 )
 from chdstat.explorer.startup import rgba
-from chdstat.fit.tail import tail_of_part
+from chdstat.fit.tail import TailIndex
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part
 from chdstat.rendering import render_pixels
@@ -170,7 +170,7 @@ def test_maps_say_what_the_library_says(flames):
     labels = classify(flames, progress=False)["label"]
     np.testing.assert_array_equal(walk(source, "pattern", ignore).values, labels)
     part = luminance_part(flames.read()[3:5])
-    tail, found = tail_of_part(part), walk(source, "tail_index", ignore).values
+    tail, found = part.measured(TailIndex()), walk(source, "tail_index", ignore).values
     np.testing.assert_allclose(found[3:5], tail.xi, rtol=1e-6)
     finite = walk(source, "finite_variance", ignore).values[3:5]
     np.testing.assert_array_equal(finite == 2, tail.variance_trusted)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from chdstat import Samples, histogram
+from chdstat import Samples, fit, histogram
 from chdstat.errors import InputError, Reason
-from chdstat.summary.dispatch import PositiveHistogram, run
+from chdstat.summary import Histogram
 
 
 def test_log_statistics_agree_with_those_of_the_samples():
@@ -13,7 +13,7 @@ def test_log_statistics_agree_with_those_of_the_samples():
     log = rng.normal(size=(6, 4096)) * np.linspace(0.25, 1.5, 6)[:, np.newaxis]
     x = np.exp(log)
     mean = x.mean(axis=-1)
-    binned = PositiveHistogram.of(histogram(x)).log_statistics
+    binned = histogram(x).positive.log_statistics
     # The centres themselves would be off by h^2 / 12 = 0.0044 in variance, 7 % of the first row's.
     np.testing.assert_allclose(binned.log_variance, log.var(axis=-1), rtol=0.02)
     np.testing.assert_allclose(binned.gap, np.log(mean) - log.mean(axis=-1), rtol=0.03)
@@ -23,7 +23,7 @@ def test_log_statistics_agree_with_those_of_the_samples():
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_the_counts_are_those_of_the_samples():
     x = np.array([0, 0, 1e-7, 0.5, 2, 3e6, np.nan, -1])
-    part = PositiveHistogram.of(histogram(x))
+    part = histogram(x).positive
     assert (part.n, part.n_null, part.n_zero, part.n_negative, part.n_bad) == (3, 2, 1, 1, 1)
     assert part.n_good == 7
     assert part.counts[-1] == 1
@@ -42,32 +42,26 @@ def test_the_counts_are_those_of_the_samples():
     ],
 )
 def test_reasons(x, reason):
-    assert PositiveHistogram.of(histogram(x)).reason() == reason
+    assert histogram(x).positive.reason() == reason
 
 
 def test_an_image_goes_the_same_way_as_its_pixels():
     rng = np.random.default_rng(3)
     samples = Samples.from_array(rng.gamma(2.0, size=(2, 3, 3, 64)))
 
-    def mean(part):
-        return part.log_statistics.mean
-
-    def variables(values):
-        return {"mean": (("channel",), values)}
-
-    of_samples = run(samples, mean, variables, description="", progress=False)
-    of_bins = run(histogram(samples), mean, variables, description="")
-    assert of_bins["mean"].dims == of_samples["mean"].dims == ("y", "x", "channel")
-    np.testing.assert_allclose(of_bins["mean"], of_samples["mean"], rtol=0.05)
-    pixel = run(histogram(samples[1, 2]), mean, variables, description="")
-    np.testing.assert_array_equal(of_bins["mean"].values[1, 2], pixel)
+    of_samples = fit.gamma(samples, progress=False)
+    of_bins = fit.gamma(histogram(samples))
+    assert of_bins["gamma_scale"].dims == of_samples["gamma_scale"].dims == ("y", "x", "channel")
+    np.testing.assert_allclose(of_bins["gamma_scale"], of_samples["gamma_scale"], rtol=0.1)
+    pixel = fit.gamma(histogram(samples[1, 2]))
+    np.testing.assert_array_equal(of_bins["gamma_scale"].values[1, 2], pixel.parameters["scale"])
 
 
 def test_what_cannot_be_binned_is_refused():
     with pytest.raises(InputError, match="log histogram, got one of linear"):
-        PositiveHistogram.of(histogram([1.0, 2.0], scale="linear"))
+        histogram([1.0, 2.0], scale="linear").positive  # noqa: B018 - it raises
     linear = histogram(Samples.from_array(np.ones((2, 2, 1, 4))), scale="linear")
     with pytest.raises(InputError, match="without log_counts"):
-        PositiveHistogram.of_dataset(linear)
+        Histogram.of_dataset(linear)
     with pytest.raises(InputError, match="null is for arrays"):
-        run(histogram([1.0]), lambda part: part, dict, null=[False], description="")
+        fit.gamma(histogram([1.0]), null=[False])

@@ -1,0 +1,169 @@
+"""Statistics: what is computed of the samples of each pixel, and how an image names it.
+
+A statistic is declared once, in one file, as two frozen dataclasses. Its result, a `Result` made by
+`result`, has a field for each value; `variable` gives a field its label, unit and dims in the
+dataset of an image, and says which p-values are corrected for the number of pixels. The statistic
+itself, a `Statistic`, has its options as fields and computes a result in `Statistic.measure`.
+`chdstat.summary.runner.run` applies it to whatever a user has: an array, a pixel, a histogram, or
+an image, tile by tile.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, dataclass_transform
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.display import Shown
+from chdstat._core.reasons import label_variables
+from chdstat._core.resampling import q_values, rejections
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["RADIANCE", "Mapped", "Result", "Statistic", "Variable", "result", "variable"]
+
+RADIANCE = "W sr-1 m-2"
+"""Unit of radiance."""
+
+Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
+"""Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
+
+Kind = TypeVar("Kind")
+Found = TypeVar("Found", covariant=True)
+
+
+@dataclass(frozen=True)
+class Variable:
+    """How the dataset of an image has a field of a result; see `variable`."""
+
+    label: str
+    dims: tuple[str, ...]
+    unit: str
+    name: str
+    pooled: bool
+    rejected: str
+
+
+def variable(
+    label: str,
+    *dims: str,
+    unit: str = "1",
+    name: str = "",
+    pooled: bool = False,
+    rejected: str = "",
+) -> Any:
+    """Declare a field that becomes a variable of the dataset of an image.
+
+    Parameters
+    ----------
+    label, unit
+        Attributes ``long_name`` and ``units``. Names that end in ``reason`` are `Reason` codes.
+    *dims
+        Dims that follow those of the rows.
+    name
+        In the dataset; by default, that of the field after `Statistic.prefix`.
+    pooled
+        Of a p-value: add the q-value over the image, ``q_value`` to ``p_value``.
+    rejected
+        Of a pooled p-value: add ``rejected``, 1 where the q-value is at most the statistic's
+        `alpha`; this is its label.
+    """
+    return field(metadata={"variable": Variable(label, dims, unit, name, pooled, rejected)})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(variable,))
+def result(kind: type[Kind]) -> type[Kind]:
+    """Make a class a frozen dataclass of which some fields are variables, as type checkers know."""
+    return dataclass(frozen=True, repr=False)(kind)
+
+
+class Result(Shown):
+    """What a statistic returns for an array: see `result` and `variable`."""
+
+    @classmethod
+    def declared(cls, prefix: str = "") -> dict[str, tuple[str, Variable]]:
+        """Return the variables by their names in a dataset, each with the name of its field."""
+        own: Any = fields(cls)  # type: ignore[arg-type]
+        known = [(f.name, f.metadata["variable"]) for f in own if "variable" in f.metadata]
+        return {about.name or f"{prefix}{name}": (name, about) for name, about in known}
+
+
+class Statistic(Generic[Found]):
+    """A statistic of rows of samples: a frozen dataclass of its options.
+
+    Attributes
+    ----------
+    result
+        The class of its results.
+    description
+        What a progress bar says.
+    rows
+        What it measures of an image: each of the channels, or the luminance.
+    binned
+        Whether it takes log histograms, too.
+    logarithms
+        Whether it leaves negative samples out.
+    prefix
+        Of the names of its variables.
+    """
+
+    result: ClassVar[type[Result]]
+    description: ClassVar[str]
+    rows: ClassVar[Literal["channels", "luminance"]] = "channels"
+    binned: ClassVar[bool] = False
+    logarithms: ClassVar[bool] = True
+    prefix: ClassVar[str] = ""
+
+    def measure(self, part: Any) -> Found:
+        """Return the result of the rows of a positive part, which is NaN where a reason says why.
+
+        What depends on another statistic of the same rows asks ``part.measured`` for it.
+        """
+        raise NotImplementedError
+
+    def coordinates(self) -> Mapping[str, Sequence[Any] | npt.NDArray[Any] | None]:
+        """Return the coordinates of further dims; None for a dim that this statistic has not."""
+        return {}
+
+    def attrs(self) -> Mapping[str, Any]:
+        """Return the attributes of the dataset."""
+        return {}
+
+    def variables(self, found: Any) -> Mapped:
+        """Return a result of the rows of a tile as variables."""
+        first = ("channel",) if self.rows == "channels" else ()
+        left_out = {dim for dim, names in self.coordinates().items() if names is None}
+        return {
+            name: (
+                (*first, *(dim for dim in about.dims if dim not in left_out)),
+                getattr(found, own),
+            )
+            for name, (own, about) in self.result.declared(self.prefix).items()
+        }
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Add what is pooled over an image, coordinates, and the names and units of variables."""
+        labels = {}
+        for name, (_, about) in self.result.declared(self.prefix).items():
+            labels[name] = about.label, about.unit
+            if about.pooled and name in dataset:
+                of_image, p_value = re.sub(r"(^|_)p_", r"\1q_", name), dataset[name]
+                q_value = p_value.copy(data=q_values(p_value.to_numpy()))
+                dataset = dataset.assign({of_image: q_value})
+                labels[of_image] = f"{about.label.replace('p-', 'q-')} over the image", "1"
+                if about.rejected:
+                    rejected = name.replace("p_value", "rejected")
+                    alpha: float = vars(self)["alpha"]
+                    dataset = dataset.assign({rejected: rejections(q_value, alpha)})
+                    labels[rejected] = about.rejected, "1"
+        named = {
+            dim: np.asarray(names, dtype=object)
+            for dim, names in self.coordinates().items()
+            if names is not None
+        }
+        return label_variables(dataset, labels).assign_coords(named).assign_attrs(self.attrs())

@@ -1,0 +1,133 @@
+"""Runner: apply a statistic to whatever a user has, be it an array, a histogram or an image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Concatenate,
+    ParamSpec,
+    Protocol,
+    TypeAlias,
+    TypeVar,
+    cast,
+    overload,
+)
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import as_pixels, as_samples, warn_left_out
+from chdstat._core.positive import PositivePart
+from chdstat._core.statistic import Statistic
+from chdstat.errors import InputError
+from chdstat.samples import ImageLike, Mapped, Samples, opened
+from chdstat.summary.histograms import Histogram
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["OfSource", "Source", "of_source", "run"]
+
+Source: TypeAlias = "ImageLike | Histogram | xr.Dataset | npt.ArrayLike"
+"""What users give: an image, a log histogram, the log histograms of an image, or an array."""
+
+Found = TypeVar("Found")
+Options = ParamSpec("Options")
+Own = TypeVar("Own", covariant=True)
+
+_USERS = tuple(
+    f"chdstat.{part}" for part in ("summary.runner", "fit", "inference", "patterns.classification")
+)
+"""What takes samples of a user."""
+
+
+class OfSource(Protocol[Options, Own]):
+    """Type of a function that returns a dataset for an image, and a type of its own otherwise."""
+
+    @overload
+    def __call__(
+        self, x: ImageLike | xr.Dataset, *args: Options.args, **options: Options.kwargs
+    ) -> xr.Dataset: ...
+    @overload
+    def __call__(
+        self, x: Histogram | npt.ArrayLike, *args: Options.args, **options: Options.kwargs
+    ) -> Own: ...
+
+
+def of_source(
+    function: Callable[Concatenate[Source, Options], Own | xr.Dataset],
+) -> OfSource[Options, Own]:
+    """Tell type checkers what a function of any `Source` returns; the function stays as it is."""
+    return cast("OfSource[Options, Own]", function)
+
+
+def run(
+    statistic: Statistic[Found],
+    x: Source,
+    *,
+    null: npt.ArrayLike | None = None,
+    progress: bool | None = None,
+) -> Found | xr.Dataset:
+    """Apply a statistic.
+
+    Parameters
+    ----------
+    statistic
+        What to measure.
+    x
+        Radiance, shape (..., sample), or (..., channel, sample) where the statistic is of
+        luminance; a `Histogram` of log scale; an image, as `Samples` or the path of a store; or the
+        dataset that `chdstat.histogram` returns for an image.
+    null
+        Which samples of an array are null, broadcastable to it.
+    progress
+        As for `Samples.map`.
+
+    Returns
+    -------
+    Found or xarray.Dataset
+        What the statistic measures of an array or a `Histogram`; for an image, its variables.
+
+    Raises
+    ------
+    InputError
+        If `null` is given for anything but an array, or the statistic needs samples and gets a
+        histogram.
+    StoreError
+        If there is no store at a path, or it is damaged.
+    """
+    dataset: Any = x if hasattr(x, "data_vars") else None  # told without importing xarray
+    given = opened(cast("ImageLike | npt.ArrayLike", x))
+    binned = dataset is not None or isinstance(given, Histogram)
+    if null is not None and (binned or isinstance(given, Samples)):
+        message = f"null is for arrays: a {type(given).__name__} knows which samples are null"
+        raise InputError(message)
+    if binned and not statistic.binned:
+        message = f"{statistic.description} needs the samples themselves, got a histogram"
+        raise InputError(message)
+    if isinstance(given, Samples):
+
+        def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+            part = PositivePart.of_pixels(block, rows=statistic.rows)
+            return statistic.variables(statistic.measure(part))
+
+        kinds: Any = {"logarithms": statistic.logarithms, "description": statistic.description}
+        return statistic.finish(given.map(of_block, **kinds, progress=progress))
+    if dataset is not None:
+        import xarray as xr
+
+        found = statistic.variables(statistic.measure(Histogram.of_dataset(dataset).positive))
+        coords = {name: dataset[name] for name in ("y", "x", "channel") if name in dataset.coords}
+        named = {name: (("y", "x", *dims), values) for name, (dims, values) in found.items()}
+        return statistic.finish(xr.Dataset(named, coords=coords, attrs=dataset.attrs))
+    if isinstance(given, Histogram):
+        return statistic.measure(given.positive)
+    if statistic.rows == "luminance":
+        pixels = as_pixels(given)
+        warn_left_out(pixels, channel_axis=-2, logarithms=True, within=_USERS)
+        return statistic.measure(PositivePart.of_pixels(pixels, rows="luminance"))
+    samples = as_samples(given)
+    warn_left_out(samples, logarithms=statistic.logarithms, within=_USERS)
+    return statistic.measure(PositivePart.of(samples, null=null))
