@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Image, LeftOut, spans, whole
 from chdstat._core.files import release, room
+from chdstat._core.statistic import Mapped
 from chdstat._core.work import Cache, check_memory, in_order, track
 from chdstat.errors import InputError
 
@@ -61,8 +62,6 @@ _OF_BAD = ("bad_count", "nan_count", "n_bad")
 
 Part = int | str
 """A part of the light of samples: paths up to so many segments, or the lights of such names."""
-Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
-"""Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
 
 
 class Work(TypedDict, total=False):
