@@ -195,12 +195,12 @@ class PlaceStatistics:
         """
         if (family, row) not in self._positive:
             found = self.fit(family, row)
-            if isinstance(found, Fit):
-                frozen = get_family(found.family).distribution(found.parameters)
-                self._positive[family, row] = found.family, frozen.pdf, frozen.ppf
-            elif found is not None:
+            if isinstance(found, Mixture):
                 quantiles = partial(_positive_quantiles, found)
                 self._positive[family, row] = "mixture", found.pdf, quantiles
+            elif found is not None:
+                frozen = get_family(found.family).distribution(found.parameters)
+                self._positive[family, row] = found.family, frozen.pdf, frozen.ppf
             else:
                 self._positive[family, row] = None
         return self._positive[family, row]

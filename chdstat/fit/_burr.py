@@ -32,8 +32,8 @@ from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
 from chdstat.errors import Reason
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
-from chdstat.fit.weighted_samples import WeightedSamples
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
+from chdstat.fit.mle import maximise
 from chdstat.summary.dispatch import Part
 
 __all__ = ["BURR"]
@@ -48,7 +48,7 @@ _SKEWNESS = (special.polygamma(2, 1) - special.polygamma(2, _SHAPES)) / (
 ) ** 1.5
 
 
-def _estimate(part: Part, near: Parameters | None) -> Estimate:
+def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate:
     """Maximise the profile likelihood of a = log c and q = log(1 + e^rho).
 
     With v = c (log x - log scale), rho is v at the log mean, and d is profiled out: ``1 / d =
@@ -71,6 +71,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         minimum=BURR.minimum,
         floor=_LEAST,
         near=start,
+        tolerance=tolerance,
     )
     return Estimate(
         parameters={"c": c, "d": d, "scale": scale},

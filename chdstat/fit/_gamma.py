@@ -21,8 +21,7 @@ import numpy as np
 from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters
-from chdstat.fit.weighted_samples import WeightedSamples
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["GAMMA", "gamma_shape", "gap_of_shape"]
@@ -31,7 +30,7 @@ _ITERATIONS = 20
 _TOLERANCE = 1e-12
 
 
-def _estimate(part: Part, _near: Parameters | None) -> Estimate:
+def _estimate(part: Part, *_search: object) -> Estimate:
     sums = part.log_statistics
     shape, converged = gamma_shape(sums.gap)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

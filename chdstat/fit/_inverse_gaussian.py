@@ -23,14 +23,21 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
-from chdstat.fit.weighted_samples import WeightedSamples, of_rows
+from chdstat.fit.family import (
+    RADIANCE,
+    Estimate,
+    Family,
+    Parameters,
+    WeightedSamples,
+    of_rows,
+    summed,
+)
 from chdstat.summary.dispatch import Part
 
 __all__ = ["INVERSE_GAUSSIAN"]
 
 
-def _estimate(part: Part, _near: Parameters | None) -> Estimate:
+def _estimate(part: Part, *_search: object) -> Estimate:
     mu, inverse = of_rows(part, INVERSE_GAUSSIAN.minimum, 2, _moments).reshape(2, *part.n.shape)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         shape = mu / inverse

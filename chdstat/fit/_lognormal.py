@@ -21,14 +21,13 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats
-from chdstat.fit.family import Estimate, Family, Parameters
-from chdstat.fit.weighted_samples import WeightedSamples
+from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["LOGNORMAL"]
 
 
-def _estimate(part: Part, _near: Parameters | None) -> Estimate:
+def _estimate(part: Part, *_search: object) -> Estimate:
     sums = part.log_statistics
     with np.errstate(invalid="ignore", divide="ignore"):
         mu, sigma = sums.log_mean, np.sqrt(sums.log_variance)

@@ -25,8 +25,8 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats, Mask
 from chdstat.errors import Reason
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
-from chdstat.fit.weighted_samples import WeightedSamples
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
+from chdstat.fit.mle import maximise
 from chdstat.summary.dispatch import Part
 
 __all__ = ["PARETO"]
@@ -44,7 +44,7 @@ _TERMS = 9
 """Terms of the series about xi = 0; the first left out is below double precision."""
 
 
-def _estimate(part: Part, _near: Parameters | None) -> Estimate:
+def _estimate(part: Part, *_search: object) -> Estimate:
     """Maximise the profile likelihood of Grimshaw 1993 in s of `_GRID`.
 
     ``xi = mean log(1 + theta x)`` for theta = xi / scale. The likelihood has no bound as theta goes

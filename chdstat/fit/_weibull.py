@@ -22,8 +22,8 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats, Mask
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
-from chdstat.fit.weighted_samples import WeightedSamples
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
+from chdstat.fit.mle import maximise
 from chdstat.summary.dispatch import Part
 
 __all__ = ["WEIBULL"]
@@ -61,7 +61,7 @@ def _powers(points: WeightedSamples, k: Floats, top: Floats) -> Floats:
     return np.exp(power, out=power)
 
 
-def _estimate(part: Part, near: Parameters | None) -> Estimate:
+def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate:
     shape, scale, converged = maximise(
         part,
         _profile,
@@ -70,6 +70,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         names=3,
         minimum=WEIBULL.minimum,
         near=None if near is None else (np.log(near["shape"]), np.zeros(part.n.shape)),
+        tolerance=tolerance,
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         # Inverse of the Fisher information, in closed form: Johnson, Kotz and Balakrishnan,

@@ -30,7 +30,7 @@ from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat.fit._gamma import gap_of_shape
-from chdstat.fit.weighted_samples import SPREAD_FLOOR, Summaries
+from chdstat.fit.groups import SPREAD_FLOOR, Summaries
 
 __all__ = [
     "COMPONENTS",

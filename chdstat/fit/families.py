@@ -30,7 +30,7 @@ from chdstat.fit._inverse_gaussian import INVERSE_GAUSSIAN
 from chdstat.fit._lognormal import LOGNORMAL
 from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
-from chdstat.fit.family import Estimate, Family, Parameters
+from chdstat.fit.family import TIGHT, Estimate, Family, Parameters
 from chdstat.samples import Mapped
 from chdstat.summary.dispatch import OfSource, Part, Source, of_source, run
 
@@ -42,7 +42,6 @@ __all__ = [
     "SELECTED",
     "Family",
     "Fit",
-    "ZeroInflated",
     "counts_of",
     "estimate_part",
     "expand",
@@ -90,16 +89,40 @@ _SHARED = {
 
 
 @dataclass(frozen=True, repr=False)
-class ZeroInflated(Shown):
-    """What fits of families and mixtures share: a point mass at 0, a density on the positive rest.
+class Fit(Shown):
+    """A zero-inflated family: a point mass at 0, and a density on the positive radiances.
 
-    The attributes are those of `Fit`. Of the variables that an image's fits become, `prefix` starts
-    the names, and `labels` has the long names of those that are fields; their last dimension is
-    that of `dims`, or else that of components.
+    ``P(X = 0) = zero_share``; otherwise X follows the family. Every array has the batch's shape,
+    () for a single pixel; a row that could not be fitted holds NaN and says why in `reason`.
+
+    Attributes
+    ----------
+    family
+        Name of the family.
+    parameters, standard_errors
+        Estimates and their asymptotic standard errors, by name.
+    log_likelihood
+        Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
+    aic, bic
+        Information criteria; the zero share counts as a parameter of every family.
+    null_share, null_interval
+        Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
+    n, n_null, n_zero, n_negative, n_bad
+        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
+        which the model leaves out; bad ones.
+    converged
+        Whether the estimate met its tolerance.
+    reason
+        `Reason` codes.
+    error_reason
+        `Reason` codes of why one or more standard errors are NaN: as `reason`; `TOO_FEW` samples
+        for them to hold, fewer than `Family.errors_from`; or `NOT_REGULAR`.
     """
 
     prefix: ClassVar[str] = "{}"
+    """Of the names of the variables that an image's fits become."""
     dims: ClassVar[Mapping[str, str]] = {}
+    """Last dimensions of fields that are neither of the batch's shape nor of components."""
     labels: ClassVar[Mapping[str, str]] = {
         "log_likelihood": "log-likelihood of the zero-inflated model",
         "aic": "Akaike information criterion",
@@ -108,6 +131,7 @@ class ZeroInflated(Shown):
         "reason": "why there is no {} fit",
         "error_reason": "why {} has no standard errors",
     }
+    """Long names of the variables that are fields."""
 
     family: str
     parameters: Parameters
@@ -124,6 +148,7 @@ class ZeroInflated(Shown):
     n_bad: Counts
     converged: Mask
     reason: npt.NDArray[np.int8]
+    error_reason: npt.NDArray[np.int8]
 
     @property
     def name(self) -> str:
@@ -144,14 +169,14 @@ class ZeroInflated(Shown):
         """
         x = np.asarray(x, dtype=np.float64)
         with np.errstate(all="ignore"):
-            return self._mixed(self._distribution(x.ndim).pdf(x), x.ndim)
+            return np.asarray(self._distribution(x.ndim).pdf(x))
 
     def cdf(self, x: npt.ArrayLike) -> Floats:
         """Return P(X <= x) of the zero-inflated model, shape of the batch, then that of `x`."""
         x = np.asarray(x, dtype=np.float64)
         zero = expand(self.zero_share, x.ndim)
         with np.errstate(all="ignore"):
-            positive = self._mixed(self._distribution(x.ndim).cdf(x), x.ndim)
+            positive = self._distribution(x.ndim).cdf(x)
         return np.where(x < 0, 0 * zero, zero + (1 - zero) * positive)
 
     def ppf(self, q: npt.ArrayLike) -> Floats:
@@ -172,7 +197,7 @@ class ZeroInflated(Shown):
         own = get_family(self.family).mean
         with np.errstate(all="ignore"):
             mean = self._distribution(0).mean() if own is None else own(self.parameters)
-            return np.asarray((1 - self.zero_share) * self._mixed(mean, 0))
+            return np.asarray((1 - self.zero_share) * mean)
 
     def _card(self) -> Card:
         errors = {name: np.full_like(v, np.nan) for name, v in self.parameters.items()}
@@ -185,6 +210,7 @@ class ZeroInflated(Shown):
         return Card(f"{type(self).__name__} {self.name}", facts)
 
     def _distribution(self, trailing: int) -> Any:
+        """Return that of the positive part, whose arguments have so many axes after the batch's."""
         expanded = {name: expand(value, trailing) for name, value in self.parameters.items()}
         return get_family(self.family).distribution(expanded)
 
@@ -192,62 +218,24 @@ class ZeroInflated(Shown):
         zero = expand(self.zero_share, trailing)
         # Every family puts its quantile 0 at radiance 0: up to the mass at 0, so is that of all.
         with np.errstate(all="ignore"):
-            return self._positive_quantile(np.clip((q - zero) / (1 - zero), 0, 1), trailing)
-
-    def _positive_quantile(self, level: Floats, trailing: int) -> Floats:
-        """Return quantiles of the positive part, whose axes after the batch's are `trailing`."""
-        return np.asarray(self._distribution(trailing).ppf(level))
-
-    def _mixed(self, values: Floats, _trailing: int) -> Floats:
-        return np.asarray(values)  # of the positive part from those of its distribution
-
-
-@dataclass(frozen=True, repr=False)
-class Fit(ZeroInflated):
-    """A zero-inflated family: a point mass at 0, and a density on the positive radiances.
-
-    ``P(X = 0) = zero_share``; otherwise X follows the family. Every array has the batch's shape,
-    () for a single pixel; a row that could not be fitted holds NaN and says why in `reason`.
-
-    Attributes
-    ----------
-    family
-        Name of the family.
-    parameters, standard_errors
-        Estimates and their asymptotic standard errors, by name.
-    null_share, null_interval
-        Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
-    n, n_null, n_zero, n_negative, n_bad
-        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
-        which the model leaves out; bad ones.
-    log_likelihood
-        Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
-    aic, bic
-        Information criteria; the zero share counts as a parameter of every family.
-    converged
-        Whether the estimate met its tolerance.
-    reason
-        `Reason` codes.
-    error_reason
-        `Reason` codes of why one or more standard errors are NaN: as `reason`; `TOO_FEW` samples
-        for them to hold, fewer than `Family.errors_from`; or `NOT_REGULAR`.
-    """
-
-    error_reason: npt.NDArray[np.int8]
+            level = np.clip((q - zero) / (1 - zero), 0, 1)
+            return np.asarray(self._distribution(trailing).ppf(level))
 
 
 def counts_of(part: Part) -> dict[str, Any]:
     """Return the fields that all fits to the same samples share."""
     with np.errstate(invalid="ignore", divide="ignore"):
         null_share = np.asarray(part.n_null / part.n_good)
-    counts = {
-        name: getattr(part, name) for name in ("n", "n_null", "n_zero", "n_negative", "n_bad")
+    names = ("n", "n_null", "n_zero", "n_negative", "n_bad")
+    counts: dict[str, Any] = {name: getattr(part, name) for name in names}
+    return {
+        "null_share": null_share,
+        "null_interval": wilson(part.n_null, part.n_good),
+        **counts,
     }
-    interval = wilson(part.n_null, part.n_good)
-    return {"null_share": null_share, "null_interval": interval, **counts}
 
 
-def fit_variables(result: ZeroInflated) -> Mapped:
+def fit_variables(result: Fit) -> Mapped:
     """Return a fit over (y, x, channel) as variables for `Samples.map`."""
     errors = {f"{name}_se": value for name, value in result.standard_errors.items()}
     fields = {name: getattr(result, name) for name in result.labels}
@@ -260,7 +248,7 @@ def fit_variables(result: ZeroInflated) -> Mapped:
     return {name: (("channel", *deep.get(name, ())), value) for name, value in variables.items()}
 
 
-def label_fit(dataset: xr.Dataset, family: str, kind: type[ZeroInflated] = Fit) -> xr.Dataset:
+def label_fit(dataset: xr.Dataset, family: str, kind: type[Fit] = Fit) -> xr.Dataset:
     """Set long names, units and flag meanings of the variables of fits of a family."""
     prefix = kind.prefix.format(family)
     labels: dict[str, str | tuple[str, str]] = {**_SHARED}
@@ -417,14 +405,14 @@ def fit_part(part: Part, family: Family) -> Fit:
 
 
 def estimate_part(
-    part: Part, family: Family, near: Parameters | None = None
+    part: Part, family: Family, near: Parameters | None = None, tolerance: float = TIGHT
 ) -> tuple[Estimate, npt.NDArray[np.int8]]:
     """Return parameters and standard errors, NaN where there are none, and `Reason` codes.
 
-    The search begins at `near`, where that is given and known: it is faster, and the same in the
-    end.
+    A search begins at `near`, if given, in the rows where that is known, and leaves out the others;
+    it ends at Newton steps of `tolerance`.
     """
-    estimate = family.estimate(part, near)
+    estimate = family.estimate(part, near, tolerance)
     reason = part.reason(family.minimum)
     failed = (reason == Reason.OK) & ~estimate.converged
     limit = np.broadcast_to(estimate.limit, reason.shape)

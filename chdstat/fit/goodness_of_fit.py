@@ -2,33 +2,46 @@
 
 `goodness` gives, for each test, a p-value that allows for the parameters being estimated, and an
 effect size: with thousands of samples every family is rejected, and the effect shows whether it
-matters.
-Use `chdstat.fit.select` to compare families with each other.
+matters. Use `chdstat.fit.select` to compare families with each other.
 
 Anderson-Darling has the most power against tails that differ, which decide noise; Cramer-von Mises
 weighs the body, Kolmogorov-Smirnov takes the largest gap, whose size is the easiest to read;
 chi-square at all cells equally, whatever their order, and is the weakest of the four.
+
+The bootstrap draws samples from the fit and fits them again, the replicates of several rows at
+once. The random numbers of a row are made of the seed and of the row's own samples, so that its
+p-value does not depend on which rows are tested with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, Seed, seed_number, whole
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, seed_number, spans, whole
 from chdstat._core.display import Shown
+from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError, Reason
 from chdstat.fit.atoms import split
-from chdstat.fit.distances import DISTANCES, FitTest, bootstrap, mixture_family
-from chdstat.fit.families import Fit, fit_part, get_family, zero_log_likelihood
-from chdstat.fit.family import Family, Parameters
-from chdstat.fit.mixtures import Mixture
+from chdstat.fit.families import Fit, estimate_part, fit_part, get_family, zero_log_likelihood
+from chdstat.fit.family import (
+    Estimate,
+    Family,
+    Parameters,
+    WeightedSamples,
+    summed,
+    take,
+    take_part,
+    width_of,
+)
+from chdstat.fit.mixtures import Mixture, MixtureDistribution, mixture_of_part
 from chdstat.fit.selection import Selection
 from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
@@ -48,7 +61,8 @@ __all__ = [
     "goodness_variables",
 ]
 
-FIT_TESTS: tuple[FitTest, ...] = tuple(DISTANCES)
+FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", "chi-square"]
+FIT_TESTS: tuple[FitTest, ...] = get_args(FitTest)
 """Names of the tests."""
 
 _LABELS = {
@@ -130,8 +144,8 @@ def finish_goodness(
     return dataset.assign_coords(fit_test=np.array(tests, dtype=object))
 
 
-Fitted: TypeAlias = Fit | Mixture | Selection
-"""What was fitted, and can be tested."""
+Fitted: TypeAlias = Fit | Selection
+"""What was fitted, a mixture included, and can be tested."""
 
 _MINIMUM = 8
 _SAME = 1e-6
@@ -269,7 +283,7 @@ def goodness_of_part(
         few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
         reason[few] = Reason.TOO_FEW
         usable = rows & (reason == Reason.OK)
-        found = bootstrap(part, usable, family, parameters, tests, resamples, root)
+        found = _bootstrap(part, usable, family, parameters, tests, resamples, root)
         values[:, usable] = found.reshape(values.shape)[:, usable]
     statistic, p_value, fitted = values
     effect = np.sqrt(np.maximum(statistic, 0) / np.maximum(part.n, 1)[..., np.newaxis])
@@ -322,17 +336,299 @@ def _name(fit: Family | Fitted) -> str:
 
 def _cases(
     fit: Fitted, given: Family | None = None
-) -> Iterator[tuple[Family, Parameters, Mask, Fit | Mixture]]:
+) -> Iterator[tuple[Family, Parameters, Mask, Fit]]:
     """Yield each family that there is, its parameters, its rows, and their fit."""
     if isinstance(fit, Selection):
         for i, name in enumerate(fit.families):
             one = fit.fits[name]
             yield get_family(name), one.parameters, np.asarray(fit.best == i), one
         return
-    if isinstance(fit, Fit):
+    if not isinstance(fit, Mixture):
         family = given or get_family(fit.family)
         yield family, fit.parameters, np.ones(fit.n.shape, dtype=bool), fit
         return
     for k in np.unique(fit.k[fit.k > 0]).tolist():
-        rows = np.asarray(fit.k == k)
-        yield *mixture_family(fit, k), rows, fit
+        yield *_mixture_family(fit, k), np.asarray(fit.k == k), fit
+
+
+_CHUNK = 2**18
+"""Samples or bins worked on at once: fits of many rows cost less for each."""
+_EQUAL = 1e-9
+"""Relative difference below which two statistics are the same, but for rounding."""
+
+
+def _bootstrap(
+    part: Part,
+    usable: Mask,
+    family: Family,
+    parameters: Parameters,
+    tests: Sequence[FitTest],
+    resamples: int,
+    seed: int,
+) -> Floats:
+    """Return statistics, p-values and replicates that could be fitted, shape (3, row, test).
+
+    Rows are those of the flattened batch; what is not usable is NaN. P-values are NaN where fewer
+    than half of the replicates could be fitted.
+    """
+    table = np.full((3, part.n.size, len(tests)), np.nan)
+    statistic, p_value, fitted = table
+    rows = np.flatnonzero(usable)
+    # Rows of as many samples go together: a block is as wide as its rows need.
+    rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
+    for block in spans(len(rows), max(1, _CHUNK // width_of(part) // max(1, resamples))):
+        here = rows[block]
+        some = take_part(part, here)
+        known = take(parameters, here)
+        statistic[here] = _distances(some, family, known, tests)
+        if not resamples:
+            continue
+        more, count = _replicates(some, family, known, statistic[here], tests, resamples, seed)
+        fitted[here] = count
+        # Davison and Hinkley (1997), equation 4.11.
+        known_enough = (count > 0) & (2 * count >= resamples)
+        p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
+    return table
+
+
+def _replicates(
+    part: Part,
+    family: Family,
+    parameters: Parameters,
+    statistic: Floats,
+    tests: Sequence[FitTest],
+    resamples: int,
+    seed: int,
+) -> tuple[Floats, Floats]:
+    """Count replicates at least as far from their fit as the samples, and all that could be fit."""
+    if isinstance(part, PositiveHistogram):
+        held = list(part.counts)
+    else:
+        held = [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
+    # Of the seed and of the row's samples, whatever their order; never the generator of the seed
+    # alone, of which the samples may be draws.
+    streams = [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
+    more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
+    least = statistic[:, np.newaxis] * (1 - _EQUAL)
+    for piece in spans(resamples, max(1, _CHUNK // width_of(part) // len(part.n))):
+        times = piece.stop - piece.start
+        repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
+        # Where the sum of the samples is close to overflow, that of a replicate may: no fit.
+        with np.errstate(all="ignore"):
+            drawn = _draw(part, family, parameters, times, streams)
+            estimate, _ = estimate_part(drawn, family, repeated)
+        found = _distances(drawn, family, estimate.parameters, tests)
+        found = found.reshape(len(part.n), times, len(tests))
+        more += np.count_nonzero(found >= least, axis=1)
+        count += np.count_nonzero(np.isfinite(found) & np.isfinite(least), axis=1)
+    return more, count
+
+
+def _draw(
+    part: Part,
+    family: Family,
+    parameters: Parameters,
+    times: int,
+    streams: Sequence[np.random.Generator],
+) -> Part:
+    """Draw as many samples from the family as a row has, so many times, one row after the other."""
+    if isinstance(part, PositiveHistogram):
+        probability = _bin_probabilities(part, family, parameters)
+        total = np.maximum(probability.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+        rows = zip(streams, part.n, probability / total, strict=True)
+        counts = [rng.multinomial(n, row, size=times) for rng, n, row in rows]
+        drawn_counts = np.concatenate(counts).astype(np.float64)
+        none = np.zeros(len(drawn_counts), dtype=np.int64)
+        return PositiveHistogram(
+            counts=drawn_counts,
+            log_centers=np.repeat(part.log_centers, times, axis=0),
+            width=np.repeat(part.width, times),
+            n=drawn_counts.sum(axis=-1).astype(np.int64),
+            **dict.fromkeys(("n_null", "n_zero", "n_negative", "n_bad"), none),
+        )
+    drawn = np.ones((len(part.n), times, int(part.n.max())))
+    for i, (rng, n) in enumerate(zip(streams, part.n, strict=True)):
+        law = family.distribution({n: v[i, None, None] for n, v in parameters.items()})
+        drawn[i, :, :n] = law.rvs(size=(times, n), random_state=rng)
+    bad = np.arange(drawn.shape[-1]) >= np.repeat(part.n, times)[:, np.newaxis]
+    return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
+
+
+def _mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
+    """Return mixtures of as many components as a family, for the bootstrap, and those given.
+
+    Its parameters are those of each component, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
+    """
+    base = get_family(mixture.family)
+    units = {**base.units, "weight": "1"}
+
+    def numbered(found: Mixture) -> Parameters:
+        each = {**found.parameters, "weight": found.weights}
+        return {f"{name}_{i + 1}": v[..., i] for i in range(k) for name, v in each.items()}
+
+    def components(parameters: Parameters) -> dict[str, Floats]:
+        return {n: np.stack([parameters[f"{n}_{i + 1}"] for i in range(k)]) for n in units}
+
+    def estimate(part: Part, *_search: object) -> Estimate:
+        found = mixture_of_part(part, k, family=mixture.family)
+        return Estimate(numbered(found), {}, found.converged)
+
+    def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
+        each, densities = components(parameters), []
+        for i, weight in enumerate(each["weight"]):
+            one = {name: each[name][i] for name in base.units}
+            densities.append(base.log_density(points, one) + np.log(weight)[:, np.newaxis])
+        return np.asarray(np.logaddexp.reduce(densities))
+
+    def distribution(parameters: Parameters) -> MixtureDistribution:
+        each = components(parameters)
+        none = np.empty((0, *each["weight"].shape[1:]))
+        return MixtureDistribution(base.distribution(each), each["weight"], none, none)
+
+    family = Family(
+        name=mixture.name,
+        label=f"mixture of {base.label}",
+        documentation=None,
+        units={f"{name}_{i + 1}": unit for i in range(k) for name, unit in units.items()},
+        estimate=estimate,
+        log_likelihood=summed(log_density),
+        log_density=log_density,
+        distribution=distribution,
+    )
+    return family, numbered(mixture)
+
+
+_LEAST = 1e-300
+"""Least probability whose logarithm is taken."""
+_FAR = 0.9
+"""Where F is larger, 1 - F is computed separately, so that it does not lose its digits."""
+_EXPECTED = 5.0
+"""Least number of samples expected in a cell (Cochran 1954, doi:10.2307/3001616)."""
+
+Distances = Mapping[FitTest, Callable[[], Floats]]
+"""What computes the statistic of each test for some rows, shape (row,)."""
+
+
+def _distances(
+    part: Part, family: Family, parameters: Parameters, tests: Sequence[FitTest]
+) -> Floats:
+    """Return statistics, shape (row, test), at parameters of shape (row,); NaN without these."""
+    fitted = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
+    found = np.full((len(fitted), len(tests)), np.nan)
+    rows = np.flatnonzero(fitted)
+    if not len(rows):
+        return found
+    some = part if len(rows) == len(fitted) else take_part(part, rows)
+    known, free = take(parameters, rows), len(parameters)
+    if isinstance(some, PositiveHistogram):
+        expected = _bin_probabilities(some, family, known) * some.n[:, np.newaxis]
+        statistics = _of_bins(some.counts, expected, some.n, free)
+    else:
+        # Rows have from few to all samples: distribution functions are dear, so of those alone.
+        present = some.valid
+        below, above = np.zeros(present.shape), np.ones(present.shape)
+        x, each = some.sorted[present].astype(np.float64), take(parameters, np.repeat(rows, some.n))
+        with np.errstate(all="ignore"):
+            of_samples = np.asarray(family.distribution(each).cdf(x))
+            below[present], beyond, far = of_samples, 1 - of_samples, of_samples > _FAR
+            beyond[far] = family.distribution(take(each, far)).sf(x[far])
+        above[present] = beyond
+        statistics = _of_samples(below, above, present, some.n, free)
+    found[rows] = np.stack([statistics[test]() for test in tests], axis=-1)
+    return found
+
+
+def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Parameters) -> Floats:
+    """Return the probability of each bin, shape (row, bin), given that it is one of them.
+
+    The last bin has all above its lower edge, since it has the samples above the support; what is
+    below the support counts as zeros, and takes no part.
+    """
+    edges = np.exp(part.log_centers - part.width[:, np.newaxis] / 2)
+    columns = {name: value[:, np.newaxis] for name, value in parameters.items()}
+    with np.errstate(all="ignore"):
+        above = np.broadcast_to(family.distribution(columns).sf(edges), part.counts.shape)
+        probability = -np.diff(above, axis=-1, append=0) / above[:, :1]
+    return np.asarray(np.maximum(np.nan_to_num(probability), 0))
+
+
+def _of_samples(
+    below: Floats, above: Floats, present: Mask, n: Counts, parameters: int
+) -> Distances:
+    """Return statistics of samples, ascending, of which F and 1 - F have shape (row, sample)."""
+    rank, total = np.arange(1, below.shape[-1] + 1), n[:, np.newaxis]
+
+    def kolmogorov_smirnov() -> Floats:
+        gap = np.maximum(rank / total - below, below - (rank - 1) / total)
+        return np.asarray(np.where(present, gap, 0).max(axis=-1))
+
+    def cramer_von_mises() -> Floats:
+        gap = below - (rank - 0.5) / total
+        return np.asarray(1 / (12 * n) + np.where(present, gap**2, 0).sum(axis=-1))
+
+    def anderson_darling() -> Floats:
+        log_below, log_above = (np.log(np.maximum(f, _LEAST)) for f in (below, above))
+        terms = (2 * rank - 1) * log_below + (2 * (total - rank) + 1) * log_above
+        return np.asarray(-n - np.where(present, terms, 0).sum(axis=-1) / n)
+
+    def chi_square() -> Floats:
+        # There are 2 n^(2/5) equiprobable cells (Moore 1986, in D'Agostino and Stephens,
+        # "Goodness-of-fit techniques", chapter 3), and at most as many as have 5 samples expected.
+        cells = np.minimum(2 * n**0.4, n / _EXPECTED).astype(np.int64)
+        most, last = int(cells.max(initial=1)), cells[:, np.newaxis] - 1
+        cell = np.minimum(below * cells[:, np.newaxis], last).astype(np.int64)
+        index = np.where(present, cell, most) + np.arange(len(n))[:, np.newaxis] * (most + 1)
+        counts = np.bincount(index.ravel(), minlength=len(n) * (most + 1)).reshape(len(n), -1)
+        square = (counts[:, :most].astype(np.float64) ** 2).sum(axis=-1)
+        return np.where(cells >= parameters + 2, cells * square / n - n, np.nan)
+
+    return {
+        "kolmogorov-smirnov": kolmogorov_smirnov,
+        "cramer-von-mises": cramer_von_mises,
+        "anderson-darling": anderson_darling,
+        "chi-square": chi_square,
+    }
+
+
+def _of_bins(counts: Floats, expected: Floats, n: Counts, parameters: int) -> Distances:
+    """Return statistics of bins, shape (row, bin).
+
+    Those of Cramer, von Mises, Anderson and Darling weigh by the bins (Choulakian, Lockhart and
+    Stephens 1994, doi:10.2307/3315828).
+    """
+    excess = np.cumsum(counts - expected, axis=-1)
+
+    def kolmogorov_smirnov() -> Floats:
+        return np.asarray(np.abs(excess).max(axis=-1) / n)
+
+    def cramer_von_mises() -> Floats:
+        return np.asarray(np.vecdot(excess**2, expected) / n**2)
+
+    def anderson_darling() -> Floats:
+        below = np.cumsum(expected, axis=-1) / n[:, np.newaxis]
+        variance = below * (1 - below)
+        # Beyond the first and the last bin that expect a sample, both are 0 but for rounding.
+        weight = np.where(variance > 1e-12, expected / np.maximum(variance, 1e-12), 0)
+        return np.asarray(np.vecdot(excess**2, weight) / n**2)
+
+    def chi_square() -> Floats:
+        # Bins are merged from the left until a cell expects 5 samples, the rest into the last cell.
+        square, cells = np.zeros(len(n)), np.zeros(len(n), dtype=np.int64)
+        count, mean = np.zeros(len(n)), np.zeros(len(n))
+        left = expected.sum(axis=-1) - np.cumsum(expected, axis=-1).T
+        for more, expects, rest in zip(counts.T, expected.T, left, strict=True):
+            count, mean = count + more, mean + expects
+            # What is left must fill a cell, too.
+            full = (mean >= _EXPECTED) & (rest >= _EXPECTED)
+            square += np.where(full, (count - mean) ** 2 / np.maximum(mean, _EXPECTED), 0)
+            cells += full
+            count, mean = np.where(full, 0, count), np.where(full, 0, mean)
+        square += (count - mean) ** 2 / np.maximum(mean, _LEAST)
+        return np.where(cells + 1 >= parameters + 2, square, np.nan)
+
+    return {
+        "kolmogorov-smirnov": kolmogorov_smirnov,
+        "cramer-von-mises": cramer_von_mises,
+        "anderson-darling": anderson_darling,
+        "chi-square": chi_square,
+    }

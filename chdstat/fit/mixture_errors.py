@@ -16,7 +16,7 @@ from chdstat.errors import Reason
 from chdstat.fit import em
 from chdstat.fit.em import ComponentFamily, Solution
 from chdstat.fit.families import get_family
-from chdstat.fit.weighted_samples import Summaries
+from chdstat.fit.groups import Summaries
 
 __all__ = ["covariance", "directions", "standard_errors"]
 

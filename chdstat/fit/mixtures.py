@@ -21,7 +21,7 @@ from chdstat.fit.atoms import Atoms, split
 from chdstat.fit.clamps import before_clamps
 from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
-    ZeroInflated,
+    Fit,
     counts_of,
     expand,
     fit_variables,
@@ -29,6 +29,7 @@ from chdstat.fit.families import (
     label_fit,
     zero_log_likelihood,
 )
+from chdstat.fit.family import halves_of
 from chdstat.fit.mixture_errors import standard_errors
 from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
 from chdstat.summary.dispatch import Part, Source, of_source, run
@@ -41,13 +42,9 @@ __all__ = ["ChosenMixtures", "Mixture", "mixture", "mixture_of_part"]
 
 MixtureCriterion = Literal["bic", "held_out"]
 
-_HALVINGS = 70
-"""Of the logarithmic interval that a quantile lies in: more than its 64 bits."""
-_DARKEST = 1e-320
-
 
 @dataclass(frozen=True, repr=False)
-class Mixture(ZeroInflated):
+class Mixture(Fit):
     """A zero-inflated mixture: point masses at 0 and at atoms, K or fewer components on the rest.
 
     ``P(X = 0) = zero_share``. A positive X is the i-th of `atoms` with probability
@@ -138,17 +135,6 @@ class Mixture(ZeroInflated):
             own |= {"atoms": self.atoms, "their shares": self.atom_weights}
         return replace(card, facts={**own, **card.facts})
 
-    def cdf(self, x: npt.ArrayLike) -> Floats:
-        """Return P(X <= x) of all point masses and components, shape of the batch, then of `x`."""
-        x = np.asarray(x, dtype=np.float64)
-        positive = expand(1 - self.zero_share, x.ndim)
-        return super().cdf(x) + positive * self._at_atoms_below(x, x.ndim)
-
-    def mean(self) -> Floats:
-        """Return the expectation of zeros, atoms and components together, shape (...)."""
-        of_atoms = np.vecdot(np.nan_to_num(self.atoms), self.atom_weights)
-        return np.asarray(super().mean() + (1 - self.zero_share) * of_atoms)
-
     def rvs(self, size: int, *, seed: Seed = None) -> Floats:
         """Draw samples of all point masses and components, shape (..., size)."""
         rng = generator(seed)
@@ -166,43 +152,96 @@ class Mixture(ZeroInflated):
         zero = self.zero_share[..., np.newaxis]
         return np.asarray(np.where(rng.random(shape) < zero, 0 * drawn, drawn))
 
-    def _positive_quantile(self, level: Floats, trailing: int) -> Floats:
-        """Bisect between the quantiles of the components and the atoms, which it lies between."""
-        axis, distribution = -1 - trailing, self._distribution(trailing)
-        # The ends of the range are known; half stands in for them.
-        inside = np.where((level > 0) & (level < 1), level, 0.5)
-        each = distribution.ppf(np.expand_dims(inside, axis=axis))
-        used = expand(~np.isnan(self.weights), trailing) & ~np.isnan(each)
-        largest = np.finfo(np.float64).max
-        low, high = np.where(used, each, np.inf).min(axis=axis), np.where(used, each, 0).max(axis)
-        low = np.minimum(low, expand(np.fmin.reduce(self.atoms, axis=-1, initial=np.inf), trailing))
-        high = np.maximum(high, expand(np.fmax.reduce(self.atoms, axis=-1, initial=0.0), trailing))
-        low, high = (np.clip(end, _DARKEST, largest) for end in (low, high))
-        for _ in range(_HALVINGS):
-            middle = np.sqrt(low) * np.sqrt(high)
-            at = np.expand_dims(middle, axis=axis)
-            reached = self._mixed(distribution.cdf(at), trailing)
-            below = reached + self._at_atoms_below(at, trailing) < inside
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        ends = np.where(level == 0, 0.0, np.where(level == 1, np.inf, high))
-        return np.where(np.isnan(level + expand(self.weights[..., 0], trailing)), np.nan, ends)
-
-    def _mixed(self, values: Floats, trailing: int) -> Floats:
-        """Add up the values of the components, weighted; NaN where there are none."""
-        weighted = expand(self._continuous_share[..., np.newaxis] * self.weights, trailing) * values
-        used = expand(~np.isnan(self.weights), trailing)
-        mixed = np.sum(np.where(used, weighted, 0.0), axis=-1 - trailing)
-        return np.where(expand(self.k > 0, trailing), mixed, np.nan)
-
     @property
     def _continuous_share(self) -> Floats:
         """Share of the components among the positive samples, shape (...)."""
         return np.asarray(1 - self.atom_weights.sum(axis=-1))
 
-    def _at_atoms_below(self, x: Floats, trailing: int) -> Floats:
-        """Return the share of the atoms of at most x, whose axis -1 - `trailing` is for atoms."""
-        weight, value = expand(self.atom_weights, trailing), expand(self.atoms, trailing)
-        return np.asarray(np.where(value <= x, weight, 0.0).sum(axis=-1 - trailing))
+    def _distribution(self, trailing: int) -> MixtureDistribution:
+        def first(values: Floats) -> Floats:
+            return expand(np.moveaxis(values, -1, 0), trailing)
+
+        each = {name: first(values) for name, values in self.parameters.items()}
+        return MixtureDistribution(
+            get_family(self.family).distribution(each),
+            first(self._continuous_share[..., np.newaxis] * self.weights),
+            first(self.atoms),
+            first(self.atom_weights),
+        )
+
+
+_HALVINGS = 70
+"""Of the logarithmic interval that a quantile lies in: more than its 64 bits."""
+_DARKEST = 1e-320
+
+
+@dataclass(frozen=True)
+class MixtureDistribution:
+    """What fits need of a distribution of SciPy, of mixtures with atoms.
+
+    Attributes
+    ----------
+    components
+        Distribution of all components, which lie along the first axis.
+    weights
+        Of the components; NaN where there is none.
+    atoms, atom_weights
+        Values and shares of atoms along the first axis; NaN and 0 where there is none.
+    """
+
+    components: Any
+    weights: Floats
+    atoms: Floats
+    atom_weights: Floats
+
+    def pdf(self, x: Floats) -> Floats:
+        """Return the density of the components."""
+        return self._mixed(self.components.pdf(x))
+
+    def cdf(self, x: Floats) -> Floats:
+        """Return P(X <= x)."""
+        at_atoms = np.where(self.atoms <= x, self.atom_weights, 0.0).sum(axis=0)
+        return np.asarray(self._mixed(self.components.cdf(x)) + at_atoms)
+
+    def sf(self, x: Floats) -> Floats:
+        """Return P(X > x) of the components."""
+        return self._mixed(self.components.sf(x))
+
+    def rvs(self, size: tuple[int, ...], random_state: np.random.Generator) -> Floats:
+        """Draw samples of the components."""
+        # A sample is of the component in whose share of (0, 1) its number lies.
+        number, below = random_state.random(size), np.cumsum(self.weights, axis=0)[:-1]
+        each = (len(self.weights), *size)
+        drawn = self.components.rvs(size=each, random_state=random_state)
+        which = (number >= below).sum(axis=0)[np.newaxis]
+        return np.asarray(np.take_along_axis(drawn, which, axis=0)[0])
+
+    def ppf(self, q: Floats) -> Floats:
+        """Bisect between the quantiles of the components and the atoms, which it lies between."""
+        # The ends of the range are known; half stands in for them.
+        inside = np.where((q > 0) & (q < 1), q, 0.5)
+        each = np.concatenate([self.components.ppf(inside), self.atoms + 0 * inside])
+        low, high = (
+            np.clip(end, _DARKEST, np.finfo(np.float64).max)
+            for end in (np.fmin.reduce(each), np.fmax.reduce(each))
+        )
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(low) * np.sqrt(high)
+            below = self.cdf(middle) < inside
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        ends = np.where(q == 0, 0.0, np.where(q == 1, np.inf, high))
+        return np.where(np.isnan(q + self.weights[0]), np.nan, ends)
+
+    def mean(self) -> Floats:
+        """Return the expectation."""
+        at_atoms = np.nan_to_num(self.atoms) * self.atom_weights
+        return np.asarray(self._mixed(self.components.mean()) + at_atoms.sum(axis=0))
+
+    def _mixed(self, values: Floats) -> Floats:
+        """Add up the values of the components, weighted; NaN where there are none."""
+        used = ~np.isnan(self.weights)
+        mixed = np.sum(np.where(used, self.weights * values, 0.0), axis=0)
+        return np.where(used.any(axis=0), mixed, np.nan)
 
 
 class ChosenMixtures:
@@ -464,24 +503,18 @@ def _held_out(
     part: PositivePart, usable: Mask, family: MixtureFamily, largest: int, effort: Effort
 ) -> Floats:
     """Return held-out log-likelihoods per sample, shape (row, component)."""
-    halves = []
-    for parity in (slice(0, None, 2), slice(1, None, 2)):
-        x, positive = part.x[..., parity], part.positive[..., parity]
-        n = np.asarray(np.count_nonzero(positive, axis=-1), dtype=np.int64)
-        halves.append(PositivePart(x, positive, n, *[np.zeros_like(n)] * 4))
-    smallest = np.minimum(halves[0].n, halves[1].n)
-    both = usable & (smallest >= 2)
-    for half in halves:
-        both &= half.reason() == Reason.OK
-    total = np.full((part.n.size, largest), np.nan)
-    total[both.reshape(-1)] = 0.0
-    for fitted, scored in (halves, halves[::-1]):
-        n, ascending = scored.n.reshape(-1), scored.log_sorted.reshape(-1, scored.x.shape[-1])
-        for found in search(fitted, both, family, largest, effort=effort):
-            for i, solution in enumerate(found.solutions):
-                rows = found.rows
-                total[rows, i] += log_likelihood(ascending[rows], n[rows], solution)
-    enough = smallest.reshape(-1, 1) >= 3 * np.arange(1, largest + 1) - 1
+    rows = part.n.size
+    halves = halves_of(part, np.arange(rows))
+    both = usable.reshape(-1) & (halves.reason() == Reason.OK).all(axis=0)
+    total = np.full((rows, largest), np.nan)
+    total[both] = 0.0
+    n, ascending = halves.n.reshape(-1), halves.log_sorted.reshape(2 * rows, -1)
+    for found in search(halves, np.tile(both, 2), family, largest, effort=effort):
+        other = (found.rows + rows) % (2 * rows)
+        for i, solution in enumerate(found.solutions):
+            value = log_likelihood(ascending[other], n[other], solution)
+            np.add.at(total[:, i], found.rows % rows, value)
+    enough = halves.n.min(axis=0)[:, np.newaxis] >= 3 * np.arange(1, largest + 1) - 1
     with np.errstate(invalid="ignore", divide="ignore"):
         per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
     return np.where(enough, per_sample, np.nan)

@@ -20,10 +20,10 @@ from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat._core.positive import PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import Solution
+from chdstat.fit.groups import Summaries
 from chdstat.fit.mixture_errors import covariance, directions
 from chdstat.fit.search import Found, log_samples, score, search
 from chdstat.fit.unimodal_bic import edge_scores
-from chdstat.fit.weighted_samples import Summaries
 
 __all__ = ["LEAST_WEIGHT", "best_peaks"]
 

@@ -26,13 +26,13 @@ import numpy as np
 from chdstat._core.arrays import Counts, Floats, Mask, spans, take_rows
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
-from chdstat.fit.weighted_samples import (
+from chdstat.fit.family import take_part
+from chdstat.fit.groups import (
     Summaries,
     cumulative,
     summaries_of_bins,
     summaries_of_each,
     summaries_of_samples,
-    take_part,
 )
 from chdstat.summary.dispatch import Part, PositiveHistogram
 

@@ -18,6 +18,7 @@ from scipy import special
 
 from chdstat._core.arrays import Floats, Mask, spans
 from chdstat._core.display import Card, Shown, reasons
+from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import label_variables, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
@@ -30,8 +31,7 @@ from chdstat.fit.families import (
     get_family,
     label_fit,
 )
-from chdstat.fit.family import Family, Parameters, take
-from chdstat.fit.weighted_samples import Halves, blocks
+from chdstat.fit.family import Family, blocks, halves_of, points_of, take
 from chdstat.samples import Mapped
 from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
 
@@ -239,7 +239,7 @@ def select_part(
     fits = {family.name: fit_part(part, family) for family in families}
     split: HeldOut | None = None
     if held_out or criterion == "held_out":
-        split = _held_out(part, families, [fit.parameters for fit in fits.values()])
+        split = _held_out(part, list(zip(families, fits.values(), strict=True)))
     if criterion == "held_out" and split is not None:
         values = split.loss
     else:
@@ -355,31 +355,60 @@ def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.D
     return label_variables(shares, labels)
 
 
-def _held_out(part: Part, families: Sequence[Family], near: Sequence[Parameters]) -> HeldOut:
+_LOOSE = 1e-2
+"""Newton steps at which the search in a half ends: they leave about 1e-4 of the parameters and less
+than a hundredth of the margin's standard error (99.9 % of the pixels of a render)."""
+
+
+def _held_out(part: Part, fits: Sequence[tuple[Family, Fit]]) -> HeldOut:
     """Fit the even samples and score the odd ones, in stored order, and the other way round.
 
-    `near` holds the parameters of each family for all samples, NaN where it has none: where the
-    search of the halves' begins. It ends at Newton steps of 1 %, which leave about 1e-4 of the
-    parameters and less than a hundredth of the margin's standard error (99.9 % of the pixels of a
-    render).
+    The searches begin at the fits to all samples.
     """
     if isinstance(part, PositiveHistogram):
         message = "held-out likelihood needs samples: a histogram cannot be split, got a Histogram"
         raise InputError(message)
     shape, n = part.n.shape, part.n.reshape(-1)
-    loss, best = np.full((n.size, len(families)), np.nan), np.full(n.size, -1, dtype=np.int8)
+    loss, best = np.full((n.size, len(fits)), np.nan), np.full(n.size, -1, dtype=np.int8)
     margins = np.full((2, n.size), np.nan)
     # Rows with similar numbers of samples, so that those of a piece fill it.
     order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
     for span in spans(len(order), max(1, _CHUNK // part.x.shape[-1])):
         rows = order[span]
-        begin = [take(parameters, np.tile(rows, 2)) for parameters in near]
-        loss[rows], best[rows], margins[:, rows] = _compare(
-            Halves.of_rows(part, rows), families, begin
-        )
-    loss += part.log_statistics.log_mean.reshape(-1, 1)
+        loss[rows], best[rows], margins[:, rows] = _compare(halves_of(part, rows), rows, fits)
     margin, error = (each.reshape(shape) for each in margins)
     return HeldOut(loss.reshape(*shape, -1), best.reshape(shape), margin, error)
+
+
+def _compare(
+    halves: PositivePart, rows: npt.NDArray[np.intp], fits: Sequence[tuple[Family, Fit]]
+) -> tuple[Floats, npt.NDArray[np.int8], Floats]:
+    """Return the losses of families in halves of some rows, the best, its margin and its error."""
+    both, other = np.tile(rows, 2), np.roll(np.arange(halves.n.size), len(rows))
+    points = points_of(halves, np.arange(halves.n.size))
+    # Log densities under the fit to the other half, 0 where there is no sample.
+    density = np.empty((len(fits), *points.log.shape))
+    for to, (family, fit) in zip(density, fits, strict=True):
+        near = take(fit.parameters, both)
+        near = {name: value.reshape(halves.n.shape) for name, value in near.items()}
+        fitted = estimate_part(halves, family, near, _LOOSE)[0].parameters
+        # A family that cannot be fitted to all samples is no candidate.
+        known = np.isfinite(np.stack([*near.values()])).all(axis=0).ravel()
+        to[:] = family.log_density(points, take(fitted, other))
+        to[~known] = np.nan
+    np.copyto(density, 0, where=points.weight == 0)
+    n = halves.n.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log = np.where(halves.n > 0, halves.n * points.log_mean.reshape(2, -1), 0).sum(axis=0) / n
+        loss = -density.sum(axis=-1).reshape(-1, 2, len(rows)).sum(axis=1).T / n[:, np.newaxis]
+        order, best, margin = _ranked(loss)
+        first, second = (np.tile(order[:, i], 2) for i in (0, min(1, len(fits) - 1)))
+        every = np.arange(len(other))
+        difference = density[first, every] - density[second, every]
+        square = np.vecdot(difference, difference).reshape(2, -1).sum(axis=0) / n - margin**2
+        error = np.sqrt(np.maximum(square, 0) / (n - 1))
+    margins = np.stack([margin, np.where(np.isfinite(margin), error, np.nan)])
+    return loss + log[:, np.newaxis], best, margins
 
 
 def _ranked(values: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int8], Floats]:
@@ -418,26 +447,3 @@ def _vuong(part: Part, one: Fit, other: Fit) -> tuple[Floats, Floats]:
             z[points.rows] = mean * np.sqrt(points.n / points.average(difference))
     p_value = np.asarray(2 * special.ndtr(-np.abs(z)))
     return z.reshape(part.n.shape), p_value.reshape(part.n.shape)
-
-
-def _compare(
-    halves: Halves, families: Sequence[Family], near: Sequence[Parameters]
-) -> tuple[Floats, npt.NDArray[np.int8], Floats]:
-    """Return the losses less the log mean, the best, and its margin over its standard error."""
-    # Log densities of log x under the fit to the other half, 0 where there is no sample.
-    points, rows = halves.points, halves.n.size // 2
-    density = np.empty((len(families), *points.log.shape))
-    for to, family, at in zip(density, families, near, strict=True):
-        fitted = estimate_part(halves, family, at)[0].parameters
-        to[:] = family.log_density(points, take(fitted, np.roll(points.rows, rows)))
-    np.copyto(density, 0, where=points.weight == 0)
-    n = halves.n.reshape(2, -1).sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        loss = -density.sum(axis=-1).reshape(-1, 2, rows).sum(axis=1).T / n[:, np.newaxis]
-        order, best, margin = _ranked(loss)
-        first, second = (np.tile(order[:, i], 2) for i in (0, min(1, len(families) - 1)))
-        every = np.arange(2 * rows)
-        difference = density[first, every] - density[second, every]
-        square = np.vecdot(difference, difference).reshape(2, -1).sum(axis=0) / n - margin**2
-        error = np.sqrt(np.maximum(square, 0) / (n - 1))
-    return loss, best, np.stack([margin, np.where(np.isfinite(margin), error, np.nan)])

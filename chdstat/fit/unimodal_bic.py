@@ -33,8 +33,8 @@ from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.positive import PositivePart
 from chdstat.fit.em import COMPONENTS
 from chdstat.fit.families import FAMILIES, SELECTED, Fit, fit_part, zero_log_likelihood
+from chdstat.fit.groups import SPREAD_FLOOR, cumulative
 from chdstat.fit.search import log_samples
-from chdstat.fit.weighted_samples import SPREAD_FLOOR, cumulative
 
 __all__ = ["edge_scores", "log_concave_likelihood", "unimodal_scores"]
 

@@ -13,7 +13,7 @@ from chdstat._core.positive import PositivePart
 from chdstat.errors import Reason
 from chdstat.fit import FAMILIES
 from chdstat.fit.families import estimate_part, fit_part
-from chdstat.fit.weighted_samples import blocks
+from chdstat.fit.family import blocks
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 FAMILY_NAMES = sorted(FAMILIES)

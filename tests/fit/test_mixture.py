@@ -11,8 +11,8 @@ from chdstat.errors import InputError, Reason
 from chdstat.fit import mixture
 from chdstat.fit.atoms import split
 from chdstat.fit.em import COMPONENTS, bound_at, penalty, run
+from chdstat.fit.groups import summaries_of_each, summaries_of_samples
 from chdstat.fit.search import segmentations
-from chdstat.fit.weighted_samples import summaries_of_each, summaries_of_samples
 
 FAMILIES = ("lognormal", "gamma")
 

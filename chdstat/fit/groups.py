@@ -1,0 +1,189 @@
+"""Groups of neighbouring samples, which mixtures are fitted to, of samples or of bins.
+
+What an exponential family needs of a group is its size and the means of its sufficient statistics.
+With a bounded number of groups per pixel, the cost of a fit does not depend on spp; with groups as
+narrow as the samples are dense, hardly anything is lost. The bins of a log histogram are groups,
+too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import Counts, Floats, spans, take_rows
+
+__all__ = ["Summaries", "summaries_of_bins", "summaries_of_each", "summaries_of_samples"]
+
+_CHUNK = 2**17
+
+SPREAD_FLOOR = 1e-3
+"""Least standard deviation of a component in log x: its square is scikit-learn's `reg_covar`."""
+_ENDS = 4
+"""Samples at each end of a row that are groups by themselves: tails are sparse."""
+_SPIKE_EDGES = 4
+"""Edges of groups that are set where spikes begin and end."""
+
+
+@dataclass(frozen=True)
+class Summaries:
+    """Rows of groups, each in ascending order.
+
+    Attributes
+    ----------
+    count
+        Samples per group, shape (row, group); 0 for a group that is not used.
+    log, square, ratio
+        Means of y, y^2 and exp(y) within the group, shape (row, group), where y = log x - origin.
+    origin
+        Shape (row,): log of the largest sample, so that exp(y) cannot overflow.
+    floor
+        Least standard deviation of a component, shape (row,).
+    spacing
+        Median distance of neighbouring samples in y, shape (row,).
+    """
+
+    count: Floats
+    log: Floats
+    square: Floats
+    ratio: Floats
+    origin: Floats
+    floor: Floats
+    spacing: Floats
+
+    def take(self, rows: Counts) -> Summaries:
+        """Return some of the rows."""
+        return take_rows(self, rows, axis=0)
+
+    @property
+    def n(self) -> Floats:
+        """Samples per row."""
+        return np.asarray(self.count.sum(axis=-1))
+
+
+def summaries_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Summaries:
+    """Group samples, their logarithms in ascending order, shape (row, sample), `n` of which count.
+
+    There are up to `most` groups of equally many samples; those at both ends are divided. Edges lie
+    at the widest gap near each quantile, or where a spike begins or ends, so that equal samples, or
+    nearly equal ones, come into groups of their own.
+    """
+    pieces = []
+    for part in spans(len(n), max(1, _CHUNK // log_sorted.shape[-1])):
+        y, origin = _relative(log_sorted[part], n[part])
+        edges = _edges(y, n[part], most)
+        count = np.diff(edges, axis=-1).astype(np.float64)
+        below = (np.take_along_axis(cumulative(v), edges, axis=-1) for v in (y, y * y, np.exp(y)))
+        means = (np.diff(sums, axis=-1) / np.maximum(count, 1) for sums in below)
+        pieces.append((count, *means, origin, _spacing(y, n[part])))
+    count, log, square, ratio, origin, spacing = map(np.concatenate, zip(*pieces, strict=True))
+    return Summaries(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR), spacing)
+
+
+def summaries_of_each(log_sorted: Floats, n: Counts) -> Summaries:
+    """Make each sample a group, which loses nothing; arguments as of `summaries_of_samples`."""
+    y, origin = _relative(log_sorted, n)
+    count = (np.arange(log_sorted.shape[-1]) < n[:, np.newaxis]).astype(np.float64)
+    floor, spacing = np.full(len(n), SPREAD_FLOOR), _spacing(y, n)
+    return Summaries(count, y, y * y, np.exp(y), origin, floor, spacing)
+
+
+def summaries_of_bins(
+    counts: Floats, log_centers: Floats, width: Floats
+) -> tuple[Summaries, Summaries]:
+    """Take over the bins of log histograms, shape (row, bin), of width h, shape (row,).
+
+    The first have all samples at the centres of the bins. No component may be denser than the
+    samples of one bin, spread over it: its standard deviation is at least h / sqrt(2 pi).
+
+    The second have Sheppard's corrections (see `PositiveHistogram.log_statistics`): h^2 / 12
+    less of mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
+    """
+    # Filled bins come first: the width is that of the row that has most of them.
+    filled = counts > 0
+    most = int(np.count_nonzero(filled, axis=-1).max())
+    order = np.argsort(~filled, axis=-1, kind="stable")[:, :most]
+    count, centers = (np.take_along_axis(v, order, axis=-1) for v in (counts, log_centers))
+    last = np.count_nonzero(filled, axis=-1) - 1
+    origin = np.take_along_axis(centers, last[:, np.newaxis], axis=-1)
+    y, h = np.minimum(centers - origin, 0.0), width[:, np.newaxis]
+    square, ratio = y * y, np.exp(y)
+    least = np.maximum(width / np.sqrt(2 * np.pi), SPREAD_FLOOR)
+    corrected = np.maximum(width * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
+    # Half of the samples lie in bins that hold as many as this one, or more.
+    fullest = -np.sort(-count, axis=-1)
+    half = 2 * np.cumsum(fullest, axis=-1) < count.sum(axis=-1, keepdims=True)
+    typical = np.take_along_axis(fullest, half.sum(axis=-1, keepdims=True), axis=-1)[:, 0]
+    spacing = width / typical
+    as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least, spacing)
+    ratio, square = ratio * (h / 2) / np.sinh(h / 2), square - h * h / 12
+    return as_they_are, Summaries(count, y, square, ratio, origin[:, 0], corrected, spacing)
+
+
+def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
+    """Return y = log x - origin, 0 beyond the samples, and the origin: the largest log x."""
+    origin = np.take_along_axis(log_sorted, n[:, np.newaxis] - 1, axis=-1)
+    valid = np.arange(log_sorted.shape[-1]) < n[:, np.newaxis]
+    return np.where(valid, log_sorted - origin, 0.0), origin[:, 0]
+
+
+def _spacing(y: Floats, n: Counts) -> Floats:
+    """Return the median distance of neighbours, shape (row,); 0 for a single sample."""
+    gaps = np.diff(y, axis=-1)
+    gaps[np.arange(1, y.shape[-1]) >= n[:, np.newaxis]] = np.inf
+    gaps.sort(axis=-1)
+    middle = np.maximum(n - 2, 0)[:, np.newaxis] // 2
+    spacing = (
+        np.zeros(len(y)) if gaps.shape[-1] == 0 else np.take_along_axis(gaps, middle, -1)[:, 0]
+    )
+    return np.where(n > 1, spacing, 0.0)
+
+
+def _edges(y: Floats, n: Counts, most: int) -> Counts:
+    """Return where groups begin and end, shape (row, edge)."""
+    step = 2 ** np.maximum(np.ceil(np.log2(np.maximum(n, 1) / most)), 0).astype(np.int64)
+    gaps = np.diff(y, axis=-1, prepend=y[:, :1])
+    widest = np.empty((len(y), most), dtype=np.int64)
+    for width in np.unique(step):
+        here = step == width
+        widest[here] = _widest(gaps[here], int(width), most)
+    rank, count = np.arange(_ENDS), n[:, np.newaxis]
+    first = np.broadcast_to(rank + 1, (len(y), _ENDS))
+    edges = np.concatenate([widest, first, _spikes(gaps), count - rank - 1, count], axis=-1)
+    np.clip(edges, 0, count, out=edges)
+    edges.sort(axis=-1)
+    return edges
+
+
+def _widest(gaps: Floats, width: int, most: int) -> Counts:
+    """Return 0 and the place of the widest gap in each run of `width`, padded with a last place."""
+    rows, samples = gaps.shape
+    edges = np.full((rows, most), samples, dtype=np.int64)
+    runs = min(-(-samples // width), most)
+    kept = gaps[:, : runs * width]
+    padded = np.pad(kept, ((0, 0), (0, runs * width - kept.shape[-1])))
+    places = padded.reshape(rows, runs, width).argmax(axis=-1)
+    edges[:, :runs] = places + np.arange(runs) * width
+    edges[:, 0] = 0
+    return edges
+
+
+def _spikes(gaps: Floats) -> Counts:
+    """Return where spikes begin or end: the gap before is far wider than four on one side of it."""
+    padded = np.pad(gaps, ((0, 0), (4, 4)), constant_values=np.inf)
+    pairs = np.maximum(padded[:, 1:], padded[:, :-1])
+    fours = np.maximum(pairs[:, 2:], pairs[:, :-2])
+    denser = np.minimum(fours[:, :-5], fours[:, 5:])
+    contrast = gaps / (denser + SPREAD_FLOOR)
+    kept = min(_SPIKE_EDGES, gaps.shape[-1])
+    return np.argpartition(contrast, -kept, axis=-1)[:, -kept:]
+
+
+def cumulative(values: npt.NDArray[Any]) -> Floats:
+    """Return sums of the values before each, and of all of them, shape (row, value + 1)."""
+    sums = np.zeros((values.shape[0], values.shape[1] + 1))
+    np.cumsum(values, axis=-1, out=sums[:, 1:])
+    return sums

@@ -1,0 +1,207 @@
+"""Maximum likelihood: how profile likelihoods of one or two parameters are maximised.
+
+Newton's method climbs all rows at once. Steps are damped where the function is not concave or a
+step did not climb (Levenberg 1944, doi:10.1090/qam/10666), so that a row converges from afar and
+quadratically in the end; rows that are done leave the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from chdstat._core.arrays import Floats, Mask
+from chdstat.fit.family import TIGHT, WeightedSamples, of_rows
+from chdstat.summary.dispatch import Part
+
+__all__ = ["maximise"]
+
+_ITERATIONS = 60
+_REACH = 2.0
+_ROUGHLY = 1e-2
+"""Newton steps at which the search on a few points ends."""
+_CONCAVE = 1e-3
+_NEXT, _APART = 0.3, 0.05
+"""Distances below which a start leads to the same maximum, and above which two ends are two."""
+_CLOSE = 0.05
+"""Difference per sample that a few points may get wrong."""
+
+Surface = Callable[[WeightedSamples, Floats], Floats]
+"""A function of two parameters, given for some points, at parameters of shape (2, row).
+
+It returns six numbers, shape (6, row): the value; the first derivatives by the first and the second
+parameter; the second derivatives by the first, mixed, and by the second. NaN where it has no value.
+One of the first parameter alone returns three: its value and its two derivatives.
+"""
+
+
+def maximise(
+    part: Part,
+    surface: Surface,
+    *,
+    start: Callable[[WeightedSamples], Floats],
+    finish: Callable[[WeightedSamples, Floats, Mask], Floats],
+    names: int,
+    minimum: int,
+    floor: float = -np.inf,
+    near: tuple[Floats, Floats] | None = None,
+    tolerance: float = TIGHT,
+) -> Floats:
+    """Maximise for all rows of a part, first for a few points of each, then for all of them.
+
+    Parameters
+    ----------
+    part, surface
+        What to maximise, for all rows of a part.
+    start
+        First parameters for the points of some rows, shape (2, row); or two, where there may be two
+        maxima, shape (2, 2, row).
+    finish
+        What to return for the points of some rows, with the parameters and where they are a
+        maximum; shape (names, row).
+    names
+        How many numbers that is.
+    minimum
+        Samples that a row needs.
+    floor
+        Least value, above 0, of the second parameter, if it has any: a maximum at the floor counts.
+    near
+        First parameters, if they are known, each of the batch's shape. They need no search on a few
+        points; rows where they are NaN are left out.
+    tolerance
+        Steps this small end the search; being Newton's, they leave about their square.
+
+    Returns
+    -------
+    ndarray
+        Shape (names, ...).
+    """
+    climb = _Climb(surface, floor)
+
+    def roughly(points: WeightedSamples) -> Floats:
+        first, *others = start(points).reshape(-1, 2, len(points.n))
+        one, _ = climb.from_start(points, first, _ROUGHLY)
+        two = np.full_like(one, np.nan)
+        for other in others:
+            # From a start next to where the first one ended, the search would end there, too.
+            rows = np.flatnonzero(~(np.abs(other - one) < _NEXT).all(axis=0))
+            if len(rows):
+                two[:, rows], _ = climb.from_start(points.take(rows), other[:, rows], _ROUGHLY)
+        if not others:
+            return np.concatenate([one, two])
+        # The higher end comes first; the other is kept if all points may make it the higher.
+        of_one, of_two = climb.value(points, one)[0], climb.value(points, two)[0]
+        with np.errstate(invalid="ignore"):
+            swap = (of_two > of_one) | (np.isnan(of_one) & np.isfinite(of_two))
+            undecided = (np.abs(two - one) > _APART).any(axis=0) & (
+                np.abs(of_two - of_one) < _CLOSE
+            )
+        higher, lower = np.where(swap, two, one), np.where(swap, one, two)
+        return np.concatenate([higher, np.where(undecided, lower, np.nan)])
+
+    def exactly(points: WeightedSamples) -> Floats:
+        begin, other = rough[:2, points.rows], rough[2:, points.rows]
+        lost = np.isnan(begin).any(axis=0)
+        if lost.any():
+            # The few points were all equal, while some others are not.
+            begin = np.where(lost, start(points).reshape(-1, *begin.shape)[0], begin)
+        at, converged = climb.from_start(points, begin, tolerance)
+        rows = np.flatnonzero(np.isfinite(other).all(axis=0))
+        if len(rows):
+            some = points.take(rows)
+            there, done = climb.from_start(some, other[:, rows], tolerance)
+            with np.errstate(invalid="ignore"):
+                better = climb.value(some, there)[0] > climb.value(some, at[:, rows])[0]
+            at[:, rows] = np.where(better, there, at[:, rows])
+            converged[rows] = np.where(better, done, converged[rows])
+        return finish(points, at, converged)
+
+    known = None
+    if near is None:
+        rough = of_rows(part, minimum, 4, roughly, thin=True)
+    else:
+        rough = np.full((4, part.n.size), np.nan)
+        rough[:2] = np.stack(near).reshape(2, -1)
+        known = np.asarray(np.isfinite(rough[:2]).all(axis=0))
+    return of_rows(part, minimum, names, exactly, among=known).reshape(names, *part.n.shape)
+
+
+@dataclass(frozen=True)
+class _Climb:
+    """Newton's method on a surface, whose second parameter has a floor."""
+
+    surface: Surface
+    floor: float
+
+    def value(self, points: WeightedSamples, at: Floats) -> Floats:
+        """Return the six numbers of a surface; the second parameter, if unused, is at its top."""
+        found = self.surface(points, at)
+        if len(found) == 6:
+            return found
+        value, slope, curvature = found
+        zero = np.zeros_like(value)
+        return np.stack([value, slope, zero, curvature, zero, zero - 1])
+
+    def from_start(
+        self, points: WeightedSamples, start: Floats, tolerance: float
+    ) -> tuple[Floats, Mask]:
+        """Climb from `start`, shape (2, row), to the maximum next to it, and say where it is."""
+        best, converged = start.copy(), np.zeros(start.shape[1], dtype=bool)
+        rows = np.arange(start.shape[1])
+        at, here = start, self.value(points, start)
+        damping = np.zeros(len(rows))
+        for _ in range(_ITERATIONS):
+            step = np.clip(self._step(at, here, damping), -_REACH, _REACH)
+            small = np.abs(step) < tolerance
+            if np.isfinite(self.floor):
+                # Towards the floor, a step goes to a hundredth of what there is.
+                step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], self.floor - at[1]))
+                small[1] = np.abs(step[1]) < tolerance * np.minimum(at[1], 1)
+            # The last step is taken on trust: what it leaves is of the order of its square.
+            done = small.all(axis=0) & (damping == 0)
+            best[:, rows] = np.where(done, at + step, at)
+            converged[rows] = done
+            active = ~done & np.isfinite(step).all(axis=0) & (damping < 1e8)
+            if not active.any():
+                break
+            if np.count_nonzero(active) < 0.7 * len(rows):
+                kept = np.flatnonzero(active)
+                rows, points, damping = rows[kept], points.take(kept), damping[kept]
+                at, step, here = at[:, kept], step[:, kept], here[:, kept]
+            trial = at + step
+            there = self.value(points, trial)
+            with np.errstate(invalid="ignore"):
+                climbs = there[0] >= here[0] - 1e-11 * (1 + np.abs(here[0]))
+            if climbs.all() and not damping.any():
+                at, here = trial, there
+                continue
+            at, here = np.where(climbs, trial, at), np.where(climbs, there, here)
+            damping = np.where(
+                climbs, np.where(damping < 1e-2, 0, damping / 10), 10 * damping + 0.1
+            )
+        return best, converged
+
+    def _step(self, at: Floats, here: Floats, damping: Floats) -> Floats:
+        """Solve (H - shift) step = -gradient, the shift large enough to make H negative definite.
+
+        Rows that lie on the floor and would fall through move along it.
+        """
+        _, by_first, by_second, a, b, d = here
+        held = (at[1] <= self.floor) & (by_second < 0)
+        if held.any():
+            by_second, b, d = (
+                np.where(held, fixed, free) for fixed, free in ((0, by_second), (0, b), (-1, d))
+            )
+        determinant = a * d - b * b
+        concave = (a < 0) & (determinant > 0)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            if not concave.all() or damping.any():
+                size = np.abs(a) + np.abs(d)
+                largest = (a + d) / 2 + np.sqrt(((a - d) / 2) ** 2 + b**2)
+                shift = np.where(concave, 0, largest + _CONCAVE * size) + damping * size
+                a, d = a - shift, d - shift
+                determinant = a * d - b * b
+            p, q = by_first / determinant, by_second / determinant
+            return np.stack([b * q - d * p, b * p - a * q])
