@@ -6,7 +6,7 @@ render against a converged image: per pixel, and over regions, which show what n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,15 +14,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import Floats, Seed, plain, seed_number
+from chdstat._core.arrays import Array, Floats, Seed, plain, seed_number
 from chdstat._core.display import Card, Shown, number, percent, png, with_interval
 from chdstat._core.image_scales import tonemap
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat.errors import Reason, check_probability
-from chdstat.inference.render_pairs import Compared, Pair
-from chdstat.inference.sign_flips import Unseen, WindowTest, scan_windows, window_sums
-from chdstat.samples import ImageLike, Samples
+from chdstat.inference.render_pairs import Pair
+from chdstat.inference.windows import CHANCE_TO_MISS, Cells, WindowTest, scan_windows, window_sums
+from chdstat.samples import ImageLike
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,7 +40,6 @@ _OF_WINDOWS = 0.8
 _RELATIVE = 0.01
 """Of the squared mean radiance, as in relMSE."""
 _TENTH = 0.1
-_CHANCE_TO_MISS = 0.05
 
 
 @dataclass(frozen=True, repr=False)
@@ -163,7 +162,7 @@ class Contrast(Shown):
         if self.spp[1] is not None or not self.window_loss < 0:
             return ""
         _, _, height, width = self.window
-        rarest = max(1, int(height * width * self.spp[0] / -np.log(_CHANCE_TO_MISS)))
+        rarest = max(1, int(height * width * self.spp[0] / -np.log(CHANCE_TO_MISS)))
         return (
             f", unless light of that amount comes in fewer than one of {rarest} samples there, "
             "which A may have missed and an image without samples does not show"
@@ -312,59 +311,50 @@ def contrast(
     ('differ', (0, 0, 16, 16))
     """
     check_probability(alpha=alpha)
-    pair = Pair.of(a, b, seconds)
-    seed = seed_number(seed)
-    found = _contrasted(pair, alpha, seed)
-    return replace(found, maps=found.maps.assign(pair.shapes(seed))) if distributions else found
-
-
-def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
-    """Return the verdict on a pair of renders."""
-    found = pair.compare()
-    height, width, bands = found.p_value.shape
-    q = q_values(found.p_value.reshape(height, width * bands)).reshape(found.p_value.shape)
-    scan = scan_windows(found.differences, found.levels, units=found.units, seed=seed)
+    pair, seed = Pair.of(a, b, seconds), seed_number(seed)
+    maps, cells, edge = pair.compare()
+    p = maps["p_value"]
+    height, width, bands = p.shape
+    q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
+    scan = scan_windows(cells, seed=seed)
     smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
-    shares = _OF_WINDOWS, 1 - _OF_WINDOWS
-    parts = [p / s for p, s in zip((scan.p_value, smallest), shares, strict=True)]
-    p_image = float(np.min([1.0, *(p for p in parts if np.isfinite(p))]))
-    differs = (q <= alpha).any(axis=-1)
-    y, x, rows, columns = (found.cell * edge for edge in scan.window)
-    place = y, x, min(rows, height - y), min(columns, width - x)
-    loss, window_loss, detectable = _losses(found, pair.terms, scan)
-    why, spp_needed = _why_not(found, pair, detectable, scan.unseen, differ=bool(p_image <= alpha))
+    parts = scan.p_value / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
+    p_image = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
+    y, x, rows, columns = (edge * size for size in scan.window)
+    loss, window_loss, detectable = _losses(cells, pair.terms, scan)
+    why, spp_needed = _why_not(maps, pair, detectable, scan.unseen, differ=p_image <= alpha)
     return Contrast(
         names=pair.names,
-        maps=_maps(found, q, pair),
+        maps=_dataset(maps, pair).assign(pair.shapes(seed) if distributions else {}),
         outcome="cannot tell" if why else "differ" if p_image <= alpha else "no difference found",
         why=why,
         spp_needed=spp_needed,
         p_image=p_image,
-        share=float(differs.mean()),
+        share=float((q <= alpha).any(axis=-1).mean()),
         loss=loss,
-        window=place,
+        window=(y, x, min(rows, height - y), min(columns, width - x)),
         window_loss=window_loss,
         detectable=detectable,
-        efficiency_ratio=_efficiency(found, pair),
-        spp=(pair.spp[0], pair.spp[1] if isinstance(pair.b, Samples) else None),
+        efficiency_ratio=_efficiency(maps, pair.seconds),
+        spp=(pair.spp[0], None if pair.exact else pair.spp[1]),
         seconds=pair.seconds,
-        correlation=_median(found.correlation) if isinstance(pair.b, Samples) else np.nan,
+        correlation=np.nan if pair.exact else _median(maps["correlation"]),
         paired=pair.paired,
         alpha=alpha,
     )
 
 
 def _why_not(
-    found: Compared,
+    maps: dict[str, Array],
     pair: Pair,
     detectable: dict[str, float],
-    unseen: Unseen | None,
+    unseen: tuple[float, int] | None,
     *,
     differ: bool,
 ) -> tuple[str, int | None]:
     """Return why one cannot tell whether means differ, "" where one can, and what spp would."""
-    if not np.isfinite(found.p_value).any():
-        if (found.reason == Reason.CONSTANT).any():
+    if not np.isfinite(maps["p_value"]).any():
+        if (maps["reason"] == Reason.CONSTANT).any():
             return (
                 "the samples of A and B are equal, one by one, as of one render given twice",
                 None,
@@ -376,30 +366,30 @@ def _why_not(
     if differ:
         return "", None
     if unseen is not None:
+        share, needed = unseen
         short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
         why = (
-            f"{longer} has {percent(unseen.share)} of its light in samples so rare that {spp} per "
-            f"pixel are likely to miss them, and {short} has none: render {unseen.spp} of {short}"
+            f"{longer} has {percent(share)} of its light in samples so rare that {spp} per "
+            f"pixel are likely to miss them, and {short} has none: render {needed} of {short}"
         )
-        return why, unseen.spp
+        return why, needed
     if not detectable.get("image", np.inf) < 1:
         return "not even the loss of all light would have been found; render more samples", None
     return "", None
 
 
 def _losses(
-    found: Compared, terms: int, scan: WindowTest
+    cells: Cells, terms: int, scan: WindowTest
 ) -> tuple[Interval[float], float, dict[str, float]]:
     """Return how much darker B is, as a whole and in the window, and what would have been found."""
     y, x, rows, columns = scan.window
-    here = slice(y, y + rows), slice(x, x + columns)
-    shift = found.differences[(scan.band, *here)].sum(dtype=float)
-    level = found.levels[(scan.band, *here)].sum(dtype=float) - shift / 2
-    d, both = found.differences[0], found.levels[0]
+    here = scan.band, slice(y, y + rows), slice(x, x + columns)
+    shift = cells.differences[here].sum(dtype=float)
+    level = cells.levels[here].sum(dtype=float) - shift / 2
+    d, both = cells.differences[0], cells.levels[0]
     edge = max(d.shape[:2])
-    value, error = _relative(d, both, edge)
-    reach = float(stats.t.ppf(0.975, terms - 1)) * error.item() if terms > 1 else np.nan
-    total = -float(value.item())
+    value, error = (found.item() for found in _relative(d, both, edge))
+    reach = float(stats.t.ppf(0.975, terms - 1)) * error if terms > 1 else np.nan
     area = _TENTH * d.shape[0] * d.shape[1]
     near = min(scan.detectable, key=lambda e: abs(np.log(e**2 / area)), default=edge)
     detectable = {
@@ -407,32 +397,31 @@ def _losses(
         for name, e in (("image", edge), ("tenth", near))
     }
     return (
-        Interval(total, total - reach, total + reach, standard_error=error.item()),
+        Interval(-value, -value - reach, -value + reach, standard_error=error),
         float(-shift / level) if level > 0 else np.nan,
         detectable,
     )
 
 
-def _relative(d: npt.NDArray[Any], level: npt.NDArray[Any], edge: int) -> tuple[Floats, Floats]:
+def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
     """Return relative differences of windows, and their standard errors, each (y, x)."""
     sums = window_sums(d, edge)[0]
-    base = window_sums(level, edge)[0].mean(axis=-1) - sums.mean(axis=-1) / 2
+    mean, terms = sums.mean(axis=-1), sums.shape[-1]
+    base = window_sums(level, edge)[0].mean(axis=-1) - mean / 2
     with np.errstate(invalid="ignore", divide="ignore"):
         base = np.where(base > 0, base, np.nan)
-        error = (
-            sums.std(axis=-1, ddof=1) / np.sqrt(sums.shape[-1]) if sums.shape[-1] > 1 else np.nan
-        )
-    return sums.mean(axis=-1) / base, np.broadcast_to(error / base, base.shape)
+        error = sums.std(axis=-1, ddof=1) / np.sqrt(terms) if terms > 1 else np.nan
+    return mean / base, np.broadcast_to(error / base, base.shape)
 
 
-def _efficiency(found: Compared, pair: Pair) -> Interval[float]:
+def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interval[float]:
     """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
-    mean = (found.mean_a[..., 0] + found.mean_b[..., 0]) / 2
+    mean = (maps["mean_a"][..., 0] + maps["mean_b"][..., 0]) / 2
     scale = mean**2 + _RELATIVE * np.nanmean(mean) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         costs = [
-            (v / scale * t).ravel()
-            for v, t in zip((found.variance_a, found.variance_b), pair.seconds, strict=True)
+            (maps[name] / scale * time).ravel()
+            for name, time in zip(("variance_a", "variance_b"), seconds, strict=True)
         ]
     known = np.isfinite(costs).all(axis=0)
     if not known.any():
@@ -442,7 +431,7 @@ def _efficiency(found: Compared, pair: Pair) -> Interval[float]:
     return interval_of(lambda w: (w @ one) / (w @ other), blocks, bounds=(0, np.inf))
 
 
-def _median(x: npt.NDArray[Any]) -> float:
+def _median(x: Array) -> float:
     known = x[np.isfinite(x)]
     return float(np.median(known)) if known.size else np.nan
 
@@ -461,28 +450,16 @@ _LABELS: dict[str, str | tuple[str, str]] = {
 }
 
 
-def _maps(found: Compared, q: Floats, pair: Pair) -> xr.Dataset:
+def _dataset(maps: dict[str, Array], pair: Pair) -> xr.Dataset:
     import xarray as xr
 
-    each, pixel = ("y", "x", "channel"), ("y", "x")
     with np.errstate(invalid="ignore", divide="ignore"):
-        efficiency = (found.variance_a * pair.seconds[0]) / (found.variance_b * pair.seconds[1])
-    maps = {
-        "mean_a": (each, found.mean_a),
-        "mean_b": (each, found.mean_b),
-        "difference": (each, found.mean_b - found.mean_a),
-        "standard_error": (each, found.standard_error),
-        "p_value": (each, found.p_value),
-        "q_value": (each, q),
-        "variance_a": (pixel, found.variance_a),
-        "variance_b": (pixel, found.variance_b),
-        "efficiency": (pixel, np.where(np.isfinite(efficiency), efficiency, np.nan)),
-        "reason": (pixel, found.reason),
-    }
-    height, width = found.reason.shape
-    coords = {
-        "y": np.arange(height),
-        "x": np.arange(width),
-        "channel": np.array(found.bands, dtype=object),
-    }
-    return label_variables(xr.Dataset(maps, coords), _LABELS)
+        cost_a, cost_b = maps["variance_a"] * pair.seconds[0], maps["variance_b"] * pair.seconds[1]
+        efficiency = cost_a / cost_b
+    efficiency = np.where(np.isfinite(efficiency), efficiency, np.nan)
+    maps = {**maps, "difference": maps["mean_b"] - maps["mean_a"], "efficiency": efficiency}
+    variables = {name: (("y", "x", "channel")[: maps[name].ndim], maps[name]) for name in _LABELS}
+    height, width, bands = maps["p_value"].shape
+    names = (*("luminance",)[: bands - len(pair.a.channels)], *pair.a.channels)
+    coords = {"y": np.arange(height), "x": np.arange(width), "channel": np.array(names, object)}
+    return label_variables(xr.Dataset(variables, coords), _LABELS)

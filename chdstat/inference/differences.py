@@ -27,8 +27,9 @@ from chdstat._core.arrays import (
     whole,
 )
 from chdstat._core.display import Shown
+from chdstat._core.moments import Moments
+from chdstat._core.resampling import p_of_means
 from chdstat.errors import InputError
-from chdstat.inference.permutation import p_of_means
 from chdstat.samples import ImageLike, Samples, opened
 from chdstat.samples.tiles import check_independent
 
@@ -215,36 +216,28 @@ def _of_images(
 def _of_pixels(a: Floats, b: Floats, paired: bool, replicates: int, seed: int) -> Difference:
     """Compare samples (..., channel, sample), block by block."""
     shape, channels = a.shape[:-2], a.shape[-2]
-    one, two = a.reshape(-1, channels, a.shape[-1]), b.reshape(-1, channels, b.shape[-1])
-    good_a, good_b = _good(one), _good(two)
+    one, two = (x.reshape(-1, channels, x.shape[-1]) for x in (a, b))
+    good_a, good_b = (np.asarray(~np.asarray(is_bad(x)).any(axis=1)) for x in (one, two))
     if paired:
         good_a = good_b = np.asarray(good_a & good_b)
-    delta, t, p = _mean_differences(one, two, good_a, good_b, paired=paired)
+    found = _mean_differences(one, two, good_a, good_b, paired=paired)
     one, two = one[..., :_MOST], two[..., :_MOST]
     good_a, good_b = good_a[..., :_MOST], good_b[..., :_MOST]
     step = max(1, _AT_ONCE // (channels * (one.shape[-1] + two.shape[-1])))
-    found = [
+    parts = [
         _distances(
             one[i], two[i], good_a[i], good_b[i], paired=paired, replicates=replicates, seed=seed
         )
         for i in spans(len(one), step)
     ]
-    distance, wasserstein, p_value = (np.concatenate(values) for values in zip(*found, strict=True))
+    *distances, p_value = (np.concatenate(values) for values in zip(*parts, strict=True))
+    names = ("mean_difference", "mean_t", "mean_p_value", "distance", "wasserstein")
+    by_channel = {
+        name: values.reshape(*shape, channels)
+        for name, values in zip(names, (*found, *distances), strict=True)
+    }
     n_a, n_b = (good.sum(axis=-1).reshape(shape)[()] for good in (good_a, good_b))
-    return Difference(
-        distance=distance.reshape(*shape, channels),
-        wasserstein=wasserstein.reshape(*shape, channels),
-        p_value=p_value.reshape(shape)[()],
-        mean_difference=delta.reshape(*shape, channels),
-        mean_t=t.reshape(*shape, channels),
-        mean_p_value=p.reshape(*shape, channels),
-        n=(n_a, n_b),
-        paired=paired,
-    )
-
-
-def _good(x: Floats) -> Mask:
-    return np.asarray(~np.asarray(is_bad(x)).any(axis=1))
+    return Difference(**by_channel, p_value=p_value.reshape(shape)[()], n=(n_a, n_b), paired=paired)
 
 
 def _distances(
@@ -265,10 +258,8 @@ def _distances(
 
     def gaps(weights: Floats) -> Floats:
         """Return |F_a - F_b| after each of the ordered samples, of each channel."""
-        steps = np.take_along_axis(
-            np.broadcast_to(weights[:, np.newaxis], order.shape), order, axis=-1
-        )
-        return np.asarray(np.abs(np.cumsum(steps, axis=-1)))
+        each = np.broadcast_to(weights[:, np.newaxis], order.shape)
+        return np.asarray(np.abs(np.cumsum(np.take_along_axis(each, order, axis=-1), axis=-1)))
 
     weights = np.concatenate([good_a * one, good_b * -two], axis=-1)
     seen = gaps(weights)
@@ -286,7 +277,7 @@ def _distances(
             shuffled = np.where(first, one, -two) * good
         farther += np.where(last, gaps(shuffled), 0).max(axis=(-2, -1)) >= largest
     p_value = np.where(known[:, 0], (farther + 1) / (replicates + 1), np.nan)
-    return (np.where(known, distance, np.nan), np.where(known, wasserstein, np.nan), p_value)
+    return np.where(known, distance, np.nan), np.where(known, wasserstein, np.nan), p_value
 
 
 def _drawn(keys: Floats, good: Mask, count: Counts) -> Mask:
@@ -302,43 +293,34 @@ def _mean_differences(
     a: Floats, b: Floats, good_a: Mask, good_b: Mask, *, paired: bool
 ) -> tuple[Floats, Floats, Floats]:
     """Return differences of means with t and p, Welch's or Student's of pairs, (pixel, channel)."""
-    scale = np.maximum(_largest(a, good_a), _largest(b, good_b))
+    used_a, used_b = good_a[:, np.newaxis], good_b[:, np.newaxis]
+    sizes = [
+        np.where(used, np.abs(x), 0).max(axis=-1, initial=0)
+        for x, used in ((a, used_a), (b, used_b))
+    ]
+    # In units of the largest sample, so that 1e30 to the fourth is a number.
+    scale = np.max([np.where(size > 0, size, 1.0) for size in sizes], axis=0)
+    unit = scale[..., np.newaxis]
     with np.errstate(divide="ignore", invalid="ignore", under="ignore", over="ignore"):
         if paired:
-            n, delta, squared, constant = _moments(b - a, good_a, scale)
-            known, degrees = n > 1, n - 1
+            of = Moments.of((b - a) / unit, used_a)
+            delta, squared, degrees = of.mean, of.variance / of.count, of.count - 1
+            known, constant = of.count > 1, of.variance == 0
         else:
-            n_a, mean_a, error_a, constant_a = _moments(a, good_a, scale)
-            n_b, mean_b, error_b, constant_b = _moments(b, good_b, scale)
-            delta, squared, constant = mean_b - mean_a, error_a + error_b, constant_a & constant_b
+            first, second = Moments.of(a / unit, used_a), Moments.of(b / unit, used_b)
+            errors = [x.variance / x.count for x in (first, second)]
+            delta, squared = second.mean - first.mean, errors[0] + errors[1]
             # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
-            degrees = squared**2 / (error_a**2 / (n_a - 1) + error_b**2 / (n_b - 1))
-            known = (n_a > 1) & (n_b > 1)
+            degrees = squared**2 / (
+                errors[0] ** 2 / (first.count - 1) + errors[1] ** 2 / (second.count - 1)
+            )
+            known = (first.count > 1) & (second.count > 1)
+            constant = squared == 0
         t = delta / np.sqrt(squared)
         p = 2 * special.stdtr(degrees, -np.abs(t))
-        # Without scatter, there is nothing to measure a difference by; rounding is none.
-        tested = known & ~constant
     if not paired:
         for channel in range(p.shape[1]):
             of_divisions = p_of_means(a[:, channel], b[:, channel], good_a, good_b)
             p[:, channel] = np.fmax(p[:, channel], of_divisions)
-    return np.where(known, delta * scale, np.nan), *np.where(tested, [t, p], np.nan)
-
-
-def _largest(x: Floats, good: Mask) -> Floats:
-    """Return the largest size of good samples, so that 1e30 to the fourth is a number."""
-    size = np.where(good[:, np.newaxis], np.abs(x), 0).max(axis=-1, initial=0)
-    return np.where(size > 0, size, 1.0)
-
-
-def _moments(x: Floats, good: Mask, scale: Floats) -> tuple[Floats, Floats, Floats, Mask]:
-    """Return number, mean, squared standard error and constancy of good samples over `scale`."""
-    used = good[:, np.newaxis]
-    n = used.sum(axis=-1, dtype=np.float64)
-    unit = np.where(used, x, 0) / scale[..., np.newaxis]
-    mean = unit.sum(axis=-1) / n
-    deviation = np.where(used, unit - mean[..., np.newaxis], 0)
-    error = (deviation**2).sum(axis=-1) / (n - 1) / n
-    high = np.where(used, x, -np.inf).max(axis=-1, initial=-np.inf)
-    low = np.where(used, x, np.inf).min(axis=-1, initial=np.inf)
-    return np.broadcast_to(n, mean.shape), mean, error, high <= low
+    # Without scatter, there is nothing to measure a difference by; rounding is none.
+    return np.where(known, delta * scale, np.nan), *np.where(known & ~constant, [t, p], np.nan)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat.inference.permutation import p_of_means
+from chdstat._core.resampling import p_of_means
 
 
 def counted(a, b):

@@ -1,44 +1,38 @@
-"""Sign flips: p-values of sums whose terms may as well have had the other sign.
+"""Windows: whether sums of differences over windows of an image are more than chance.
 
 If two renders have one distribution, or if pairs of their samples differ symmetrically, the
 difference of sample i has either sign with equal probability, whatever the tails and however many
-nulls: that is exact. Integrators that agree in the mean only, such as with and without Russian
-roulette, differ in skewness, and a pixel whose rare bright paths were all missed seems to be too
-dark beyond doubt. Its neighbours have seen such paths: their standard error counts, too.
+nulls: flips of signs are exact. Integrators that agree in the mean only, such as with and without
+Russian roulette, differ in skewness, and a pixel whose rare bright paths were all missed seems to
+be too dark beyond doubt. Its neighbours have seen such paths: their standard error counts, too
+(`guarded`).
 
 Of renders of unequal numbers of samples, a term is the average of many samples less one: flips of
-its sign are not exact. Then all divisions of the samples of both are compared instead
-(`CellUnits`).
+its sign are not exact. Then all divisions of the samples of both are compared, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage, sparse, special
 
-from chdstat._core.arrays import Floats, Mask, Seed, generator, spans
+from chdstat._core.arrays import Array, Floats, Image, Mask, Reals, Seed, generator
 
 __all__ = [
-    "CellUnits",
+    "CHANCE_TO_MISS",
+    "Cells",
     "FlipMoments",
-    "Unseen",
     "WindowTest",
     "guarded",
-    "p_of_signs",
     "scan_windows",
     "window_sums",
 ]
 
-_ENUMERATED = 10
-"""Rows with up to so many terms other than 0 have all their sign flips counted."""
-_STEPS, _TOLERANCE = 40, 1e-6
-_AT_ONCE = 2**20
-"""Terms of the rows that are worked on together."""
-_ROUNDING = 1e-9
+CHANCE_TO_MISS = 0.05
+"""Probability with which samples may have missed light that `Contrast.spp_needed` counts."""
 
 _NEAR = (5, 11)
 """Edges of neighbourhoods whose standard errors count where skewness is against a pixel."""
@@ -52,98 +46,13 @@ _ONE_SIDED = 0.02
 """Ratio of the sums of both signs below which the rarer sign may have been missed."""
 _DARK = 1e-3
 """Of the mean radiance of the image: what is darker has no scale of its own."""
-
 _LEAST_LIGHT = 1e-3
 """Of the light of the image: less is not worth more samples."""
-_CHANCE_TO_MISS = 0.05
-
 _FLIPS = 499
 _OF_WINDOWS = 7
 """Edge of the neighbourhood of a window, in windows, which overlap by two thirds."""
-
-
-def p_of_signs(d: npt.NDArray[np.floating[Any]]) -> Floats:
-    """Return two-sided p-values of the sums of rows (row, term) under all flips of their signs.
-
-    Daniels' saddlepoint approximation of the tail of ``sum +-|d|``, as Barndorff-Nielsen's r*; all
-    flips are counted where at most 10 terms are not 0, and p is at least the share of the most
-    extreme ones. Rows of zeros have no p-value, NaN.
-
-    References
-    ----------
-    Daniels, "Discussion of the paper by G.E.P. Box and S.L. Andersen", 1955, and "Tail probability
-    approximations", 1987, doi:10.2307/1403269. Robinson, "Saddlepoint approximations for
-    permutation tests and confidence intervals", 1982, doi:10.1111/j.2517-6161.1982.tb01191.x.
-
-    Examples
-    --------
-    >>> p_of_signs(np.array([[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [0, 0, 0, 0]]))
-    array([0.125, 1.   ,   nan])
-    """
-    found = [_p_of_block(d[i]) for i in spans(len(d), max(1, _AT_ONCE // max(1, d.shape[1])))]
-    return np.concatenate(found) if found else np.zeros(0)
-
-
-def _p_of_block(d: npt.NDArray[np.floating[Any]]) -> Floats:
-    size = np.abs(d)
-    largest = size.max(axis=1, initial=0)
-    known = largest > 0
-    with np.errstate(under="ignore"):
-        size = size / np.where(known, largest, 1)[:, np.newaxis]
-        total = np.abs((d / np.where(known, largest, 1)[:, np.newaxis]).sum(axis=1, dtype=float))
-    terms = (size > 0).sum(axis=1)
-    top = size.sum(axis=1, dtype=float)
-    root = np.sqrt(np.einsum("ij,ij->i", size, size, dtype=float))
-    p = np.where(known, 1.0, np.nan)
-    few = terms <= _ENUMERATED
-    inner = known & ~few & (total > _ROUNDING * root) & (total < (1 - _ROUNDING) * top)
-    p[inner] = _saddlepoint(size[inner], total[inner])
-    outer = known & ~few & (total >= (1 - _ROUNDING) * top)
-    p[outer] = 0
-    least = np.exp2(1.0 - np.minimum(terms, 1000))
-    p = np.where(known, np.clip(p, least, 1), np.nan)
-    p[known & few] = _enumerated(size[known & few], total[known & few])
-    return p
-
-
-def _enumerated(size: npt.NDArray[np.floating[Any]], total: Floats) -> Floats:
-    """Return the share of flips, the first sign fixed, whose sum is as far from 0."""
-    count = min(_ENUMERATED, size.shape[1])
-    largest = -np.partition(-size, count - 1, axis=1)[:, :count] if count < size.shape[1] else size
-    numbers = np.arange(2 ** (count - 1))[:, np.newaxis]
-    signs = 1.0 - 2.0 * (np.left_shift(numbers, 1) >> np.arange(count) & 1)
-    sums = np.abs(largest.astype(float) @ signs.T)
-    slack = _ROUNDING + 1e-6 * total  # float32 terms
-    return np.asarray((sums >= (total - slack)[:, np.newaxis]).mean(axis=1))
-
-
-def _saddlepoint(size: npt.NDArray[np.floating[Any]], total: Floats) -> Floats:
-    """Return the two-sided tail of sums between 0 and the largest, of terms up to 1."""
-    squares = np.einsum("ij,ij->i", size, size, dtype=float)
-    tilt = total / squares
-    active = np.arange(len(size))
-    # The slope of the cumulant function is concave: from the left, Newton's steps stay there.
-    for _ in range(_STEPS):
-        x, at = size[active], tilt[active]
-        tanh = np.tanh(at[:, np.newaxis].astype(x.dtype) * x)
-        slope = np.einsum("ij,ij->i", x, tanh, dtype=float)
-        tanh *= x
-        bend = squares[active] - np.einsum("ij,ij->i", tanh, tanh, dtype=float)
-        step = (total[active] - slope) / np.maximum(bend, _ROUNDING * squares[active])
-        tilt[active] = np.maximum(at + step, at / 2)
-        active = active[np.abs(step) > _TOLERANCE * at]
-        if not len(active):
-            break
-    tilted = tilt[:, np.newaxis].astype(size.dtype) * size
-    with np.errstate(under="ignore"):
-        small = np.exp(-2 * tilted)
-        cumulant = (tilted + np.log1p(small)).sum(axis=1, dtype=float) - np.log(2) * size.shape[1]
-        bend = (small * (2 * size / (1 + small)) ** 2).sum(axis=1, dtype=float)
-    r = np.sqrt(2 * np.maximum(tilt * total - cumulant, 1e-30))
-    u = tilt * np.sqrt(np.maximum(bend, 1e-30))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        star = np.where(r > 0.1, r + np.log(np.maximum(u, 1e-30) / r) / r, total / np.sqrt(squares))
-    return np.asarray(2 * special.ndtr(-np.maximum(star, 0)))
+_ROUNDING = 1e-9
+_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -177,7 +86,7 @@ class FlipMoments:
     mean: Floats
 
     @classmethod
-    def of(cls, d: npt.NDArray[np.floating[Any]], mean: Floats) -> FlipMoments:
+    def of(cls, d: Reals, mean: Floats) -> FlipMoments:
         """Return those of terms (y, x, term)."""
         largest = np.abs(d).max(axis=-1, initial=0)
         scale = np.where(largest > 0, largest, 1).astype(float)
@@ -194,17 +103,15 @@ class FlipMoments:
             central3 = cube.sum(axis=-1, dtype=float)
             central6 = np.einsum("...i,...i->...", cube, cube, dtype=float)
         more = np.maximum(above, below)
-        return cls(
-            n=d.shape[-1],
-            scale=scale,
-            total=total,
-            square=square,
-            central2=central2,
-            central3=central3,
-            central6=central6,
-            rarer=np.minimum(above, below) / np.where(more > 0, more, 1),
-            mean=mean,
-        )
+        rarer = np.minimum(above, below) / np.where(more > 0, more, 1)
+        return cls(d.shape[-1], scale, total, square, central2, central3, central6, rarer, mean)
+
+    @classmethod
+    def joined(cls, parts: list[FlipMoments]) -> FlipMoments:
+        """Return the moments of consecutive rows as one."""
+        names = [field.name for field in fields(cls) if field.name != "n"]
+        maps = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return cls(n=parts[0].n, **maps)
 
     def nearby(self, edge: int, *, relative: bool, against: bool) -> Floats:
         """Return the mean square of a term that counts for each place, of terms over `scale`.
@@ -218,7 +125,7 @@ class FlipMoments:
         if relative:
             unit = np.maximum(self.mean, _DARK * self.mean.mean())
         ratio = self.scale / np.where(unit > 0, unit, 1)
-        ratio = ratio / max(float(ratio.max()), 1e-300)  # so that sixth powers are numbers
+        ratio = ratio / max(float(ratio.max()), _TINY)  # so that sixth powers are numbers
 
         def near(x: Floats) -> Floats:
             return np.asarray(np.maximum(ndimage.uniform_filter(x, edge, mode="nearest"), 0))
@@ -235,12 +142,18 @@ class FlipMoments:
         opposed = -np.sign(self.total) * np.nan_to_num(skewness) > _SKEWED
         return np.asarray(np.nan_to_num(square) * (opposed | (self.rarer < _ONE_SIDED)))
 
+    def p_value(self, edges: tuple[int, ...], *, against: bool) -> Floats:
+        """Return two-sided normal p-values of the sums, by the terms of neighbours; see `nearby`.
 
-def _p_of_moments(moments: FlipMoments, square: Floats) -> Floats:
-    """Return two-sided normal p-values of sums whose terms have this mean square."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = np.abs(moments.total) / np.sqrt(moments.n * square)
-    return np.where(square > 0, 2 * special.ndtr(-np.nan_to_num(z)), 0)
+        The largest mean square counts, of all edges, in radiance and relative to the mean.
+        """
+        kinds = (False, True)
+        square = np.max(
+            [self.nearby(e, relative=k, against=against) for e in edges for k in kinds], axis=0
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.abs(self.total) / np.sqrt(self.n * square)
+        return np.where(square > 0, 2 * special.ndtr(-np.nan_to_num(z)), 0)
 
 
 def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
@@ -251,66 +164,37 @@ def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
     before p falls below 3/1000. Neighbours are compared in radiance and relative to their means.
     Not so where both renders are constant, as lamps are, which is `exact`.
     """
-    kinds = (False, True)
-    near = np.max(
-        [moments.nearby(e, relative=k, against=True) for e in _NEAR for k in kinds], axis=0
+    by_neighbours = np.maximum(
+        moments.p_value(_NEAR, against=True),
+        np.minimum(moments.p_value(_WIDE, against=False), _EXTREME),
     )
-    wide = np.max(
-        [moments.nearby(e, relative=k, against=False) for e in _WIDE for k in kinds], axis=0
-    )
-    p_wide = np.minimum(_p_of_moments(moments, wide), _EXTREME)
-    found = np.maximum(p, np.maximum(_p_of_moments(moments, near), p_wide))
-    return np.where(exact | np.isnan(p), p, found)
+    return np.where(exact | np.isnan(p), p, np.maximum(p, by_neighbours))
 
 
 @dataclass(frozen=True)
-class CellUnits:
-    """Averages of as many samples of two renders that differ in their numbers of samples.
+class Cells:
+    """Sums over the pixels of each cell of an image.
 
     Attributes
     ----------
-    cells
-        Sums over cells of what the units differ by from the mean of all, shape (band, y, x, unit);
-        the first units are of the render with fewer samples.
-    level
-        Sums over cells of the mean of all units, shape (band, y, x, 1).
+    differences, levels
+        Of terms, and of the mean of both renders that goes with each, shape (band, y, x, term).
+    units, unit_level
+        Of renders that differ in their numbers of samples: what averages of as many samples differ
+        by from the mean of all, shape (band, y, x, unit), the first units those of the render with
+        fewer samples; and that mean, shape (band, y, x, 1).
     short
         Number of units of the render with fewer samples.
-    size
+    unit_size
         Number of samples of a unit.
     """
 
-    cells: npt.NDArray[np.float32]
-    level: npt.NDArray[np.float32]
-    short: int
-    size: int
-
-    def divisions(self, seed: Seed) -> sparse.csr_matrix:
-        """Return which units are the shorter render's: in fact, and in random divisions."""
-        count = self.cells.shape[-1]
-        drawn = generator(seed).random((_FLIPS, count), dtype=np.float32)
-        chosen = np.argpartition(drawn, self.short, axis=1)[:, : self.short]
-        chosen = np.concatenate([np.arange(self.short)[np.newaxis], np.sort(chosen, axis=1)])
-        ends = np.arange(_FLIPS + 2) * self.short
-        return sparse.csr_matrix(
-            (np.ones(chosen.size, np.float32), chosen.ravel(), ends), shape=(_FLIPS + 1, count)
-        )
-
-
-@dataclass(frozen=True)
-class Unseen:
-    """Light that a render has and a shorter one may have missed.
-
-    Attributes
-    ----------
-    share
-        Of the light of the image.
-    spp
-        Samples per pixel that miss it with a probability of 5 %.
-    """
-
-    share: float
-    spp: int
+    differences: Image
+    levels: Image
+    units: Image | None = None
+    unit_level: Image | None = None
+    short: int = 0
+    unit_size: int = 1
 
 
 @dataclass(frozen=True)
@@ -330,23 +214,18 @@ class WindowTest:
         by the edge of windows in cells.
     unseen
         Light of the longer render that the shorter one may have missed, if that is more than would
-        have been found by what the shorter one has seen; None if there is none.
+        have been found by what the shorter one has seen: its share of the light of the image, and
+        the samples per pixel that miss it with a probability of 5 %.
     """
 
     p_value: float
     window: tuple[int, int, int, int]
     band: int
     detectable: dict[int, float]
-    unseen: Unseen | None = None
+    unseen: tuple[float, int] | None = None
 
 
-def scan_windows(
-    d: npt.NDArray[np.floating[Any]],
-    mean: npt.NDArray[np.floating[Any]],
-    *,
-    units: CellUnits | None = None,
-    seed: Seed = 0,
-) -> WindowTest:
+def scan_windows(cells: Cells, *, seed: Seed = 0) -> WindowTest:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
     Every window's sum over the root of its sum of squares is compared, as the largest of its size,
@@ -356,20 +235,9 @@ def scan_windows(
     proportion to the radiance where a few pixels are much noisier than others; each half of the
     terms is weighted by what the other half knows, so that no sum is shifted.
 
-    With `units`, random divisions of the units of both renders are compared, too, which is exact
+    With units, random divisions of the units of both renders are compared, too, which is exact
     for renders of one distribution; flips are right for many samples where only the means agree.
-    The larger p-value counts.
-
-    Parameters
-    ----------
-    d
-        Terms of cells, shape (band, y, x, term).
-    mean
-        Radiance of both renders that goes with them, of the same shape.
-    units
-        Of renders that differ in their numbers of samples.
-    seed
-        Of the flips or divisions.
+    The larger p-value counts. `seed` is that of flips and divisions.
 
     References
     ----------
@@ -379,19 +247,22 @@ def scan_windows(
     of skewness by transformation", 1992, doi:10.1111/j.2517-6161.1992.tb01876.x: the skewness of
     studentised means.
     """
-    terms = d.shape[-1]
-    flips = 1.0 - 2.0 * generator(seed).integers(0, 2, (_FLIPS + 1, terms))
+    d, mean = cells.differences, cells.levels
+    size, terms = d.shape[1:3], d.shape[-1]
+    flips = (1.0 - 2.0 * generator(seed).integers(0, 2, (_FLIPS + 1, terms))).astype(np.float32)
     flips[0] = 1
-    flips = flips.astype(np.float32)
-    divisions = None if units is None else units.divisions(seed)
+    divisions = None if cells.units is None else _divisions(cells, seed)
+    # Powers of 2, and the whole image last.
+    edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
     scores, of_divisions, places, crossings = [], [], [], []
     for band in range(len(d)):
-        for weigh in (_unweighted, _weighted):
+        for weigh in (lambda x, _: x, _weighted):
             values = weigh(d[band], mean[band])
-            cells = None if units is None else weigh(units.cells[band], units.level[band])
-            for edge in _edges(d.shape[1:3]):
-                if cells is not None:
-                    divided = _divided(divisions, window_sums(cells, edge)[0]).max(axis=1)
+            if cells.units is not None and cells.unit_level is not None:
+                units = weigh(cells.units[band], cells.unit_level[band])
+            for edge in edges:
+                if divisions is not None:
+                    divided = _divided(divisions, window_sums(units, edge)[0]).max(axis=1)
                     of_divisions.append(_log_p(divided, _independent(divided[1:])))
                 largest, place = _largest(values, mean[band], edge, flips)
                 if largest is None:
@@ -401,47 +272,34 @@ def scan_windows(
                 places.append((largest[0], band, place, edge))
                 crossings.append((edge, windows))
     if not scores:
-        return WindowTest(np.nan, (0, 0, *d.shape[1:3]), 0, {})
-    least = np.min(scores, axis=0)
+        return WindowTest(np.nan, (0, 0, *size), 0, {})
+    least = [np.min(found, axis=0) for found in (scores, of_divisions) if found]
     _, band, (y, x), edge = max(places)
-    height, width = (min(edge, size) for size in d.shape[1:3])
-    critical = float(np.quantile(least[1:], 0.05))
+    critical = float(np.quantile(least[0][1:], 0.05))
     detectable = {e: _detectable(critical, windows, terms) for e, windows in crossings[::-1]}
     return WindowTest(
-        p_value=max(map(_p_of_least, (scores, of_divisions) if of_divisions else (scores,))),
-        window=(y, x, height, width),
+        p_value=max(float(np.mean(p <= p[0] + _ROUNDING)) for p in least),
+        window=(y, x, min(edge, size[0]), min(edge, size[1])),
         band=band,
         detectable=detectable,
-        unseen=None if units is None else _unseen(units, detectable.get(max(d.shape[1:3]), np.inf)),
+        unseen=_unseen(cells, detectable.get(max(size), np.inf)),
     )
 
 
-def _edges(shape: tuple[int, ...]) -> list[int]:
-    """Return edges of windows: powers of 2, and the whole image last."""
-    return [*(2**i for i in range(8) if 2**i < max(shape)), max(shape)]
-
-
-def window_sums(x: npt.NDArray[Any], edge: int) -> tuple[npt.NDArray[Any], list[Any]]:
+def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
     """Return sums of cells (y, x, term) over overlapping windows, and where those begin."""
     total = np.zeros((x.shape[0] + 1, x.shape[1] + 1, *x.shape[2:]))
     total[1:, 1:] = x.cumsum(axis=0, dtype=float).cumsum(axis=1)
-    step = max(1, edge // 3)
-    starts = [np.arange(0, max(size - edge, 0) + step, step) for size in x.shape[:2]]
-    starts = [
-        np.unique(np.minimum(begin, max(size - edge, 0)))
-        for begin, size in zip(starts, x.shape[:2], strict=True)
-    ]
-    ends = [np.minimum(b + edge, n) for b, n in zip(starts, x.shape[:2], strict=True)]
+    step, starts, ends = max(1, edge // 3), [], []
+    for size in x.shape[:2]:
+        last = max(size - edge, 0)
+        starts.append(np.unique(np.minimum(np.arange(0, last + step, step), last)))
+        ends.append(np.minimum(starts[-1] + edge, size))
     rows = total[ends[0]] - total[starts[0]]
     return rows[:, ends[1]] - rows[:, starts[1]], starts
 
 
-def _largest(
-    d: npt.NDArray[Any],
-    mean: npt.NDArray[Any],
-    edge: int,
-    flips: npt.NDArray[np.float32],
-) -> tuple[Any, tuple[int, int]]:
+def _largest(d: Array, mean: Array, edge: int, flips: Image) -> tuple[Any, tuple[int, int]]:
     """Return the largest standardised sum over windows of each flip, None without any term."""
     sums, starts = window_sums(d, edge)
     moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
@@ -465,13 +323,49 @@ def _largest(
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
 
 
-def _p_of_least(scores: list[Floats]) -> float:
-    """Return the share of draws whose smallest score is as small as that of the first."""
-    least = np.min(scores, axis=0)
-    return float(np.mean(least <= least[0] + _ROUNDING))
+def _missed(d: Array, edge: int, starts: list[Any], up: Mask) -> Floats:
+    """Return how much of the sign against the sum of each window may have been missed.
+
+    Of rare events, one more as large as the largest may as well have been seen, as in bounds of
+    weighted sums of Poisson counts. They are rare where the terms that oppose the sum are worth
+    half as many terms of one size, or fewer, as those that make it; where both are worth as many,
+    as of one distribution, nothing is missing.
+
+    References
+    ----------
+    Fay and Feuer, "Confidence intervals for directly standardized rates: a method based on the
+    gamma distribution", 1997, doi:10.1002/(SICI)1097-0258(19970415)16:7<791::AID-SIM500>3.0.CO;2-#.
+    """
+    scale = max(float(np.abs(d).max()), _TINY)
+    shape = tuple(min(edge, size) for size in d.shape[:2])
+    worth, largest = [], []
+    for sign in (1, -1):
+        x = np.maximum(d.astype(float) * (sign / scale), 0)
+        of_cells = np.stack([x.sum(axis=-1), np.square(x).sum(axis=-1)], axis=-1)
+        total, square = np.moveaxis(np.maximum(window_sums(of_cells, edge)[0], 0), -1, 0)
+        worth.append(total**2 / np.maximum(square, _TINY))
+        highest = np.lib.stride_tricks.sliding_window_view(x.max(axis=-1), shape)
+        largest.append(highest[np.ix_(*starts)].max(axis=(2, 3)) * scale)
+    with_it, against = np.where(up, worth, worth[::-1])
+    # Where terms are 0, both are worth what rounding left of sums over the image.
+    share = np.clip(2 - 2 * against / np.maximum(np.maximum(with_it, against / 2), _TINY), 0, 1)
+    return np.asarray(share * np.where(up, largest[1], largest[0]))
 
 
-def _divided(divisions: sparse.csr_matrix, sums: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _divisions(cells: Cells, seed: Seed) -> sparse.csr_matrix:
+    """Return which units are the shorter render's: in fact, and in random divisions."""
+    assert cells.units is not None
+    count, short = cells.units.shape[-1], cells.short
+    drawn = generator(seed).random((_FLIPS, count), dtype=np.float32)
+    chosen = np.sort(np.argpartition(drawn, short, axis=1)[:, :short], axis=1)
+    chosen = np.concatenate([np.arange(short)[np.newaxis], chosen])
+    ends = np.arange(_FLIPS + 2) * short
+    return sparse.csr_matrix(
+        (np.ones(chosen.size, np.float32), chosen.ravel(), ends), shape=(_FLIPS + 1, count)
+    )
+
+
+def _divided(divisions: sparse.csr_matrix, sums: Array) -> Array:
     """Return sizes of differences between both groups of units (y, x, unit), of each division.
 
     They are over a standard error of which a third, in logarithms, is Welch's and the rest that of
@@ -479,7 +373,7 @@ def _divided(divisions: sparse.csr_matrix, sums: npt.NDArray[Any]) -> npt.NDArra
     gives it, of the other sign.
     """
     x = sums.reshape(-1, sums.shape[-1])
-    x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), 1e-300)).astype(np.float32)
+    x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), _TINY)).astype(np.float32)
     short = int(divisions.indptr[1])
     n = short, x.shape[1] - short
     total, square = (np.asarray(y.sum(axis=1, dtype=float)) for y in (x, x * x))
@@ -497,16 +391,18 @@ def _divided(divisions: sparse.csr_matrix, sums: npt.NDArray[Any]) -> npt.NDArra
     return np.asarray(np.abs(one / n[0] - other / n[1]) / np.sqrt(pooled * ratio))
 
 
-def _unseen(units: CellUnits, detectable: float) -> Unseen | None:
+def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     """Return what the shorter render may have missed of the image, if it matters.
 
     It matters if it is more than the loss that the standard error of the shorter render alone
     would have shown.
     """
-    sums = units.cells.sum(axis=(1, 2), dtype=float)
-    level = units.level.sum(axis=(1, 2, 3), dtype=float)
-    short, longer = sums[:, : units.short], sums[:, units.short :]
-    error = short.std(axis=-1, ddof=1) / np.sqrt(units.short) if units.short > 1 else 0 * level
+    if cells.units is None or cells.unit_level is None:
+        return None
+    sums = cells.units.sum(axis=(1, 2), dtype=float)
+    level = cells.unit_level.sum(axis=(1, 2, 3), dtype=float)
+    short, longer = sums[:, : cells.short], sums[:, cells.short :]
+    error = short.std(axis=-1, ddof=1) / np.sqrt(cells.short) if cells.short > 1 else 0 * level
     least = np.maximum(np.where(error > 0, detectable * error, 0), _LEAST_LIGHT * np.abs(level))
     found = None
     for outside in (
@@ -519,42 +415,13 @@ def _unseen(units: CellUnits, detectable: float) -> Unseen | None:
         square = np.square(outside).mean(axis=-1)
         rate = light**2 / np.where(square > 0, square, 1)
         with np.errstate(divide="ignore"):
-            needed = np.log(_CHANCE_TO_MISS) / np.log1p(-rate)
-        hidden = (rate > 0) & (needed > units.short) & (light > least)
+            needed = np.log(CHANCE_TO_MISS) / np.log1p(-rate)
+        hidden = (rate > 0) & (needed > cells.short) & (light > least)
         for band in np.flatnonzero(hidden & (level > 0)):
             share = float(light[band] / level[band])
-            if found is None or share > found.share:
-                found = Unseen(share, int(np.ceil(needed[band] * units.size)))
+            if found is None or share > found[0]:
+                found = share, int(np.ceil(needed[band] * cells.unit_size))
     return found
-
-
-def _missed(d: npt.NDArray[Any], edge: int, starts: list[Any], up: Mask) -> Floats:
-    """Return how much of the sign against the sum of each window may have been missed.
-
-    Of rare events, one more as large as the largest may as well have been seen, as in bounds of
-    weighted sums of Poisson counts. They are rare where the terms that oppose the sum are worth
-    half as many terms of one size, or fewer, as those that make it; where both are worth as many,
-    as of one distribution, nothing is missing.
-
-    References
-    ----------
-    Fay and Feuer, "Confidence intervals for directly standardized rates: a method based on the
-    gamma distribution", 1997, doi:10.1002/(SICI)1097-0258(19970415)16:7<791::AID-SIM500>3.0.CO;2-#.
-    """
-    scale = max(float(np.abs(d).max()), 1e-300)
-    shape = tuple(min(edge, size) for size in d.shape[:2])
-    worth, largest = [], []
-    for sign in (1, -1):
-        x = np.maximum(d.astype(float) * (sign / scale), 0)
-        of_cells = np.stack([x.sum(axis=-1), np.square(x).sum(axis=-1)], axis=-1)
-        total, square = np.moveaxis(np.maximum(window_sums(of_cells, edge)[0], 0), -1, 0)
-        worth.append(total**2 / np.maximum(square, 1e-300))
-        highest = np.lib.stride_tricks.sliding_window_view(x.max(axis=-1), shape)
-        largest.append(highest[np.ix_(*starts)].max(axis=(2, 3)) * scale)
-    with_it, against = np.where(up, worth, worth[::-1])
-    # Where terms are 0, both are worth what rounding left of sums over the image.
-    share = np.clip(2 - 2 * against / np.maximum(np.maximum(with_it, against / 2), 1e-300), 0, 1)
-    return np.asarray(share * np.where(up, largest[1], largest[0]))
 
 
 def _independent(largest: Floats) -> float:
@@ -577,12 +444,7 @@ def _detectable(log_p: float, windows: float, terms: int) -> float:
     return float(t + special.ndtri(0.9))
 
 
-def _unweighted(d: npt.NDArray[Any], _: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return terms as they are."""
-    return d
-
-
-def _weighted(d: npt.NDArray[Any], mean: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _weighted(d: Array, mean: Array) -> Array:
     """Return terms (y, x, term) times mean over variance, which the other half of them knows."""
     found = np.zeros(d.shape)
     mean = np.broadcast_to(mean, d.shape)
@@ -591,7 +453,7 @@ def _weighted(d: npt.NDArray[Any], mean: npt.NDArray[Any]) -> npt.NDArray[Any]:
         level = np.maximum(mean[..., other].sum(axis=-1, dtype=float), 0)
         square = np.einsum("...i,...i->...", d[..., other], d[..., other], dtype=float)
         # No cell counts as much less noisy than the image is on average: it may have missed much.
-        usual = square.sum() / max(float((level**2).sum()), 1e-300)
+        usual = square.sum() / max(float((level**2).sum()), _TINY)
         near = cast("Floats", ndimage.uniform_filter(level, 3, mode="constant"))
         noise = np.maximum(ndimage.uniform_filter(square, 3, mode="constant"), 0) + near**2 * usual
         weight = near / np.where(noise > 0, noise, 1)
