@@ -5,7 +5,6 @@ Tables have rows of regions, families, patterns and estimators, as they are show
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -97,7 +96,7 @@ def claim_content(claim: Claim, found: Mapping[str, Finding]) -> dict[str, Any]:
         "name": claim.name,
         "claim": claim.claim,
         "about": f"About {claim.about}.",
-        "method": (inspect.getdoc(claim.measure) or "").splitlines()[0],
+        "method": claim.method,
         "rows": [
             {"scenes": names, "verdict": verdict, "reason": reason}
             for (verdict, reason), names in scenes_of.items()

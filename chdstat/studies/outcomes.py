@@ -5,7 +5,7 @@ that the claim states. A test is supported where the whole interval lies in that
 supported where all of it lies outside, and otherwise undecided. A claim is supported where all of
 its tests are, not supported where any is not, and otherwise undecided ("cannot tell").
 
-What measures a claim returns an `Outcome`, or raises `MissingDataError`; the registry of claims
+The function that measures a claim returns an `Outcome`, or raises `MissingDataError`; the claim
 makes it a `Finding`, the public result.
 """
 
@@ -17,9 +17,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import plain
+from chdstat._core.arrays import Array, plain
 from chdstat._core.display import Card, Shown, with_interval
 from chdstat._core.resampling import LEVEL, Interval
 
@@ -163,7 +162,7 @@ class PlotData:
     """
 
     kind: Literal["curves", "points", "bars", "map"] = "curves"
-    series: Mapping[str, tuple[npt.NDArray[Any], npt.NDArray[Any]]] = field(default_factory=dict)
+    series: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     x_label: str = ""
     y_label: str = ""
 
@@ -325,19 +324,18 @@ class Finding(Shown):
         test = self.test or ClaimTest(self.name, Interval.unknown())
         interval = {n: getattr(test.interval, n) for n in ("low", "high", "level")}
         as_they_are = ("number", "name", "scene", "claim", "about", "verdict", "reason")
-        return {
-            **{name: getattr(self, name) for name in as_they_are},
-            "statistic": {
-                "name": test.name,
-                "value": plain(test.interval.value),
-                "unit": test.unit,
-            },
-            "interval": plain(interval),
-            "p_value": plain(self.p_value),
-            "parts": [test.to_dict() for test in self.tests],
-            "details": plain(self.details),
-            "beside": {name: other.to_dict() for name, other in self.other_models.items()},
-        }
+        found: dict[str, Any] = plain(
+            {
+                **{name: getattr(self, name) for name in as_they_are},
+                "statistic": {"name": test.name, "value": test.interval.value, "unit": test.unit},
+                "interval": interval,
+                "p_value": self.p_value,
+                "parts": [test.to_dict() for test in self.tests],
+                "details": self.details,
+                "beside": {name: other.to_dict() for name, other in self.other_models.items()},
+            }
+        )
+        return found
 
 
 def _number(value: float) -> str:

@@ -1,28 +1,26 @@
 """Data of one scene, as the claims read them.
 
 `SceneData` holds samples, regions, and what else a claim compares them with; `PixelSet` holds the
-pixels of regions. `ratio_of`, `slope_of` and `correlation_of` relate two quantities over such
-pixels, with intervals; use an instrument where the explaining quantity is noisy.
+pixels of regions, and returns statistics of values at them with intervals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, generator, is_bad, luminance
-from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of
+from chdstat._core.arrays import Array, Counts, Floats, Mask, generator, is_bad, luminance
+from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, median_of
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
 from chdstat.samples import Samples
 from chdstat.studies.log_chds import LogChds, of_histograms
-from chdstat.studies.outcomes import require
+from chdstat.studies.outcomes import level_of, require
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -31,98 +29,30 @@ if TYPE_CHECKING:
     from chdstat.comparison import Comparison
 
 __all__ = [
+    "BSDF_SAMPLING",
+    "DIRECT",
     "QUANTILES_NEED",
     "PixelSet",
     "SceneData",
-    "correlation_of",
     "fold_of",
     "largest_interval",
     "logs",
+    "means_by_region",
     "positive_quantiles",
-    "ratio_of",
-    "slope_of",
 ]
 
-
-def ratio_of(
-    x: Floats,
-    y: Floats,
-    blocks: Blocks,
-    *,
-    level: float = LEVEL,
-    bounds: tuple[float, float] = (-math.inf, math.inf),
-) -> Interval[float]:
-    """Return the sum of x over that of y, shapes (pixel,), of the pixels that have both."""
-    known = np.isfinite(x + y)
-    if not known.any():
-        return Interval.unknown(level=level)
-    used = blocks if known.all() else blocks[known]
-    above, below = used.sums(x[known]), used.sums(y[known])
-    return interval_of(lambda w: (w @ above) / (w @ below), used, level=level, bounds=bounds)
+BSDF_SAMPLING = "BSDF sampling alone"
+"""Integrator that finds lights by chance, where surfaces scatter light."""
+DIRECT = "direct light, both"
+"""Integrator that other ones of direct light are compared with."""
+QUANTILES_NEED = 100
+"""Positive samples that a quantile at 1 % or 99 % needs."""
 
 
-def slope_of(
-    x: Floats, y: Floats, blocks: Blocks, *, instrument: Floats | None = None, level: float
-) -> Interval[float]:
-    """Return the slope of y on x, ``cov(y, z) / cov(x, z)``.
-
-    Least squares take x itself for the instrument z. Noise in x flattens that slope; an instrument
-    that follows x and shares no noise with x and y does not let it.
-
-    Parameters
-    ----------
-    x, y
-        Shape (pixel,) or (pixel, channel); NaN takes no part.
-    blocks
-        Blocks of the pixels.
-    instrument
-        Shape of `x`; None for `x`.
-    level
-        Coverage of the interval.
-
-    References
-    ----------
-    Durbin, "Errors in variables", 1954, doi:10.2307/1401917.
-
-    Examples
-    --------
-    >>> x = np.arange(64.0)
-    >>> slope_of(x, 3 * x + 1, Blocks.grid(8, 8), level=0.95).value
-    3.0
-    """
-    sums = _sums(x, y, x if instrument is None else instrument, blocks)
-
-    def slope(weights: Floats) -> Floats:
-        n, a, b, c, ac, bc, *_ = (weights @ sums).T
-        return np.asarray((bc - b * c / n) / (ac - a * c / n))
-
-    return interval_of(slope, blocks, level=level)
-
-
-def correlation_of(x: Floats, y: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
-    """Return Pearson's correlation of x and y, shapes as for `slope_of`."""
-    sums = _sums(x, y, x, blocks)
-
-    def correlate(weights: Floats) -> Floats:
-        n, a, b, _, aa, ab, bb = (weights @ sums).T
-        spread = np.sqrt((aa / n - a**2 / n**2) * (bb / n - b**2 / n**2))
-        return np.asarray((ab / n - a * b / n**2) / spread)
-
-    return interval_of(correlate, blocks, level=level, bounds=(-1.0, 1.0))
-
-
-def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
-    """Return number and sums of x, y, z, xz, yz, yy of each block, where all are known."""
-    known = np.isfinite(x + y + z)
-    x, y, z = (np.where(known, v, 0) for v in (x, y, z))
-    columns = np.stack([known, x, y, z, x * z, y * z, y * y], axis=-1)
-    return blocks.sums(columns.reshape(len(x), -1, columns.shape[-1]).sum(axis=1))
-
-
-def largest_interval(intervals: Sequence[Interval[float]]) -> Interval[float]:
+def largest_interval(intervals: Sequence[Interval[float]], *, level: float) -> Interval[float]:
     """Return the largest of several; its ends are the largest of ends that hold together."""
     value, low, high = (max(getattr(i, end) for i in intervals) for end in ("value", "low", "high"))
-    return Interval(value, low, high)
+    return Interval(value, low, high, level)
 
 
 def logs(values: Floats) -> Floats:
@@ -130,10 +60,6 @@ def logs(values: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         log = np.log10(values)
     return np.asarray(np.where(np.isfinite(log), log, np.nan))
-
-
-QUANTILES_NEED = 100
-"""Positive samples that a quantile at 1 % or 99 % needs."""
 
 
 def positive_quantiles(x: Floats, levels: Sequence[float]) -> Floats:
@@ -163,9 +89,18 @@ def fold_of(blocks: Blocks, *, across: int, folds: int) -> Counts:
     return np.asarray((blocks.of_pixel % across + 2 * (blocks.of_pixel // across)) % folds)
 
 
+def means_by_region(values: Floats, blocks: Blocks) -> Callable[[Floats], Floats]:
+    """Return what maps weights of blocks to the mean of values (pixel,) over each region."""
+    sums, count = blocks.sums(values), blocks.sums(np.ones(len(values)))
+    member = (blocks.region[:, np.newaxis] == np.unique(blocks.region)).astype(np.float64)
+    return lambda weights: ((weights * sums) @ member) / ((weights * count) @ member)
+
+
 @dataclass(frozen=True)
 class PixelSet:
     """Pixels of one region or several, one after the other.
+
+    Statistics of values at the pixels come with intervals over blocks; NaN takes no part.
 
     Attributes
     ----------
@@ -177,6 +112,8 @@ class PixelSet:
         Region of each pixel, shape (pixel,).
     blocks
         Blocks of them to resample.
+    level
+        Coverage of the intervals.
     """
 
     names: tuple[str, ...]
@@ -184,30 +121,108 @@ class PixelSet:
     x: Counts
     region: Counts
     blocks: Blocks
+    level: float = LEVEL
 
     @classmethod
-    def of(cls, regions: tuple[Region, ...], height: int, width: int) -> PixelSet:
-        """Return the pixels of regions."""
+    def of(
+        cls, regions: Sequence[Region], height: int, width: int, *, level: float = LEVEL
+    ) -> PixelSet:
+        """Return the pixels of regions of an image."""
         grids = [np.mgrid[region.pixels(height, width)] for region in regions]
         y, x = np.concatenate([grid.reshape(2, -1) for grid in grids], axis=1)
         region = np.repeat(np.arange(len(grids)), [grid[0].size for grid in grids])
         blocks = Blocks.join([Blocks.grid(*grid.shape[1:]) for grid in grids])
-        return cls(tuple(region.name for region in regions), y, x, region, blocks)
+        return cls(tuple(region.name for region in regions), y, x, region, blocks, level)
 
     def __len__(self) -> int:
         """Return the number of pixels."""
         return len(self.y)
 
-    def take(self, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def __getitem__(self, pixels: Any) -> PixelSet:
+        """Return some of the pixels."""
+        chosen = self.y[pixels], self.x[pixels], self.region[pixels], self.blocks[pixels]
+        return PixelSet(self.names, *chosen, self.level)
+
+    def take(self, image: Array) -> Array:
         """Return the values of the pixels of an image (y, x, ...), shape (pixel, ...)."""
         return image[self.y, self.x]
 
-    def by_region(self, values: npt.NDArray[Any]) -> dict[str, float]:
+    def by_region(self, values: Array) -> dict[str, float]:
         """Return the mean of values (pixel, ...) over each region, NaN left out."""
         of_region = [values[self.region == i] for i in range(len(self.names))]
         known = [here[np.isfinite(here)] for here in of_region]
         means = [float(here.mean()) if here.size else float("nan") for here in known]
         return dict(zip(self.names, means, strict=True))
+
+    def mean(self, values: Array) -> Interval[float]:
+        """Return the mean of values (pixel, ...)."""
+        return mean_of(values, self.blocks, level=self.level)
+
+    def median(self, values: Array) -> Interval[float]:
+        """Return the median of values (pixel, ...)."""
+        return median_of(values, self.blocks, level=self.level)
+
+    def interval(
+        self,
+        statistic: Callable[[Floats], Floats],
+        bounds: tuple[float, float] = (-math.inf, math.inf),
+    ) -> Interval[float]:
+        """Return a statistic of weighted blocks; see `interval_of`."""
+        return interval_of(statistic, self.blocks, level=self.level, bounds=bounds)
+
+    def ratio(
+        self, x: Floats, y: Floats, bounds: tuple[float, float] = (-math.inf, math.inf)
+    ) -> Interval[float]:
+        """Return the sum of x over that of y, shapes (pixel,), of the pixels that have both."""
+        known = np.isfinite(x + y)
+        if not known.any():
+            return Interval.unknown(level=self.level)
+        used = self if known.all() else self[known]
+        above, below = used.blocks.sums(x[known]), used.blocks.sums(y[known])
+        return used.interval(lambda w: (w @ above) / (w @ below), bounds)
+
+    def slope(self, x: Floats, y: Floats, *, instrument: Floats | None = None) -> Interval[float]:
+        """Return the slope of y on x, ``cov(y, z) / cov(x, z)``.
+
+        Least squares take x itself for the instrument z. Noise in x flattens that slope; an
+        instrument that follows x and shares no noise with x and y does not let it.
+
+        Parameters
+        ----------
+        x, y
+            Shape (pixel,) or (pixel, channel).
+        instrument
+            Shape of `x`; None for `x`.
+
+        References
+        ----------
+        Durbin, "Errors in variables", 1954, doi:10.2307/1401917.
+        """
+        sums = self._sums(x, y, x if instrument is None else instrument)
+
+        def slope(weights: Floats) -> Floats:
+            n, a, b, c, ac, bc, *_ = (weights @ sums).T
+            return np.asarray((bc - b * c / n) / (ac - a * c / n))
+
+        return self.interval(slope)
+
+    def correlation(self, x: Floats, y: Floats) -> Interval[float]:
+        """Return Pearson's correlation of x and y, shapes as for `slope`."""
+        sums = self._sums(x, y, x)
+
+        def correlate(weights: Floats) -> Floats:
+            n, a, b, _, aa, ab, bb = (weights @ sums).T
+            spread = np.sqrt((aa / n - a**2 / n**2) * (bb / n - b**2 / n**2))
+            return np.asarray((ab / n - a * b / n**2) / spread)
+
+        return self.interval(correlate, (-1.0, 1.0))
+
+    def _sums(self, x: Floats, y: Floats, z: Floats) -> Floats:
+        """Return number and sums of x, y, z, xz, yz, yy of each block, where all are known."""
+        known = np.isfinite(x + y + z)
+        x, y, z = (np.where(known, v, 0) for v in (x, y, z))
+        columns = np.stack([known, x, y, z, x * z, y * z, y * y], axis=-1)
+        return self.blocks.sums(columns.reshape(len(x), -1, columns.shape[-1]).sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -293,24 +308,31 @@ class SceneData:
         """Distribution functions of all pixels, nulls counted, of the channel in the middle."""
         return of_histograms(self.summary)
 
-    def patch(self, phenomenon: str, which: str) -> PixelSet:
+    def patch(self, phenomenon: str, which: str, *, tests: int = 1) -> PixelSet:
         """Return the pixels of all regions that show a phenomenon.
+
+        Parameters
+        ----------
+        phenomenon, which
+            What they show, and the words for it where there is none.
+        tests
+            Tests of the claim, whose intervals are to hold together.
 
         Raises
         ------
         MissingDataError
             If there is none; it says `which` region is needed.
         """
-        chosen = tuple(region for region in self.regions if region.phenomenon == phenomenon)
+        chosen = [region for region in self.regions if region.phenomenon == phenomenon]
         require(chosen, f"a region {which}")
-        return PixelSet.of(chosen, *self.samples.shape[:2])
+        return PixelSet.of(chosen, *self.samples.shape[:2], level=level_of(tests))
 
-    def whole(self, across: int = 8) -> PixelSet:
+    def whole(self, *, across: int = 8, tests: int = 1) -> PixelSet:
         """Return all pixels of the image, in reading order, in `across` x `across` blocks."""
         height, width = self.samples.shape[:2]
         y, x = np.mgrid[:height, :width].reshape(2, -1)
         blocks = Blocks.grid(height, width, across=across)
-        return PixelSet(("image",), y, x, np.zeros_like(y), blocks)
+        return PixelSet(("image",), y, x, np.zeros_like(y), blocks, level_of(tests))
 
     def scattered(
         self, pixels: int, *, across: int = 8, allowed: Mask | None = None
@@ -319,7 +341,7 @@ class SceneData:
 
         About `pixels` in all, of those that are `allowed`, shape (y, x); None draws from all.
         """
-        rng, whole = generator(0), self.whole(across)
+        rng, whole = generator(0), self.whole(across=across)
         each = max(1, pixels // len(whole.blocks))
         possible = np.ones(len(whole), dtype=bool) if allowed is None else allowed.ravel()
         for block in range(len(whole.blocks)):
@@ -327,7 +349,7 @@ class SceneData:
             some = np.sort(rng.permutation(here)[:each])
             if len(some):
                 blocks = Blocks(np.full(len(some), block), whole.blocks.region)
-                yield PixelSet((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
+                yield replace(whole[some], blocks=blocks)
 
     def radiance(self, patch: PixelSet) -> Floats:
         """Return the samples of a patch, shape (pixel, channel, sample).
@@ -351,3 +373,10 @@ class SceneData:
         """Return a first-hit feature (y, x) or (y, x, component); None without it."""
         image = self.samples.features.get(name)
         return None if image is None else np.asarray(image, dtype=np.float64)
+
+    @property
+    def log_depth(self) -> Floats:
+        """Natural logarithm of the first-hit depth, shape (y, x); 0 where there is no surface."""
+        depth = np.asarray(self.samples.features["depth"], dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.nan_to_num(np.log(depth), posinf=0, neginf=0)

@@ -30,8 +30,7 @@ from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.tiles import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
-from chdstat.studies.claims.paths import BSDF_SAMPLING, DIRECT
-from chdstat.studies.scene_data import SceneData
+from chdstat.studies.scene_data import BSDF_SAMPLING, DIRECT, SceneData
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ for each; `FINDINGS` lists the claims, each with the function that measures it.
 
 from __future__ import annotations
 
-from chdstat.studies.claims.registry import FINDINGS, Claim, find
+from chdstat.studies.claim import Claim
+from chdstat.studies.claims.findings import FINDINGS, find
 from chdstat.studies.outcomes import ClaimTest, Finding, PlotData
 from chdstat.studies.scene_data import SceneData
 

@@ -18,26 +18,23 @@ from dataclasses import replace
 from functools import reduce
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import Floats, Mask, generator
+from chdstat._core.arrays import Floats, Mask, Reals, generator
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import Blocks, Interval, holm, interval_of, median_of
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
-from chdstat.studies.scene_data import SceneData, fold_of, logs, ratio_of, slope_of
+from chdstat._core.resampling import Blocks, Interval, holm
+from chdstat.studies.claim import Claim
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, require
+from chdstat.studies.scene_data import PixelSet, SceneData, fold_of, logs
 
-__all__ = ["growing", "measure", "with_room"]
+__all__ = ["CLAIMS", "growing", "with_room"]
 
 _FOLDS = 4
 _ACROSS = 8
-_ROUNDS = 60
-_RELIABLE = 0.2
-"""Share of the variation that must repeat between halves of the samples, to be explained at all."""
 
 
 def explained_by_features(
-    data: SceneData, batches: Floats, *, level: float
+    data: SceneData, batches: Floats, whole: PixelSet
 ) -> tuple[Interval[float], float] | None:
     """Predict log variance from albedo, normal and depth in blocks that are held out.
 
@@ -47,8 +44,8 @@ def explained_by_features(
         With the features; None is returned without them.
     batches
         Means of batches, shape (pixel, batch).
-    level
-        Coverage of the interval.
+    whole
+        All pixels, in 8 x 8 blocks.
 
     Returns
     -------
@@ -77,28 +74,24 @@ def explained_by_features(
     known = np.isfinite(target) & np.isfinite(features).all(axis=1)
     x, y = features[known], target[known]
     if len(y) < 100 or not np.ptp(y):
-        return Interval.unknown(level=level), math.nan
+        return Interval.unknown(level=whole.level), math.nan
     r = float(np.corrcoef(halves[0][known], halves[1][known])[0, 1])
     reliability = 2 * r / (1 + r)
-    if not reliability > _RELIABLE:
-        return Interval.unknown(level=level), reliability
-    whole = data.whole(across=_ACROSS).blocks
-    fold = fold_of(whole, across=_ACROSS, folds=_FOLDS)[known]
+    if not reliability > 0.2:
+        return Interval.unknown(level=whole.level), reliability
+    fold = fold_of(whole.blocks, across=_ACROSS, folds=_FOLDS)[known]
     errors, of_mean = np.zeros((2, len(y)))
     for k in range(_FOLDS):
         if (held := fold == k).any():
             model = HistGradientBoostingRegressor(
-                max_iter=_ROUNDS, min_samples_leaf=20, early_stopping=False, random_state=0
+                max_iter=60, min_samples_leaf=20, early_stopping=False, random_state=0
             )
             predicted = model.fit(x[~held], y[~held]).predict(x[held])
             errors[held] = (y[held] - predicted) ** 2
             of_mean[held] = (y[held] - y[~held].mean()) ** 2
-    blocks = whole[known]
-    error, total = blocks.sums(errors), blocks.sums(of_mean)
-    share = interval_of(
-        lambda w: (1 - (w @ error) / (w @ total)) / reliability, blocks, level=level
-    )
-    return share, reliability
+    used = whole[known]
+    error, total = used.blocks.sums(errors), used.blocks.sums(of_mean)
+    return used.interval(lambda w: (1 - (w @ error) / (w @ total)) / reliability), reliability
 
 
 Growing = tuple[Floats, Floats, Floats]
@@ -106,13 +99,9 @@ Growing = tuple[Floats, Floats, Floats]
 _SLOWEST = 0.8
 """Ratio of successive gains that is believed, at least: with gamma and log-normal samples it lies
 between 0.6 and 0.9, and smaller where noise makes it so."""
-_REACH = 2.0
-"""Standard errors up to which a gain may be noise."""
 
 
-def growing(
-    x: npt.NDArray[np.floating], good: Mask, statistic: Callable[[Moments], Floats]
-) -> Growing:
+def growing(x: Reals, good: Mask, statistic: Callable[[Moments], Floats]) -> Growing:
     """Return a moment of quarters, of halves and of all of the samples.
 
     Parameters
@@ -159,7 +148,7 @@ def with_room(median: Interval[float], grown: Growing) -> Interval[float]:
     # The standard error of the median of independent normal values.
     known = grown[-1][np.isfinite(grown[-1])]
     deviation = stats.median_abs_deviation(known, scale="normal")
-    noise = _REACH * float(deviation * math.sqrt(math.pi / 2 / len(grown[-1])))
+    noise = 2.0 * float(deviation * math.sqrt(math.pi / 2 / len(grown[-1])))
     ratio = _SLOWEST
     if gain > noise:
         ratio = max(gain / before, ratio) if before > 0 else math.inf
@@ -214,21 +203,10 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
     return dict(zip(("breusch_pagan", "levene"), adjusted, strict=True))
 
 
-_MULTIPLICATIVE = 1.0
-"""Slope of log variance on log mean: 0 for additive noise, 2 for multiplicative; half way."""
 _AVERAGED = 32
 """Samples of an average, as many as the paper's model sees."""
-_SKEWED = 0.5
-"""Skewness of averages from which they are not even fairly symmetric (Bulmer, "Principles of
-Statistics", 1979, page 63)."""
-_UNEXPLAINED = 0.5
-"""Share of the variation of log variance that features explain, up to which most is left."""
-_IRREGULAR = 0.5
-"""Share of all squared steps of log radiance that the largest steps hold:"""
 _STEPS = 0.05
 """share of the steps that are the largest; of Gaussian steps, they would hold 0.28."""
-_GROWING = 1024
-"""Pixels in which the growth of skewness with the number of samples is measured."""
 _LEAST = 12
 """Batches of samples that are needed."""
 
@@ -238,29 +216,32 @@ def measure(data: SceneData) -> Outcome:
     light = data.batch_light
     batches = light.reshape(-1, light.shape[-1])
     require(batches.shape[1] >= _LEAST, f"{_LEAST * 32} spp, has {data.samples.spp}")
-    blocks, level = data.whole().blocks, level_of(4)
-    slope, skewness = _slope(batches, blocks, level), _skewness(data, blocks, level)
-    steps = _concentration(light, blocks, level)
+    whole = data.whole(tests=4)
+    slope, skewness = _slope(batches, whole), _skewness(data, whole)
+    steps = _concentration(light, whole)
     largest = f"share of squared steps of log radiance in the largest {_STEPS:.0%}"
     tests = [
-        ClaimTest("slope of log variance on log mean", slope, least=_MULTIPLICATIVE),
-        ClaimTest(f"skewness of averages of {_AVERAGED}", skewness, least=_SKEWED),
-        ClaimTest(largest, steps, least=_IRREGULAR),
+        # 0 for additive noise, 2 for multiplicative; half way.
+        ClaimTest("slope of log variance on log mean", slope, least=1.0),
+        # Not even fairly symmetric (Bulmer, "Principles of Statistics", 1979, page 63).
+        ClaimTest(f"skewness of averages of {_AVERAGED}", skewness, least=0.5),
+        # Of Gaussian steps, the largest would hold 0.28.
+        ClaimTest(largest, steps, least=0.5),
     ]
     missing, reliability = list[str](), None
-    if (explained := explained_by_features(data, batches, level=level)) is None:
+    if (explained := explained_by_features(data, batches, whole)) is None:
         missing.append("needs first-hit albedo, normal and depth")
     else:
         share, reliability = explained
         name = "share of log variance that features explain"
-        tests.append(ClaimTest(name, share, most=_UNEXPLAINED))
+        tests.append(ClaimTest(name, share, most=0.5))
     rejected = None
     if "averages_rejected_share" in data.summary:  # by the number of samples averaged
         shares = data.summary["averages_rejected_share"].mean("channel")
         sizes = shares["size"].to_numpy().tolist()
         rejected = dict(zip(sizes, shares.to_numpy().tolist(), strict=True))
-    p_values = uniformity(batches, blocks)
-    log_mean, log_variance = logs(batches.mean(axis=1)), logs(batches.var(axis=1, ddof=1))
+    p_values = uniformity(batches, whole.blocks)
+    pixels = {"pixels": (logs(batches.mean(axis=1)), logs(batches.var(axis=1, ddof=1)))}
     return Outcome(
         tuple(tests),
         tuple(missing),
@@ -271,27 +252,25 @@ def measure(data: SceneData) -> Outcome:
             "reliability_of_log_variance": reliability,
             "averages_told_from_gaussian": rejected,
         },
-        plot_data=PlotData(
-            "points", {"pixels": (log_mean, log_variance)}, "log10 mean", "log10 variance of a mean"
-        ),
+        plot_data=PlotData("points", pixels, "log10 mean", "log10 variance of a mean"),
     )
 
 
-def _skewness(data: SceneData, blocks: Blocks, level: float) -> Interval[float]:
+def _skewness(data: SceneData, whole: PixelSet) -> Interval[float]:
     """Return the median skewness of averages; how it grows is measured in some pixels."""
 
     def of_averages(moments: Moments) -> Floats:
         return np.asarray(moments.skewness / np.sqrt(_AVERAGED))
 
     skewness = data.summary["skewness"].to_numpy() / np.sqrt(_AVERAGED)
-    median = median_of(skewness.reshape(-1, skewness.shape[-1]), blocks, level=level)
-    some = (data.radiance(patch) for patch in data.scattered(_GROWING))
+    median = whole.median(skewness.reshape(len(whole), -1))
+    some = (data.radiance(patch) for patch in data.scattered(1024))
     grown = [growing(np.nan_to_num(x), np.isfinite(x), of_averages) for x in some]
-    quarter, half, whole = (np.concatenate(values) for values in zip(*grown, strict=True))
-    return with_room(median, (quarter, half, whole))
+    quarter, half, all_samples = (np.concatenate(values) for values in zip(*grown, strict=True))
+    return with_room(median, (quarter, half, all_samples))
 
 
-def _slope(batches: Floats, blocks: Blocks, level: float) -> Interval[float]:
+def _slope(batches: Floats, whole: PixelSet) -> Interval[float]:
     """Return the slope of log variance on log mean, with an instrument against noisy means.
 
     Variance, mean and instrument are of different samples, so that their noise has nothing in
@@ -299,10 +278,10 @@ def _slope(batches: Floats, blocks: Blocks, level: float) -> Interval[float]:
     """
     y = logs(batches[:, ::2].var(axis=1, ddof=1))
     x, z = (logs(batches[:, i::4].mean(axis=1)) for i in (1, 3))
-    return slope_of(x, y, blocks, instrument=z, level=level)
+    return whole.slope(x, y, instrument=z)
 
 
-def _concentration(light: Floats, blocks: Blocks, level: float) -> Interval[float]:
+def _concentration(light: Floats, whole: PixelSet) -> Interval[float]:
     """Return the share of squared steps to the right-hand neighbour in the largest steps.
 
     A third of the batches, shape (y, x, batch), says which steps are large; the product of the
@@ -318,4 +297,16 @@ def _concentration(light: Floats, blocks: Blocks, level: float) -> Interval[floa
     order = np.lexsort((generator(0).random(len(size)), size))
     large = np.zeros(len(size), dtype=bool)
     large[order[len(size) - max(1, round(_STEPS * len(size))) :]] = True
-    return ratio_of(np.where(large, square, 0), square, blocks[known], level=level)
+    return whole[known].ratio(np.where(large, square, 0), square)
+
+
+CLAIMS = (
+    Claim(
+        13,
+        "assumptions",
+        "Noise is not uniform over the image, averages are not Gaussian, variance does not follow "
+        "feature buffers, and radiance is not regular.",
+        measure,
+        spp=384,
+    ),
+)

@@ -27,8 +27,9 @@ from chdstat.errors import ChdstatError
 from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
+from chdstat.studies.claim import Claim
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, required
-from chdstat.studies.scene_data import SceneData, ratio_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["measure", "measure_reduction"]
 
@@ -82,7 +83,7 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
         }
         plot_data = PlotData("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")
     try:
-        start = _better_start(data, comparison, index, level)
+        start = _better_start(data, comparison, index)
         tests.append(
             ClaimTest("error of its denoised estimates over that of the mean's", start, most=1.0)
         )
@@ -144,9 +145,7 @@ def _read(comparison: Comparison, measure: str, index: int, level: float) -> Int
     return Interval(value, value - half, value + half, level)
 
 
-def _better_start(
-    data: SceneData, comparison: Comparison, index: int, level: float
-) -> Interval[float]:
+def _better_start(data: SceneData, comparison: Comparison, index: int) -> Interval[float]:
     """Return relMSE of the denoised learned estimates over that of the denoised means."""
     albedo = data.feature("albedo")
     normal = None if albedo is None else data.feature("normal")
@@ -162,7 +161,7 @@ def _better_start(
         for start in (comparison.estimates[index], comparison.first_mean)
     )
     ours = np.where(comparison.test_pixels.ravel(), ours, np.nan)
-    return ratio_of(ours, theirs, data.whole().blocks, level=level, bounds=(0.0, np.inf))
+    return data.whole(tests=4).ratio(ours, theirs, (0.0, np.inf))
 
 
 # --- reduction to the mean ----------------------------------------------------------------------
@@ -310,3 +309,24 @@ def _over(change: Floats, step: Floats) -> float:
     """Return the root mean square of changes over that of the way from mean to estimate."""
     size = float(np.sqrt(np.mean(step**2)))
     return float(np.sqrt(np.mean(change**2))) / size if size > 0 else float("nan")
+
+
+CLAIMS = (
+    Claim(
+        15,
+        "learned model",
+        "The learned model improves a majority of the estimates, suppresses fireflies, gains early "
+        "in training, and gives a denoiser a better start.",
+        measure,
+        about="this training on this image, judged on its other pixels: other scenes may differ",
+    ),
+    Claim(
+        16,
+        "reduction to the mean",
+        "Where samples show no pattern, the learned model gracefully reduces to their mean: equal "
+        "samples keep their value, neither the order of samples nor the unit of radiance matters.",
+        measure_reduction,
+        spp=32,
+        about="this training on this image: the network itself, whatever the scene shows",
+    ),
+)

@@ -1,4 +1,4 @@
-"""Neighbours: fireflies, continuous CHDs, blends across edges, symmetry (findings 8, 10, 27)."""
+"""Claims on the whole image: fireflies, continuous CHDs, symmetry and families."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from chdstat._core.arrays import Counts, Floats, generator
-from chdstat._core.resampling import interval_of, largest_of, median_of
+from chdstat._core.resampling import LEVEL, Interval, largest_of
 from chdstat.rendering.recipes import Region
+from chdstat.studies.claim import Claim
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require, required
-from chdstat.studies.scene_data import PixelSet, SceneData, ratio_of
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, require, required
+from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 
-__all__ = ["brightest_firefly", "measure_fireflies", "measure_neighbours", "measure_symmetry"]
+__all__ = ["CLAIMS", "brightest_firefly"]
+
+_BIN = 0.1
+"""Width in decades of a bin of the histograms of `chdstat.summarize`."""
 
 
 # --- fireflies ------------------------------------------------------------------------------------
@@ -22,20 +26,9 @@ __all__ = ["brightest_firefly", "measure_fireflies", "measure_neighbours", "meas
 _BRIGHTER = 4.0
 """An estimate this many times as bright as the pixel next to it is a firefly: two stops, as for the
 fireflies of `chdstat.compare`. That of the paper is 8 times as bright in green."""
-_SAME_MEAN = 2.0
-"""True mean over that of the neighbour up to which both are about the same: a stop, half
-of what makes a firefly."""
 _LEAST = 12
 """Fireflies that a median over them needs."""
-_USUAL = 3
-"""Batches that show what is usual for a pixel."""
-_SIMILAR = 1.5
-"""Ratio up to which two medians are about the same."""
 _FOLDS = 4
-_BIN = 0.1
-"""Width in decades of a bin of the histograms of `chdstat.summarize`."""
-_STEPS = ((-1, 0), (1, 0), (0, -1), (0, 1))
-"""Above, below, left, right: of equally good neighbours the one above, as in the paper."""
 
 
 def measure_fireflies(data: SceneData) -> Outcome:
@@ -51,46 +44,42 @@ def measure_fireflies(data: SceneData) -> Outcome:
     fireflies = pairs["count"] > 0
     count = int(np.count_nonzero(fireflies))
     require(count >= _LEAST, f"{_LEAST} fireflies, there are {count}")
-    blocks, level = data.whole().blocks[fireflies], level_of(2)
+    found = data.whole(tests=2)[fireflies]
     chds = data.chds.flat
     square = squared_distance(chds, chds[partner], width=_BIN)
-    distance = median_of(square[fireflies], blocks, level=level).root()
-    above, below = (blocks.sums(pairs[name][fireflies]) for name in ("own", "beside"))
-    ratio = interval_of(lambda w: (w @ above) / (w @ below), blocks, level=level)
+    above, below = (found.blocks.sums(pairs[name][fireflies]) for name in ("own", "beside"))
+    ratio = found.interval(lambda w: (w @ above) / (w @ below))
     # Samples that did not occur again in the others may be too rare for as many. The upper end
     # leaves room for them: up to -log((1 - level) / 2) are expected where none is seen (Hanley and
     # Lippman-Hand 1983, "If nothing goes wrong, is everything all right?",
     # doi:10.1001/jama.1983.03330370053031).
-    unseen = -math.log((1 - level) / 2) * float(pairs["excess"].sum() / pairs["count"].sum())
+    unseen = -math.log((1 - found.level) / 2)
+    unseen *= float(pairs["excess"].sum() / pairs["count"].sum())
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = replace(ratio, high=max(ratio.high, float(1 + unseen / below.sum())))
     ordinary = square[~fireflies & np.isfinite(square)]
+    others = float(np.sqrt(max(np.median(ordinary), 0))) if ordinary.size else None
     known = np.where(fireflies, square, np.nan)
     place = int(np.argsort(known, kind="stable")[np.isfinite(known).sum() // 2])
     edges = -5 + _BIN * np.arange(chds.halves.shape[-1])
     shown = {"firefly": place, "neighbour": int(partner[place])}
+    curves = {name: (edges, chds[pixel].whole) for name, pixel in shown.items()}
+    name = "mean radiance of a firefly over its neighbour's, in other samples"
     return Outcome(
         (
-            same_shape("distance between the CHDs of a firefly and its neighbour", distance),
-            ClaimTest(
-                "mean radiance of a firefly over its neighbour's, in other samples",
-                ratio,
-                most=_SAME_MEAN,
+            same_shape(
+                "distance between the CHDs of a firefly and its neighbour",
+                found.median(square[fireflies]).root(),
             ),
+            # A stop, half of what makes a firefly: both are about the same.
+            ClaimTest(name, ratio, most=2.0),
         ),
         details={
             "fireflies": count,
             "median_ratio_of_estimates": float(np.median(pairs["ratio"][fireflies])),
-            "distance_of_other_neighbours": float(np.sqrt(max(np.median(ordinary), 0)))
-            if ordinary.size
-            else None,
+            "distance_of_other_neighbours": others,
         },
-        plot_data=PlotData(
-            "curves",
-            {name: (edges, chds[pixel].whole) for name, pixel in shown.items()},
-            "log10 radiance in W sr-1 m-2",
-            "share below",
-        ),
+        plot_data=PlotData("curves", curves, "log10 radiance in W sr-1 m-2", "share below"),
     )
 
 
@@ -105,11 +94,11 @@ def brightest_firefly(batches: Floats) -> tuple[int, int, int] | None:
     batches
         Luminance of the mean of each batch, shape (y, x, batch).
     """
-    if batches.shape[0] < 2 or batches.shape[2] < _USUAL or not np.isfinite(batches).all():
+    if batches.shape[0] < 2 or batches.shape[2] < 3 or not np.isfinite(batches).all():
         return None
     usual = np.median(batches, axis=-1)
     high, low = np.maximum(usual[1:], usual[:-1]), np.minimum(usual[1:], usual[:-1])
-    similar = (low > 0) & (high <= _SIMILAR * low)
+    similar = (low > 0) & (high <= 1.5 * low)
     most = batches[1:].max(axis=-1)
     fireflies = np.where(similar & (most >= _BRIGHTER * high), most, 0.0)
     if not fireflies.any():
@@ -150,14 +139,12 @@ def _partners(data: SceneData) -> Counts:
     """Return the neighbour that sees the most similar surface, as an index of the flat image."""
     height, width = data.samples.shape[:2]
     features = [f for f in map(data.feature, ("albedo", "normal")) if f is not None]
-    depth = data.feature("depth")
-    if depth is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            features.append(np.nan_to_num(np.log(depth), posinf=0, neginf=0)[..., np.newaxis])
+    if data.feature("depth") is not None:
+        features.append(data.log_depth[..., np.newaxis])
     seen = np.concatenate([*features, np.zeros((height, width, 1))], axis=-1)
     y, x = np.mgrid[:height, :width]
     best, partner = np.full((height, width), np.inf), y * width + x
-    for dy, dx in _STEPS:
+    for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         ny, nx = np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)
         apart = np.abs(seen - seen[ny, nx]).sum(axis=-1)
         better = ((ny != y) | (nx != x)) & (apart < best)
@@ -168,14 +155,6 @@ def _partners(data: SceneData) -> Counts:
 
 # --- continuity, and blends across edges ----------------------------------------------------------
 
-_CONTINUOUS = 0.25
-"""Squared distance of neighbours over that of any two pixels: from a quarter on, they are not half
-as far apart. It is Geary's c of the CHDs, 1 without any order in space."""
-_BLEND = 0.75
-"""Share of the squared distance to the nearer side that blending both sides explains: 1 of a blend,
-0.5 of a CHD that moves from the one to the other as a whole; half way."""
-_EDGE = (3 * SAME_SHAPE) ** 2
-"""Squared distance between the pixels on both sides from which there is an edge."""
 _MIXED = (0.2, 0.8)
 """Weights between which a pixel is a blend; beyond, it lies on one side."""
 _ON_EDGES = 30
@@ -184,29 +163,28 @@ _ON_EDGES = 30
 
 def measure_neighbours(data: SceneData) -> Outcome:
     """Compare neighbours with other pixels, and pixels on edges with blends of both sides."""
-    chds, blocks, level = data.chds, data.whole().blocks, level_of(2)
+    chds, whole = data.chds, data.whole(tests=2)
     near = _near(chds)
     # Distances to a pixel drawn at random.
     other = generator(0).permutation(near.size)
     far = squared_distance(chds.flat, chds.flat[other], width=_BIN)
-    ratio = ratio_of(near.ravel(), far, blocks, level=level)
     name = "squared distance of neighbours over that of any two pixels"
-    tests, missing = [ClaimTest(name, ratio, most=_CONTINUOUS)], list[str]()
+    # From a quarter on, neighbours are not half as far apart. It is Geary's c of the CHDs, 1
+    # without any order in space.
+    tests = [ClaimTest(name, whole.ratio(near.ravel(), far), most=0.25)]
+    missing = list[str]()
     left, nearest, pixels = _edges(chds)
     if len(left) < _ON_EDGES:
         missing = [f"needs {_ON_EDGES} pixels on edges between different CHDs, found {len(left)}"]
     else:
-        on_edges = blocks[pixels]
-        rest, whole = on_edges.sums(left), on_edges.sums(nearest)
-        blend = interval_of(lambda w: 1 - (w @ rest) / (w @ whole), on_edges, level=level)
-        tests.append(ClaimTest("share explained by a blend of both sides", blend, least=_BLEND))
-    image = np.sqrt(np.maximum(near, 0))
-    return Outcome(
-        tuple(tests),
-        tuple(missing),
-        details={"edge_pixels": len(left)},
-        plot_data=PlotData("map", {"distance to neighbours": (np.empty(0), image)}),
-    )
+        on_edges = whole[pixels]
+        rest, side = on_edges.blocks.sums(left), on_edges.blocks.sums(nearest)
+        blend = on_edges.interval(lambda w: 1 - (w @ rest) / (w @ side))
+        # 1 of a blend, 0.5 of a CHD that moves from one side to the other as a whole; half way.
+        tests.append(ClaimTest("share explained by a blend of both sides", blend, least=0.75))
+    shown = {"distance to neighbours": (np.empty(0), np.sqrt(np.maximum(near, 0)))}
+    details = {"edge_pixels": len(left)}
+    return Outcome(tuple(tests), tuple(missing), details=details, plot_data=PlotData("map", shown))
 
 
 def _near(chds: LogChds) -> Floats:
@@ -233,25 +211,21 @@ def _edges(chds: LogChds) -> tuple[Floats, Floats, Counts]:
         (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
         (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
     ):
-        edge = squared_distance(chds[before], chds[after], width=_BIN) >= _EDGE
+        edge = squared_distance(chds[before], chds[after], width=_BIN) >= (3 * SAME_SHAPE) ** 2
         g, f, h = (chds[place].halves[edge] for place in (before, here, after))
         step, rise = h - g, f - g
         weights = (rise * step).sum(axis=-1) / (step * step).sum(axis=-1)
         mixed = (weights.mean(axis=-1) > _MIXED[0]) & (weights.mean(axis=-1) < _MIXED[1])
         rest = rise - weights[..., np.newaxis] * step
         left = (rest[:, 0] * rest[:, 1]).sum(axis=-1) * _BIN
-        nearest = np.minimum(
-            *(squared_distance(LogChds(f), LogChds(side), width=_BIN) for side in (g, h))
-        )
-        edges.append((left[mixed], nearest[mixed], number[here][edge][mixed]))
+        sides = (squared_distance(LogChds(f), LogChds(side), width=_BIN) for side in (g, h))
+        edges.append((left[mixed], np.minimum(*sides)[mixed], number[here][edge][mixed]))
     left, nearest, pixels = (np.concatenate(v) for v in zip(*edges, strict=True))
     return left, nearest, pixels
 
 
 # --- symmetry -------------------------------------------------------------------------------------
 
-_DEPTH, _ALBEDO = 0.05, 0.05
-"""Differences of log depth and of albedo up to which two halves of an image show the same."""
 _HALVES = 0.5
 """Share of pixels that must show the same in both, else a view is not symmetric."""
 _CELLS = (4, 2)
@@ -269,45 +243,117 @@ def measure_symmetry(data: SceneData) -> Outcome:
     left, right = np.s_[:, :half], np.s_[:, : width - half - 1 : -1]
     with np.errstate(divide="ignore", invalid="ignore"):
         farther = np.abs(np.log(depth[left]) - np.log(depth[right]))
-    same = (farther <= _DEPTH) & (np.abs(albedo[left] - albedo[right]).max(axis=-1) <= _ALBEDO)
+    same = (farther <= 0.05) & (np.abs(albedo[left] - albedo[right]).max(axis=-1) <= 0.05)
     share = float(same.mean())
     require(
         share >= _HALVES,
         f"a view whose halves mirror each other in depth and albedo in {_HALVES:.0%} of the "
         f"pixels, here {share:.0%}",
     )
-    chds = data.chds
-    square = squared_distance(chds[left], chds[right], width=_BIN)
+    square = squared_distance(data.chds[left], data.chds[right], width=_BIN)
     square = np.where(same, square, np.nan)
     down, across = _CELLS
-    cells = tuple(
+    cells = [
         Region(f"cell {i} {j}", "", (j / across, i / down, (j + 1) / across, (i + 1) / down))
         for i in range(min(down, height))
         for j in range(min(across, half))
-    )
+    ]
     patch = PixelSet.of(cells, height, half)
     values = patch.take(square)
     shares = np.array([np.isfinite(values[patch.region == i]).mean() for i in range(len(cells))])
     used = np.isfinite(values) & (shares >= _HALVES)[patch.region]
     require(used.any(), "a part of the image whose halves mirror each other")
     blocks = patch.blocks[used]
-    sums, count = blocks.sums(values[used]), blocks.sums(np.ones(np.count_nonzero(used)))
-    member = (blocks.region[:, np.newaxis] == np.unique(blocks.region)).astype(np.float64)
-
-    def of_cells(weights: Floats) -> Floats:
-        return np.asarray(((weights * sums) @ member) / ((weights * count) @ member))
-
-    largest = largest_of(of_cells, blocks).root()
+    largest = largest_of(means_by_region(values[used], blocks), blocks).root()
+    name = "largest distance between CHDs of mirrored parts of the image"
     image = np.sqrt(np.maximum(square, 0))
     return Outcome(
-        (
-            ClaimTest(
-                "largest distance between CHDs of mirrored parts of the image",
-                largest,
-                least=SAME_SHAPE,
-                unit="decade^1/2",
-            ),
-        ),
-        details={"symmetric_share": share, "parts": int(member.shape[1])},
+        (ClaimTest(name, largest, least=SAME_SHAPE, unit="decade^1/2"),),
+        details={"symmetric_share": share, "parts": len(np.unique(blocks.region))},
         plot_data=PlotData("map", {"distance to the mirror image": (image, image)}),
     )
+
+
+# --- families -------------------------------------------------------------------------------------
+
+
+def measure_families(data: SceneData) -> Outcome:
+    """Compare the share of gamma among the best families with that of the next frequent one.
+
+    The details have other readings of "gamma-like": gamma and Weibull together are the generalised
+    gamma distributions of one shape (Stacy 1962, doi:10.1214/aoms/1177704481).
+    """
+    analysis, whole = data.analysis, data.whole()
+    about = analysis["best_family"].attrs
+    codes = np.atleast_1d(about["flag_values"]).tolist()
+    flags = dict(zip(str(about["flag_meanings"]).split(), codes, strict=True))
+    names = [name for name, code in flags.items() if code >= 0]
+    require("gamma" in names, "fits of gamma distributions")
+
+    def counts_of(variable: str) -> Floats:
+        """Return in how many channels of each pixel each family is best, (pixel, family)."""
+        best = analysis[variable].to_numpy()[..., np.newaxis] == [flags[name] for name in names]
+        return np.asarray(best.sum(axis=2).reshape(-1, len(names)), dtype=np.float64)
+
+    def share_of(families: list[str], counts: Floats) -> Interval[float]:
+        chosen = counts[:, [names.index(family) for family in families]].sum(axis=1)
+        return whole.ratio(chosen, counts.sum(axis=1), (0.0, 1.0))
+
+    def lead(weights: Floats) -> Floats:
+        """Return the lead of gamma over each other family."""
+        total = weights @ sums
+        shares = total / total.sum(axis=1, keepdims=True)
+        gamma = names.index("gamma")
+        return np.asarray(shares[:, [gamma]] - np.delete(shares, gamma, axis=1))
+
+    counts = counts_of("best_family")
+    require(counts.sum(), "pixels with enough positive samples to fit")
+    sums = whole.blocks.sums(counts)
+    least = whole.interval(lead, (-1.0, 1.0))
+    shares = {name: share_of([name], counts) for name in names}
+    kin = [name for name in names if name in ("gamma", "weibull")]
+    others = {"gamma_or_weibull": share_of(kin, counts)}
+    if "held_out_best_family" in analysis:
+        held_out = counts_of("held_out_best_family")
+        others["gamma_by_held_out_likelihood"] = share_of(["gamma"], held_out)
+    level = {"level": LEVEL}
+    bars = {name: share.value for name, share in shares.items()}
+    return Outcome(
+        (ClaimTest("share of gamma less that of the next family", least, least=0.0),),
+        details={
+            "shares": {name: share.to_dict() | level for name, share in shares.items()},
+            **{name: share.to_dict() | level for name, share in others.items()},
+            "pixels_that_gamma_describes": float(analysis["gamma_like"].mean()),
+        },
+        plot_data=PlotData.bars(bars, "share of pixel channels"),
+    )
+
+
+CLAIMS = (
+    Claim(
+        8,
+        "fireflies",
+        "A firefly and the pixel next to it have nearly the same CHD, though their estimates "
+        "differ.",
+        measure_fireflies,
+    ),
+    Claim(
+        10,
+        "neighbours",
+        "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
+        measure_neighbours,
+    ),
+    Claim(
+        14,
+        "families",
+        "The most frequent elementary distribution is the gamma distribution.",
+        measure_families,
+    ),
+    Claim(
+        27,
+        "symmetry",
+        "In a scene of symmetric geometry, CHDs are not symmetric everywhere.",
+        measure_symmetry,
+        spp=32,
+    ),
+)

@@ -1,0 +1,100 @@
+"""A claim of the paper: its words, the function that measures it, and how it becomes a finding."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from chdstat.rendering.recipes import remake_of
+from chdstat.studies.outcomes import Finding, MissingDataError, Outcome, require
+from chdstat.studies.scene_data import SceneData
+
+__all__ = ["IMAGES", "TWO_RENDERS", "Claim"]
+
+_IMAGE = "this image: other views of the scene, or other scenes, may differ"
+TWO_RENDERS = "this view, rendered twice: other views of the scene, or other scenes, may differ"
+IMAGES = "these images, one of each scene: other views of the scenes may differ"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper.
+
+    Attributes
+    ----------
+    number, name
+        1 to 29, and a few words.
+    claim
+        One sentence.
+    measure
+        The function that measures it: in one scene, or in several.
+    spp
+        Samples per pixel below which nothing is measured: 128 for shapes and moments of logarithms,
+        32 for shares, 384 for twelve batches of 32.
+    across
+        Whether it compares scenes.
+    paired
+        Whether it compares renders of one scene.
+    about
+        What a verdict is about: its intervals say how the numbers vary over parts of the image.
+    """
+
+    number: int
+    name: str
+    claim: str
+    measure: Callable[[SceneData], Outcome] | Callable[[Sequence[SceneData]], Outcome]
+    spp: int = 128
+    across: bool = False
+    paired: bool = False
+    about: str = _IMAGE
+
+    @property
+    def method(self) -> str:
+        """How it is measured, in one sentence: the first line of the function that does."""
+        return (inspect.getdoc(self.measure) or "").splitlines()[0]
+
+    @property
+    def alone(self) -> bool:
+        """Whether one render of one scene can tell."""
+        return not (self.across or self.paired)
+
+    def find(self, data: SceneData, others: Sequence[SceneData] = ()) -> Finding:
+        """Test the claim in a scene, or in this scene and others."""
+        used = [data, *others] if self.across else [data]
+        spp = min(scene.samples.spp for scene in used)
+        measured: Any = used if self.across else data
+        try:
+            require(spp >= self.spp, f"{self.spp} spp, has {spp}")
+            outcome = self.measure(measured)
+        except MissingDataError as error:
+            outcome = Outcome(missing=(str(error),))
+        return self.conclude(outcome, used, spp)
+
+    def conclude(self, outcome: Outcome, scenes: Sequence[SceneData], spp: int) -> Finding:
+        """Make a finding of what was measured in scenes with `spp` samples per pixel."""
+        # Remakes look like scenes of the paper and are not.
+        notes = [
+            f"{scene.name} is a remake of the paper's {original}, not that scene."
+            for scene in scenes
+            if (original := remake_of(scene.samples))
+        ]
+        return Finding(
+            self.number,
+            self.name,
+            scene=", ".join(scene.name for scene in scenes),
+            claim=self.claim,
+            about=" ".join([f"About {self.about}.", *notes]),
+            verdict=outcome.verdict,
+            reason=outcome.reason(spp),
+            test=outcome.deciding,
+            tests=outcome.tests,
+            p_value=outcome.p_value,
+            details=outcome.details,
+            plot_data=outcome.plot_data,
+            other_models={
+                name: self.conclude(other, scenes, spp)
+                for name, other in outcome.other_models.items()
+            },
+        )

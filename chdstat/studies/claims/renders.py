@@ -1,0 +1,707 @@
+"""Claims that compare renders: longer paths, integrators, spread samples, and other scenes.
+
+Of integrators: an average of n samples has the skewness of one sample over the root of n, so that
+the n which makes it nearly Gaussian is proportional to the square of that skewness. Times n, the
+time of a sample is the time until averages are Gaussian; of two integrators, only the ratio
+matters.
+
+Of spread samples: equation 4 of the paper bounds the variance of an average by that of independent
+samples, as samples which a sampler spreads over a pixel have negative covariances. Sequences of
+such a sampler are replications of one average, and their samples have the distribution of
+independent ones, so that one render shows both variances.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance
+from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
+from chdstat.inference import modality
+from chdstat.patterns import Label
+from chdstat.samples import Samples
+from chdstat.samples.tiles import sequence_of, tiles
+from chdstat.studies.claim import IMAGES, TWO_RENDERS, Claim
+from chdstat.studies.claims.shape_distances import (
+    SHAPE_NEEDS,
+    common_count,
+    drawn,
+    permuted,
+    squares,
+    squares_of_pairs,
+)
+from chdstat.studies.log_chds import aligned, shape_plot
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require, required
+from chdstat.studies.scene_data import (
+    BSDF_SAMPLING,
+    DIRECT,
+    QUANTILES_NEED,
+    PixelSet,
+    SceneData,
+    fold_of,
+    largest_interval,
+    logs,
+    means_by_region,
+)
+from chdstat.summary.statistics import summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["CLAIMS"]
+
+
+# --- longer paths ---------------------------------------------------------------------------------
+
+_LEVELS = (0.01, 0.5, 0.99)
+_TIMING = 1.7
+"""Factor that a ratio of times may be wrong by: one time has no interval of its own. Three renders
+of each of five scenes, on a machine that did other things, too, differed by up to 1.6."""
+_NO_TIMES = "needs times of the renders, by the scalar backend"
+
+
+def measure_lengths(data: SceneData) -> Outcome:
+    """Compare pixel by pixel with an image of the same view with shorter paths."""
+    (shorter, short), long = _shorter(data), data.summary
+    whole, changes = data.whole(tests=4), _changes(long, short)
+    tests = tuple(
+        ClaimTest(
+            f"mean change of {name}",
+            whole.mean(change.reshape(len(whole), -1)),
+            # 2 % of radiance, or a hundredth of a skewness that lies between -1 and 1; below it,
+            # nothing grew.
+            least=0.01,
+            unit="1" if name == "skewness" else "decade",
+        )
+        for name, change in changes.items()
+    )
+    renders = (shorter, data.samples)
+    seconds = [_seconds_per_sample(samples) for samples in renders]
+    integrators = [samples.attrs.get("integrator") for samples in renders]
+    bars = {n: float(np.nanmean(v)) for n, v in changes.items() if np.isfinite(v).any()}
+    return Outcome(
+        tests,
+        details={
+            "time_ratio": seconds[1] / seconds[0] if seconds[0] and seconds[1] else None,
+            "seconds_per_sample": seconds,
+            "mean_ratio": float(long["mean"].mean() / short["mean"].mean()),
+            "max_depth": [i.get("max_depth") if isinstance(i, dict) else None for i in integrators],
+            "spp": [samples.spp for samples in renders],
+        },
+        plot_data=PlotData.bars(bars, "change with longer paths"),
+    )
+
+
+def _shorter(data: SceneData) -> tuple[Samples, xr.Dataset]:
+    """Return the render with shorter paths, and its statistics."""
+    needed = "the same scene rendered with shorter paths"
+    shorter, short = required(data.shorter, needed), required(data.shorter_summary, needed)
+    same = data.summary["null_share"].shape == short["null_share"].shape
+    require(same, "shorter paths in the same size")
+    return shorter, short
+
+
+def _changes(long: xr.Dataset, short: xr.Dataset) -> dict[str, Floats]:
+    """Return what longer paths add, each of shape (y, x, channel).
+
+    Support is the decades between the quantiles at 1 % and 99 % of positive radiance, tail those
+    between the median and 99 %: unlike extremes and moments, they do not grow with the number of
+    samples, of which shorter paths have fewer that are positive. Variance counts nulls, too.
+    Skewness is (high + low - 2 median) / (high - low) of radiance, in [-1, 1] (Hinkley, "On power
+    transformations to symmetry", 1975, doi:10.1093/biomet/62.1.101).
+    """
+    after, before = _quantiles(long), _quantiles(short)
+    low, middle, high = np.moveaxis(after - before, -1, 0)
+    skewness = []
+    for quantiles in (after, before):
+        a, b, c = np.moveaxis(10**quantiles, -1, 0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            skewness.append((c + a - 2 * b) / (c - a))
+    return {
+        "support": high - low,
+        "tail": high - middle,
+        "skewness": skewness[0] - skewness[1],
+        "log variance": logs(long["variance"].to_numpy()) - logs(short["variance"].to_numpy()),
+    }
+
+
+def _quantiles(dataset: xr.Dataset) -> Floats:
+    """Return quantiles of log10 of positive radiance from histograms, shape (y, x, channel, 3)."""
+    counts = dataset["log_counts"].to_numpy()
+    total = np.cumsum(counts, axis=-1, dtype=np.float64)
+    n = total[..., -1:]
+    edges = np.linspace(-5, 5, counts.shape[-1] + 1)
+    quantiles = np.full((*counts.shape[:-1], len(_LEVELS)), np.nan)
+    for i, level in enumerate(_LEVELS):
+        place = (total < level * n).sum(axis=-1, keepdims=True).clip(max=counts.shape[-1] - 1)
+        inside = np.maximum(np.take_along_axis(counts, place, -1), 1)
+        start = np.take_along_axis(total, place, -1) - inside
+        part = np.clip((level * n - start) / inside, 0, 1)
+        quantiles[..., i] = (edges[place] + part * (edges[1] - edges[0]))[..., 0]
+    return np.asarray(np.where(n >= QUANTILES_NEED, quantiles, np.nan))
+
+
+def _seconds_per_sample(samples: Samples) -> float | None:
+    """Return the time to render and store one sample, in s, all cores together.
+
+    The time of a render has no loading of the scene in it. Backends that compile for each render do
+    that within it, and seconds of compiling cannot be told from those of rendering: None for them,
+    that is, for all but the scalar one.
+    """
+    seconds: Any = samples.attrs.get("render_seconds")
+    if not seconds or samples.attrs.get("backend") != "scalar":
+        return None
+    height, width, _, spp = samples.shape
+    return float(seconds) / (height * width * spp)
+
+
+def measure_cost(data: SceneData) -> Outcome:
+    """Compare mean radiance and time with those of the same view with shorter paths."""
+    (shorter, short), long = _shorter(data), data.summary
+    whole = data.whole(tests=2)
+    means = (s["mean"].to_numpy().astype(np.float64)[..., np.newaxis] for s in (long, short))
+    after, before = (np.asarray(luminance(mean)).ravel() for mean in means)
+    ratio = whole.ratio(after, before)
+    # What is visible, after Weber's law.
+    tests = [ClaimTest("mean radiance over that of shorter paths", ratio, least=1.02)]
+    seconds = [_seconds_per_sample(samples) for samples in (data.samples, shorter)]
+    timed = seconds[0] and seconds[1]
+    if seconds[0] and seconds[1]:
+        slower = seconds[0] / seconds[1]
+        time = Interval(slower, slower / _TIMING, slower * _TIMING, whole.level)
+        tests.append(ClaimTest("time per sample over that of shorter paths", time, least=1.0))
+    values = {test.name.split(" over")[0]: test.interval.value for test in tests}
+    return Outcome(
+        tuple(tests),
+        () if timed else (_NO_TIMES,),
+        details={"seconds_per_sample": seconds},
+        plot_data=PlotData.bars(values, "over that of shorter paths"),
+        few="renders on a quiet machine",
+    )
+
+
+# --- integrators ----------------------------------------------------------------------------------
+
+_SLOWEST, _FASTEST = "time until averages are Gaussian", "samples until averages are Gaussian"
+_DIFFERENT = 0.02
+"""Cramér distance, root of its mean square over pixels, from which shapes are different.
+
+As of two log-normal CHDs of which one has a spread a tenth larger, at a third of a decade: that
+takes a fifth more samples for the same error in the logarithm. What is smaller may be there, and a
+test with samples enough would find it, but it changes nothing in practice. `SAME_SHAPE`, up to
+which CHDs look the same, is no border here: a difference need not be seen to be one.
+"""
+
+
+def measure_integrators(data: SceneData) -> Outcome:
+    """Compare the shapes of integrators, and the time until their averages are Gaussian."""
+    require(
+        data.integrators,
+        "the same scene by other integrators, as a study does with integrators=True",
+    )
+    sizes = {samples.shape[:3] for samples in data.integrators.values()}
+    require(sizes == {data.samples.shape[:3]}, "other integrators in the same size")
+    renders = {"": data.samples, **data.integrators}
+    # Sample skewness grows with the number of samples: each integrator has as many.
+    least = min(samples.spp for samples in renders.values())
+    summaries = {
+        name: summarize(s if s.spp == least else s.isel(sample=slice(0, least)), progress=False)
+        for name, s in renders.items()
+    }
+    pairs = {
+        name: DIRECT if name.startswith("direct light") and DIRECT in renders else ""
+        for name in data.integrators
+        if name != DIRECT
+    }
+    whole = data.whole(tests=2)
+    together = replace(whole, level=1 - (1 - whole.level) / max(len(pairs), 1))
+    distances, sooner, fewer = {}, {}, {}
+    for name, base in pairs.items():
+        both = summaries[name], summaries[base]
+        distances[name] = together.mean(squares(*both)).root()
+        fewer[name] = _samples_ratio(*both, whole)
+        seconds = [_seconds_per_sample(renders[n]) for n in (name, base)]
+        if seconds[0] and seconds[1]:
+            log, by = fewer[name], math.log10(seconds[0] / seconds[1])
+            room = math.log10(_TIMING)
+            low, high = log.low + by - room, log.high + by + room
+            sooner[name] = Interval(log.value + by, low, high, log.level)
+    known = [d for d in distances.values() if np.isfinite(d.value)]
+    require(known, "positive samples enough for shapes")
+    largest = largest_interval(known, level=whole.level)
+    name = "largest distance between the shapes of two integrators"
+    tests, missing = [ClaimTest(name, largest, least=_DIFFERENT, unit="decade^1/2")], list[str]()
+    if BSDF_SAMPLING not in pairs:
+        missing.append("needs lights that sampling BSDFs can find")
+    elif BSDF_SAMPLING not in sooner:
+        missing.append(_NO_TIMES)
+    else:
+        name = f"log {_SLOWEST}, {BSDF_SAMPLING} over lights, too"
+        tests.append(ClaimTest(name, sooner[BSDF_SAMPLING], least=0.0, unit="decade"))
+    bars = {name: i.value for name, i in (sooner or fewer).items()}
+    return Outcome(
+        tuple(tests),
+        tuple(missing),
+        details={
+            "distances": {name: d.value for name, d in distances.items()},
+            f"log {_SLOWEST}": {name: i.to_dict() for name, i in sooner.items()},
+            f"log {_FASTEST}": {name: i.to_dict() for name, i in fewer.items()},
+        },
+        plot_data=PlotData.bars(bars, f"decades of {_SLOWEST if sooner else _FASTEST}"),
+        few="renders on a quiet machine",
+    )
+
+
+def _samples_ratio(one: xr.Dataset, two: xr.Dataset, whole: PixelSet) -> Interval[float]:
+    """Return the median log ratio of the samples that averages need to be Gaussian."""
+    log = [logs(np.abs(d["skewness"].to_numpy().astype(np.float64))) for d in (one, two)]
+    return whole.median((2 * (log[0] - log[1])).reshape(len(whole), -1))
+
+
+# --- correlated samples ---------------------------------------------------------------------------
+
+_SEQUENCES = 8
+"""Sequences that a variance of averages needs."""
+_SHUFFLES = 999
+
+
+def measure_correlated(data: SceneData) -> Outcome:
+    """Compare the variance of averages of spread samples with that of as many independent ones."""
+    spread = required(
+        data.spread,
+        "the same scene rendered by a sampler that spreads samples, as a study does with sampler=",
+    )
+    length = sequence_of(spread.attrs)
+    require(length > 1, "samples in sequences, which are marked by attrs['sequence']")
+    count = spread.spp // length
+    require(count >= _SEQUENCES, f"{_SEQUENCES} sequences of {length} samples, has {count}")
+    require(spread.shape[:3] == data.samples.shape[:3], "spread samples in the same size")
+    found, whole = variances(spread), data.whole()
+
+    def ratio_in(pixels: PixelSet) -> Interval[float]:
+        of_means, single = found[:, pixels.y * data.samples.shape[1] + pixels.x]
+        return pixels.ratio(of_means, single, (0.0, np.inf))
+
+    ratio = ratio_in(whole)
+    by_region = {
+        region.name: ratio_in(PixelSet.of((region,), *data.samples.shape[:2]))
+        for region in data.regions
+    }
+    by_pattern = dict[str, Interval[float]]()
+    if data.given is not None and "label" in data.given:
+        label = data.given["label"].to_numpy().ravel()
+        places = {
+            Label(k).name.lower(): np.flatnonzero(label == k) for k in np.unique(label).tolist()
+        }
+        by_pattern = {name: ratio_in(whole[here]) for name, here in places.items()}
+    tested = _tested(data, spread, length)
+    sampler = spread.attrs.get("sampler", "spreading")
+    name = f"variance of an average of {length} over that of independent samples ({sampler})"
+    bars = {n: i.value for n, i in ({"image": ratio} | by_region).items()}
+    return Outcome(
+        (ClaimTest(name, ratio, most=1.0),),
+        p_value=tested.pop("p_value"),
+        details={
+            "null_hypothesis": "samples of a sequence are independent in every pixel (shuffled "
+            "within pixels, alike in all)",
+            "sequences": count,
+            **tested,
+            "ratio_by_region": {n: i.to_dict() for n, i in by_region.items()},
+            "ratio_by_pattern": {n: i.to_dict() for n, i in by_pattern.items()},
+        },
+        plot_data=PlotData.bars(bars, "ratio of variances"),
+        few="sequences",
+    )
+
+
+def variances(spread: Samples) -> Floats:
+    """Return variances of the luminance of a pixel, relative to its squared mean.
+
+    Let B be n times the variance of averages of n samples, and W the variance within sequences.
+    Whatever the correlation of samples, (B + (n - 1) W) / n is the variance of a single one without
+    bias; of independent samples B is, too. A firefly adds as much to both.
+
+    Parameters
+    ----------
+    spread
+        Samples in sequences.
+
+    Returns
+    -------
+    ndarray
+        B and the variance of a single sample, shape (2, pixel); NaN in pixels with a bad sample.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).random((4, 4, 1, 4096))
+    >>> averages, single = variances(Samples.from_array(x, sequence=16)).mean(axis=1)
+    >>> bool(abs(averages / single - 1) < 0.1)
+    True
+    """
+    length = sequence_of(spread.attrs)
+    count = spread.spp // length
+    height, width = spread.shape[:2]
+    of_means, single, mean = np.empty((3, height, width))
+    for ys, xs in tiles(spread.shape):
+        x = _sequences(spread.read(ys, xs, slice(0, count * length)), length)
+        with np.errstate(invalid="ignore", over="ignore"):
+            means = x.mean(axis=-1)
+            mean[ys, xs] = means.mean(axis=-1)
+            of_means[ys, xs] = length * means.var(axis=-1, ddof=1)
+            within = x.var(axis=-1, ddof=1).mean(axis=-1)
+        single[ys, xs] = (of_means[ys, xs] + (length - 1) * within) / length
+    known = mean[np.isfinite(mean)]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        unit = mean**2 + 0.01 * (known.mean() if known.size else np.nan) ** 2
+        found = np.stack([of_means, single]) / unit
+    return np.where(np.isfinite(found), found, np.nan).reshape(2, -1)
+
+
+def p_of_independence(x: Floats) -> tuple[Floats, float]:
+    """Return p-values that samples of a sequence are independent, from both sides.
+
+    Independent samples may be put into sequences in any order: the variance of the averages is
+    compared with that of shuffled samples, which makes the p-value exact, with any tail and nulls.
+    All pixels are shuffled alike, so that the p-value of their sum is exact, too.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (pixel, sequence, sample).
+
+    Returns
+    -------
+    ndarray, float
+        Of each pixel, shape (pixel,), NaN where all samples are equal or one is bad; and of the sum
+        over pixels of the variances of averages over those of samples.
+
+    References
+    ----------
+    Phipson and Smyth, "Permutation p-values should never be zero", 2010,
+    doi:10.2202/1544-6115.1585.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> strata = rng.permuted(np.tile(np.arange(16), (2, 8, 1)), axis=-1)
+    >>> p_of_independence(np.stack([strata[0] / 16, rng.random((8, 16))]))[0] < 0.01
+    array([ True, False])
+    """
+    rng, flat = generator(0), x.reshape(len(x), -1)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        flat = flat - flat.mean(axis=1, keepdims=True)
+        flat = flat / np.abs(flat).max(axis=1, keepdims=True, initial=0)  # no square is too large
+        flat = flat / np.sqrt((flat**2).sum(axis=1, keepdims=True))
+    known = np.isfinite(flat).all(axis=1)
+    flat, shape = flat[known], x[known].shape
+
+    def spread_of(values: Floats) -> Floats:
+        """Return what each pixel has, and behind it their sum."""
+        found = (values.reshape(shape).sum(axis=-1) ** 2).sum(axis=-1)
+        return np.append(found, found.sum())
+
+    own = spread_of(flat)
+    room = 1e-9 * np.maximum(own, 1)
+    lower, higher = np.ones((2, len(own)))
+    for _ in range(_SHUFFLES):
+        other = spread_of(flat[:, rng.permutation(flat.shape[1])])
+        lower += other <= own + room
+        higher += other >= own - room
+    p = np.full(len(x), np.nan)
+    both = np.minimum(2 * np.minimum(lower, higher) / (_SHUFFLES + 1), 1)
+    p[known] = both[:-1]
+    return p, float(both[-1]) if known.any() else np.nan
+
+
+def _sequences(block: Image, length: int) -> Floats:
+    """Return the luminance of samples (..., channel, sample) by sequence; bad ones are NaN."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        light = np.asarray(luminance(block.astype(np.float64)))
+    light[is_bad(block).any(axis=-2)] = np.nan
+    return light.reshape(*light.shape[:-1], -1, length)
+
+
+def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
+    """Return the share of pixels in which samples of a sequence are not independent."""
+    most = slice(0, min(spread.spp // length, 32) * length)
+    patches = list(data.scattered(512))
+    x = np.concatenate(
+        [
+            _sequences(spread.read(slice(y, y + 1), slice(x, x + 1), most)[0], length)
+            for patch in patches
+            for y, x in zip(patch.y.tolist(), patch.x.tolist(), strict=True)
+        ]
+    )
+    p, of_all = p_of_independence(x)
+    q = q_values(p[:, np.newaxis])[:, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = length * x.mean(axis=-1).var(axis=-1, ddof=1) / x.var(axis=(-2, -1), ddof=1)
+    known, number = np.isfinite(q), np.arange(len(patches))
+    blocks = Blocks(np.repeat(number, [len(patch) for patch in patches]), 0 * number)
+    shares = {
+        f"share_{side}": mean_of(np.where(known, (q <= 0.05) & differs, np.nan), blocks).to_dict()
+        for side, differs in (("lower", ratio < 1), ("higher", ratio > 1))
+    }
+    return {"p_value": of_all if known.any() else None, **shares}
+
+
+# --- complexity of scenes -------------------------------------------------------------------------
+
+# Modes are counted among equally many samples everywhere: the more there are, the more are seen.
+_SCENES = 5
+"""Scenes that a rank correlation needs: of fewer, even perfect order has p above 1/100."""
+_MODES_PIXELS = 1024
+"""in that many pixels of a scene."""
+_TURN, _STEP, _PAINT = 0.9, 0.1, 0.1
+"""Cosine between normals, difference of log depth, and of albedo, from which surfaces differ."""
+
+
+def measure_complexity(scenes: Sequence[SceneData]) -> Outcome:
+    """Correlate the mean number of modes of the scenes with their complexity."""
+    require(len(scenes) >= _SCENES, f"{_SCENES} scenes to rank, there are {len(scenes)}")
+    complexity = np.array([scene_complexity(data) for data in scenes])
+    n = common_count(scenes, least=64)
+    means = []
+    for data in scenes:
+        x, blocks = drawn(data, n, pixels=_MODES_PIXELS)
+        count = modality(x).modes.astype(np.float64)
+        means.append(mean_of(count[count > 0], blocks[count > 0]))
+    modes = np.array([mean.value for mean in means])
+    known = np.isfinite(complexity + modes)
+    enough = np.count_nonzero(known) >= _SCENES
+    require(enough, f"first-hit features or a complexity of {_SCENES} scenes")
+    correlation, p_value = rank_correlation(complexity[known], modes[known])
+    names = [data.name for data in scenes]
+    points = {name: (complexity[[i]], modes[[i]]) for i, name in enumerate(names)}
+    return Outcome(
+        (ClaimTest("rank correlation of modes with scene complexity", correlation, least=0.0),),
+        p_value=p_value,
+        details={
+            "positive_samples": n,
+            "modes": {name: mean.to_dict() for name, mean in zip(names, means, strict=True)},
+            "complexity": dict(zip(names, complexity, strict=True)),
+            "null_hypothesis": "modes and complexity have no common order (one-sided)",
+        },
+        plot_data=PlotData("points", points, "complexity of the scene", "mean number of modes"),
+        few="scenes",
+    )
+
+
+def scene_complexity(data: SceneData) -> float:
+    """Return the given complexity, or the share of neighbours that see different surfaces.
+
+    That is what a camera can tell: 0 for a bare wall, near 1 for foliage. NaN without features.
+    """
+    if data.complexity is not None:
+        return float(data.complexity)
+    normal, depth, albedo = (data.feature(name) for name in ("normal", "depth", "albedo"))
+    if normal is None or depth is None or albedo is None:
+        return math.nan
+    differ = []
+    for one, two in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        turned = (normal[one] * normal[two]).sum(axis=-1) < _TURN
+        behind = np.abs(data.log_depth[one] - data.log_depth[two]) > _STEP
+        painted = np.abs(albedo[one] - albedo[two]).max(axis=-1) > _PAINT
+        differ.append((turned | behind | painted).ravel())
+    every = np.concatenate(differ)
+    return float(every.mean()) if every.size else math.nan
+
+
+def rank_correlation(x: Floats, y: Floats) -> tuple[Interval[float], float]:
+    """Return Spearman's correlation with its interval, and its one-sided p-value.
+
+    The interval is that of Fisher's z, of variance (1 + r^2 / 2) / (n - 3); p is of 9999 random
+    permutations.
+
+    References
+    ----------
+    Bonett and Wright, "Sample size requirements for estimating Pearson, Kendall and Spearman
+    correlations", 2000, doi:10.1007/BF02294183.
+
+    Examples
+    --------
+    >>> correlation, p = rank_correlation(np.arange(9.0), np.arange(9.0) ** 2)
+    >>> correlation.value, correlation.low > 0.9, p < 0.001
+    (1.0, True, True)
+    """
+    a, b = (stats.rankdata(v) for v in (x, y))
+    if not np.ptp(a) or not np.ptp(b):
+        return Interval.unknown(), 1.0
+    r = float(np.corrcoef(a, b)[0, 1])
+    # Perfect order has an infinite z; a little less than one swap of ranks is its resolution.
+    z = math.atanh(float(np.clip(r, -1 + 1e-3, 1 - 1e-3)))
+    half = stats.norm.ppf((1 + LEVEL) / 2) * math.sqrt((1 + r**2 / 2) / (len(x) - 3))
+    rng = np.random.default_rng(0)
+    shuffled = rng.permuted(np.tile(b, (9999, 1)), axis=1)
+    as_large = (shuffled - b.mean()) @ (a - a.mean()) >= (b - b.mean()) @ (a - a.mean()) - 1e-9
+    p = (1 + np.count_nonzero(as_large)) / 10000
+    return Interval(round(r, 12), math.tanh(z - half), math.tanh(z + half)), float(p)
+
+
+# --- shapes of scenes -----------------------------------------------------------------------------
+
+_NULL = "both integrators give each pixel a CHD of the same shape (permutations within pixels)"
+_FOLDS = 4
+_ACROSS = 4
+_LEAST = 64
+
+
+def measure_scenes(scenes: Sequence[SceneData]) -> Outcome:
+    """Classify scenes by shapes, and compare shapes of integrators pixel by pixel."""
+    level, tests, missing = level_of(2), list[ClaimTest](), list[str]()
+    details: dict[str, Any] = {"scenes": [data.name for data in scenes]}
+    n = common_count(scenes, least=SHAPE_NEEDS)
+    shapes = [_shapes(data, n) for data in scenes]
+    if len(scenes) < 2:
+        missing.append("needs a second scene")
+    elif min(len(of_scene) for of_scene, _ in shapes) < _LEAST:
+        missing.append(f"needs {_LEAST} pixels of each scene with {n} positive samples")
+    else:
+        accuracy, details["confusion"] = _scene_accuracy(shapes, level)
+        details["positive_samples"] = n
+        least = (1 + 1 / len(scenes)) / 2
+        tests.append(ClaimTest("accuracy of telling scenes apart", accuracy, least=least))
+    p_value = None
+    if changed := [data for data in scenes if data.integrator or data.shorter]:
+        squared = [(data, v) for data in changed if (v := _squares(data)) is not None]
+        distance = Interval.unknown(level=level)
+        if squared:
+            blocks = Blocks.join([data.whole().blocks for data, _ in squared])
+            every = np.concatenate([values for _, values in squared])
+            distance = mean_of(every, blocks, level=level).root()
+        name = "distance between the shapes of two integrators"
+        tests.append(ClaimTest(name, distance, least=_DIFFERENT, unit="decade^1/2"))
+        p = permuted([values for _, values in squared])
+        p_value = None if math.isnan(p) else p
+        by_scene = {data.name: permuted([values]) for data, values in squared}
+        details |= {"null_hypothesis": _NULL, "p_value_by_scene": by_scene}
+    else:
+        missing.append("needs a scene rendered by another integrator, or with shorter paths")
+    means = {
+        data.name: of_scene.mean(axis=0)
+        for data, (of_scene, _) in zip(scenes, shapes, strict=True)
+        if len(of_scene)
+    }
+    plot = shape_plot(means)
+    return Outcome(tuple(tests), tuple(missing), p_value, details=details, plot_data=plot)
+
+
+def _scene_accuracy(
+    scenes: Sequence[tuple[Floats, Blocks]], level: float
+) -> tuple[Interval[float], list[list[float]]]:
+    """Return the accuracy of a classifier of shapes, and its table of shares by scene.
+
+    Each scene comes with shapes, (pixel, edge), and the blocks that its pixels lie in.
+
+    Extremely randomised trees (Geurts, Ernst and Wehenkel 2006, doi:10.1007/s10994-006-6226-1) see
+    shapes without place or scale, each of as many positive samples: of more, a shape is smoother,
+    which would tell of nulls and spp. Each image is cut into 16 blocks; a quarter of
+    them is held out at a time, as neighbours resemble each other (Roberts et al. 2017,
+    doi:10.1111/ecog.02881). Every scene has the same weight.
+
+    Half-way between chance and certainty, the claim's border, is a choice of ours.
+    """
+    from sklearn.ensemble import ExtraTreesClassifier
+
+    shapes, blocks = zip(*scenes, strict=True)
+    x = np.concatenate(shapes)
+    scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
+    fold = np.concatenate([fold_of(b, across=_ACROSS, folds=_FOLDS) for b in blocks])
+    predicted = np.full(len(x), -1)
+    for k in range(_FOLDS):
+        if (held := fold == k).any():
+            model = ExtraTreesClassifier(
+                30, min_samples_leaf=3, class_weight="balanced", random_state=0
+            )
+            predicted[held] = model.fit(x[~held], scene[~held]).predict(x[held])
+    joined = Blocks.join([b[:] for b in blocks])  # without blocks that have no pixel
+    hits = means_by_region((predicted == scene).astype(float), joined)
+    confusion = [
+        [float((predicted[scene == i] == j).mean()) for j in range(len(shapes))]
+        for i in range(len(shapes))
+    ]
+    accuracy = interval_of(lambda w: hits(w).mean(axis=1), joined, level=level, bounds=(0.0, 1.0))
+    return accuracy, confusion
+
+
+def _shapes(data: SceneData, n: int) -> tuple[Floats, Blocks]:
+    """Return shapes of `n` samples, shape (pixel, edge), and the blocks that the pixels lie in."""
+    x, blocks = drawn(data, n, pixels=1500, across=_ACROSS)
+    chds = aligned(x)
+    # Blocks keep their numbers, which say where they lie.
+    return chds.whole[chds.known], Blocks(blocks.of_pixel[chds.known], blocks.region)
+
+
+def _squares(data: SceneData) -> Floats | None:
+    """Return squared distances to the other render of the view; None where sizes differ."""
+    other = data.integrator or data.shorter
+    if other is None or other.shape[:2] != data.samples.shape[:2]:
+        return None
+    if data.samples.shares_numbers_with(other):
+        return squares_of_pairs(data.samples, other)
+    theirs = data.shorter_summary if other is data.shorter else None
+    if theirs is None:
+        theirs = summarize(other, progress=False)
+    return squares(data.summary, theirs)
+
+
+CLAIMS = (
+    Claim(
+        9,
+        "path lengths",
+        "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
+        measure_lengths,
+        paired=True,
+        about=TWO_RENDERS,
+    ),
+    Claim(
+        11,
+        "complexity",
+        "CHDs have more modes in more complex scenes.",
+        measure_complexity,
+        across=True,
+        about=IMAGES,
+    ),
+    Claim(
+        12,
+        "scene-specific shapes",
+        "Shapes of CHDs are specific to the scene, and depend on the integrator.",
+        measure_scenes,
+        across=True,
+        about=IMAGES,
+    ),
+    Claim(
+        17,
+        "correlated samples",
+        "The average of samples that a sampler spreads over the pixel varies no more than that of "
+        "as many independent samples.",
+        measure_correlated,
+        spp=32,
+        paired=True,
+        about=TWO_RENDERS,
+    ),
+    Claim(
+        28,
+        "cost of longer paths",
+        "Images of longer paths are visibly brighter, and take longer to render.",
+        measure_cost,
+        spp=32,
+        paired=True,
+        about=TWO_RENDERS,
+    ),
+    Claim(
+        29,
+        "integrators",
+        "CHDs depend on how paths are sampled; where lights are sampled, too, averages are "
+        "Gaussian sooner, at equal time, than where surfaces alone are.",
+        measure_integrators,
+        paired=True,
+        about=TWO_RENDERS,
+    ),
+)

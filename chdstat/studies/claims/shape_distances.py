@@ -1,0 +1,326 @@
+"""Shapes of CHDs compared: between pixels, regions, channels, scenes and integrators.
+
+`permuted` tests whether two integrators differ at all in the shapes that they give the pixels of a
+scene; `squares` measures by how much, with an interval of its own. `drawn` draws as many positive
+samples of every pixel of every scene: a distribution function is the smoother, and shows the more
+modes, the more samples there are, so that scenes with other shares of nulls would differ by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations, permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from chdstat._core.arrays import Counts, Floats, Image, generator, spans
+from chdstat._core.resampling import Blocks, Interval, interval_of, largest_of
+from chdstat.patterns.atlases import WIDTH as ATLAS_WIDTH
+from chdstat.patterns.atlases import of_histograms
+from chdstat.samples import Samples
+from chdstat.studies.log_chds import WIDTH, LogChds, squared_distance, visible
+from chdstat.studies.scene_data import PixelSet, SceneData
+from chdstat.summary.statistics import summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "between_channels",
+    "channel_shift",
+    "common_count",
+    "drawn",
+    "log_skewness",
+    "permuted",
+    "pooled_distance",
+    "shape_spread",
+    "squares",
+    "squares_of_pairs",
+    "standard_logs",
+]
+
+SHAPE_NEEDS = 32
+"""Positive samples that the shape of a pixel needs."""
+
+
+# --- in one image ---------------------------------------------------------------------------------
+
+
+def log_skewness(x: Floats) -> Floats:
+    """Return the skewness of log radiance in sight, shape (...); NaN below 32 samples.
+
+    NaN, too, where all are equal.
+    """
+    z = standard_logs(visible(x))
+    n = np.isfinite(z).sum(axis=-1)
+    third = np.nansum(z**3, axis=-1) / np.maximum(n, 1)
+    return np.asarray(np.where(n >= SHAPE_NEEDS, third, np.nan))
+
+
+def standard_logs(x: Floats) -> Floats:
+    """Return logarithms less their mean over their deviation; NaN where x is not positive."""
+    log = np.log(np.where(x > 0, x, np.nan))
+    n = np.maximum((x > 0).sum(axis=-1, keepdims=True), 1)
+    log -= np.nansum(log, axis=-1, keepdims=True) / n
+    deviation = np.sqrt(np.nansum(log**2, axis=-1, keepdims=True) / n)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Equal radiance has rounding errors for a deviation, and no shape.
+        return np.asarray(np.where(deviation > 1e-6, log / deviation, np.nan))
+
+
+def channel_shift(x: Floats, pixels: PixelSet) -> Interval[float]:
+    """Return the range of the channels' mean log10 radiance, over samples positive in all."""
+    lit = np.asarray((x > 0).all(axis=1))
+    log = np.log10(np.where(lit[:, np.newaxis], x, 1)).sum(axis=-1)
+    sums, count = pixels.blocks.sums(log), pixels.blocks.sums(lit.sum(axis=-1))
+    one, two = np.array(list(permutations(range(x.shape[1]), 2))).T
+
+    def shifts(weights: Floats) -> Floats:
+        means = (weights @ sums) / (weights @ count)[:, np.newaxis]
+        return np.asarray(means[:, one] - means[:, two])
+
+    return largest_of(shifts, pixels.blocks, level=pixels.level)
+
+
+def _mean_shape(shapes: LogChds, blocks: Blocks) -> Callable[[Floats], LogChds]:
+    """Return what maps weights of blocks to the mean of shapes (pixel, ...)."""
+    sums, count = blocks.sums(shapes.halves), blocks.sums(np.ones(len(shapes.halves)))
+
+    def mean(weights: Floats) -> LogChds:
+        n = (weights @ count).reshape(-1, *(1,) * (sums.ndim - 1))
+        return LogChds(np.tensordot(weights, sums, 1) / n)
+
+    return mean
+
+
+def pooled_distance(
+    shapes: Sequence[LogChds], blocks: Sequence[Blocks], *, level: float
+) -> Interval[float]:
+    """Return the distance between the mean shapes of two patches, with halves against noise."""
+    if not all(chds.known.any() for chds in shapes):
+        return Interval.unknown(level=level)
+    known = [of_patch[chds.known] for chds, of_patch in zip(shapes, blocks, strict=True)]
+    first = len(known[0])
+    means = [_mean_shape(s[s.known], of_patch) for s, of_patch in zip(shapes, known, strict=True)]
+
+    def distance(weights: Floats) -> Floats:
+        one, two = means[0](weights[:, :first]), means[1](weights[:, first:])
+        # Noise may make the square negative.
+        return np.sqrt(np.maximum(squared_distance(one, two), 0))
+
+    return interval_of(distance, Blocks.join(known), level=level, bounds=(0.0, np.inf))
+
+
+def between_channels(shapes: LogChds, pixels: PixelSet) -> Interval[float]:
+    """Return the largest distance between the mean shapes of two channels."""
+    known = shapes.known.all(axis=1)
+    kept = pixels.blocks[known]
+    mean = _mean_shape(shapes[known], kept)
+
+    def squared(weights: Floats) -> Floats:
+        means = mean(weights)
+        pairs = combinations(range(shapes.halves.shape[1]), 2)
+        return np.stack([squared_distance(means[:, a], means[:, b]) for a, b in pairs], axis=-1)
+
+    return largest_of(squared, kept, level=pixels.level).root()
+
+
+def shape_spread(shapes: LogChds, pixels: PixelSet) -> Interval[float]:
+    """Return the root mean square distance of shapes to the mean of their region, without noise.
+
+    The mean of products of halves less the product of the means is the covariance of the halves
+    over pixels: the variance of the true shapes, of n - 1 degrees of freedom in each region.
+    """
+    known = shapes.known
+    if np.count_nonzero(known) < 2:
+        return Interval.unknown(level=pixels.level)
+    kept, halves = pixels[known], shapes.halves[known]
+    blocks = kept.blocks
+    product = blocks.sums((halves[:, 0] * halves[:, 1]).sum(axis=-1) * WIDTH)
+    sums, count = blocks.sums(halves), blocks.sums(np.ones(len(halves)))
+
+    def spread(weights: Floats) -> Floats:
+        squared, degrees = weights @ product, np.zeros(len(weights))
+        for region in np.unique(blocks.region):
+            here = blocks.region == region
+            n = weights[:, here] @ count[here]
+            total = np.tensordot(weights[:, here], sums[here], 1)
+            squared -= (total[:, 0] * total[:, 1]).sum(axis=-1) * WIDTH / n
+            degrees += n - 1
+        return np.asarray(np.sqrt(np.maximum(squared / degrees, 0)))
+
+    return kept.interval(spread, (0.0, np.inf))
+
+
+# --- in several scenes ----------------------------------------------------------------------------
+
+
+def common_count(scenes: Sequence[SceneData], *, least: int) -> int:
+    """Return a number of positive samples that half of the pixels of every scene have.
+
+    Of pixels that have any, and of the channel in the middle; not less than `least`.
+    """
+    counts = [_positive(data) for data in scenes]
+    middles = [np.median(n[n > 0]) if n.any() else 0 for n in counts]
+    return max(least, int(min(middles, default=0)))
+
+
+def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Floats, Blocks]:
+    """Draw `n` positive samples of pixels spread over the image, of the channel in the middle.
+
+    Parameters
+    ----------
+    data
+        The scene.
+    n
+        Samples of each pixel; pixels with fewer are left out.
+    pixels
+        How many, at most, as many in each of `across` x `across` blocks of the image.
+    across
+        Blocks along each side.
+
+    Returns
+    -------
+    tuple
+        Radiance, shape (pixel, n), and the blocks that the pixels lie in.
+    """
+    rng, blocks = generator(0), data.whole(across=across).blocks
+    radiance, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
+    for patch in data.scattered(pixels, across=across, allowed=_positive(data) >= n):
+        x = data.radiance(patch)
+        light = x[:, x.shape[1] // 2]
+        # Positive ones first, in an order drawn at random.
+        rank = np.where(light > 0, rng.random(light.shape), 2)
+        first = np.argpartition(rank, n - 1, axis=-1)[:, :n]
+        radiance.append(np.take_along_axis(light, first, axis=-1))
+        places.append(patch.blocks.of_pixel)
+    return np.concatenate(radiance), Blocks(np.concatenate(places), blocks.region)
+
+
+def _positive(data: SceneData) -> Counts:
+    """Return how many positive samples each pixel has within its log histogram, shape (y, x)."""
+    counts = data.summary["log_counts"]
+    middle = counts.isel(channel=counts.sizes["channel"] // 2)
+    return np.asarray(middle.sum("log_bin").to_numpy(), dtype=np.int64)
+
+
+# --- in two renders -------------------------------------------------------------------------------
+
+_PERMUTATIONS = 999
+_AT_ONCE = 64
+_HISTOGRAM = (
+    *("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count"),
+    *("log_low", "log_high"),
+)
+
+
+def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
+    """Return squared distances between the shapes of two renders of a view, shape (pixel,).
+
+    In each pixel, of the render with more positive samples only as many count as the other has,
+    drawn at random. Where both have the same shape, their four halves are then exchangeable, and
+    the distance is as likely to be above 0 as below.
+
+    Parameters
+    ----------
+    one, two
+        Log histograms of the same size, as of `chdstat.summarize`; the channel in the middle
+        counts.
+
+    Returns
+    -------
+    ndarray
+        In decades; NaN where either has too few samples for a shape. Twice that is the energy
+        distance of the two distributions of log10 radiance.
+
+    References
+    ----------
+    Székely and Rizzo, "Energy statistics: a class of statistics based on distances", 2013,
+    doi:10.1016/j.jspi.2013.03.018.
+    """
+    rng = generator(0)
+    middle = slice(one.sizes["channel"] // 2, one.sizes["channel"] // 2 + 1)
+    datasets = [d[list(_HISTOGRAM)].isel(channel=middle) for d in (one, two)]
+    thin = _equally_many(datasets, rng)
+    return _squared([of_histograms(dataset, rng).cumulative[..., 1:, :] for dataset in thin])
+
+
+def squares_of_pairs(one: Samples, two: Samples) -> Floats:
+    """Return squared distances of renders that share random numbers, shape (pixel,).
+
+    As `squares`, but a half is every other sample of both: of halves drawn separately from each
+    render, the first of one would be correlated with the second of the other, and distances be too
+    small.
+    """
+    rng, spp, middle = generator(0), min(one.spp, two.spp), one.shape[2] // 2
+    halves = []
+    for first in (0, 1):
+        datasets = []
+        for samples in (one, two):
+            x = samples.read(ss=slice(0, spp))[:, :, middle : middle + 1, first::2]
+            half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
+            datasets.append(summarize(half, progress=False)[list(_HISTOGRAM)])
+        thin = _equally_many(datasets, rng)
+        halves.append([of_histograms(dataset, rng).cumulative[..., 0, :] for dataset in thin])
+    return _squared([np.stack(pair, axis=-2) for pair in zip(*halves, strict=True)])
+
+
+def _equally_many(datasets: Sequence[xr.Dataset], rng: np.random.Generator) -> Iterator[xr.Dataset]:
+    """Yield log histograms with as many positive samples in each pixel, the fewest of them."""
+    counts = [dataset["log_counts"].to_numpy().astype(np.int64) for dataset in datasets]
+    fewest = np.minimum(*(c.sum(axis=-1) for c in counts))
+    for dataset, c in zip(datasets, counts, strict=True):
+        # Multivariate hypergeometric: bin after bin, from what is left.
+        chosen, rest, left = np.empty_like(c), c.sum(axis=-1), fewest.copy()
+        for i in range(c.shape[-1]):
+            rest -= c[..., i]
+            chosen[..., i] = rng.hypergeometric(c[..., i], rest, left)
+            left -= chosen[..., i]
+        yield dataset.assign(log_counts=(dataset["log_counts"].dims, chosen))
+
+
+def _squared(renders: Sequence[Image]) -> Floats:
+    """Return squared distances (pixel,) of two renders, each given as halves (y, x, half, edge)."""
+    one, two = (LogChds(halves.astype(np.float64)) for halves in renders)
+    return squared_distance(one, two, width=ATLAS_WIDTH).ravel()
+
+
+def permuted(squared: Sequence[Floats]) -> float:
+    """Return the p-value of no difference between two integrators in any pixel.
+
+    The statistic is the mean over pixels, of all scenes given. Where there is no difference, one
+    half of the samples of each pixel may change sides, which turns the sign of its distance; pixels
+    are rendered independently. So random signs give the null distribution, exactly.
+
+    Parameters
+    ----------
+    squared
+        `squares` of each scene.
+
+    Returns
+    -------
+    float
+        One-sided, at least 1/1000; NaN without a distance.
+
+    References
+    ----------
+    Phipson and Smyth, "Permutation p-values should never be zero", 2010,
+    doi:10.2202/1544-6115.1585.
+
+    Examples
+    --------
+    >>> permuted([np.full(20, 0.1)]), permuted([np.tile([0.1, -0.1], 10)]) > 0.3
+    (0.001, True)
+    """
+    values = np.concatenate([np.zeros(0), *squared])
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return float("nan")
+    rng, seen, reached = generator(0), values.sum(), 0
+    for part in spans(_PERMUTATIONS, _AT_ONCE):
+        signs = rng.integers(0, 2, (part.stop - part.start, len(values)), dtype=np.int8)
+        sums = 2 * (signs @ values) - seen
+        # Rounding must not separate equal sums.
+        reached += int(np.count_nonzero(sums >= seen - 1e-12 * np.abs(values).sum()))
+    return (1 + reached) / (1 + _PERMUTATIONS)
