@@ -60,6 +60,7 @@ those of `path`.
 _DIRECT = {"direct light, lights": (1, 0), "direct light, BSDFs": (0, 1), DIRECT: (1, 1)}
 """Samples of lights and of BSDFs by name of the integrator."""
 _NEVER = 2**20
+_EARLY = "early roulette"
 _POINTS = ("point", "spot", "directional", "projector", "directionalarea", "sunsky")
 """Lights that no ray meets by chance, or of which that is not known."""
 _LEAST = 128
@@ -196,38 +197,38 @@ class Stores:
             return SceneData(scene.name, source, scene.regions), None  # type: ignore[arg-type]
         samples = self._rendered(source, recipe)
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
-        other = _with_roulette(source, samples)
-        variants = _variants(source, samples) if self.integrators else {}
         spp, seed = int(recipe.spp), int(recipe.seed)
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
-        short = replace(recipe, spp=half, seed=seed + 3, max_depth=SHORT)
         # Each has a seed of its own: tests of a difference take all samples for independent.
-        fewer = replace(recipe, spp=quarter, seed=seed + 2)
-        roulette = None if other is None else self._rendered(other, fewer)
+        again, early, short, in_sequences = (replace(recipe, seed=seed + i) for i in (1, 2, 3, 4))
+        short = replace(short, spp=half, max_depth=SHORT)
+        variants = _variants(source, samples)
+        other = variants.pop(_EARLY, None)
+        roulette = None if other is None else self._rendered(other, replace(early, spp=quarter))
         # The path length is part of each of them; Mitsuba's `direct` has none.
         integrators = {
-            name: self._rendered(variant, replace(fewer, seed=seed + 5 + i, max_depth=None))
-            for i, (name, variant) in enumerate(variants.items())
+            name: self._rendered(
+                variant, replace(recipe, spp=quarter, seed=seed + 5 + i, max_depth=None)
+            )
+            for i, (name, variant) in enumerate(variants.items() if self.integrators else ())
         }
         if integrators and roulette is not None:
-            integrators = {"early roulette": roulette, **integrators}
+            integrators = {_EARLY: roulette, **integrators}
+        spread = None
+        if self.sampler != "independent":
+            length = SPREAD[self.sampler]
+            in_sequences = replace(in_sequences, spp=_SEQUENCES * length)
+            spread = self._rendered(source, in_sequences, sequence=length)
         data = SceneData(
             scene.name,
             samples,
             scene.regions,
             shorter=self._rendered(source, short) if depth < 0 or depth > SHORT else None,
             integrator=roulette,
-            spread=self._spread(source, replace(recipe, seed=seed + 4)),
+            spread=spread,
             integrators=integrators,
         )
-        return data, self._rendered(source, replace(recipe, spp=half, seed=seed + 1))
-
-    def _spread(self, scene: Scene, recipe: recipes.Recipe) -> Samples | None:
-        """Return replications of the average of a few samples that are spread over the pixel."""
-        if self.sampler == "independent":
-            return None
-        length = SPREAD[self.sampler]
-        return self._rendered(scene, replace(recipe, spp=_SEQUENCES * length), sequence=length)
+        return data, self._rendered(source, replace(again, spp=half))
 
     def _rendered(
         self, scene: Scene, recipe: recipes.Recipe, *, sequence: int | None = None
@@ -355,41 +356,29 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
     return samples if same and samples.spp >= spp else None
 
 
-def _with_roulette(scene: Scene, samples: Samples) -> Scene | None:
-    """Return the scene with another integrator: of a scene in Python only, as files are fixed."""
-    used: dict[str, Any] = dict(samples.attrs["integrator"])
-    known = _sampled_otherwise(scene, used) and used.get("rr_depth") != ROULETTE
-    return _by_integrator(scene, {**used, "rr_depth": ROULETTE}) if known else None
-
-
-def _sampled_otherwise(scene: Scene, used: Mapping[str, Any]) -> bool:
-    return used.get("type") in ("path", "volpath") and isinstance(scene.source, Mapping)
-
-
-def _by_integrator(scene: Scene, integrator: Mapping[str, Any]) -> Scene:
-    source: Mapping[str, Any] = scene.source  # type: ignore[assignment]
-    kinds = ("path", "volpath")
-    rest = {
-        name: value
-        for name, value in source.items()
-        if not (isinstance(value, Mapping) and value.get("type") in kinds)
-    }
-    return Scene(scene.name, {**rest, "integrator": dict(integrator)})
-
-
 def _variants(scene: Scene, samples: Samples) -> dict[str, Scene]:
     """Return the scene with integrators that sample paths in other ways; none of a file."""
-    used: dict[str, Any] = dict(samples.attrs["integrator"])
-    if not _sampled_otherwise(scene, used):
+    used, source = dict(samples.attrs["integrator"]), scene.source
+    kinds = ("path", "volpath")
+    if used.get("type") not in kinds or not isinstance(source, Mapping):
         return {}
-    found = {"no roulette": _by_integrator(scene, {**used, "rr_depth": _NEVER})}
-    unsampled = without_emitter_sampling(scene.source)  # type: ignore[arg-type]
+
+    def by(integrator: Mapping[str, Any], source: Mapping[str, Any] = source) -> Scene:
+        others = {
+            name: value
+            for name, value in source.items()
+            if not (isinstance(value, Mapping) and value.get("type") in kinds)
+        }
+        return Scene(scene.name, {**others, "integrator": dict(integrator)})
+
+    found = {} if used.get("rr_depth") == ROULETTE else {_EARLY: by({**used, "rr_depth": ROULETTE})}
+    found["no roulette"] = by({**used, "rr_depth": _NEVER})
+    unsampled = without_emitter_sampling(source)
     if unsampled is not None:
-        found[BSDF_SAMPLING] = _by_integrator(Scene(scene.name, unsampled), used)
+        found[BSDF_SAMPLING] = by(used, unsampled)
     if used["type"] == "path":
         for name, (emitters, bsdfs) in _DIRECT.items():
-            direct = {"type": "direct", "emitter_samples": emitters, "bsdf_samples": bsdfs}
-            found[name] = _by_integrator(scene, direct)
+            found[name] = by({"type": "direct", "emitter_samples": emitters, "bsdf_samples": bsdfs})
     return found
 
 

@@ -26,7 +26,6 @@ from chdstat.estimators.training import train_model
 from chdstat.estimators.weighting import Combination
 from chdstat.rendering import render_batches
 from chdstat.studies.claims import SceneData
-from chdstat.studies.scene_data import ratio_of
 
 REAL = {
     "bathroom": "bathroom/scene.xml",
@@ -78,8 +77,8 @@ def better_of(errors: dict[str, np.ndarray], *names: str) -> np.ndarray:
 
 def over(samples: chd.Samples, one: np.ndarray, other: np.ndarray) -> list[Interval[float]]:
     """Return MSE and relMSE over those of another image."""
-    blocks = SceneData(samples.name, samples).whole(across=4).blocks
-    return [ratio_of(a, b, blocks) for a, b in zip(one.T, other.T, strict=True)]
+    whole = SceneData(samples.name, samples).whole(across=4)
+    return [whole.ratio(a, b) for a, b in zip(one.T, other.T, strict=True)]
 
 
 def errors_of(image: np.ndarray, reference: np.ndarray, noise: np.ndarray) -> np.ndarray:

@@ -23,8 +23,7 @@ from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.studies.claims import Finding, SceneData
-from chdstat.studies.claims.registry import find
+from chdstat.studies.claims import Finding, SceneData, find
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,13 @@
 """Claims: each is found where it is true by construction, refused where false, and else left open.
 
 The worlds lie many standard errors away from the borders of the verdicts: that one of these tests
-fails by chance has a probability under 1 in 1000 for other seeds.
+fails by chance has a probability under 1 in 1000 for other seeds. `test_findings` of the benchmarks
+counts how often verdicts are right.
 """
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import json
 import sys
@@ -20,6 +22,7 @@ import chdstat as chd
 from chdstat.comparison import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
 from chdstat.studies.claims import FINDINGS, SceneData, find
+from chdstat.studies.claims.whole_image import brightest_firefly
 
 SPP = 512
 BY_NUMBER = {claim.number: claim for claim in FINDINGS}
@@ -35,9 +38,10 @@ def _worlds():
 
 worlds = _worlds()
 NUMBERS = pytest.mark.parametrize("number", BY_NUMBER)
-SEEDS = pytest.mark.parametrize("seed", range(3))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 
 
+@functools.cache
 def look(number, world, seed=0, spp=SPP):
     if number == 15:
         pytest.importorskip("pyoidn")
@@ -45,28 +49,28 @@ def look(number, world, seed=0, spp=SPP):
     return BY_NUMBER[number].find(first, others)
 
 
+def true_scene(number, spp=SPP):
+    return worlds.TRUE[number](np.random.default_rng(0), spp)[0]
+
+
 # --- verdicts -----------------------------------------------------------------------------------
 
 
 @NUMBERS
-@SEEDS
-def test_a_true_claim_is_supported(number, seed):
-    found = look(number, worlds.TRUE[number], seed)
+def test_a_claim_is_supported_where_it_is_true_and_not_where_it_is_false(number):
+    found = look(number, worlds.TRUE[number])
     assert found.verdict == "supported", found.reason
-
-
-@NUMBERS
-@SEEDS
-def test_a_false_claim_is_not_supported(number, seed):
-    found = look(number, worlds.FALSE[number], seed)
+    found = look(number, worlds.FALSE[number])
     assert found.verdict == "not supported", found.reason
 
 
-@pytest.mark.parametrize(("number", "words", "world"), worlds.REFUTED)
-def test_every_test_of_a_claim_can_fail(number, words, world):
+@pytest.mark.parametrize("row", worlds.REFUTED)
+def test_every_test_of_a_claim_can_fail(row):
+    number, parts, world = row
     found = look(number, world)
-    test = next(test for test in found.tests if words in test.name)
-    assert test.verdict == "not supported", test
+    for words in parts:
+        test = next(test for test in found.tests if words in test.name)
+        assert test.verdict == "not supported", test
     assert found.verdict == "not supported"
 
 
@@ -90,45 +94,95 @@ def test_what_is_too_rare_to_be_seen_again_is_not_claimed_to_be_the_same():
 
 
 def test_a_dark_surface_has_the_shape_of_the_pale_one_beside_it():
-    tests = look(7, worlds.pair(0.5)).tests
+    tests = look(7, worlds.texture(pair=0.5)).tests
     assert [test.verdict for test in tests] == ["supported"] * 4
     assert tests[-1].name == "distance between the shapes of dark and pale"
     assert tests[0].interval.level == pytest.approx(1 - 0.05 / 4)
+
+
+def test_what_lies_on_the_border_or_has_few_samples_names_how_many_would_decide():
+    assert "spp would decide" in look(1, worlds.nulls(0.448), spp=64).reason
+    found = look(5, worlds.TRUE[5], spp=128)
+    assert found.verdict == "cannot tell"
+    assert found.reason == "Needs 100 positive samples in a pixel, about 256 spp."
+
+
+@pytest.mark.parametrize(("sigma", "same"), [(0.8, True), (1.0, False)])
+def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
+    """Where they are the same, another seed would have a p-value of 0.001 once in a thousand."""
+    found = look(12, worlds.scenes(0.8, 2.4, sigma))
+    (test,) = (q for q in found.tests if "integrators" in q.name)
+    assert (found.p_value > 0.001) == same
+    assert test.verdict == ("not supported" if same else "supported")
+    assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
+
+
+FEW = {
+    # the kurtosis is 6.7, but of 128 samples 3.7: a claim of 6 is not refuted
+    "kurtosis": (5, lambda rng: rng.gamma(0.9, size=(16, 16, 128)), 5),
+    # the skewness of averages of 32 is 0.58, but that of 384 samples is 0.46
+    "skewness": (13, lambda rng: rng.lognormal(0, 0.75, (32, 32, 384)), 0.5),
+}
+
+
+@pytest.mark.parametrize("word", FEW)
+@SEEDS
+def test_too_few_samples_do_not_refute_a_long_tail(word, seed):
+    number, draw, most = FEW[word]
+    x = worlds.image(draw(np.random.default_rng(seed)))
+    found = BY_NUMBER[number].find(worlds.evidence(x, "indirect"))
+    (test,) = (p for p in found.tests if word in p.name)
+    assert test.interval.value < most
+    assert test.verdict == "cannot tell"
+
+
+@pytest.mark.parametrize("number", [11, 12])
+def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number):
+    found = look(number, worlds.more_light)
+    (test,) = found.tests
+    assert test.verdict != "supported"
+    if number == 11:
+        modes = [mode["value"] for mode in found.details["modes"].values()]
+        assert np.ptp(modes) < 0.1
+    else:
+        assert test.interval.value < 0.35
+
+
+def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
+    (dark,) = worlds.nulls(0.7)(np.random.default_rng(0), 64)
+    expected = {"night-room": "supported", "gallery": "not supported"}
+    assert {n: BY_NUMBER[1].find(replace(dark, name=n)).verdict for n in expected} == expected
+
+
+def test_a_firefly_is_an_estimate_that_its_pixel_and_the_one_above_do_not_share():
+    batches = np.random.default_rng(0).gamma(50.0, 0.02, size=(8, 8, 6))
+    assert brightest_firefly(batches) is None
+    batches[:4] *= 100  # an edge is none
+    assert brightest_firefly(batches) is None
+    batches[6, 2, 3] = 40
+    assert brightest_firefly(batches) == (6, 2, 3)
+    for without in (batches * 0, batches * np.nan, batches[..., :1]):
+        assert brightest_firefly(without) is None
+
+
+# --- what is lacking ----------------------------------------------------------------------------
 
 
 @NUMBERS
 def test_too_few_samples_tell_nothing(number):
     claim = BY_NUMBER[number]
     first, *others = worlds.TRUE[number](np.random.default_rng(0), 64)
-    found = claim.find(first, others) if claim.spp > 64 else None
-    if found is None:
-        short = replace(first, samples=chd.Samples.from_array(first.samples.read()[..., :16]))
-        found = claim.find(short, others)
+    short = replace(first, samples=chd.Samples.from_array(first.samples.read()[..., :16]))
+    found = claim.find(short, others)
     assert found.verdict == "cannot tell"
     assert f"eeds {claim.spp} spp" in found.reason
 
 
 def test_too_few_pixels_tell_nothing():
-    first = worlds.TRUE[2](np.random.default_rng(0), SPP)[0]
-    small = replace(first, regions=(Region("dot", "diffuse", (0, 0, 0.1, 0.1)),))
+    small = replace(true_scene(2), regions=(Region("dot", "diffuse", (0, 0, 0.1, 0.1)),))
     found = BY_NUMBER[2].find(small)
     assert found.verdict == "cannot tell"
     assert "too few pixels" in found.reason
-
-
-def test_what_lies_on_the_border_names_the_samples_that_would_decide():
-    found = look(1, worlds.nulls(0.448), spp=64)
-    assert found.verdict == "cannot tell"
-    assert "spp would decide" in found.reason
-
-
-def test_few_positive_samples_name_the_samples_that_would_suffice():
-    found = look(5, worlds.indirect, spp=128)
-    assert found.verdict == "cannot tell"
-    assert found.reason == "Needs 100 positive samples in a pixel, about 256 spp."
-
-
-# --- what is lacking ----------------------------------------------------------------------------
 
 
 def test_without_regions_and_other_scenes_the_reason_names_what_is_missing():
@@ -136,16 +190,27 @@ def test_without_regions_and_other_scenes_the_reason_names_what_is_missing():
     found = {f.number: f for f in find(bare)}
     missing = {2: "diffuse", 3: "glossy", 4: "reflection", 5: "indirect", 6: "penumbra"}
     missing |= {7: "albedo", 9: "shorter paths", 11: "5 scenes", 12: "second scene"}
-    missing |= {13: "albedo", 15: "comparison", 16: "comparison"}
+    missing |= {15: "comparison", 16: "comparison"}
     for number, word in missing.items():
-        assert found[number].verdict == "cannot tell" or number == 13
-        assert word in found[number].reason or number == 13
+        assert found[number].verdict == "cannot tell"
+        assert word in found[number].reason
 
 
-def test_an_integrator_of_another_size_is_no_comparison():
-    first = worlds.TRUE[9](np.random.default_rng(0), SPP)[0]
-    other = replace(first, shorter=chd.Samples.from_array(np.ones((2, 2, 3, SPP))))
+def test_other_renders_and_channels_must_fit():
+    other = replace(true_scene(9), shorter=chd.Samples.from_array(np.ones((2, 2, 3, SPP))))
     assert "same size" in BY_NUMBER[9].find(other).reason
+    first = true_scene(7)
+    albedo = first.samples.features["albedo"][..., 1:2]
+    one = chd.Samples.from_array(first.samples.read()[:, :, 1:2], features={"albedo": albedo})
+    assert "several channels" in BY_NUMBER[7].find(replace(first, samples=one)).reason
+
+
+def test_one_bad_pixel_does_not_spoil_its_region():
+    first = true_scene(6)
+    x = first.samples.read().copy()
+    x[5, 5] = np.nan
+    found = BY_NUMBER[6].find(replace(first, samples=chd.Samples.from_array(x)))
+    assert found.verdict == "supported"
 
 
 def test_the_verdict_on_learning_is_that_of_the_papers_model():
@@ -154,11 +219,12 @@ def test_the_verdict_on_learning_is_that_of_the_papers_model():
     first = worlds.learned(False)(rng, SPP)[0]
     better = worlds.learned(True, "progressive")(rng, SPP)[0].comparison
     paper = first.comparison
+    measures = {name: joined(paper, better, name) for name in paper.measures}
     both = replace(
         paper,
         estimators=("mean", "elek2019", "progressive"),
-        measures={name: joined(paper, better, name) for name in paper.measures},
-        over_batches={name: joined(paper, better, name) for name in paper.measures},
+        measures=measures,
+        over_batches=measures,
         estimates=np.concatenate([paper.estimates, better.estimates[1:]]),
         models={**paper.models, **better.models},
     )
@@ -182,90 +248,17 @@ def joined(one, two, name):
 
 
 def test_time_is_told_where_nothing_was_compiled():
-    first = worlds.TRUE[9](np.random.default_rng(0), SPP)[0]
+    first = true_scene(9)
     details = {}
     for backend in ("scalar", "llvm"):
         long, short = (
             chd.Samples.from_array(samples.read(), backend=backend, render_seconds=seconds)
             for samples, seconds in ((first.samples, 3.0), (first.shorter, 2.0))
         )
-        found = BY_NUMBER[9].find(replace(first, samples=long, shorter=short))
-        details[backend] = found.details
+        details[backend] = BY_NUMBER[9].find(replace(first, samples=long, shorter=short)).details
     assert details["scalar"]["time_ratio"] == pytest.approx(1.5)
     assert details["llvm"]["time_ratio"] is None
     assert details["llvm"]["seconds_per_sample"] == [None, None]
-
-
-@pytest.mark.parametrize(("sigma", "same"), [(0.8, True), (1.0, False)])
-def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
-    """Where they are the same, another seed would have a p-value of 0.001 once in a thousand."""
-    found = look(12, worlds.scenes(0.8, 2.4, sigma))
-    (test,) = (q for q in found.tests if "integrators" in q.name)
-    assert (found.p_value > 0.001) == same
-    assert test.verdict == ("not supported" if same else "supported")
-    assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
-
-
-@SEEDS
-def test_too_few_samples_do_not_refute_a_long_tail(seed):
-    """The kurtosis is 6.7, but of 128 samples 3.7: a claim of 6 is not refuted."""
-    rng = np.random.default_rng(seed)
-    x = worlds.image(rng.gamma(0.9, size=worlds.size(128, 16)))
-    found = BY_NUMBER[5].find(worlds.evidence(x, "indirect"))
-    (test,) = (p for p in found.tests if "kurtosis" in p.name)
-    assert test.interval.value < 5
-    assert test.verdict == "cannot tell"
-
-
-@SEEDS
-def test_too_few_samples_do_not_make_averages_symmetric(seed):
-    """The skewness of averages of 32 is 0.58, but that of 384 samples is 0.46."""
-    rng = np.random.default_rng(seed)
-    x = worlds.image(rng.lognormal(0, 0.75, (32, 32, 384)))
-    found = BY_NUMBER[13].find(worlds.evidence(x))
-    (test,) = (p for p in found.tests if "skewness" in p.name)
-    assert test.interval.value < 0.5
-    assert test.verdict == "cannot tell"
-
-
-def test_one_bad_pixel_does_not_spoil_its_region():
-    first = worlds.TRUE[6](np.random.default_rng(0), SPP)[0]
-    x = first.samples.read().copy()
-    x[5, 5] = np.nan
-    found = BY_NUMBER[6].find(replace(first, samples=chd.Samples.from_array(x)))
-    assert found.verdict == "supported"
-
-
-def test_one_channel_has_no_other_to_differ_from():
-    first = worlds.TRUE[7](np.random.default_rng(0), SPP)[0]
-    one = chd.Samples.from_array(
-        first.samples.read()[:, :, 1:2],
-        features={"albedo": first.samples.features["albedo"][..., 1:2]},
-    )
-    assert "several channels" in BY_NUMBER[7].find(replace(first, samples=one)).reason
-
-
-@pytest.mark.parametrize("number", [11, 12])
-@SEEDS
-def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number, seed):
-    found = look(number, worlds.more_light, seed)
-    (test,) = found.tests
-    assert test.verdict != "supported"
-    if number == 11:
-        modes = [mode["value"] for mode in found.details["modes"].values()]
-        assert np.ptp(modes) < 0.1
-    else:
-        assert test.interval.value < 0.35
-
-
-def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
-    rng = np.random.default_rng(0)
-    dark = worlds.nulls(0.7)(rng, 64)[0]
-    verdicts = {
-        name: BY_NUMBER[1].find(replace(dark, name=name)).verdict
-        for name in ("night-room", "gallery")
-    }
-    assert verdicts == {"night-room": "supported", "gallery": "not supported"}
 
 
 # --- laws ---------------------------------------------------------------------------------------
@@ -273,25 +266,21 @@ def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
 
 @pytest.mark.parametrize("number", [2, 3, 4, 5, 6, 7, 18, 20, 21, 23, 26])
 def test_scaling_radiance_changes_nothing(number):
-    first = worlds.TRUE[number](np.random.default_rng(0), SPP)[0]
+    first, *others = worlds.TRUE[number](np.random.default_rng([number, 0]), SPP)
     scaled = chd.Samples.from_array(first.samples.read() * 1024, features=first.samples.features)
-    one, two = (BY_NUMBER[number].find(e) for e in (first, replace(first, samples=scaled)))
+    one = look(number, worlds.TRUE[number])
+    two = BY_NUMBER[number].find(replace(first, samples=scaled), others)
     values = [[test.interval.value for test in found.tests] for found in (one, two)]
     assert one.verdict == two.verdict
     np.testing.assert_allclose(values[0], values[1], rtol=1e-3, atol=1e-6)
 
 
-def test_findings_are_the_same_every_time():
-    first = worlds.TRUE[5](np.random.default_rng(0), SPP)[0]
-    one, two = (BY_NUMBER[5].find(first).to_dict() for _ in range(2))
-    assert one == two
-
-
-def test_findings_come_in_order_and_are_ready_for_json():
+def test_findings_come_in_order_the_same_every_time_and_are_ready_for_json():
     first, *others = worlds.TRUE[12](np.random.default_rng(0), 128)
-    found = find(first, others=others)
+    found, again = (find(first, others=others) for _ in range(2))
     assert [f.number for f in found] == list(range(1, 30))
-    assert json.loads(json.dumps([f.to_dict() for f in found], allow_nan=False))
+    text = json.dumps([f.to_dict() for f in found], allow_nan=False)
+    assert text == json.dumps([f.to_dict() for f in again])
     assert all(f.reason.endswith(".") for f in found)
     assert all(f.scene == "scene 0" for f in found if not BY_NUMBER[f.number].across)
 
@@ -315,12 +304,10 @@ HOSTILE = {
 def test_hostile_samples_are_data(name):
     rng = np.random.default_rng(0)
     x = HOSTILE[name](rng.gamma(2, size=(6, 6, 3, 400))).astype(np.float32)
-    features = {
-        "albedo": rng.uniform(size=(*x.shape[:2], 3)).astype(np.float32),
-        "normal": rng.normal(size=(*x.shape[:2], 3)).astype(np.float32),
-        "depth": rng.uniform(1, 2, size=x.shape[:2]).astype(np.float32),
-    }
-    samples = chd.Samples.from_array(x, features=features)
+    features = {n: rng.uniform(-1, 1, (*x.shape[:2], 3)) for n in ("albedo", "normal")}
+    features |= {"albedo": abs(features["albedo"]), "depth": rng.uniform(1, 2, x.shape[:2])}
+    small = {name: values.astype(np.float32) for name, values in features.items()}
+    samples = chd.Samples.from_array(x, features=small)
     regions = tuple(Region(p, p, (0.0, 0.0, 1.0, 1.0)) for p in PHENOMENA)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", chd.errors.LeftOutWarning)
@@ -337,28 +324,25 @@ def test_hostile_samples_are_data(name):
 # --- what a verdict is about --------------------------------------------------------------------
 
 
-def named(name, source, x=None):
+def named(name, source):
     """Return samples of a scene of that name, from this library or from a file."""
-    x = np.random.default_rng(0).gamma(2, size=(6, 6, 1, 64)) if x is None else x
-    return chd.Samples.from_array(x, scene=name, scene_source=source)
+    x = np.random.default_rng(0).gamma(2, size=(6, 6, 1, 64))
+    return SceneData(name, chd.Samples.from_array(x, scene=name, scene_source=source))
 
 
 def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_it():
-    found = find(SceneData("box", named("box", "box.xml")))
-    words = {9: "this view, rendered twice", 11: "these images", 12: "these images"}
-    words |= dict.fromkeys((17, 28, 29), "this view, rendered twice")
-    words |= {15: "this training on this image", 16: "this training on this image"}
-    for f in found:
+    words = {11: "these images", 12: "these images"}
+    words |= dict.fromkeys((9, 17, 28, 29), "this view, rendered twice")
+    words |= dict.fromkeys((15, 16), "this training on this image")
+    for f in find(named("box", "box.xml")):
         assert f.about.startswith(f"About {words.get(f.number, 'this image')}"), f.about
         assert f.to_dict()["about"] == f.about
 
 
-@pytest.mark.parametrize("number", BY_NUMBER)
+@NUMBERS
 def test_no_claim_is_made_of_the_papers_room_where_the_scene_is_a_remake(number):
-    claim = BY_NUMBER[number]
-    remake = SceneData("bathroom", named("bathroom", "chdstat"))
-    own = SceneData("bathroom", named("bathroom", "/scenes/bathroom/scene.xml"))
-    other = SceneData("fog", named("fog", "chdstat"))
+    claim, remake = BY_NUMBER[number], named("bathroom", "chdstat")
+    own, other = named("bathroom", "/scenes/bathroom/scene.xml"), named("fog", "chdstat")
     sentence = "bathroom is a remake of the paper's Bathroom, not that scene."
     assert claim.find(remake, [other]).about.endswith(sentence)
     assert "remake" not in claim.find(own, [other]).about

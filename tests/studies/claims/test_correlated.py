@@ -13,7 +13,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claims import FINDINGS, SceneData
-from chdstat.studies.claims.correlated import p_of_independence, variances
+from chdstat.studies.claims.renders import p_of_independence, variances
 
 N = 16
 CLAIM = next(claim for claim in FINDINGS if claim.number == 17)

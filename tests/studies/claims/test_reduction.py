@@ -12,7 +12,7 @@ import chdstat as chd
 from chdstat.estimators import MLP, LearnedEstimator, Progressive, lookup, mean_radiance, names
 from chdstat.estimators.progressive import errors, learning
 from chdstat.studies.claims import FINDINGS, SceneData
-from chdstat.studies.claims.learning import FACTORS, LEVELS, ROUNDING
+from chdstat.studies.claims.learned_models import FACTORS, LEVELS, ROUNDING
 
 CLAIM = FINDINGS[15]
 N, EDGE = 32, 16
