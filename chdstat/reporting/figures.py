@@ -31,7 +31,7 @@ from chdstat.rendering.recipes import Region
 from chdstat.reporting.result_tables import plot_findings
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
-from chdstat.studies.claims.image import brightest_firefly
+from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.styling import spelt
 

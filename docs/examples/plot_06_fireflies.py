@@ -13,11 +13,10 @@ With `Shorter and longer paths <plot_07_path_lengths.html>`_ this is the paper's
 # of each batch of 32 samples: many small renders of one view.
 
 # sphinx_gallery_panel = 1, 3
-from chdstat.studies.claims.image import brightest_firefly
-
 import chdstat as chd
 from chdstat import viz
 from chdstat.rendering.recipes import find_recipe
+from chdstat.studies.claims.whole_image import brightest_firefly
 
 samples = chd.render("gallery", spp=128, size=(48, 48), seed=1, backend="scalar")
 batches = chd.summarize(samples)["batch_means"].values

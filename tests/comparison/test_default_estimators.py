@@ -88,22 +88,16 @@ def test_the_default_estimate_is_given_the_image_of_each_batch_with_its_features
     direct = chd.estimators.combination(x, features=cornell.features)
     np.testing.assert_array_equal(found.estimates[1], direct)
     y = cornell.read(ss=slice(N, None)).mean(axis=-1, dtype=np.float64)
-    mse = chd.comparison.metrics.mse(direct, y)
+    metrics = chd.comparison.metrics
+    mse = metrics.mse(direct, y)
     assert found.measures["mse"].value[1, :3] == pytest.approx(mse, rel=1e-5)
-    assert found.measures["bias"].value[1, :3] == pytest.approx(
-        chd.comparison.metrics.bias(direct, y), abs=1e-6
-    )
+    assert found.measures["bias"].value[1, :3] == pytest.approx(metrics.bias(direct, y), abs=1e-6)
     # Its errors are over those of the mean of the same batches, in the same pixels.
-    mean = chd.comparison.metrics.mse(x.mean(axis=-1), y)
+    mean = metrics.mse(x.mean(axis=-1), y)
     assert found.measures["mse_ratio"].value[1, :3] == pytest.approx(mse / mean, rel=1e-4)
-
-
-def test_a_benchmark_gives_it_the_same(cornell):
-    truth = np.ones(cornell.shape[:3])
-    options = {"spp": [N], "references": {"box": truth}, "progress": False}
-    case = chd.bench({"box": cornell}, **options).cases[0]
-    x = cornell.read(ss=slice(N))
-    direct = chd.estimators.combination(x, features=cornell.features)
+    # A benchmark gives it the same.
+    options = {"spp": [N], "references": {"box": np.ones(cornell.shape[:3])}, "progress": False}
+    case = chd.bench({"box": cornell}, ["mean", "combination"], **options).cases[0]
     np.testing.assert_array_equal(case.images["combination"], direct)
 
 
@@ -133,11 +127,6 @@ def test_what_does_not_apply_is_left_out_with_the_reason():
         chd.compare(two, ["combination"], n=8)
 
 
-def test_an_image_without_features_has_the_denoised_mean_without_them():
-    samples = chd.Samples.from_array(np.ones((8, 8, 3, 64)))
-    assert "mean + OIDN" in choose(None, [N], samples=samples).entries
-
-
 def test_a_network_that_cannot_be_trained_spoils_no_default_comparison(monkeypatch, cornell):
     def refuse(samples, **options):
         raise InputError("the image is too small")
@@ -150,12 +139,11 @@ def test_a_network_that_cannot_be_trained_spoils_no_default_comparison(monkeypat
         chd.compare(cornell, ["elek2019"], progress=False)
 
 
-@pytest.mark.parametrize("name", ["mean + OIDN", "median + OIDN features"])
-def test_a_name_may_ask_for_a_denoiser(name):
-    assert entry_of(name).name == name
-
-
-def test_unknown_names_and_other_things_are_refused():
+def test_a_name_may_ask_for_a_denoiser_and_other_things_are_refused():
+    for name in ("mean + OIDN", "median + OIDN features"):
+        assert entry_of(name).name == name
+    without = chd.Samples.from_array(np.ones((8, 8, 3, 64)))
+    assert "mean + OIDN" in choose(None, [N], samples=without).entries
     with pytest.raises(InputError, match="no estimator is called 'men'"):
         entry_of("men + OIDN")
     with pytest.raises(InputError, match="expected names"):

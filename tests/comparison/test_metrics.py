@@ -56,10 +56,10 @@ def test_a_black_scene_has_no_error_and_no_bias_to_speak_of():
     assert np.isinf(metrics.relmse(black + 1, black)).all()
 
 
-@pytest.mark.parametrize("shape", [(5, 7, 1), (7, 3), (1, 7, 3)])
-def test_shapes_must_agree(image, shape):
-    with pytest.raises(InputError, match="same shape"):
-        metrics.mse(np.ones(shape), image[1])
+def test_shapes_must_agree(image):
+    for shape in ((5, 7, 1), (7, 3), (1, 7, 3)):
+        with pytest.raises(InputError, match="same shape"):
+            metrics.mse(np.ones(shape), image[1])
 
 
 def test_bootstrap_standard_error_is_that_of_a_mean():
@@ -68,13 +68,8 @@ def test_bootstrap_standard_error_is_that_of_a_mean():
     interval = metrics.bootstrap(x, replicates=2000, seed=2)
     assert interval.value == pytest.approx(x.mean(axis=0))
     assert interval.standard_error == pytest.approx(x.std(axis=0) / 20, rel=0.08)
-
-
-def test_bootstrap_repeats_with_its_seed():
-    x = np.random.default_rng(3).gamma(1, size=50)
-    first, again, other = (metrics.bootstrap(x, seed=s) for s in (1, 1, 2))
-    assert first.low == again.low
-    assert first.low != other.low
+    one, again, other = (metrics.bootstrap(x[:, 0], seed=s).low for s in (1, 1, 2))
+    assert one == again != other
 
 
 @pytest.mark.parametrize(("level", "most"), [(0.95, 200), (0.5, 130)])
