@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import timeit
 import warnings
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from chdstat import estimators
 from chdstat._core.arrays import Floats, Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
-from chdstat.comparison.entries import Entry, choose, estimate_by, takes
+from chdstat.comparison.entries import choose, estimate_by, takes
 from chdstat.comparison.metrics import SUMS, errors_of
 from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import MLP, Progressive, registry
@@ -30,7 +30,6 @@ from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import Box, Pixel
-from chdstat.samples import Samples
 
 __all__ = [
     "BATCHES_AROUND",
@@ -83,9 +82,9 @@ class ScoredEstimate:
 
     name: str
     value: Floats
-    mse_ratio: float
-    bias: float
-    improved: float
+    mse_ratio: float = float("nan")
+    bias: float = float("nan")
+    improved: float = float("nan")
     certainty: float = float("nan")
     low: Floats | None = None
     high: Floats | None = None
@@ -116,6 +115,28 @@ class ScoringBatches:
     def first(self, count: int) -> ScoringBatches:
         """Return the first of them."""
         return ScoringBatches(self.x[:count], self.truth[:count], self.mean[:count])
+
+    def score(self, name: str, estimates: npt.ArrayLike) -> ScoredEstimate:
+        """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
+        estimates = np.asarray(estimates, np.float64)
+        known = np.isfinite(self.truth) & np.isfinite(estimates) & np.isfinite(self.mean)
+        found = ScoredEstimate(name, _average(estimates))
+        if not known.any():
+            return found
+        own, of_mean = (
+            dict(zip(SUMS, np.moveaxis(errors, 1, 0)[:, known], strict=True))
+            for errors in (
+                errors_of(p, self.mean, self.truth, scene_mean=np.ones(1))
+                for p in (estimates, self.mean)
+            )
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = own["squared"].sum() / of_mean["squared"].sum()
+            bias = own["error"].mean() / self.truth[known].mean()
+        if name == "mean":
+            return replace(found, mse_ratio=1.0, bias=float(bias))
+        improved = float(own["improved"].mean())
+        return replace(found, mse_ratio=float(ratio), bias=float(bias), improved=improved)
 
 
 def batches_of(
@@ -149,27 +170,6 @@ def batches_of(
     return ScoringBatches(batches, truth, np.asarray(estimators.mean(batches), np.float64))
 
 
-def _score(name: str, estimates: npt.ArrayLike, batches: ScoringBatches) -> ScoredEstimate:
-    """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
-    estimates = np.asarray(estimates, np.float64)
-    truth, mean = batches.truth, batches.mean
-    known = np.isfinite(truth) & np.isfinite(estimates) & np.isfinite(mean)
-    found = ScoredEstimate(name, _average(estimates), *(float("nan"),) * 3)
-    if not known.any():
-        return found
-    own, of_mean = (
-        dict(zip(SUMS, np.moveaxis(errors, 1, 0)[:, known], strict=True))
-        for errors in (errors_of(p, mean, truth, scene_mean=np.ones(1)) for p in (estimates, mean))
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = own["squared"].sum() / of_mean["squared"].sum()
-        bias = own["error"].mean() / truth[known].mean()
-    if name == "mean":
-        return replace(found, mse_ratio=1.0, bias=float(bias))
-    improved = float(own["improved"].mean())
-    return replace(found, mse_ratio=float(ratio), bias=float(bias), improved=improved)
-
-
 def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
     known = np.isfinite(values)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -177,15 +177,30 @@ def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
         return np.asarray(total / known.sum(axis=0))
 
 
+def _windows(
+    source: StoreSource, place: Pixel, batches: ScoringBatches, radius: int
+) -> tuple[list[Image], dict[str, Image], Pixel]:
+    """Return the batches of the pixels around one, their features, and its place among them."""
+    ys, xs = (
+        slice(max(0, at - radius), min(length, at + radius + 1))
+        for at, length in zip(place, source.size, strict=True)
+    )
+    n, count = batches.n, len(batches.x)
+    window = source.read(ys, xs, slice(0, count * n))
+    features = {name: image[ys, xs] for name, image in source.samples.features.items()}
+    cuts = [np.ascontiguousarray(window[..., i * n : (i + 1) * n]) for i in range(count)]
+    return cuts, features, (place[0] - ys.start, place[1] - xs.start)
+
+
 # --- fixed estimators ---------------------------------------------------------------------------
 
 
 def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
     """Return the fixed estimators of one pixel by name, or those that look at the pixels around."""
-    entries = {name: registry.lookup(name) for name in registry.names("fixed")}
+    entries = map(registry.lookup, registry.names("fixed"))
     return {
-        name: entry
-        for name, entry in entries.items()
+        entry.name: entry
+        for entry in entries
         if isinstance(entry, registry.Estimator) and entry.uses_neighbours == neighbours
     }
 
@@ -223,18 +238,14 @@ def scored(
     for name, entry in fixed().items():
         if batches.n >= entry.minimum_samples and (names is None or name in names):
             step()
-            found.append(_score(name, entry(batches.x), batches))
+            found.append(batches.score(name, entry(batches.x)))
     return found
 
 
 def scored_around(
-    batches: ScoringBatches,
-    source: StoreSource,
-    place: tuple[int, int],
-    *,
-    step: Step = lambda: None,
+    batches: ScoringBatches, source: StoreSource, place: Pixel, *, step: Step = lambda: None
 ) -> list[ScoredEstimate]:
-    """Score the fixed estimators that look at the pixels around, on a few batches.
+    """Score the estimators that look at the pixels around, on a few batches; default ones first.
 
     Parameters
     ----------
@@ -248,33 +259,21 @@ def scored_around(
         As for `scored`.
     """
     batches, found = batches.first(BATCHES_AROUND), []
-    for entry, radius in _around(source.samples, batches.n):
-        window, (y, x), (ys, xs) = source.around(*place, len(batches.x) * batches.n, radius=radius)
-        features = {name: image[ys, xs] for name, image in source.samples.features.items()}
-        estimates = []
-        for cut in _cut(window, batches.n):
-            step()
-            estimates.append(estimate_by(entry, cut, features=features)[y, x])
-        found.append(_score(entry.name, np.stack(estimates), batches))
-    return found
-
-
-def _around(samples: Samples, n: int) -> Iterator[tuple[Entry, int]]:
-    """Yield what looks at the pixels around, and how far: the default estimators first."""
-    default = choose(None, [n], samples=samples).entries
-    for entry in default.values():
-        if entry.uses_neighbours:
-            yield entry, _AROUND_LEARNED
-    for name, entry in fixed(neighbours=True).items():
-        if name not in DEFAULT_ESTIMATORS and not entry.learns and takes(entry, n):
-            yield entry, _AROUND
-
-
-def _cut(window: Image, n: int) -> list[Image]:
-    """Return the batches of an image (y, x, channel, sample)."""
-    return [
-        np.ascontiguousarray(window[..., i : i + n]) for i in range(0, window.shape[-1] - n + 1, n)
+    default = choose(None, [batches.n], samples=source.samples).entries.values()
+    around: list[Any] = [(e, _AROUND_LEARNED) for e in default if e.uses_neighbours]
+    around += [
+        (entry, _AROUND)
+        for name, entry in fixed(neighbours=True).items()
+        if name not in DEFAULT_ESTIMATORS and not entry.learns and takes(entry, batches.n)
     ]
+    for entry, radius in around:
+        cuts, features, at = _windows(source, place, batches, radius)
+        estimates = []
+        for cut in cuts:
+            step()
+            estimates.append(estimate_by(entry, cut, features=features)[at])
+        found.append(batches.score(entry.name, np.stack(estimates)))
+    return found
 
 
 # --- trained estimators -------------------------------------------------------------------------
@@ -318,42 +317,40 @@ class Learner:
         unit
             Mean radiance of the image; None where it is not known.
         """
-        model, n = self.model, batches.n
-        if isinstance(model, MLP):
-            fits = model.inputs == n
-            if not fits:
-                return None
-            return replace(_score(self.name, model.predict(batches.x), batches), given=True)
+        model = self.model
+        if isinstance(model, MLP) and model.inputs == batches.n:
+            return replace(batches.score(self.name, model.predict(batches.x)), given=True)
         if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
             return None
-        names = ("radiance", "certainty", "low", "high")
         known = source is not None and model.trained_on(source.samples.attrs)
-        if source is not None and len(place) == 2 and (model.with_features or not known):
-            # Of another scene, the pixels around tell how far the model counts.
-            batches = batches.first(BATCHES_AROUND)
-            spp = len(batches.x) * n
-            window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
-            features = {k: field[ys, xs] for k, field in source.samples.features.items()}
-            if model.with_features and not features:
+        own = unit if known else None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OtherSceneWarning)
+            if source is not None and len(place) == 2 and (model.with_features or not known):
+                # Of another scene, the pixels around say how far to follow the model.
+                batches = batches.first(BATCHES_AROUND)
+                cuts, features, at = _windows(source, place, batches, _AROUND_LEARNED)
+                if model.with_features and not features:
+                    return None
+                found = [model.estimate(cut, features=features, unit=own) for cut in cuts]
+            elif model.with_features:
                 return None
-            own = unit if known else None
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", OtherSceneWarning)
-                found = [
-                    model.estimate(cut, features=features, unit=own) for cut in _cut(window, n)
-                ]
-            fields = [np.stack([getattr(e, name)[y, x] for e in found]) for name in names]
-        elif model.with_features:
-            return None
-        else:
-            # Without an image, the batches of the place tell it.
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", OtherSceneWarning)
-                estimated = model.estimate(batches.x, unit=unit if known else None)
-            fields = [getattr(estimated, name) for name in names]
-        certainty, low, high = (_average(values) for values in fields[1:])
-        one = _score(self.name, fields[0], batches)
-        return replace(one, certainty=float(certainty), low=low, high=high, given=True)
+            else:  # without an image, from the batches of the place
+                found, at = [model.estimate(batches.x, unit=own)], None
+        names = ("radiance", "certainty", "low", "high")
+        fields = [[getattr(e, name) for e in found] for name in names]
+        radiance, certainty, low, high = (
+            field[0] if at is None else np.stack([values[at] for values in field])
+            for field in fields
+        )
+        one = batches.score(self.name, radiance)
+        return replace(
+            one,
+            certainty=float(_average(certainty)),
+            low=_average(low),
+            high=_average(high),
+            given=True,
+        )
 
 
 def learners(models: Sequence[TrainedModel[Any] | str | Path]) -> list[Learner]:

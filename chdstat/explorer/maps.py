@@ -1,56 +1,57 @@
 """Maps: one number or label per pixel, over the image.
 
 `MAPS` is the table. Some come with the image (`of_overall`); for the others, `walk` goes through
-the store tile by tile and shows what it has so far.
+the store tile by tile and shows what it has so far. Names and units of what an analysis wrote to a
+file come from its attributes (`read_maps`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
-from chdstat._core.arrays import Image, luminance, spans
+from chdstat import inference
+from chdstat._core.arrays import Array, Image, luminance, spans
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource
-from chdstat.explorer.startup import ramp
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import TailIndex
-from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
 from chdstat.inference.averages import NormalityOfMeans
 from chdstat.io.maps import open_maps
 from chdstat.patterns import classification
 from chdstat.patterns.pixel_statistics import PixelFits
 from chdstat.samples.tiles import Mapped, assemble
-from chdstat.viz.estimators import NAMES
-
-if TYPE_CHECKING:
-    import xarray as xr
+from chdstat.viz.estimators import called
+from chdstat.viz.maps import names_of
 
 __all__ = [
     "DIFFERENCES",
     "IMAGES",
     "MAPS",
     "Map",
-    "MapKind",
     "difference_of",
     "map_kind",
     "of_overall",
+    "ramp",
     "read_maps",
     "walk",
 ]
 
 _ERROR, _FILE = "error:", "file:"
-_BATCH = 32
-"""Samples of an estimate, in maps of errors."""
-_MOST_BATCHES = 16
+_BATCH, _MOST_BATCHES = 32, 16
+"""Samples of an estimate, and batches at most, in maps of errors."""
 _DECADES = 8.0
 """Of a colour bar, at most."""
 _TILE, _CELL = 16, 8
@@ -59,17 +60,22 @@ _COARSE_SHARE = 0.05
 _LONGEST = 60
 """Characters of a description beside a colour bar."""
 _OVER_MEAN = "log10, luminance"
-
 _LABELS = (
     *("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e", "#2f6fb7", "#8a5a9e"),
     *("#8f9296", "#9c3b3b", "#5b7f2b", "#c8c9ca"),
 )
-Step = Callable[[float, Image], None]
+_NONE = np.empty((0, 0), np.float32)
+
+
+@cache
+def ramp(name: str = "viridis") -> tuple[str, ...]:
+    """Return 256 colours of one of Matplotlib's maps, distinct for the colour-blind."""
+    return tuple(to_hex(color) for color in colormaps[name](range(256)))
 
 
 @dataclass(frozen=True)
-class MapKind:
-    """A row of `MAPS`.
+class Map:
+    """A map over the image.
 
     Attributes
     ----------
@@ -83,10 +89,14 @@ class MapKind:
         Whether codes have an order, which their colours then show.
     log
         Whether the numbers are shown as their log10.
-    limits
+    ends
         Ends of the colour bar; None for percentiles of what there is.
     diverging
         Whether 0 stands in the middle, between two colours.
+    values
+        Shape (y, x), float32; NaN where there is nothing to say. Empty in `MAPS`.
+    done
+        Share of the image that is computed.
     """
 
     name: str
@@ -95,89 +105,74 @@ class MapKind:
     names: Mapping[int, str] = field(default_factory=dict)
     ordered: bool = False
     log: bool = False
-    limits: tuple[float, float] | None = None
+    ends: tuple[float, float] | None = None
     diverging: bool = False
-
-    @property
-    def ramp(self) -> tuple[str, ...]:
-        """Colours of the numbers."""
-        return ramp("BrBG_r" if self.diverging else "viridis")
-
-
-@dataclass(frozen=True)
-class Map:
-    """A map over the image.
-
-    Attributes
-    ----------
-    kind
-        What it shows.
-    values
-        Shape (y, x), float32; NaN where there is nothing to say.
-    done
-        Share of the image that is computed.
-    """
-
-    kind: MapKind
-    values: Image
+    values: Image = field(default_factory=lambda: _NONE)
     done: float = 1.0
 
     @property
     def colors(self) -> list[str]:
-        """Colours of the codes, in ascending order; those of `ramp` if the codes have an order."""
-        count = len(self.kind.names)
-        if self.kind.ordered:
+        """Colours of the numbers, or of the codes in ascending order; a ramp if these have one."""
+        count = len(self.names)
+        if not count:
+            return list(ramp("BrBG_r" if self.diverging else "viridis"))
+        if self.ordered:
             return [ramp()[255 * i // max(1, count - 1)] for i in range(count)]
         return [_LABELS[i % len(_LABELS)] for i in range(count)]
 
     @property
     def limits(self) -> tuple[float, float]:
         """Ends of the colour bar."""
-        if self.kind.limits is not None:
-            return self.kind.limits
+        if self.names:
+            return min(self.names) - 0.5, max(self.names) + 0.5
+        if self.ends is not None:
+            return self.ends
         finite = self.values[np.isfinite(self.values)]
         if not finite.size:
             return 0.0, 1.0
         low, high = (float(v) for v in np.percentile(finite, (1, 99)))
-        if self.kind.log:  # a lamp has no variance but that of rounding
+        if self.log:  # a lamp has no variance but that of rounding
             low = max(low, high - _DECADES)
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
 IMAGES = ("null_share", "variance", "variation", "relative_error", "bad_count")
 """Maps that come with the image, a scene's too."""
-
-MAPS: dict[str, MapKind] = {
+_FINITE = {0: "suspect", 1: "samples cannot tell", 2: "looks finite"}
+_FAMILIES = dict(enumerate(map(called, SELECTED)))
+_PATTERNS = {int(label): called(label.name.lower()) for label in classification.Label}
+MAPS: dict[str, Map] = {
     kind.name: kind
     for kind in (
-        MapKind("null_share", "Null share", "share of the good samples", limits=(0, 1)),
-        MapKind("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
-        MapKind("variation", "Standard deviation over mean", _OVER_MEAN, log=True, limits=(-2, 2)),
+        Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),
+        Map("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
+        Map("variation", "Standard deviation over mean", _OVER_MEAN, log=True, ends=(-2, 2)),
         # One bright sample among nulls has an error as large as the mean.
-        MapKind("relative_error", "Standard error over mean", _OVER_MEAN, log=True, limits=(-3, 0)),
-        MapKind("bad_count", "Bad samples", "samples"),
-        MapKind("tail_index", "Tail index", "generalised Pareto ξ, luminance", limits=(-0.5, 1)),
-        MapKind(
-            "finite_variance",
-            "Is the variance finite?",
-            "by the tail of luminance",
-            {0: "suspect", 1: "samples cannot tell", 2: "looks finite"},
-            ordered=True,
-        ),
-        MapKind("best_family", "Best family", "by BIC, luminance", dict(enumerate(SELECTED))),
-        MapKind(
-            "pattern",
-            "Pattern",
-            "primary label",
-            {int(label): label.name.lower().replace("_", " ") for label in classification.Label},
-        ),
-        MapKind("n_needed", "N needed for Gaussian averages", "samples, luminance"),
+        Map("relative_error", "Standard error over mean", _OVER_MEAN, log=True, ends=(-3, 0)),
+        Map("bad_count", "Bad samples", "samples"),
+        Map("tail_index", "Tail index", "generalised Pareto ξ, luminance", ends=(-0.5, 1)),
+        Map("finite_variance", "Is the variance finite?", "by the tail of luminance", _FINITE,
+            ordered=True),
+        Map("best_family", "Best family", "by BIC, luminance", _FAMILIES),
+        Map("pattern", "Pattern", "primary label", _PATTERNS),
+        Map("n_needed", "N needed for Gaussian averages", "samples, luminance"),
     )
-}
+}  # fmt: skip
+DIFFERENCES: dict[str, Map] = {
+    kind.name: kind
+    for kind in (
+        Map("diff:signed", "Difference", "second minus first, luminance", diverging=True),
+        Map("diff:absolute", "Absolute difference", "luminance"),
+        Map("diff:squared", "Squared difference", "log10, luminance", log=True),
+        Map("diff:relative", "Relative difference",
+            "second minus first, over their mean, luminance", ends=(-1, 1), diverging=True),
+    )
+}  # fmt: skip
+"""Maps of two stores."""
 
 
-def map_kind(name: str, spp: int = 0) -> MapKind:
-    """Return what a map of that name shows; ``error:NAME`` is the error of an estimator.
+def map_kind(name: str, spp: int = 0) -> Map:
+    """Return the map of that name without values; ``error:NAME`` is the error of an estimator.
 
     The codes of N needed have names if there are enough samples per pixel to test averages.
 
@@ -186,8 +181,8 @@ def map_kind(name: str, spp: int = 0) -> MapKind:
     InputError
         If there is no such map.
     """
-    if name == "n_needed" and spp >= N_MEANS:
-        sizes = sizes_of_means(spp)
+    if name == "n_needed" and spp >= inference.N_MEANS:
+        sizes = inference.sizes_of_means(spp)
         names = {i: f"N = {n}" for i, n in enumerate(sizes)} | {len(sizes): f"N > {sizes[-1]}"}
         return replace(MAPS[name], names=names, ordered=True)
     if name in MAPS:
@@ -195,10 +190,9 @@ def map_kind(name: str, spp: int = 0) -> MapKind:
     estimator = name.removeprefix(_ERROR)
     if name.startswith(_ERROR) and estimator in fixed():
         if estimator == "mean":
-            return MapKind(name, "Error of the mean", f"log10 of MSE, N = {_BATCH}")
+            return Map(name, "Error of the mean", f"log10 of MSE, N = {_BATCH}")
         unit = f"log10 of MSE over that of the mean, N = {_BATCH}"
-        title = f"Error of {NAMES.get(estimator, estimator)}"
-        return MapKind(name, title, unit, limits=(-1, 1), diverging=True)
+        return Map(name, f"Error of {called(estimator)}", unit, ends=(-1, 1), diverging=True)
     message = f"no map is called {name!r}; there are {', '.join(MAPS)} and {_ERROR}ESTIMATOR"
     raise InputError(message)
 
@@ -229,38 +223,17 @@ def read_maps(path: str | Path, size: tuple[int, int]) -> dict[str, Map]:
     maps = {}
     for variable, values in found.data_vars.items():
         if values.dims == ("y", "x") and values.dtype.kind in "bif":
-            name = f"{_FILE}{str(variable).lower()}"
-            maps[name] = Map(_kind_of(name, values), values.to_numpy().astype(np.float32))
+            name, unit = str(variable).lower(), str(values.attrs.get("long_name", ""))
+            names = names_of(values) if "flag_meanings" in values.attrs else {}
+            names = {0: "no", 1: "yes"} if values.dtype.kind == "b" else names
+            maps[f"{_FILE}{name}"] = Map(
+                f"{_FILE}{name}",
+                name.replace("_", " ").capitalize(),
+                unit if len(unit) <= _LONGEST else "",
+                names,
+                values=values.to_numpy().astype(np.float32),
+            )
     return maps
-
-
-def _kind_of(name: str, values: xr.DataArray) -> MapKind:
-    attrs, title = values.attrs, name.removeprefix(_FILE).replace("_", " ").capitalize()
-    words = str(attrs.get("flag_meanings", "")).split()
-    codes = dict(zip(map(int, attrs.get("flag_values", ())), words, strict=False))
-    names = {code: word.lower().replace("_", " ") for code, word in codes.items()}
-    if values.dtype.kind == "b":
-        names = {0: "no", 1: "yes"}
-    unit = str(attrs.get("long_name", ""))
-    return MapKind(name, title, unit if len(unit) <= _LONGEST else "", names)
-
-
-DIFFERENCES: dict[str, MapKind] = {
-    kind.name: kind
-    for kind in (
-        MapKind("diff:signed", "Difference", "second minus first, luminance", diverging=True),
-        MapKind("diff:absolute", "Absolute difference", "luminance"),
-        MapKind("diff:squared", "Squared difference", "log10, luminance", log=True),
-        MapKind(
-            "diff:relative",
-            "Relative difference",
-            "second minus first, over their mean, luminance",
-            limits=(-1, 1),
-            diverging=True,
-        ),
-    )
-}
-"""Maps of two stores."""
 
 
 def difference_of(one: Overall, other: Overall, name: str) -> Map | None:
@@ -287,23 +260,22 @@ def difference_of(one: Overall, other: Overall, name: str) -> Map | None:
     values = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
     if name == "diff:signed":
         most = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
-        kind = replace(kind, limits=(-most or -1.0, most or 1.0))
-    return Map(kind, values)
+        kind = replace(kind, ends=(-most or -1.0, most or 1.0))
+    return replace(kind, values=values)
 
 
 def of_overall(overall: Overall, name: str) -> Map | None:
     """Return a map that comes with the image, None for one that does not."""
     if name not in IMAGES:
         return None
-    kind = MAPS[name]
     values = getattr(overall, name)
-    if kind.log:
+    if MAPS[name].log:
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(values > 0, np.log10(values), np.nan).astype(np.float32)
-    return Map(kind, values)
+    return replace(MAPS[name], values=values)
 
 
-def walk(source: StoreSource, name: str, step: Step) -> Map:
+def walk(source: StoreSource, name: str, step: Callable[[float, Image], None]) -> Map:
     """Compute a map tile by tile.
 
     Parameters
@@ -318,24 +290,17 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
     values = np.full(source.size, np.nan, np.float32)
     places = list(product(*(spans(length, _TILE) for length in source.size)))
 
-    def found_in(block: Image) -> tuple[npt.NDArray[Any], Mapped]:
-        if name != "pattern":
-            return _value(name, block), {"label": ((), np.empty(0))}
-        part = classification.luminance_part(block)
-        variables = classification.patterns_variables(classification.patterns_of(PixelFits(part)))
-        return np.asarray(variables["label"][1]), variables
-
     # Coarsely first, a pixel for each cell, which takes little more than reading.
     for i, (ys, xs) in enumerate(places):
         step(_COARSE_SHARE * i / len(places), values)
-        cells, _ = found_in(np.ascontiguousarray(source.read(ys, xs)[::_CELL, ::_CELL]))
+        cells, _ = _of_tile(name, np.ascontiguousarray(source.read(ys, xs)[::_CELL, ::_CELL]))
         height, width = values[ys, xs].shape
         values[ys, xs] = cells.repeat(_CELL, 0).repeat(_CELL, 1)[:height, :width]
 
     def parts() -> Iterator[tuple[slice, slice, Mapped]]:
         for i, (ys, xs) in enumerate(places):
             step(_COARSE_SHARE + (1 - _COARSE_SHARE) * i / len(places), values)
-            values[ys, xs], variables = found_in(source.read(ys, xs))
+            values[ys, xs], variables = _of_tile(name, source.read(ys, xs))
             yield ys, xs, variables
 
     if name == "pattern":
@@ -345,31 +310,49 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
     else:
         for _ in parts():
             pass
-    return Map(map_kind(name, source.samples.spp), values)
+    return replace(map_kind(name, source.samples.spp), values=values)
 
 
-def _value(name: str, block: Image) -> npt.NDArray[Any]:
+def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
+    """Return the values of a tile (y, x, channel, sample), and what labels are decided by."""
+    if name == "pattern":
+        found = classification.patterns_of(PixelFits(classification.luminance_part(block)))
+        variables = classification.patterns_variables(found)
+        return np.asarray(variables["label"][1]), variables
     if name.startswith(_ERROR):
-        return _error(name.removeprefix(_ERROR), block)
-    if name == "n_needed":
-        spp = block.shape[-1]
-        if spp < N_MEANS:
-            return np.full(block.shape[:2], np.nan)
-        sizes = sizes_of_means(spp)
-        part = classification.luminance_part(block)
-        needed = part.measured(NormalityOfMeans(tuple(sizes.tolist()))).n_needed
-        # The place of the N needed among those tested; one more where it is larger.
-        place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
-        return np.where(needed == MORE_THAN_TESTED, len(sizes), place)
-    part = classification.luminance_part(block)
-    if name == "tail_index":
-        return part.measured(TailIndex()).xi
-    if name == "finite_variance":
-        tail = part.measured(TailIndex())
-        verdict = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
-        return np.where(tail.reason == Reason.OK, verdict, np.nan)
-    best = select_part(part, [FAMILIES[family] for family in SELECTED]).best
+        return _error(name.removeprefix(_ERROR), block), {}
+    return _OF_LUMINANCE[name](classification.luminance_part(block)), {}
+
+
+def _finite_variance(part: PositivePart) -> Array:
+    tail = part.measured(TailIndex())
+    verdict = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
+    return np.where(tail.reason == Reason.OK, verdict, np.nan)
+
+
+def _best_family(part: PositivePart) -> Array:
+    best = select_part(part, [FAMILIES[name] for name in SELECTED]).best
     return np.where(best < 0, np.nan, best)
+
+
+def _n_needed(part: PositivePart) -> Array:
+    """Return the place of the N needed among those tested; one more where it is larger."""
+    spp = part.x.shape[-1]
+    if spp < inference.N_MEANS:
+        return np.full(part.n.shape, np.nan)
+    sizes = inference.sizes_of_means(spp)
+    needed = part.measured(NormalityOfMeans(tuple(sizes.tolist()))).n_needed
+    place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
+    return np.where(needed == inference.MORE_THAN_TESTED, len(sizes), place)
+
+
+_OF_LUMINANCE: dict[str, Callable[[PositivePart], Array]] = {
+    "tail_index": lambda part: part.measured(TailIndex()).xi,
+    "finite_variance": _finite_variance,
+    "best_family": _best_family,
+    "n_needed": _n_needed,
+}
+"""How maps are computed from the luminance of pixels."""
 
 
 def _error(name: str, block: Image) -> npt.NDArray[Any]:

@@ -8,6 +8,7 @@ other threads go through `Page.next`.
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -24,63 +25,19 @@ from bokeh.core.templates import get_env
 from bokeh.document import Document
 from bokeh.plotting import figure
 
+from chdstat._core.arrays import Image, luminance
+from chdstat._core.display import png
+from chdstat._core.image_scales import tonemap
 from chdstat.explorer.estimators import fixed
-from chdstat.explorer.maps import DIFFERENCES, IMAGES, MAPS, Map
-from chdstat.explorer.plots import DASHES, LIGHT, PANELS, TEXT, panel_plot
-from chdstat.explorer.selection import EXPORTS
+from chdstat.explorer.export import EXPORTS
+from chdstat.explorer.maps import DIFFERENCES, IMAGES, MAPS, Map, ramp
+from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
+from chdstat.explorer.render_process import COARSE
 from chdstat.explorer.sources import Source, StoreSource
-from chdstat.explorer.startup import ramp
 from chdstat.explorer.view import BATCH_SIZES, FITS
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.estimators import called
 
-__all__ = ["HELP", "Page", "colorbar"]
-
-HELP = {
-    "headline": "Five numbers of the luminance of the selected pixel. The mean is given with its "
-    "standard error. A null sample is one of a path that found no light. The tail index ξ is that "
-    "of a generalised Pareto distribution fitted to the largest samples: from ½ on the variance is "
-    "infinite, and the standard error means nothing. Where one sample dominates, the index without "
-    "it stands below; the patterns go by that one. The last number is how many samples bring the "
-    "standard error down to 1 % of the mean, if the variance is finite.",
-    "linear": "Density of the positive samples over radiance. The bins cover the range of the "
-    "first 50 samples and a quarter more at both ends, as in Elek, Thomas and Forbes (2019); "
-    "samples beyond them, nulls and bad ones are counted in the line above. Dashed vertical lines "
-    "are means. Curves are the fits that are switched on.",
-    "log": "The same samples over the decimal logarithm of radiance, where log-normal samples "
-    "look Gaussian and tails can be seen. Nulls have no logarithm; their share is given above.",
-    "qq": "Quantiles of the positive samples against those of the first family that is switched "
-    "on. On the dotted diagonal the family describes the samples; where the upper end bends above "
-    "it, the tail of the samples is heavier than that of the family.",
-    "running": "Mean of the first n samples, with the 95 % interval that the central limit theorem "
-    "gives. Jumps are fireflies. With a tail index of ½ or more the interval is too short, however "
-    "many samples there are.",
-    "averages": "Distribution of averages of N consecutive samples, the values that a render with "
-    "N samples per pixel would have, with the Gaussian of the same moments. p is that of a test of "
-    "normality; a small p says that averages of N samples are not Gaussian yet.",
-    "patterns": "What the distribution looks like, decided by the statistic and the threshold in "
-    "each row. A pixel may have several patterns; the heading names the first that counts. Point "
-    "at a row to read how it is measured and tested.",
-    "estimates": "What each estimator gives from N samples, averaged over batches of this pixel, "
-    "and its mean squared error over that of the sample mean: below 1 is better. Bias is the mean "
-    "error over the mean; improved is the share of batches in which the estimate is nearer to the "
-    "reference than the mean is.",
-    "statistics": "Moments, the best family by BIC with its parameters, the tail, modes and tests "
-    "of normality. A dash stands for what cannot be computed; the margin is the difference of BIC "
-    "to the next best family.",
-    "goodness": "Parametric bootstrap: each family is fitted, samples are drawn from the fit, "
-    "fitted again, and compared with the fit as the pixel's samples are. A small p says that the "
-    "family does not describe the samples; D is the largest gap of the distribution functions.",
-    "compared": "Distances between the distributions of the pixel in the two stores, with a "
-    "permutation test. Pixels that were picked because they look different make its p too small "
-    "too often.",
-    "paths": "Light that comes by paths of each length, known from the same samples with their "
-    "paths cut: its share of the mean, of the variance, and of what the samples of each mode and "
-    "of the tail carry.",
-    "lights": "Light that comes from each of the lights, known from the same samples with the "
-    "others switched off: its share of the mean, of the variance, and of what the samples of each "
-    "mode and of the tail carry.",
-}
-"""Text by the part of the page that it explains."""
+__all__ = ["Page", "coarse_png", "colorbar", "isolated", "rgba"]
 
 T = TypeVar("T")
 
@@ -244,13 +201,12 @@ class Page:
             "maps": [(k.name, k.title) for k in MAPS.values() if in_store or k.name in IMAGES],
             "differences": [(k.name, k.title) for k in DIFFERENCES.values()],
             "light": LIGHT,
-            "given": [(name, found.kind.title) for name, found in given.items()],
-            "errors": [(f"error:{n}", NAMES.get(n, n)) for n in fixed()] if in_store else [],
-            "families": [(name, NAMES.get(name, name), DASHES.get(name)) for name in FITS],
+            "given": [(name, found.title) for name, found in given.items()],
+            "errors": [(f"error:{n}", called(n)) for n in fixed()] if in_store else [],
+            "families": [(name, called(name), DASHES.get(name)) for name in FITS],
             "channels": [*channels, ("luminance", "luminance")] if len(channels) > 1 else [],
             "batches": BATCH_SIZES,
             "titles": self._titles,
-            "help": HELP,
             "panel_titles": {name: kind.title for name, kind in PANELS.items()},
         }
 
@@ -280,11 +236,8 @@ class Page:
         renderer.visible = shown is not None
         if shown is None:
             return
-        palette, (low, high) = list(shown.kind.ramp), shown.limits
-        if shown.kind.names:
-            palette = shown.colors
-            low, high = min(shown.kind.names) - 0.5, max(shown.kind.names) + 0.5
-        self._mapper.update(palette=palette, low=low, high=high)
+        low, high = shown.limits
+        self._mapper.update(palette=shown.colors, low=low, high=high)
         renderer.data_source.data = {"image": [np.ascontiguousarray(shown.values, np.float32)]}
 
     # --- other threads --------------------------------------------------------------------------
@@ -334,21 +287,84 @@ def colorbar(shown: Map | None) -> dict[str, Any] | None:
     """Return what the shell needs to draw the scale of a map."""
     if shown is None:
         return None
-    kind = shown.kind
-    bar: dict[str, Any] = {"title": kind.title, "unit": kind.unit}
-    if kind.names:
+    bar: dict[str, Any] = {"title": shown.title, "unit": shown.unit}
+    if shown.names:
         codes, counts = np.unique(shown.values[np.isfinite(shown.values)], return_counts=True)
         share = dict(zip(codes.astype(int).tolist(), counts / max(1, counts.sum()), strict=True))
-        colors = dict(zip(sorted(kind.names), shown.colors, strict=True))
-        texts = {code: NAMES.get(name.replace(" ", "_"), name) for code, name in kind.names.items()}
-        bar["names"] = {str(code): text for code, text in texts.items()}
+        colors = dict(zip(sorted(shown.names), shown.colors, strict=True))
+        bar["names"] = {str(code): text for code, text in shown.names.items()}
         bar["codes"] = [
-            (f"{texts[code]} {100 * share[code]:.0f} %", colors[code])
-            for code in (sorted(share) if kind.ordered else sorted(share, key=lambda c: -share[c]))
-            if code in texts
+            (f"{shown.names[code]} {100 * share[code]:.0f} %", colors[code])
+            for code in (sorted(share) if shown.ordered else sorted(share, key=lambda c: -share[c]))
+            if code in shown.names
         ]
         return bar
     low, high = shown.limits
-    bar["ramp"], bar["limits"] = kind.ramp[::16], [float(f"{v:.4g}") for v in (low, high)]
+    bar["ramp"], bar["limits"] = shown.colors[::16], [float(f"{v:.4g}") for v in (low, high)]
     bar["ticks"] = [f"{low + (high - low) * i / 4:.3g}" for i in range(5)]
     return bar
+
+
+# --- images as a browser shows them -------------------------------------------------------------
+
+_FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
+_WHITE = 11.2
+
+
+def isolated(mean: Image, channel: str) -> Image:
+    """Return an image of one channel, or of luminance, as a grey one; of "all" the image itself."""
+    if channel == "all" or mean.shape[-1] == 1:
+        return mean
+    grey = luminance(mean, channel_axis=-1) if channel == "luminance" else mean[..., int(channel)]
+    return np.repeat(grey[..., np.newaxis], mean.shape[-1], axis=-1).astype(np.float32)
+
+
+def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
+    """Return an image as a browser wants it: packed RGBA, shape (y, x).
+
+    Parameters
+    ----------
+    mean
+        Linear radiance, shape (y, x, channel); what is not finite becomes magenta.
+    exposure
+        Stops.
+    tone
+        'srgb' clips, 'reinhard' maps v to v / (1 + v), 'filmic' is Hable's curve.
+
+    References
+    ----------
+    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images",
+    2002, doi:10.1145/566654.566575, equation 3. Hable, "Uncharted 2: HDR lighting", Game Developers
+    Conference 2010.
+
+    Examples
+    --------
+    >>> hex(rgba(np.ones((1, 1, 3), np.float32), 0, "srgb")[0, 0])
+    '0xffffffff'
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        value = mean * np.float32(2.0**exposure)
+        if tone == "reinhard":
+            value = np.where(np.isfinite(value), value / (1 + value), value)
+        elif tone == "filmic":
+            value = np.where(
+                np.isfinite(value), _hable(2 * value) / _hable(np.float32(_WHITE)), value
+            )
+    shown = tonemap(value, exposure=0)
+    packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
+    packed[..., :3] = np.round(255 * shown)
+    return packed.view(np.uint32)[..., 0]
+
+
+def coarse_png(mean: Image, exposure: float, tone: str) -> str:
+    """Return an image with few pixels, as a PNG file in base64; parameters as for `rgba`."""
+    step = -(-max(mean.shape[:2]) // COARSE)
+    packed = np.ascontiguousarray(rgba(mean[::step, ::step], exposure, tone))
+    colors = packed.view(np.uint8).reshape(*packed.shape, 4)[..., :3]
+    return base64.b64encode(png(colors / 255)).decode("ascii")
+
+
+def _hable(v: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:
+    a, b, c, d, e, f = _FILMIC
+    v = np.minimum(v, np.float32(1e15))  # v squared stays within float32
+    return np.asarray((v * (a * v + c * b) + d * e) / (v * (a * v + b) + d * f) - e / f, np.float32)

@@ -1,27 +1,85 @@
-"""Panels: what each plot draws of a selection, as plain arrays.
+"""Panels: the table of plots of a selection, what each of them draws, and their Bokeh figures.
 
-The density of a fit is that of the positive samples, as the histograms are. Densities of several
-pixels stand above each other, one row for each.
+`PANELS` is the table; `panels` draws all of them for a view, as plain arrays. One place shows its
+channels; several places show luminance or one channel, each in its colour, and their densities
+stand above each other. The density of a fit is that of the positive samples, as histograms are.
+
+Colours contrast with the dark ground, and those of `LIGHT` with the light one, by 4.5 to 1 or more
+(WCAG 2.2, AA). The ranges of the axes are computed here, since Bokeh's own data ranges send each of
+their changes to the server, eighteen messages a click.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import base64
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from itertools import chain, cycle
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
+from bokeh import models
+from bokeh.plotting import figure
 
 from chdstat._core.arrays import Array
-from chdstat._core.display import number
+from chdstat._core.display import number, percent
 from chdstat._core.resampling import Z_95
-from chdstat.explorer.plots import BLENDED, DASHES, PanelData, Series, Trace
-from chdstat.explorer.statistics import PlaceStatistics
+from chdstat.explorer.place import PlaceStatistics
 from chdstat.explorer.view import View
-from chdstat.viz.estimators import NAMES
+from chdstat.fit.families import FAMILIES
+from chdstat.viz.estimators import called
 
-__all__ = ["panels"]
+__all__ = [
+    "BLENDED",
+    "CHANNEL_COLORS",
+    "DASHES",
+    "FAINT",
+    "GROUND",
+    "LIGHT",
+    "PANELS",
+    "PIXEL_COLORS",
+    "TEXT",
+    "PanelData",
+    "PanelKind",
+    "Series",
+    "Trace",
+    "encode_panels",
+    "extent",
+    "panel_plot",
+    "panels",
+    "series_of",
+]
+
+BLENDED = "#d0d3d6"
+"""Luminance, and whatever is no channel."""
+CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
+PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
+"""After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
+LIGHT = {
+    BLENDED: "#4a4f55",
+    **dict(zip(CHANNEL_COLORS.values(), ("#b3261e", "#0f7039", "#1257b0"), strict=True)),
+    **dict(
+        zip(
+            PIXEL_COLORS,
+            ("#855700", "#0a6390", "#006b56", "#9a3577", "#655f00", "#a83e0b"),
+            strict=True,
+        )
+    ),
+}
+"""What these colours are on a light ground."""
+_PATTERNS = ("solid", "6 6", "2 4 6 4", "2 4", "12 4", "6 4 2 4 2 4", "12 4 2 4")
+DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4 2 4"}
+"""Line dashes of fits by name: lengths of lines and gaps, as Bokeh and SVG read them."""
+
+GROUND = "#1c1e21"
+TEXT = "#e8e9ea"
+FAINT = "#b4b8bd"
+_LINES = "#3a3e44"
+
+Scale = Literal["linear", "log"]
+Extent = tuple[float, float]
 
 
 _POINTS = 160
@@ -30,19 +88,118 @@ _ROW_HEIGHT = 0.78
 """Of a density among others, of the distance between rows."""
 
 
-def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
-    """Return all panels by name: linear, log, qq, running, averages.
+@dataclass(frozen=True)
+class Trace:
+    """A line, or the outline of an area.
 
-    Densities of several pixels stand above each other, each over its own peak: on one axis the
-    narrowest would flatten the others to a line.
+    Attributes
+    ----------
+    x, y
+        Vertices, shape (point,).
+    color
+        As "#rrggbb".
+    dash
+        Line dash in Bokeh's words.
+    width
+        In screen pixels.
     """
-    return {
-        "linear": _densities(series, partial(_histogram, view, "linear"), "linear"),
-        "log": _densities(series, partial(_histogram, view, "log"), "log"),
-        "qq": _qq(view, series),
-        "running": _running(series),
-        "averages": _densities(series, partial(_averages, view.batch), "averages"),
-    }
+
+    x: Array
+    y: Array
+    color: str
+    dash: str = "solid"
+    width: float = 1.3
+
+
+@dataclass(frozen=True)
+class PanelData:
+    """What one panel draws.
+
+    Attributes
+    ----------
+    areas, lines
+        Filled and drawn.
+    marks
+        x, lower and upper end, and colour of vertical lines; they span the panel where the ends
+        are None.
+    texts
+        Side ("left" or "right"), y, text and colour of labels inside the panel.
+    notes
+        Text beside the title.
+    rows
+        How many pixels stand above each other, each over its own peak; 0 for one common axis.
+    own_x
+        Whether each of the rows has its own range of x, which a label states.
+    y
+        Label of the vertical axis, where it is not that of the panel's kind.
+    """
+
+    areas: Sequence[Trace] = ()
+    lines: Sequence[Trace] = ()
+    marks: Sequence[tuple[float, float | None, float | None, str]] = ()
+    texts: Sequence[tuple[str, float, str, str]] = ()
+    notes: Sequence[str] = ()
+    rows: int = 0
+    own_x: bool = False
+    y: str = ""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One row of samples that panels show.
+
+    Attributes
+    ----------
+    place, row
+        Where it comes from.
+    color
+        Of the channel or of the pixel.
+    name
+        As in the legend.
+    other
+        Whether it belongs to the store that is compared with: drawn as dashed outlines.
+    pixel
+        Number of the pixel, from 1, where there are several; else 0.
+    """
+
+    place: PlaceStatistics
+    row: int
+    color: str
+    name: str
+    other: bool
+    pixel: int = 0
+
+    @property
+    def dash(self) -> str:
+        """Dash of its lines."""
+        return "dashed" if self.other else "solid"
+
+    @property
+    def constant(self) -> float | None:
+        """Value of samples that are nearly equal, None where they are not."""
+        if not self.place.constant[self.row]:
+            return None
+        return float(self.place.moments.maximum[self.row])
+
+
+def series_of(
+    view: View, places: Sequence[PlaceStatistics], others: Sequence[PlaceStatistics] = ()
+) -> list[Series]:
+    """Return what the panels show of the selected places, those of a second store beside them."""
+    found = []
+    several = len(places) > 1
+    for is_other, group in ((False, places), (True, others)):
+        for i, place in enumerate(group):
+            rows = [place.row("luminance" if view.channel == "all" else view.channel)]
+            if view.channel == "all" and not several:
+                rows = list(range(len(place.channels)))
+            for row in rows:
+                name, color = f"pixel {i + 1}", PIXEL_COLORS[i]
+                if not several:
+                    name = place.names[row]
+                    color = CHANNEL_COLORS.get(name, BLENDED)
+                found.append(Series(place, row, color, name, is_other, (i + 1) * several))
+    return found
 
 
 # --- densities ----------------------------------------------------------------------------------
@@ -87,7 +244,7 @@ def _densities(
         notes = _uncounted(series, name) if name != "averages" else []
         notes += dict.fromkeys(d.note for _, d in found if d.note)
         beyond = max((d.beyond for _, d in found), default=0.0)
-        notes += [f"{_percent(beyond)} beyond"] if beyond > 0 else []
+        notes += [f"{percent(beyond)} beyond"] if beyond > 0 else []
         values = [f"{s.name} {number(d.value)}" for s, d in found if d.value is not None]
         notes += [f"constant: {', '.join(values)}"] if values else []
         return replace(_row(found, None, own_x=False), notes=notes)
@@ -95,16 +252,10 @@ def _densities(
         _row([f for f in found if f[0].pixel == i + 1], rows - 1 - i, own_x=own_x)
         for i in range(rows)
     ]
+    names = ("areas", "lines", "marks", "texts")
+    whole: Any = {n: list(chain.from_iterable(getattr(p, n) for p in parts)) for n in names}
     note = "each density over its peak" + (", on an axis of its own" if own_x else "")
-    return PanelData(
-        [area for part in parts for area in part.areas],
-        [line for part in parts for line in part.lines],
-        [mark for part in parts for mark in part.marks],
-        [text for part in parts for text in part.texts],
-        notes=[note],
-        rows=rows,
-        own_x=own_x,
-    )
+    return PanelData(**whole, notes=[note], rows=rows, own_x=own_x)
 
 
 def _row(group: Sequence[tuple[Series, Density]], base: int | None, *, own_x: bool) -> PanelData:
@@ -152,12 +303,16 @@ def _labels(
     if base is None or not group:
         return []
     s = group[0][0]
-    note = f"{_percent(s.place.null_share)} null"
+    note = f"{percent(s.place.null_share)} null"
     if span is not None:
         note = " – ".join(dict.fromkeys(number(end) for end in span))
     # Above the upper tail, where there is room.
     above = base + 0.7 * _ROW_HEIGHT
     return [("left", base, str(s.pixel), s.color), ("right", above, note, s.color)]
+
+
+def _histograms(scale: str, view: View, series: Sequence[Series]) -> PanelData:
+    return _densities(series, partial(_histogram, view, scale), scale)
 
 
 def _histogram(view: View, scale: str, s: Series) -> Density:
@@ -214,17 +369,11 @@ def _uncounted(series: Sequence[Series], scale: str) -> list[str]:
         return [f"{_counts(place)} (second: {_counts(second.place)})"]
     counted, rows = place.histograms[scale], [s.row for s in series]
     outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
-    return [f"{_counts(place)} · {_percent(outside)} outside the bins"]
+    return [f"{_counts(place)} · {percent(outside)} outside the bins"]
 
 
 def _counts(place: PlaceStatistics) -> str:
-    return f"{_percent(place.null_share)} null · {int(place.bad.sum())} bad"
-
-
-def _percent(share: float) -> str:
-    if not np.isfinite(share):
-        return "—"
-    return f"{100 * share:.3g} %"
+    return f"{percent(place.null_share)} null · {int(place.bad.sum())} bad"
 
 
 # --- quantiles, averages ------------------------------------------------------------------------
@@ -259,11 +408,10 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
         return PanelData(notes=["constant samples" if constant else "no family could be fitted"])
     diagonal = np.array([min(ends), max(ends)])
     lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2))
-    names = [NAMES.get(family, family) for family in families]
-    return PanelData(lines=lines, notes=[f"against {', '.join(names)}"])
+    return PanelData(lines=lines, notes=[f"against {', '.join(map(called, families))}"])
 
 
-def _running(series: Sequence[Series]) -> PanelData:
+def _running(_: View, series: Sequence[Series]) -> PanelData:
     areas, lines, tails = [], [], []
     several = any(s.pixel for s in series)
     for s in series:
@@ -287,7 +435,11 @@ def _running(series: Sequence[Series]) -> PanelData:
     return PanelData(areas, lines, notes=[f"95 % interval of the mean{caution}"], y=y)
 
 
-def _averages(n: int, s: Series) -> Density:
+def _averages(view: View, series: Sequence[Series]) -> PanelData:
+    return _densities(series, partial(_averaged, view.batch), "averages")
+
+
+def _averaged(n: int, s: Series) -> Density:
     """Return the distribution of averages of N samples, with the Gaussian of the same moments."""
     averages = s.place.averages(n)[s.row]
     averages = averages[np.isfinite(averages)]
@@ -318,3 +470,223 @@ def _gaussian(averages: Array, edges: Array, color: str) -> Trace:
     x = np.linspace(max(low - sd, min(0.0, low)), min(high + sd, 2 * high - low), 120)
     y = np.exp(-(((x - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
     return Trace(x, y, color, "dotted", 1.8)
+
+
+# --- the table ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PanelKind:
+    """A row of `PANELS`.
+
+    Attributes
+    ----------
+    title, x, y
+        Text above the panel and along its axes.
+    draw
+        Returns what it draws of the series of a view.
+    x_scale, y_scale
+        Scales of the axes.
+    from_zero
+        Whether it stands on the axis, as densities do.
+    """
+
+    title: str
+    x: str
+    y: str
+    draw: Callable[[View, Sequence[Series]], PanelData]
+    x_scale: Scale = "linear"
+    y_scale: Scale = "linear"
+    from_zero: bool = False
+
+
+PANELS = {
+    "linear": PanelKind(
+        "Linear histogram", "radiance", "density", partial(_histograms, "linear"), from_zero=True
+    ),
+    "log": PanelKind(
+        "Log10 histogram", "radiance", "density per decade", partial(_histograms, "log"), "log",
+        from_zero=True,
+    ),
+    "qq": PanelKind("Quantiles", "quantiles of the family", "of the samples", _qq, "log", "log"),
+    "running": PanelKind("Running mean", "spp", "radiance", _running, "log"),
+    "averages": PanelKind(
+        "Averages of N samples", "radiance", "density", _averages, from_zero=True
+    ),
+}  # fmt: skip
+
+
+def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
+    """Return all panels by name."""
+    return {name: kind.draw(view, series) for name, kind in PANELS.items()}
+
+
+# --- figures, and how what they draw travels to the page ----------------------------------------
+
+_MARKS = ("x", "low", "high", "color")
+_TEXTS = ("x", "y", "text", "color", "align", "offset")
+"""Columns of vertical lines and of labels."""
+_LETTERS = 42
+"""Characters that there is room for at most along a logarithmic axis."""
+
+
+def panel_plot(name: str) -> tuple[Any, list[models.Model]]:
+    """Return a plot of areas, lines, vertical marks and labels, and what the shell fills of it.
+
+    That is: the sources of these four, the ranges across and up, axes, grids, and the plot.
+    """
+    kind = PANELS[name]
+    ranges = models.Range1d(0.1, 1), models.Range1d(0.1, 1)
+    plot: Any = figure(
+        name=name,
+        x_axis_type=kind.x_scale,
+        y_axis_type=kind.y_scale,
+        x_range=ranges[0],
+        y_range=ranges[1],
+        x_axis_label=kind.x,
+        y_axis_label=kind.y,
+        tools="",
+        toolbar_location=None,
+        sizing_mode="stretch_both",
+        min_border_left=52,
+        min_border_right=20,
+        min_border_top=4,
+        background_fill_color=GROUND,
+        border_fill_color=None,
+        outline_line_color=_LINES,
+    )
+    _style(plot)
+    columns = (("xs", "ys", "color"), ("xs", "ys", "color", "dash", "width"), _MARKS, _TEXTS)
+    sources = [models.ColumnDataSource({name: [] for name in names}) for names in columns]
+    areas, lines, marks, texts = sources
+    plot.patches("xs", "ys", source=areas, color="color", fill_alpha=0.2, line_alpha=0)
+    plot.multi_line(
+        "xs", "ys", source=lines, line_color="color", line_dash="dash", line_width="width"
+    )
+    plot.segment(
+        "x", "low", "x", "high", source=marks, line_color="color", line_dash="dashed",
+        line_alpha=0.9,
+    )  # fmt: skip
+    plot.text(
+        "x", "y", "text", source=texts, text_color="color", text_align="align", x_offset="offset",
+        text_font_size="11px", y_offset=-1,
+    )  # fmt: skip
+    return plot, [*sources, *ranges, plot.xaxis[0], plot.yaxis[0], *plot.grid, plot]
+
+
+def _style(plot: Any) -> None:
+    """Give both axes our look; what their labels are, ``page.js`` says."""
+    plot.grid.grid_line_color = "#2c2f34"
+    for axis, ticks, most in ((plot.xaxis[0], 5, 6), (plot.yaxis[0], 4, 8)):
+        across = axis is plot.xaxis[0]
+        args: dict[str, Any] = {"across": across, "most": most}
+        axis.ticker.desired_num_ticks = ticks
+        if isinstance(axis, models.LogAxis):
+            args["most"] = _LETTERS
+            code = "return window.chdstat.logTicks(cb_data, plot, across)"
+            given = {"across": across, "plot": plot}
+            axis.ticker = models.CustomJSTicker(major_code=code, args=given)
+        label = "return window.chdstat.tickLabel(tick, index, ticks, across, most)"
+        axis.update(
+            formatter=models.CustomJSTickFormatter(code=label, args=args),
+            axis_label_text_color=FAINT,
+            axis_label_text_font_size="11px",
+            axis_label_text_font_style="normal",
+            axis_label_standoff=2,
+            major_label_text_color=TEXT,
+            major_label_text_font="monospace",
+            major_label_text_font_size="10.5px",
+            major_tick_line_color=FAINT,
+            minor_tick_line_color=None,
+            axis_line_color=_LINES,
+        )
+
+
+def encode_panels(panels: Mapping[str, PanelData]) -> dict[str, Any]:
+    """Return panels as one piece of text: a hundred small arrays would be as many messages.
+
+    All numbers are one array of float64 in base64; traces say how many of them are theirs, x before
+    y.
+    """
+    numbers: list[npt.NDArray[np.float64]] = []
+
+    def packed(traces: Sequence[Trace]) -> list[dict[str, Any]]:
+        for trace in traces:
+            numbers.extend((np.asarray(trace.x, np.float64), np.asarray(trace.y, np.float64)))
+        return [{"n": len(t.x), "color": t.color, "dash": t.dash, "width": t.width} for t in traces]
+
+    found = {}
+    for name, panel in panels.items():
+        (left, right), (bottom, top) = shown = extent(name, panel) or ((0, 1), (0, 1))
+        ends = {"left": (left, 4), "right": (right, -4)}
+        marks = [
+            (x, bottom if low is None else low, top if high is None else high, color)
+            for x, low, high, color in panel.marks
+        ]
+        texts = [
+            (ends[side][0], y, text, color, side, ends[side][1])
+            for side, y, text, color in panel.texts
+        ]
+        found[name] = {
+            "areas": packed(panel.areas),
+            "lines": packed(panel.lines),
+            "marks": _columns(_MARKS, marks),
+            "texts": _columns(_TEXTS, texts),
+            "extent": shown,
+            "rows": panel.rows > 0,
+            "own_x": panel.own_x,
+            "y": panel.y or PANELS[name].y,
+        }
+    whole = np.concatenate(numbers) if numbers else np.empty(0)
+    return {"panels": found, "numbers": base64.b64encode(whole.tobytes()).decode("ascii")}
+
+
+def _columns(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, list[Any]]:
+    return {name: [row[i] for row in rows] for i, name in enumerate(names)}
+
+
+_MARGIN = 0.04
+_NUMBERS, _LABELS, _BELOW = 0.06, 0.36, 0.15
+"""Room for the numbers of rows and for their labels, of the room for the densities, and below."""
+_TINY = 1e-300
+
+
+def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
+    """Return what a panel shows across and up: all that it draws, and a margin; None for nothing.
+
+    Examples
+    --------
+    >>> line = Trace(np.array([0.0, 10.0]), np.array([1.0, 2.0]), "#ffffff")
+    >>> extent("linear", PanelData(lines=[line]))
+    ((-0.4, 10.4), (0.0, 2.08))
+    """
+    kind, traces = PANELS[name], (*panel.areas, *panel.lines)
+    marks = np.array([mark[0] for mark in panel.marks])
+    across = _span([*(t.x for t in traces), marks], kind.x_scale)
+    up = _span([t.y for t in traces], kind.y_scale)
+    if across is None or up is None:
+        return None
+    if panel.own_x:
+        return (-_NUMBERS, 1 + _LABELS), (-_BELOW, panel.rows)
+    if panel.rows:  # room for labels at both sides
+        low, high = np.log10(_padded(across, "log"))
+        ends = low - _NUMBERS * (high - low), high + _LABELS * (high - low) / 2
+        return (float(10.0 ** ends[0]), float(10.0 ** ends[1])), (-_BELOW, panel.rows)
+    vertical = (0.0, up[1] * (1 + _MARGIN)) if kind.from_zero else _padded(up, kind.y_scale)
+    return _padded(across, kind.x_scale), vertical
+
+
+def _span(parts: Iterable[npt.ArrayLike], scale: str) -> Extent | None:
+    whole = np.concatenate([np.empty(0), *(np.asarray(part, np.float64) for part in parts)])
+    shown = whole[np.isfinite(whole) & ((whole > _TINY) if scale == "log" else True)]
+    return (float(shown.min()), float(shown.max())) if shown.size else None
+
+
+def _padded(span: Extent, scale: str) -> Extent:
+    """Return a span with a margin; one value alone gets a tenth, or a factor of two, around it."""
+    low, high = np.log10(span) if scale == "log" else span
+    alone = np.log10(2) if scale == "log" else 0.1 * abs(low) or 1.0
+    margin = _MARGIN * (high - low) if high > low else alone
+    ends = np.array([low - margin, high + margin])
+    start, end = 10.0**ends if scale == "log" else ends
+    return float(start), float(end)

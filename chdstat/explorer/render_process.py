@@ -24,7 +24,10 @@ from chdstat.rendering.backend import activate
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 
-__all__ = ["RenderProcess", "serve"]
+__all__ = ["COARSE", "RenderProcess", "serve"]
+
+COARSE = 128
+"""Pixels of the longer side of a coarse image."""
 
 _CODE = "from chdstat.explorer.render_process import serve; serve()"
 _ENDED = "the process that renders the scene has ended; explore the scene again"

@@ -1,13 +1,15 @@
 """Server: the explorer on the loopback interface, from start to stop.
 
 It serves before there is anything to show: until the scene or store is open and its first image
-drawn, the page says how far that is. So this module imports what the page needs only where it is
-used, while another process loads the scene.
+drawn, a notice without Bokeh says how far that is, and shows as much of a coarse image as is there.
+So this module imports what the page needs only where it is used, while another process loads the
+scene.
 """
 
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import errno
 import gc
@@ -18,13 +20,18 @@ import threading
 import webbrowser
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.display import png
 from chdstat._core.files import place_of
+from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
-from chdstat.explorer.render_process import RenderProcess
-from chdstat.explorer.startup import Startup, startup_handler
+from chdstat.explorer.render_process import COARSE, RenderProcess
 from chdstat.rendering.job import Job
 from chdstat.samples import Samples, is_store
 from chdstat.scenes import Scene
@@ -38,7 +45,7 @@ if TYPE_CHECKING:
     from chdstat.estimators.training import TrainedModel
     from chdstat.explorer.shared import Shared
 
-__all__ = ["DEFAULT_PORT", "Explorer", "explore"]
+__all__ = ["DEFAULT_PORT", "Explorer", "Startup", "explore"]
 
 DEFAULT_PORT = 5006
 """Of the command line, so that an address stays the same from day to day."""
@@ -49,6 +56,64 @@ _HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
 """What this machine calls itself in the header of a request."""
 _EVERY = 3000
 """Milliseconds between two looks at a store that is still being written."""
+_BANDS = 4
+"""Parts that the coarse image is drawn in."""
+
+
+class Startup:
+    """How far a source is.
+
+    Parameters
+    ----------
+    name
+        Of the store or scene.
+
+    Attributes
+    ----------
+    text
+        What is being done.
+    image
+        As much of the coarse image as is drawn, as the file of a PNG image in base64; empty for
+        nothing.
+    shared
+        What all pages share; None until the source is open.
+    drawn
+        Whether that is all of it.
+    done
+        Whether pages can be served.
+
+    Examples
+    --------
+    >>> Startup("fog").text
+    'loading fog'
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name, self.text, self.image = name, f"loading {name}", ""
+        self.drawn = self.done = False
+        self.shared: Shared | None = None
+
+    def draw(self, render: RenderProcess) -> npt.NDArray[np.float32]:
+        """Draw the coarse image of a scene, shape (y, x, channel), and tell how far it is.
+
+        Raises
+        ------
+        SceneError, RenderError
+            If the scene cannot be loaded or rendered.
+        """
+        drawn: list[npt.NDArray[np.float32]] = []
+        (width, height), _ = render.described
+        for i in range(_BANDS):
+            self.text = f"drawing {self.name}: {100 * i // _BANDS} % of the coarse image"
+            drawn.append(render("preview", COARSE, 1, band=(i, _BANDS)))
+            seen = np.concatenate(drawn)
+            whole = np.zeros((max(1, round(height / width * seen.shape[1])), *seen.shape[1:]))
+            whole[: len(seen)] = seen[: len(whole)]
+            file = png(tonemap(whole, exposure=display_stops(seen)))
+            self.image = base64.b64encode(file).decode("ascii")
+        self.drawn = True
+        self.text = f"opening the page of {self.name}"
+        return seen
 
 
 class Explorer(contextlib.AbstractContextManager["Explorer"]):
@@ -301,7 +366,7 @@ def _serve_startup(application: Any, startup: Startup) -> None:
     from tornado.httputil import split_host_and_port
     from tornado.web import ErrorHandler
 
-    find, notice = application.find_handler, startup_handler(startup)
+    find, notice = application.find_handler, _notice(startup)
 
     def find_here(request: HTTPServerRequest) -> Any:
         if split_host_and_port(request.host.lower())[0] not in _HOSTS:
@@ -311,6 +376,27 @@ def _serve_startup(application: Any, startup: Startup) -> None:
         return find(request)
 
     application.find_handler = find_here
+
+
+def _notice(startup: Startup) -> type[Any]:
+    """Return Tornado's handler of the notice, and of ``/progress``, which it asks."""
+    from bokeh.core.templates import get_env
+    from tornado.web import RequestHandler
+
+    web = resources.files("chdstat.explorer") / "web"
+    page, style = ((web / name).read_text("utf-8") for name in ("startup.html", "page.css"))
+    template = get_env().from_string(page)
+
+    class Notice(RequestHandler):
+        def get(self) -> None:
+            self.set_header("Cache-Control", "no-store")
+            if self.request.path == "/progress":
+                names = ("text", "image", "drawn", "done")
+                self.finish({name: getattr(startup, name) for name in names})
+            else:
+                self.finish(template.render(style=style, name=startup.name, text=startup.text))
+
+    return Notice
 
 
 def _check_port(port: int) -> None:

@@ -24,13 +24,13 @@ from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.estimators import ScoredEstimate
-from chdstat.explorer.page import Page, colorbar
-from chdstat.explorer.plots import PIXEL_COLORS, encode_panels
-from chdstat.explorer.selection import EXPORTS, SelectionPlots, SelectionResults, exported
+from chdstat.explorer.export import EXPORTS, exported
+from chdstat.explorer.page import Page, coarse_png, colorbar, isolated, rgba
+from chdstat.explorer.panels import PIXEL_COLORS, encode_panels
+from chdstat.explorer.place import first_pixel
+from chdstat.explorer.selection import SelectionPlots, SelectionResults
 from chdstat.explorer.shared import Shared, Stopped
 from chdstat.explorer.sources import MOST_SPP, SceneSource, StoreSource
-from chdstat.explorer.startup import coarse_png, isolated, rgba
-from chdstat.explorer.statistics import first_pixel
 from chdstat.explorer.tables import Table, headline
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
 
@@ -303,8 +303,8 @@ class Session:
     def _show_map(self) -> None:
         """Show what there is of the map, or take it away."""
         found = self._shared.map(self.view.map)
-        if found is not None and self.view.limits and not found.kind.names:
-            found = replace(found, kind=replace(found.kind, limits=self.view.limits))
+        if found is not None and self.view.limits:
+            found = replace(found, ends=self.view.limits)
         self._page.show_map(found)
         self._page.send({"kind": "colorbar", "bar": colorbar(found)})
 

@@ -11,8 +11,8 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -20,7 +20,6 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
 from chdstat._core.work import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.training import TrainedModel
@@ -35,23 +34,15 @@ from chdstat.explorer.maps import (
     read_maps,
     walk,
 )
-from chdstat.explorer.sources import (
-    ImageAccumulator,
-    Overall,
-    SceneSource,
-    Source,
-    StoreSource,
-)
-from chdstat.explorer.statistics import suggest
+from chdstat.explorer.place import suggest
+from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource, stream
 from chdstat.explorer.view import Pixel
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
-__all__ = ["Shared", "Stopped", "kept", "opened", "stream"]
+__all__ = ["Shared", "Stopped", "kept", "opened"]
 
 _MOST_FILES = 64
-_TILE = _BATCH = 64
-"""Edge of a tile, and samples, that the image is computed from at once."""
 _FIRST_SPP = 64
 _EVERY = 0.4
 """Seconds between two reports of a pass."""
@@ -77,26 +68,6 @@ def kept(samples: Samples, name: str, kind: type[T], compute: Callable[[], T]) -
     """
     cache = Cache(user_cache() / "explorer", cache_key(samples), most=_MOST_FILES)
     return cache.record("arrays", kind, compute, inputs=name)
-
-
-def stream(
-    source: StoreSource, step: Callable[[float], None] = lambda _: None, *, spp: int | None = None
-) -> Overall:
-    """Return the image of the first `spp` samples, None for all, in constant memory.
-
-    `step` is called with the share that is done; whatever it raises ends the pass.
-    """
-    spp = min(source.samples.spp, spp or source.samples.spp)
-    whole = Overall.empty(*source.size, len(source.channels))
-    places = list(product(*(spans(length, _TILE) for length in source.size)))
-    batches = list(spans(spp, _BATCH))
-    for i, (ys, xs) in enumerate(places):
-        sums = ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start)
-        for j, ss in enumerate(batches):
-            step((i + j / len(batches)) / len(places))
-            sums.add(source.read(ys, xs, ss))
-        whole.put(ys, xs, sums.overall())
-    return whole
 
 
 def opened(
@@ -300,22 +271,17 @@ class Shared:
     def _begin(self) -> None:
         """Draw the image, then look for pixels that are worth a look."""
         self._draw()
-
-        def step(_: float) -> None:
-            if self._is_due():
-                self._say("looking for typical pixels")
-
-        self.suggested = suggest(self.source, step)
+        self.suggested = suggest(self.source, self._reported("looking for typical pixels"))
         self.tell("suggested")
 
     def _draw(self) -> None:
         source = self.source
         if isinstance(source, SceneSource):
             shown = start = time.monotonic()
+            step = self._reported("drawing the image")
             for share in source.passes():
-                due, now = self._is_due(), time.monotonic()
-                if due:
-                    self._say(f"drawing the image, {100 * share:.0f} %")
+                step(share)
+                now = time.monotonic()
                 # The later, the less it changes; a large image takes long to send and to show.
                 if now - shown > _SHOWN_EVERY * (now - start) + _EVERY or share >= 1:
                     self._image(source.overall())
@@ -333,10 +299,7 @@ class Shared:
         self.tell("image")
 
     def _streamed(self, source: StoreSource) -> Overall:
-        def step(share: float) -> None:
-            if self._is_due():
-                self._say(f"reading all of {source.name}, {100 * share:.0f} %")
-
+        step = self._reported(f"reading all of {source.name}")
         return kept(source.samples, "overall", Overall, lambda: stream(source, step))
 
     def _walk(self, name: str) -> None:
@@ -347,7 +310,7 @@ class Shared:
 
         def step(share: float, values: npt.NDArray[np.float32]) -> None:
             if self._is_due():
-                self.maps[name] = Map(kind, values.copy(), share)
+                self.maps[name] = replace(kind, values=values.copy(), done=share)
                 self._say(f"mapping {kind.title}, {100 * share:.0f} %")
                 self.tell(name)
 
@@ -355,9 +318,18 @@ class Shared:
         if found is None:
             array = npt.NDArray[np.float32]
             values = kept(source.samples, name, array, lambda: walk(source, name, step).values)
-            found = Map(kind, values)
+            found = replace(kind, values=values)
         self.maps[name] = found
         self.tell(name)
+
+    def _reported(self, text: str) -> Callable[[float], None]:
+        """Return what is called with the share done, and tells the page now and then."""
+
+        def step(share: float) -> None:
+            if self._is_due():
+                self._say(f"{text}, {100 * share:.0f} %")
+
+        return step
 
     def _is_due(self) -> bool:
         """Stand still while clicks are worked on; return whether to report the progress."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,8 +15,7 @@ from chdstat._core.arrays import Image, generator, luminance, spans
 from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
 from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
-from chdstat.explorer.render_process import RenderProcess
-from chdstat.explorer.startup import COARSE
+from chdstat.explorer.render_process import COARSE, RenderProcess
 from chdstat.explorer.view import Box, Pixel, check_pixel
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
@@ -27,22 +25,31 @@ from chdstat.summary.bins import sample_masks
 
 __all__ = [
     "FIRST_SPP",
-    "KEPT_BYTES",
+    "MOST_POOLED",
     "MOST_SPP",
     "ImageAccumulator",
     "Overall",
     "SceneSource",
     "Source",
     "StoreSource",
-    "mixed",
+    "drop_oldest",
     "pooled",
+    "stream",
 ]
 
+K = TypeVar("K")
+V = TypeVar("V")
 
-_BLOCK_BYTES = 16 * 2**20
-KEPT_BYTES = 128 * 2**20
-_MOST_POOLED = 2**15
-"""Samples of a region: as many as fits look at."""
+MOST_POOLED = 2**15
+"""Samples of a region, and samples of any place that fits, tests and modes look at."""
+_BLOCK_BYTES, _KEPT_BYTES = 16 * 2**20, 128 * 2**20
+
+
+def drop_oldest(held: dict[K, V], size: Callable[[V], int]) -> None:
+    """Drop the first entries of a dictionary that holds more than 128 MiB, but not the last."""
+    total = sum(map(size, held.values()))
+    while len(held) > 1 and total > _KEPT_BYTES:
+        total -= size(held.pop(next(iter(held))))
 
 
 # --- the image ----------------------------------------------------------------------------------
@@ -134,6 +141,26 @@ class ImageAccumulator:
         return Overall(*maps)
 
 
+def stream(
+    source: StoreSource, step: Callable[[float], None] = lambda _: None, *, spp: int | None = None
+) -> Overall:
+    """Return the image of the first `spp` samples, None for all, in constant memory.
+
+    `step` is called with the share that is done; whatever it raises ends the pass.
+    """
+    spp = min(source.samples.spp, spp or source.samples.spp)
+    whole = Overall.empty(*source.size, len(source.channels))
+    places = list(product(*(spans(length, TILE) for length in source.size)))
+    batches = list(spans(spp, TILE))
+    for i, (ys, xs) in enumerate(places):
+        sums = ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start)
+        for j, ss in enumerate(batches):
+            step((i + j / len(batches)) / len(places))
+            sums.add(source.read(ys, xs, ss))
+        whole.put(ys, xs, sums.overall())
+    return whole
+
+
 # --- a store ------------------------------------------------------------------------------------
 
 
@@ -167,20 +194,19 @@ class StoreSource:
         self._asked_spp = int(samples.attrs.get("spp", samples.spp))
         self.complete = samples.spp >= self._asked_spp
         self._block_bytes = 4 * BLOCK**2 * samples.shape[2] * samples.spp
-        self._blocks: dict[Pixel, Future[Image]] = {}
-        self._lock = threading.Lock()
+        self._block = lru_cache(max(1, _KEPT_BYTES // self._block_bytes))(self._read_block)
 
     def describe(self) -> str:
         """Return size, samples per pixel, integrator and depth in one line."""
         height, width, _, spp = self.samples.shape
+        attrs = self.samples.attrs
         of = "" if self.complete else f" of {self._asked_spp} (not finished)"
-        depth, integrator = (self.samples.attrs.get(name) for name in ("max_depth", "integrator"))
+        depth, integrator = (attrs.get(name) for name in ("max_depth", "integrator"))
         kind = integrator.get("type") if isinstance(integrator, dict) else integrator
+        length = sequence_of(attrs)
+        said = f"{attrs.get('sampler', '')} sequences of {length}: errors and p-values do not hold"
+        spread = said.lstrip() if length > 1 else ""
         deep = "" if depth is None else f"depth {depth}"
-        length = sequence_of(self.samples.attrs)
-        sampler = self.samples.attrs.get("sampler", "")
-        said = f"{sampler} sequences of {length}: errors and p-values do not hold".lstrip()
-        spread = said if length > 1 else ""
         parts = (f"{width} × {height} px", f"{spp}{of} spp", spread, str(kind or ""), deep)
         return " · ".join(part for part in parts if part)
 
@@ -214,7 +240,7 @@ class StoreSource:
         check_pixel(y, x, *self.size)
         if self._block_bytes > _BLOCK_BYTES:
             return np.asarray(self.read(slice(y, y + 1), slice(x, x + 1))[0, 0])
-        block = self._block((y // BLOCK, x // BLOCK))
+        block = self._block(y // BLOCK, x // BLOCK)
         self._check()
         return np.asarray(block[y % BLOCK, x % BLOCK])
 
@@ -222,15 +248,6 @@ class StoreSource:
         """Return the first samples of several pixels, shape (pixel, channel, sample)."""
         parts = [self.read(slice(y, y + 1), slice(x, x + 1), slice(0, spp)) for y, x in pixels]
         return np.concatenate(parts)[:, 0]
-
-    def around(
-        self, y: int, x: int, spp: int, *, radius: int
-    ) -> tuple[Image, Pixel, tuple[slice, slice]]:
-        """Return the first samples of the pixels within `radius` of one, its place, and theirs."""
-        height, width = self.size
-        ys = slice(max(0, y - radius), min(height, y + radius + 1))
-        xs = slice(max(0, x - radius), min(width, x + radius + 1))
-        return self.read(ys, xs, slice(0, spp)), (y - ys.start, x - xs.start), (ys, xs)
 
     def region(self, box: Box, spp: int | None = None) -> Image:
         """Return pooled samples of a region, as many of each pixel, shape (channel, sample).
@@ -244,7 +261,7 @@ class StoreSource:
             rows = slice(start, min(start + BLOCK * step, bottom))
             part = self.read(rows, slice(left, right), slice(0, each))[::step, ::step]
             parts.append(part.reshape(-1, *part.shape[2:]))
-        return mixed(np.concatenate(parts))
+        return _mixed(np.concatenate(parts))
 
     def read(self, ys: slice, xs: slice, ss: slice = slice(None)) -> Image:
         """Read a part, and make sure that it was there: what is gone reads as NaN."""
@@ -253,23 +270,8 @@ class StoreSource:
         finally:
             self._check()
 
-    def _block(self, key: Pixel) -> Image:
-        """Return a block of 16 x 16 pixels, read once even if two threads ask for it."""
-        with self._lock:
-            mine = key not in self._blocks
-            block = self._blocks.setdefault(key, Future())
-        if mine:
-            ys, xs = (slice(BLOCK * i, BLOCK * (i + 1)) for i in key)
-            try:
-                block.set_result(self.read(ys, xs))
-            except Exception as error:  # noqa: BLE001 - raised in all threads that wait for it
-                block.set_exception(error)
-            with self._lock:
-                if block.exception():
-                    self._blocks.pop(key, None)
-                while len(self._blocks) * self._block_bytes > KEPT_BYTES:
-                    del self._blocks[next(iter(self._blocks))]
-        return block.result()
+    def _read_block(self, row: int, column: int) -> Image:
+        return self.read(*(slice(BLOCK * i, BLOCK * (i + 1)) for i in (row, column)))
 
     def _check(self) -> None:
         path = self.samples.path
@@ -278,20 +280,14 @@ class StoreSource:
             raise StoreError(message)
 
 
-def mixed(x: Image) -> Image:
+def _mixed(x: Image) -> Image:
     """Return samples of several pixels, (pixel, channel, sample), as those of one place.
 
     They are shuffled, always in the same way: what looks at consecutive samples, such as averages
     of N, is to see the region and not one pixel after the other.
-
-    Examples
-    --------
-    >>> mixed(np.arange(4, dtype=np.float32).reshape(2, 1, 2))
-    array([[2., 0., 1., 3.]], dtype=float32)
     """
     pool = np.ascontiguousarray(x.swapaxes(0, 1)).reshape(x.shape[1], -1)
-    order = generator(0).permutation(pool.shape[1])
-    return np.asarray(pool[:, order])
+    return np.asarray(pool[:, generator(0).permutation(pool.shape[1])])
 
 
 def pooled(height: int, width: int, spp: int) -> tuple[int, int]:
@@ -302,9 +298,9 @@ def pooled(height: int, width: int, spp: int) -> tuple[int, int]:
     >>> pooled(8, 8, 1024), pooled(512, 512, 1024)
     ((512, 1), (2, 4))
     """
-    step = max(1, math.ceil(math.sqrt(height * width / (_MOST_POOLED / 2))))
+    step = max(1, math.ceil(math.sqrt(height * width / (MOST_POOLED / 2))))
     pixels = -(-height // step) * -(-width // step)
-    return max(1, min(spp, _MOST_POOLED // pixels)), step
+    return max(1, min(spp, MOST_POOLED // pixels)), step
 
 
 # --- a scene ------------------------------------------------------------------------------------
@@ -387,7 +383,7 @@ class SceneSource:
         top, left, bottom, right = box
         each, step = pooled(bottom - top, right - left, 64)
         at = [(y, x) for y in range(top, bottom, step) for x in range(left, right, step)]
-        return mixed(self._render("pixels", np.array(at), each))
+        return _mixed(self._render("pixels", np.array(at), each))
 
     def passes(self) -> Iterator[float]:
         """Draw the image better and better; yield the share that is done after each tile."""
@@ -429,9 +425,7 @@ class SceneSource:
         drawn: Image = self._render("pixels", np.array([[y, x]]), spp, seed=seed)[0]
         self._pixels.pop((y, x), None)
         self._pixels[y, x] = drawn if there is None else np.concatenate([there, drawn], axis=1)
-        held = sum(x.nbytes for x in self._pixels.values())
-        while len(self._pixels) > 1 and held > KEPT_BYTES:
-            held -= self._pixels.pop(next(iter(self._pixels))).nbytes
+        drop_oldest(self._pixels, lambda held: held.nbytes)
 
 
 Source = StoreSource | SceneSource

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from chdstat import inference
 from chdstat._core.arrays import Array, Floats
-from chdstat._core.display import number, percent
+from chdstat._core.display import number, percent, reasons, with_interval
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
 from chdstat.explorer.estimators import ScoredEstimate
-from chdstat.explorer.statistics import MOST_TESTED, RESAMPLES, PlaceStatistics
+from chdstat.explorer.place import MOST_TESTED, RESAMPLES, PlaceStatistics
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
 from chdstat.viz.estimators import called
@@ -71,11 +71,14 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     verdict = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
     clear = {"suspect": "at least: the tail is heavy", "not identified": "if the tail allows it"}
     count = int(modes.modes[-1])
-    wilson = place.patterns.intervals["null_heavy"]
+    low, high = map(percent, map(float, place.patterns.intervals["null_heavy"]))
+    rest = float(place.patterns.statistics["long_tail"])
+    if place.is_firefly and np.isfinite(rest):
+        verdict += f"; {number(rest)} without the largest sample"
     return [
         ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
-        ("Null samples", percent(place.null_share), _between(percent, wilson)),
-        ("Tail index", "—" if constant else number(tail.xi[-1]), verdict + _without_largest(place)),
+        ("Null samples", percent(place.null_share), f"{low} to {high}"),
+        ("Tail index", "—" if constant else number(tail.xi[-1]), verdict),
         (
             "Modes",
             "—" if constant or not count else str(count),
@@ -87,44 +90,9 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
 
 def statistics_table(columns: Sequence[Column]) -> Table:
     """Return moments, parameters, tail, dip and tests."""
-
-    def row(title: str, of: Callable[[PlaceStatistics], Any], text: Any = number) -> list[str]:
-        return [title, *(text(float(of(place)[i])) for _, place, i in columns)]
-
-    def words(title: str, of: Callable[[PlaceStatistics, int], str]) -> list[str]:
-        return [title, *(of(place, i) for _, place, i in columns)]
-
-    def fitted(of: Callable[[PlaceStatistics, int], str]) -> Callable[[PlaceStatistics, int], str]:
-        return lambda place, i: "—" if place.constant[i] else of(place, i)
-
     rows = [
-        row("mean", lambda p: p.moments.seen(p.moments.mean)),
-        row("standard error", lambda p: p.moments.standard_error),
-        row("standard deviation", lambda p: np.sqrt(p.moments.variance)),
-        row("skewness", lambda p: p.moments.skewness),
-        row("excess kurtosis", lambda p: p.moments.kurtosis),
-        row("largest", lambda p: p.moments.seen(p.moments.maximum)),
-        words("null samples", lambda p, _: percent(p.null_share)),
-        words("bad samples", lambda p, _: str(int(p.bad.sum()))),
-        words("best family by BIC", _family),
-        words("parameters", _parameters),
-        words("BIC margin", fitted(lambda p, i: number(p.fits.selection.margin[i]))),
-        words(
-            "tail index ξ",
-            fitted(lambda p, i: _with_interval(p.fits.tail.xi[i], p.fits.tail.interval[i])),
-        ),
-        words("p of a gamma tail", fitted(lambda p, i: _p(p.fits.tail.p_exponential[i]))),
-        words("finite variance", fitted(_finite_variance)),
-        words("modes", fitted(lambda p, i: str(p.fits.modes.modes[i] or "—"))),
-        words("dip of log radiance", fitted(lambda p, i: number(p.fits.modes.dip[i]))),
-        words("p of one mode (dip test)", fitted(lambda p, i: _p(p.fits.modes.dip_p_value[i]))),
-        words("p of log-normal (Anderson–Darling)", fitted(_p_normal(0))),
-        words("p of normal (Anderson–Darling)", fitted(_p_normal(1))),
-        words(
-            "p of gamma against log-normal (Vuong)",
-            fitted(lambda p, i: _p(p.fits.selection.vuong_p_value[i])),
-        ),
-        words("N for Gaussian averages", _needed),
+        [title, *("—" if fitted and p.constant[i] else text(p, i) for _, p, i in columns)]
+        for title, text, fitted in _STATISTICS
     ]
     place = max((place for _, place, _ in columns), key=lambda p: p.spp)
     cut = place.fitted_spp < place.spp
@@ -150,28 +118,14 @@ def patterns_table(columns: Sequence[Column]) -> Table:
             tip += f" p of its absence: {_p(float(p))}."
         rows.append([name, *says, *values, limit, tip])
     if len(places) == 1:
-        titles, label = ["what it says", "value"], f"Patterns: {_label(places[0])}"
+        label = Label(int(places[0].patterns.label)).name.lower()
+        titles, label = ["what it says", "value"], f"Patterns: {called(label)}"
     else:
         titles, label = [title for title, _, _ in columns], "Patterns"
     note = "of luminance; ● is set, ○ is not, each at the 5 % level of one pixel"
-    if any(map(_is_firefly, places)):
+    if any(place.is_firefly for place in places):
         note += "; tails, modes and families without the largest sample where it dominates"
     return {**_table(label, ["pattern", *titles, "threshold"], rows, note), "words": True}
-
-
-def _label(place: PlaceStatistics) -> str:
-    return called(Label(int(place.patterns.label)).name.lower())
-
-
-def _is_firefly(place: PlaceStatistics) -> bool:
-    return bool(place.patterns.flags["firefly_dominated"])
-
-
-def _without_largest(place: PlaceStatistics) -> str:
-    """Name the tail index of the table of patterns where a firefly is left out of it."""
-    xi = float(place.patterns.statistics["long_tail"])
-    named = _is_firefly(place) and np.isfinite(xi)
-    return f"; {number(xi)} without the largest sample" if named else ""
 
 
 def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> str:
@@ -179,8 +133,12 @@ def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> 
     value = float(found.statistics[pattern.name])
     interval = found.intervals.get(pattern.name) if alone else None
     hidden = place.constant[-1] and pattern.name not in {"null_heavy", "constant"}
-    shown = "—" if hidden else _with_interval(value, interval, text)
+    shown = "—" if hidden else with_interval(value, *_ends(interval), text)
     return f"{'●' if found.flags[pattern.name] else '○'}\N{NO-BREAK SPACE}{shown}"
+
+
+def _ends(interval: Array | None) -> tuple[float, float]:
+    return (np.nan, np.nan) if interval is None else (float(interval[0]), float(interval[1]))
 
 
 def estimates_table(
@@ -196,11 +154,9 @@ def estimates_table(
         name = called(e.name)
         if np.isfinite(e.certainty):
             name = f"{name}, {percent(e.certainty)} certain"
-        values = [number(float(value)) for value in e.value]
-        if e.low is not None and e.high is not None:
-            ends = np.stack([e.low, e.high], axis=-1)
-            for i in np.flatnonzero(np.isfinite(ends).all(axis=-1)):
-                values[i] = _with_interval(e.value[i], ends[i])
+        unknown = np.full(len(e.value), np.nan)
+        ends = (unknown if end is None else end for end in (e.low, e.high))
+        values = [*map(with_interval, e.value, *ends)]
         bias = 0.0 if abs(e.bias) < 5e-4 else e.bias  # of the mean, rounding
         scores = number(e.mse_ratio), percent(bias, sign=True), percent(e.improved)
         rows.append([name, *scores, *values])
@@ -255,13 +211,14 @@ def _goodness(p: float, distance: float, reason: int) -> str:
 
 def compared_table(found: Difference, channels: Sequence[str], names: tuple[str, str]) -> Table:
     """Return the distances between the CHDs of two stores, and their significance."""
-    rows = [
-        _row("Kolmogorov–Smirnov distance", found.distance),
-        _row("Wasserstein distance", found.wasserstein),
-        _row("difference of means", found.mean_difference),
-        _row("  over its standard error", found.mean_t),
-        _row("  p of equal means", found.mean_p_value, _p),
-    ]
+    measures = {
+        "Kolmogorov–Smirnov distance": (found.distance, number),
+        "Wasserstein distance": (found.wasserstein, number),
+        "difference of means": (found.mean_difference, number),
+        "  over its standard error": (found.mean_t, number),
+        "  p of equal means": (found.mean_p_value, _p),
+    }
+    rows = [[title, *map(text, map(float, values))] for title, (values, text) in measures.items()]
     samples = f"{found.n[0]} and {found.n[1]} samples"
     if found.paired:
         samples = f"{found.n[0]} pairs of samples with the same random numbers"
@@ -287,17 +244,11 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], no
     return {"title": title, "columns": columns, "rows": rows, "note": note}
 
 
-def _row(title: str, values: Array, text: Callable[[float], str] = number) -> list[str]:
-    return [title, *(text(float(v)) for v in values)]
-
-
 def _family(place: PlaceStatistics, row: int) -> str:
     if place.constant[row]:
         return "constant"
     selection = place.fits.selection
-    name = str(selection.names[row])
-    reason = Reason(int(selection.reason[row])).name.lower().replace("_", " ")
-    return called(name) or reason
+    return called(str(selection.names[row])) or reasons(selection.reason[row])
 
 
 def _parameters(place: PlaceStatistics, row: int) -> str:
@@ -316,10 +267,6 @@ def _finite_variance(place: PlaceStatistics, row: int) -> str:
     return "not identified" if tail.variance_unidentified[row] else "suspect"
 
 
-def _p_normal(scale: int) -> Callable[[PlaceStatistics, int], str]:
-    return lambda place, i: _p(place.gaussianity.p_value[i, scale, 0])
-
-
 def _needed(place: PlaceStatistics, row: int) -> str:
     means = place.means
     if means is None:
@@ -327,19 +274,6 @@ def _needed(place: PlaceStatistics, row: int) -> str:
     needed = int(means.n_needed[row])
     beyond = {inference.MORE_THAN_TESTED: f"> {int(means.sizes[-1])}", 0: "—"}
     return beyond.get(needed, str(needed))
-
-
-def _with_interval(
-    value: float, interval: Array | None, text: Callable[[float], str] = number
-) -> str:
-    if not np.isfinite(value):
-        return "—"
-    return text(float(value)) + ("" if interval is None else f" [{_between(text, interval, ', ')}]")
-
-
-def _between(text: Callable[[float], str], interval: Array, between: str = " to ") -> str:
-    low, high = (text(float(v)) for v in interval)
-    return f"{low}{between}{high}"
 
 
 def _count(value: float) -> str:
@@ -359,3 +293,37 @@ def _p(value: float) -> str:
     if value < 1e-3:
         return f"{value:.0e}".replace("-", "−").replace("e−0", "e−")
     return f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
+
+
+_STATISTICS: tuple[tuple[str, Callable[[PlaceStatistics, int], str], bool], ...] = (
+    ("mean", lambda p, i: number(p.moments.seen(p.moments.mean)[i]), False),
+    ("standard error", lambda p, i: number(p.moments.standard_error[i]), False),
+    ("standard deviation", lambda p, i: number(np.sqrt(p.moments.variance[i])), False),
+    ("skewness", lambda p, i: number(p.moments.skewness[i]), False),
+    ("excess kurtosis", lambda p, i: number(p.moments.kurtosis[i]), False),
+    ("largest", lambda p, i: number(p.moments.seen(p.moments.maximum)[i]), False),
+    ("null samples", lambda p, _: percent(p.null_share), False),
+    ("bad samples", lambda p, _: str(int(p.bad.sum())), False),
+    ("best family by BIC", _family, False),
+    ("parameters", _parameters, False),
+    ("BIC margin", lambda p, i: number(p.fits.selection.margin[i]), True),
+    (
+        "tail index ξ",
+        lambda p, i: with_interval(p.fits.tail.xi[i], *p.fits.tail.interval[i]),
+        True,
+    ),
+    ("p of a gamma tail", lambda p, i: _p(p.fits.tail.p_exponential[i]), True),
+    ("finite variance", _finite_variance, True),
+    ("modes", lambda p, i: str(p.fits.modes.modes[i] or "—"), True),
+    ("dip of log radiance", lambda p, i: number(p.fits.modes.dip[i]), True),
+    ("p of one mode (dip test)", lambda p, i: _p(p.fits.modes.dip_p_value[i]), True),
+    ("p of log-normal (Anderson–Darling)", lambda p, i: _p(p.gaussianity.p_value[i, 0, 0]), True),
+    ("p of normal (Anderson–Darling)", lambda p, i: _p(p.gaussianity.p_value[i, 1, 0]), True),
+    (
+        "p of gamma against log-normal (Vuong)",
+        lambda p, i: _p(p.fits.selection.vuong_p_value[i]),
+        True,
+    ),
+    ("N for Gaussian averages", _needed, False),
+)
+"""Title and text of each statistic of a row of a place, and whether constant samples have none."""

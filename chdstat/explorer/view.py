@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from urllib.parse import urlencode
@@ -143,15 +143,16 @@ class View:
         return replace(self, pixels=pixels)
 
     def changed(self, option: str, value: Any) -> View:
-        """Set the map, its limits, the channel, the families, the batch, the exposure or the tone.
+        """Set one of `OPTIONS`.
 
         Raises
         ------
         InputError
             If there is no such option, or the value is out of range.
         """
-        if option in _CHOICES:
-            known, many = _CHOICES[option], option == "families"
+        known = _CHOICES.get(option)
+        if known is not None:
+            many = option == "families"
             if not (set(value) <= set(known) if many else value in known):
                 message = f"{option} must be one of {', '.join(map(str, known))}; got {value!r}"
                 raise InputError(message)
@@ -177,12 +178,11 @@ class View:
             pairs.append(("a", self.active))
         if self.region is not None:
             pairs.append(("r", ",".join(map(str, self.region))))
-        for key, name in OPTIONS.items():
+        for key, (name, _) in OPTIONS.items():
             value = getattr(self, name)
             if value != getattr(_DEFAULT, name):
-                pairs.append(
-                    (key, ",".join(map(str, value)) if isinstance(value, tuple) else value)
-                )
+                text = ",".join(map(str, value)) if isinstance(value, tuple) else value
+                pairs.append((key, text))
         return urlencode(pairs)
 
 
@@ -223,17 +223,33 @@ def check_pixel(y: int, x: int, height: int, width: int) -> None:
         raise InputError(message)
 
 
+def _integers(text: str, count: int) -> tuple[int, ...]:
+    parts = text.split(",")
+    if len(parts) != count or not all(re.fullmatch(r"\s*[0-9]{1,9}\s*", p) for p in parts):
+        message = f"expected {count} whole number(s) of at most 9 digits, got {text!r}"
+        raise InputError(message)
+    return tuple(int(p) for p in parts)
+
+
+def _numbers(text: str, what: str) -> tuple[float, ...]:
+    try:
+        return tuple(map(float, text.split(",")))
+    except ValueError:
+        message = f"{what}, got {text!r}"
+        raise InputError(message) from None
+
+
 _DEFAULT = View()
-OPTIONS = {
-    "map": "map",
-    "lim": "limits",
-    "c": "channel",
-    "f": "families",
-    "n": "batch",
-    "ev": "exposure",
-    "tone": "tone",
+OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "map": ("map", str),
+    "lim": ("limits", lambda text: _numbers(text, "limits must be numbers")),
+    "c": ("channel", str),
+    "f": ("families", lambda text: tuple(part for part in text.split(",") if part)),
+    "n": ("batch", lambda text: _integers(text, 1)[0]),
+    "ev": ("exposure", lambda text: _numbers(text, "exposure must be a number of stops")[0]),
+    "tone": ("tone", str),
 }
-"""Names in an address, and the options that they set."""
+"""By name in an address: the option that it sets, and how its text is read."""
 
 
 def parse_view(
@@ -281,24 +297,5 @@ def _followed(view: View, key: str, text: str, height: int, width: int) -> View:
         return view.box((top, left, bottom, right))
     if key == "a":
         return view.activate(_integers(text, 1)[0])
-    value: Any = text
-    if key == "f":
-        value = tuple(part for part in text.split(",") if part)
-    elif key == "n":
-        value = _integers(text, 1)[0]
-    elif key in {"ev", "lim"}:
-        try:
-            value = float(text) if key == "ev" else tuple(map(float, text.split(",")))
-        except ValueError:
-            what = "exposure must be a number of stops" if key == "ev" else "limits must be numbers"
-            message = f"{what}, got {text!r}"
-            raise InputError(message) from None
-    return view.changed(OPTIONS[key], value)
-
-
-def _integers(text: str, count: int) -> tuple[int, ...]:
-    parts = text.split(",")
-    if len(parts) != count or not all(re.fullmatch(r"\s*[0-9]{1,9}\s*", p) for p in parts):
-        message = f"expected {count} whole number(s) of at most 9 digits, got {text!r}"
-        raise InputError(message)
-    return tuple(int(p) for p in parts)
+    option, read = OPTIONS[key]
+    return view.changed(option, read(text))

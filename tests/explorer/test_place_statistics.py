@@ -14,10 +14,9 @@ from chdstat.errors import Reason
 from chdstat.estimators import registry
 from chdstat.explorer import tables
 from chdstat.explorer.estimators import batches_of, fixed, quick_names, scored, scored_around
-from chdstat.explorer.panels import panels
-from chdstat.explorer.plots import PanelData, Trace, encode_panels, extent, series_of
-from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.statistics import MOST_FITTED, PlaceStatistics, goodness
+from chdstat.explorer.panels import PanelData, Trace, encode_panels, extent, panels, series_of
+from chdstat.explorer.place import PlaceStatistics, goodness
+from chdstat.explorer.sources import MOST_POOLED, StoreSource
 from chdstat.explorer.view import FITS, View
 from chdstat.fit.families import SELECTED
 from chdstat.inference.differences import difference
@@ -96,7 +95,7 @@ def test_nulls_and_bad_samples_are_apart():
     assert int(place.bad.sum()) == 64
     assert int(place.histograms["log"].counts.sum(axis=-1)[0]) == 512 - 128 - 64
     notes = panels(View(), series_of(View(), [place]))["log"].notes
-    assert notes == ["28.6 % null · 64 bad · 0 % outside the bins"]
+    assert notes == ["29\u00a0% null · 64 bad · 0\u00a0% outside the bins"]
 
 
 def test_nearly_constant_samples_are_a_spike_without_fits():
@@ -159,7 +158,7 @@ def test_averages_leave_bad_samples_out():
 
 
 def test_later_samples_keep_what_was_found_of_the_first():
-    x = gamma(MOST_FITTED + 64)
+    x = gamma(MOST_POOLED + 64)
     first, second = PlaceStatistics(x[:, :-32], RGB), PlaceStatistics(x, RGB)
     selection = first.fits.selection
     second.take_over(first)
@@ -184,7 +183,7 @@ def test_few_fireflies_among_the_averages_squeeze_nothing():
     x = np.random.default_rng(0).gamma(2.0, size=(3, 32 * 500)).astype(np.float32)
     x[:, 7] = 1e5
     drawn = panels(View(batch=32), series_of(View(batch=32), [PlaceStatistics(x, RGB)]))["averages"]
-    assert drawn.notes[-1] == "0.2 % beyond"
+    assert drawn.notes[-1] == "0.2\u00a0% beyond"
     for area in drawn.areas:
         assert area.x.max() < 10
         assert np.trapezoid(area.y, area.x) == pytest.approx(0.998, abs=1e-6)

@@ -15,8 +15,8 @@ from matplotlib.image import imread
 import chdstat as chd
 from chdstat.errors import RenderError, SceneError
 from chdstat.explorer.render_process import RenderProcess
+from chdstat.explorer.server import Startup
 from chdstat.explorer.sources import SceneSource
-from chdstat.explorer.startup import Startup
 from chdstat.rendering.backend import activate
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer

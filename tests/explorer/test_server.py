@@ -26,8 +26,16 @@ from matplotlib.image import imread
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.explorer import explore, server
-from chdstat.explorer.plots import BLENDED, CHANNEL_COLORS, FAINT, GROUND, LIGHT, PIXEL_COLORS, TEXT
-from chdstat.explorer.startup import Startup
+from chdstat.explorer.panels import (
+    BLENDED,
+    CHANNEL_COLORS,
+    FAINT,
+    GROUND,
+    LIGHT,
+    PIXEL_COLORS,
+    TEXT,
+)
+from chdstat.explorer.server import Startup
 from chdstat.samples.store import Store
 
 STYLE = resources.files("chdstat.explorer") / "web" / "page.css"

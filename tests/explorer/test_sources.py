@@ -12,13 +12,13 @@ import numpy.typing as npt
 import pytest
 
 import chdstat as chd
-from chdstat._core import cache
+from chdstat._core import work
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
-from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, walk
+from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
+from chdstat.explorer.page import rgba
 from chdstat.explorer.render_process import RenderProcess
-from chdstat.explorer.shared import stream
 from chdstat.explorer.sources import (
     FIRST_SPP,
     ImageAccumulator,
@@ -26,8 +26,8 @@ from chdstat.explorer.sources import (
     SceneSource,
     StoreSource,
     pooled,
+    stream,
 )
-from chdstat.explorer.startup import rgba
 from chdstat.fit.tail import TailIndex
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part
@@ -154,15 +154,15 @@ def test_every_map_covers_the_image(flames, name):
     assert np.isfinite(found.values[1:]).any()
     low, high = found.limits
     assert low < high
-    if found.kind.names:
-        assert set(np.unique(found.values[np.isfinite(found.values)])) <= set(found.kind.names)
+    if found.names:
+        assert set(np.unique(found.values[np.isfinite(found.values)])) <= set(found.names)
 
 
 def test_pixels_without_noise_do_not_stretch_the_colours():
     values = np.full((10, 10), -1.0, np.float32)
     values[:2] = -17
     values[2:4] = 1
-    assert Map(MAPS["variance"], values).limits == (-7, 1)
+    assert replace(MAPS["variance"], values=values).limits == (-7, 1)
 
 
 def test_maps_say_what_the_library_says(flames):
@@ -211,7 +211,7 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
     shared.kept(again, "x", ARRAYS, compute)
     assert len(calls) == 3
     with monkeypatch.context() as patch:
-        patch.setattr(cache, "code_digest", lambda: "another")
+        patch.setattr(work, "code_digest", lambda: "another")
         shared.kept(samples, "x", ARRAYS, compute)
     assert len(calls) == 4
     in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
@@ -223,7 +223,7 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
 def test_a_broken_cache_is_computed_anew(own_store):
     samples = chd.open(own_store)
     shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.zeros(2)})
-    for file in (cache.user_cache() / "explorer").iterdir():
+    for file in (work.user_cache() / "explorer").iterdir():
         file.write_bytes(b"PK no archive")
     assert shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
 

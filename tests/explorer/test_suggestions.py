@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.shared import stream
-from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.statistics import first_pixel, suggest
+from chdstat.explorer.place import first_pixel, suggest
+from chdstat.explorer.sources import StoreSource, stream
 
 
 def ignore(*_):

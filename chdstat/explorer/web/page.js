@@ -465,6 +465,52 @@ window.chdstat = (() => {
     parent.replaceChildren(...parts);
   }
 
+  // --- ticks ---
+  // No more labels than there is room for, of one size: when an axis grows or shrinks, Bokeh lays the
+  // plot out anew and paints twice.
+  const LABEL_WIDTH = 7;  // characters, along a vertical axis
+  function tickLabel(tick, index, ticks, across, most) {
+    if (index % Math.ceil(ticks.length / most)) return "";
+    const largest = Math.max(...ticks.map(Math.abs));
+    const steps = ticks.slice(1).map((t, i) => Math.abs(t - ticks[i])).filter((d) => d > 0);
+    const digits = steps.length ? 1 + Math.ceil(Math.log10(largest / Math.min(...steps))) : 3;
+    const rounded = Number(tick.toPrecision(Math.min(Math.max(digits, 1), 9)));
+    const size = Math.abs(rounded), plain = size === 0 || (size >= 1e-3 && size < 1e5);
+    const text = plain ? String(rounded) : rounded.toExponential().replace("+", "");
+    return text.replaceAll("-", "\u2212").padStart(across ? 0 : LABEL_WIDTH, "\u00a0");
+  }
+
+  // Bokeh's own ticks of less than two decades are evenly spaced: all of them at the upper end.
+  const FEW = 3, LONGEST = 6;  // labels at least; characters of one such as 0.0015, longer are 1e-4
+  function logTicks(range, plot, across) {
+    const low = Math.min(range.start, range.end), high = Math.max(range.start, range.end);
+    if (!(low > 0 && high < Infinity)) return [];
+    const span = Math.log10(high / low);
+    const { inner_width: width, inner_height: height } = plot.properties;
+    const room = width.is_unset ? FEW : across ? width.get_value() / 6.4 : height.get_value() / 16;
+    const size = (tick) => across ? 1 + Math.min(String(tick).length, LONGEST) : 1;
+    const apart = (ticks) => ticks.slice(1).every((tick, i) =>
+      Math.log10(tick / ticks[i]) / span * room >= Math.max(size(tick), size(ticks[i])));
+    const decades = (mantissas, every) => {
+      const ticks = [];
+      for (let k = Math.floor(Math.log10(low)); k <= Math.log10(high); k++)
+        if (k % every === 0) ticks.push(...mantissas.map((m) => Number(`${m}e${k}`)));
+      return ticks.filter((tick) => low <= tick && tick <= high);
+    };
+    let ticks = decades([1, 2, 5], 1);
+    if (ticks.length < FEW) {
+      const widest = (high - low) / FEW, unit = 10 ** Math.floor(Math.log10(widest));
+      const step = unit * [5, 2, 1].find((m) => m * unit <= widest);
+      ticks = [];
+      for (let i = Math.ceil(low / step); i * step <= high; i++) ticks.push(i * step);
+      return apart(ticks) ? ticks : ticks.filter((_, i) => i % 2 === 0);
+    }
+    if (!apart(ticks)) ticks = decades([1, 3], 1);
+    for (const every of [1, 2, 5, 10, 20, 50, 100, 200, 500])
+      if (!apart(ticks)) ticks = decades([1], every);
+    return ticks;
+  }
+
   // --- the start ---
   // Bokeh writes a style sheet for each axis and glyph whenever it paints, mostly the same as before,
   // and asks for computed styles in between: the browser then works all styles of the page out anew.
@@ -535,5 +581,5 @@ window.chdstat = (() => {
     if ($("#alert")) says.alert({ text: "The server has stopped; start 'chdstat explore' again and reload this page." });
   }
 
-  return { start, tap, press, pressup, box, hover, lost, timings };
+  return { start, tap, press, pressup, box, hover, lost, timings, tickLabel, logTicks };
 })();

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, partial
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from chdstat import inference
 from chdstat._core.arrays import Floats, generator, is_bad, is_null, luminance, spans, take_rows
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
-from chdstat.explorer.sources import Overall, Source
+from chdstat.explorer.sources import MOST_POOLED, Overall, Source
 from chdstat.explorer.view import Pixel
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, fit_part, get_family
@@ -33,10 +34,8 @@ from chdstat.summary.histograms import Histogram, histogram
 
 __all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodness", "suggest"]
 
-MOST_FITTED = 2**15
-"""Samples that fits, tests and modes look at; moments and histograms take all of them."""
 _OF_FIRST = {"fits", "_further_fits", "_positive", "patterns", "gaussianity", "means"}
-"""Attributes that depend on the first `MOST_FITTED` samples alone."""
+"""Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
 _PIECE = 20
 _POINTS = 96
@@ -82,7 +81,7 @@ class PlaceStatistics:
                 self.rows = np.concatenate([x, luminance(x)[np.newaxis]])
             self.names = (*channels, "luminance")
         self.spp = int(x.shape[1])
-        self.fitted_spp = min(self.spp, MOST_FITTED)
+        self.fitted_spp = min(self.spp, MOST_POOLED)
 
     @property
     def samples(self) -> npt.NDArray[np.float32]:
@@ -129,6 +128,11 @@ class PlaceStatistics:
     def patterns(self) -> Patterns:
         """Patterns of luminance, at the level of a single pixel."""
         return patterns_of(self.fits.rows(-1))
+
+    @property
+    def is_firefly(self) -> bool:
+        """Whether one sample dominates luminance."""
+        return bool(self.patterns.flags["firefly_dominated"])
 
     @cached_property
     def gaussianity(self) -> inference.Gaussianity:
@@ -194,15 +198,13 @@ class PlaceStatistics:
         distribution than to evaluate it.
         """
         if (family, row) not in self._positive:
-            found = self.fit(family, row)
+            found, made = self.fit(family, row), None
             if isinstance(found, Mixture):
-                quantiles = partial(_positive_quantiles, found)
-                self._positive[family, row] = "mixture", found.pdf, quantiles
+                made = "mixture", found.pdf, partial(_positive_quantiles, found)
             elif found is not None:
                 frozen = get_family(found.family).distribution(found.parameters)
-                self._positive[family, row] = found.family, frozen.pdf, frozen.ppf
-            else:
-                self._positive[family, row] = None
+                made = found.family, frozen.pdf, frozen.ppf
+            self._positive[family, row] = made
         return self._positive[family, row]
 
     def take_over(self, earlier: PlaceStatistics) -> None:
@@ -306,8 +308,14 @@ def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pi
     step
         Called with the share that is done; whatever it raises ends the search.
     """
-    pixels = _grid(*source.size)
-    sure: dict[str, list[npt.NDArray[np.float64]]] = {name: [] for name, _ in _SUGGESTED}
+    cell = max(1.0, max(source.size) / _GRID)
+    numbers = (max(1, int(length / cell)) for length in source.size)
+    ys, xs = (
+        ((np.arange(k) + 0.5) * length / k).astype(int).tolist()
+        for k, length in zip(numbers, source.size, strict=True)
+    )
+    pixels = list(product(ys, xs))
+    sure: dict[str, list[Floats]] = {name: [] for name, _ in _SUGGESTED}
     for i in range(0, len(pixels), _AT_ONCE):
         step(i / len(pixels))
         part = luminance_part(source.some(pixels[i : i + _AT_ONCE], _SPP))
@@ -317,7 +325,7 @@ def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pi
                 np.where(found.flags[p] & (part.n > 0), found.intervals[p][..., 0], -np.inf)
                 for p in patterns
             ]
-            sure[name].append(np.fmax.reduce([*lower, np.full(len(part.n), -np.inf)]))
+            sure[name].append(np.fmax.reduce(lower, initial=-np.inf))
     chosen: dict[str, Pixel] = {}
     for name, parts in sure.items():
         score = np.concatenate(parts)
@@ -325,13 +333,3 @@ def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pi
         if score.max() > -np.inf:
             chosen[name] = pixels[int(score.argmax())]
     return list(chosen.items())
-
-
-def _grid(height: int, width: int) -> list[Pixel]:
-    """Return pixels in the middle of cells of equal size."""
-    cell = max(1.0, max(height, width) / _GRID)
-    ys, xs = (
-        ((np.arange(max(1, int(k / cell))) + 0.5) * k / max(1, int(k / cell))).astype(int).tolist()
-        for k in (height, width)
-    )
-    return [(y, x) for y in ys for x in xs]
