@@ -22,8 +22,7 @@ from chdstat.estimators.weighting import combine
 from chdstat.rendering import render_batches, workers
 from chdstat.samples import Samples
 from chdstat.samples import tiles as cut
-from chdstat.samples.access import reopened
-from chdstat.samples.store import Store
+from chdstat.samples.store import Store, reopened
 from chdstat.summary.statistics import Summary
 
 SETTINGS: dict[str, Any] = {"size": (24, 16), "backend": "scalar", "progress": False}

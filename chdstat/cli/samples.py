@@ -1,4 +1,4 @@
-"""Samples: the commands that render, import, describe and convert them."""
+"""Samples: the commands that render, import, export and describe them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from chdstat.errors import ChdstatError, InputError
 from chdstat.rendering.backend import Color
 from chdstat.rendering.sequences import SamplerName
 
-__all__ = ["convert", "export", "import_samples", "include", "info", "render"]
+__all__ = ["export", "import_samples", "include", "info", "render"]
 
 
 @cli.app.command(
@@ -348,7 +348,7 @@ def info(
 ) -> None:
     """Describe a store, and say whether it is complete and sound."""
     from chdstat.samples import inspect
-    from chdstat.samples.description import provenance
+    from chdstat.samples.samples import provenance
 
     found = inspect(store, verify=verify)
     if as_json:
@@ -370,7 +370,7 @@ def info(
 def _state(found: Mapping[str, Any]) -> dict[str, str]:
     """Return what there is of a store, in words."""
     from chdstat._core.display import byte_size
-    from chdstat.samples.description import BIASED
+    from chdstat.samples.samples import BIASED
 
     wanted, there = found["shape"]["sample"], found["complete_spp"]
     state = "complete"
@@ -401,32 +401,3 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
         "On disk": byte_size(found["bytes"]),
         "Written by": f"chdstat {found['chdstat_version']}, schema {found['schema_version']}",
     }
-
-
-@cli.app.command(epilog="Example: chdstat convert old.zarr -o new.zarr --scene bathroom")
-def convert(
-    store: cli.StorePath,
-    out: Annotated[Path, typer.Option("--out", "-o", help="New store to write, in a folder.")],
-    scene: Annotated[
-        str | None,
-        typer.Option(
-            "--scene",
-            help="Scene of the samples, needed to append if it was an XML file: some samples "
-            "are rendered again, and must be the same.",
-        ),
-    ] = None,
-    define: cli.Defines = None,
-    plugin: cli.Plugins = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
-) -> None:
-    """Write the samples of a store of an earlier schema into a new one, which can be appended to.
-
-    The old store stays as it is.
-    """
-    from chdstat.rendering.conversion import convert as converted
-
-    cli.load_plugins(plugin)
-    of = None if scene is None else cli.scene_of(scene, define)
-    samples = converted(store, out, scene=of, progress=not quiet)
-    output.say_samples(samples, as_json=as_json, quiet=quiet)

@@ -40,8 +40,8 @@ from chdstat._core.files import check_claim
 from chdstat.errors import InputError, StoreError, brief
 from chdstat.io.frames import Frame, Frames
 from chdstat.io.reading import Opened, ReadOptions
-from chdstat.samples.axes import ordered, single
 from chdstat.samples.layout import FOREIGN
+from chdstat.samples.samples import axes_of, single
 
 __all__ = [
     "DAMAGED",
@@ -189,7 +189,7 @@ def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
     sources = []
     for path in paths:
         array = Remapped(partial(load_npy, path))
-        sources.append(ArraySource(array, ordered(array, path.name, options.axes), path))
+        sources.append(ArraySource(array, axes_of(array, path.name, options.axes), path))
     return Opened(joined(sources))
 
 
@@ -200,7 +200,7 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
         arrays = _unpacked(path)
         name = _variable(path, arrays, options.variable)
         features = {n: _named(path, arrays, inside) for n, inside in options.features.items()}
-        axes = ordered(arrays[name], path.name, options.axes)
+        axes = axes_of(arrays[name], path.name, options.axes)
         sources.append(ArraySource(arrays[name], axes, path, features=features))
     return Opened(joined(sources))
 
@@ -225,7 +225,7 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
         if options.axes is None and set(map(str, array.dims)) <= letters.keys():
             axes = "".join(letters[str(dim)] for dim in array.dims)
         else:
-            axes = ordered(array, path.name, options.axes)
+            axes = axes_of(array, path.name, options.axes)
         sources.append(ArraySource(array.variable, axes, path, features=features))
         attrs = {str(k): v for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
         attrs |= {"unit": str(array.attrs["units"])} if "units" in array.attrs else {}

@@ -22,10 +22,10 @@ import numpy.typing as npt
 from chdstat._core.arrays import Image, warn_caller
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
-from chdstat.samples.axes import check_counts, check_features
 from chdstat.samples.layout import canonical
-from chdstat.samples.repeats import warn_of_repeats
-from chdstat.samples.tiles import BATCH, Source
+from chdstat.samples.samples import check_counts, check_features
+from chdstat.samples.sequences import warn_of_repeats
+from chdstat.samples.tiles import BATCH, SampleSource
 
 __all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]
 
@@ -63,7 +63,7 @@ class Opened:
         Samples of each pixel, shape (y, x), where they differ.
     """
 
-    source: Source
+    source: SampleSource
     attrs: Mapping[str, Any] = field(default_factory=dict)
     counts: npt.NDArray[np.int32] | None = None
 
@@ -235,7 +235,7 @@ _LOOKED = 2**29
 """Bytes of images that are decoded to see whether they repeat each other, or one batch."""
 
 
-def _warn_of_copies(paths: Sequence[Path], source: Source) -> None:
+def _warn_of_copies(paths: Sequence[Path], source: SampleSource) -> None:
     """Warn of samples that are there twice, by the names of the files or by what they hold."""
     file, times = Counter(path.resolve() for path in paths).most_common(1)[0]
     if times > 1:
@@ -262,7 +262,7 @@ def _hash(paths: Sequence[Path]) -> str:
 class _Counted:
     """Samples of which each pixel has a number of its own: what lies beyond it reads as NaN."""
 
-    def __init__(self, source: Source, counts: npt.NDArray[np.int32]) -> None:
+    def __init__(self, source: SampleSource, counts: npt.NDArray[np.int32]) -> None:
         self._source, self._counts = source, counts
         self.path, self.shape, self.frames = source.path, source.shape, source.frames
 

@@ -32,7 +32,7 @@ from chdstat._core.reasons import first_of, flag_attributes, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
 from chdstat.patterns.clusters import Groups, find_groups, ratio
-from chdstat.samples import Blocks, ImageLike, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of
 from chdstat.samples.tiles import Work
 from chdstat.summary.bins import Support
 from chdstat.summary.histograms import Histogram, StreamingHistogram
@@ -314,7 +314,7 @@ def _of_samples(
 ) -> Shapes:
     """Return the shapes of the luminance of an image."""
 
-    def of_tile(tile: Samples, blocks: Blocks) -> Mapped:
+    def of_tile(tile: Samples, blocks: SampleBlocks) -> Mapped:
         log, n_good, n_null = _log_moments(blocks)
         center = np.where(log.count > 0, log.mean, np.nan)
         again = (tile.read(ss=ss) for ss in spans(tile.spp, _BATCH))
@@ -383,7 +383,7 @@ class _Grid:
         return np.asarray(start + (place - left) * (stop - start), dtype=np.float32)
 
 
-def _log_moments(blocks: Blocks) -> tuple[Moments, Counts, Counts]:
+def _log_moments(blocks: SampleBlocks) -> tuple[Moments, Counts, Counts]:
     """Return the moments of log10 of positive luminance, and how many are good, and how many 0."""
 
     def of_block(block: npt.NDArray[np.float32]) -> tuple[Moments, Counts]:
@@ -405,7 +405,7 @@ def _luminance(block: npt.NDArray[np.float32]) -> tuple[Floats, Mask]:
     return np.where(good, luminance(block), 0).astype(np.float64), good
 
 
-def _count(blocks: Blocks, center: Floats) -> Counts:
+def _count(blocks: SampleBlocks, center: Floats) -> Counts:
     """Count luminance in fine bins around `center`, shape (y, x, bin); the end bins are open."""
     missing = np.isnan(center)
     reason = np.where(missing, Reason.ALL_NULL, Reason.OK).astype(np.int8)

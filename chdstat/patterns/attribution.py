@@ -17,7 +17,7 @@ from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.reasons import first_of, label_variables
 from chdstat.errors import InputError, Reason
 from chdstat.samples import ImageLike, Mapped, Samples, samples_of
-from chdstat.samples.tiles import DIRECT_DEPTH, Part, over_tiles, tiles
+from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, over_tiles, tiles
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -118,7 +118,7 @@ def attribute(
     )
 
 
-def part_names(parts: Sequence[Part]) -> list[str]:
+def part_names(parts: Sequence[LightPart]) -> list[str]:
     """Return what the light of each part, and the rest of it, is called.
 
     Examples

@@ -23,7 +23,8 @@ from chdstat.patterns.attribution import By, by_part, groups_of, part_names, sha
 from chdstat.patterns.classification import Label, Patterns, classify
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import Part, check_sequences, sequence_of
+from chdstat.samples.sequences import check_sequences, sequence_of
+from chdstat.samples.tiles import LightPart
 from chdstat.summary.bins import Scale
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.statistics import summarize
@@ -73,7 +74,7 @@ class Pixel(Shown):
     radiance: npt.NDArray[np.float32]
     channels: tuple[str, ...]
     scene: str
-    parts: Mapping[Part, npt.NDArray[np.float32]] = field(default_factory=dict)
+    parts: Mapping[LightPart, npt.NDArray[np.float32]] = field(default_factory=dict)
     sequence: int = 1
 
     @classmethod

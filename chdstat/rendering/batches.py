@@ -22,8 +22,9 @@ from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.rendering.writers import provenance, renderer_of
-from chdstat.samples import Samples, description
-from chdstat.samples.layout import BATCH, Chunk, chunk_grid
+from chdstat.samples import Samples
+from chdstat.samples.samples import provenance as described
+from chdstat.samples.tiles import BATCH, Chunk, chunk_grid
 from chdstat.scenes import SceneLike
 
 __all__ = ["Rendering", "render_batches"]
@@ -177,7 +178,7 @@ class Rendering:
             yield Samples(source, attrs=self.attrs, features={}), threads
 
     def _repr_html_(self) -> str:
-        return Card("Rendering", description.provenance(self.attrs, self.shape)).html()
+        return Card("Rendering", described(self.attrs, self.shape)).html()
 
     def __repr__(self) -> str:
         height, width, _, spp = self.shape
@@ -239,7 +240,7 @@ def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
 
 
 class _Drawn:
-    """A `chdstat.samples.tiles.Source` that draws what is read, chunk by chunk.
+    """A `chdstat.samples.tiles.SampleSource` that draws what is read, chunk by chunk.
 
     `draw` draws a chunk; in a worker of a cluster, to which it does not travel, the scene is built.
     """

@@ -31,7 +31,7 @@ from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, proven
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import part_folder
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import DIRECT_DEPTH, Part
+from chdstat.samples.tiles import DIRECT_DEPTH, LightPart
 from chdstat.scenes import SceneLike, load_scene
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import LONGEST
@@ -317,7 +317,7 @@ def _check_portable(job: Job) -> None:
         raise InputError(message) from error
 
 
-def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Part, Job]:
+def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[LightPart, Job]:
     """Return the same job with paths cut after each of some depths, where that cuts any.
 
     A sample of it is that of the whole but for the light that its path meets later: both draw the

@@ -25,7 +25,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.lights import check_lights, darken, flush, light_names, switched_off
 from chdstat.rendering.rays import drawn, sensed
 from chdstat.rendering.seeds import Streams
-from chdstat.samples.layout import BATCH, TILE, Chunk
+from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import check_variant

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 
 from chdstat.errors import InputError
 from chdstat.rendering.sequences import Sequences
-from chdstat.samples.layout import BATCH, TILE, Chunk
+from chdstat.samples.tiles import BATCH, TILE, Chunk
 
 __all__ = ["SEEDS", "STREAMS", "Streams", "check_spp"]
 

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 from chdstat._core.arrays import whole
 from chdstat.errors import InputError
-from chdstat.samples.layout import BATCH, Chunk
+from chdstat.samples.tiles import BATCH, Chunk
 
 __all__ = ["SamplerName", "Sequences", "grouped"]
 

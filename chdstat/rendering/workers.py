@@ -18,8 +18,9 @@ from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import grouped
-from chdstat.samples.access import reopened
-from chdstat.samples.layout import Chunk, differing
+from chdstat.samples.layout import differing
+from chdstat.samples.store import reopened
+from chdstat.samples.tiles import Chunk
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -18,8 +18,9 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import STREAMS, check_spp
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import Chunk, Part, check_appendable, chunk_grid, differing
+from chdstat.samples.layout import differing
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import Chunk, LightPart, chunk_grid
 
 __all__ = ["MemoryWriter", "Writer", "check_room", "opened_store", "provenance", "renderer_of"]
 
@@ -134,7 +135,7 @@ class MemoryWriter:
         """Record how long rendering took."""
         self._attrs["render_seconds"] = round(seconds, 3)
 
-    def finish(self, parts: Mapping[Part, Samples] | None = None) -> Samples:
+    def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples, with the parts of their light."""
         return Samples(self._array, attrs=self._attrs, features=self._features, parts=parts)
 
@@ -148,7 +149,6 @@ def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int], spp: i
     if not is_store(out):
         width, height = size
         return Store.create(out, shape=(height, width, 3, spp), attrs=attrs)
-    check_appendable(out)
     _check_identity(Store.open(out), attrs)
     store = Store.open(out, writable=True)
     store.extend(spp)
@@ -178,16 +178,8 @@ _CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": 
 
 
 def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:
-    """Return which files and plugins of a scene differ from those that a store was rendered with.
-
-    Stores of earlier versions do not say which files they were rendered with.
-    """
+    """Return which files and plugins of a scene differ from those of a store."""
     parts = []
-    if "scene_files" not in held and held.get("scene_hash") != attrs["scene_hash"]:
-        parts.append(
-            "rendered by an earlier version, which tells scenes apart by other files: "
-            "'chdstat convert --scene' shows whether they are of this scene"
-        )
     for key, word in _CHANGES.items():
         if held.get(key) is not None and (names := sorted(differing(held[key], attrs[key]))):
             more = f" and {len(names) - 5} more" if len(names) > 5 else ""

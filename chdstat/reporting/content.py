@@ -30,7 +30,7 @@ from chdstat.reporting.result_tables import (
     remake_note,
 )
 from chdstat.samples import Samples
-from chdstat.samples.description import provenance
+from chdstat.samples.samples import provenance
 from chdstat.studies.claims import SceneData
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of

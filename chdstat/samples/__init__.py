@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from chdstat.samples.access import (
-    Blocks,
-    ImageLike,
+from chdstat.samples.layout import is_store
+from chdstat.samples.samples import ImageLike, Samples
+from chdstat.samples.store import (
     cache_key,
     check_equal_counts,
     checkpoint_key,
     inspect,
-    is_store,
     open,  # noqa: A004 - chdstat.open reads like open
     opened,
-    reduce_tiles,
     samples_of,
 )
-from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import Mapped
+from chdstat.samples.tiles import Mapped, SampleBlocks, reduce_tiles
 
 __all__ = [
-    "Blocks",
     "ImageLike",
     "Mapped",
+    "SampleBlocks",
     "Samples",
     "cache_key",
     "check_equal_counts",

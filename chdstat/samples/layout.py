@@ -1,4 +1,4 @@
-"""Layout of a store: where a chunk lies in the zarr v3 group, and what a file of it holds.
+"""Layout of a store: where a chunk lies in the zarr v3 group, and what its file holds.
 
 The group::
 
@@ -12,92 +12,68 @@ The group::
     depth-3/            likewise the same samples, their paths cut after three segments; and so on
     .lock               while a process writes
 
-A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, replaced as a whole.
-Inside it is a shard of zarr: blocks of 16 x 16 pixels, each compressed with a checksum, so that
-zarr reads a single pixel without its tile (1024 spp in 19 ms of processor time). The file ends in a
-*label*, which zarr does not look at: the identity of the store whose samples these are, which
-chunk, how many samples of each pixel, and the checksum of all that is before it. What is read has
-its label checked first, so no file counts in another place than its own, nor an older file for a
-newer one. Two stores of one identity hold equal chunks, as samples depend on nothing else.
+A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, replaced as a whole. It
+is a shard of zarr: blocks of 16 x 16 pixels, each compressed with a checksum, so that zarr reads a
+single pixel without its tile (1024 spp in 19 ms of processor time). The file ends in a *label*,
+which zarr ignores: the identity of the store, which chunk it is, how many samples of each pixel it
+has, and the checksum of all that is before it. A reader checks the label first. So a file does not
+count in another place than its own, nor an older file for a newer one. Two stores of one identity
+hold equal chunks, as samples depend on nothing else.
 
-**Other places than a folder.** All that is asked of a place is to replace, read and list small
-files by name; nothing is renamed but by `replacing`, no folder is moved, nothing is appended.
-Behind a URL a chunk is put with one request, and there is no lock.
+A store may lie behind a URL. All it needs from a place is to replace, read and list small files by
+name. Only `replacing` renames, no folder is moved, and nothing is appended. Behind a URL a chunk is
+put with one request, and there is no lock.
 
-**The manifest** is the attribute of that name: shape, identity, the samples that every pixel is
+The *manifest* is the attribute of that name: shape, identity, the samples that every pixel is
 known to have, the checksum of each feature, whether there is a direct part, and a checksum of all
-attributes. A chunk among the samples that every pixel has is damaged if it is not there; any other
-is not rendered yet, or counts by its label: a render that is killed at any moment repeats at most
-the chunks that were in flight. The metadata of arrays follows from the manifest and is never
-believed. The manifest lies in two files, so that damage to one of them loses nothing.
+attributes. A chunk among the samples that every pixel has is damaged if it is missing. Any other
+chunk is not rendered yet, or counts by its label: a render that is killed at any moment repeats at
+most the chunks that were in flight. The metadata of arrays follows from the manifest; what their
+files say is not used. The manifest lies in two files, so that damage to one of them loses nothing.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import json
-import math
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
-import zarr
-from zarr.storage import StorePath
-
-from chdstat._core.arrays import Image
-from chdstat._core.files import checksum, is_remote, replacing, tail
+from chdstat._core.files import (
+    checksum,
+    exists,
+    is_path,
+    is_remote,
+    place_of,
+    replacing,
+    tail,
+)
 from chdstat.errors import StoreError
-from chdstat.samples.access import is_store
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Part
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart
+from chdstat.scenes.files import is_file
 
 __all__ = [
-    "BATCH",
     "BLOCK",
     "COUNTS",
-    "FIRST_SCHEMA",
+    "FOREIGN",
     "SCHEMA_VERSION",
-    "TILE",
-    "Chunk",
-    "Image",
-    "Part",
-    "WriteError",
-    "check_appendable",
-    "chunk_grid",
+    "DamageError",
+    "canonical",
     "differing",
+    "is_store",
     "part_folder",
-    "parts_in",
-    "with_parts",
 ]
 
 BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
-_DIRECT = "direct"
-_DEPTH = "depth-"
-_LIGHT = "light-"
 COUNTS = "counts"
 """Feature that says how many samples each pixel has, where they differ."""
-ALL = slice(None)
-_LABEL = struct.Struct("<8s8s4IQII")
-"""Mark, identity, tile_y, tile_x, batch, samples, length and checksum of what is before the label,
-and the checksum of the label itself."""
-_MARK = b"chdstat2"
-_LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
-_CRC = {"name": "crc32c"}
-
-Shape = tuple[int, int, int, int]
-"""(y, x, channel, sample)."""
-
-
 SCHEMA_VERSION = 2
-FIRST_SCHEMA = 1
 LOCK = ".lock"
-_GROWING = ("spp", "render_seconds", "appended", "why_no_features")
-"""Attributes that change while samples are added; all others are the identity of a store."""
 FOREIGN = (
     ArithmeticError,
     AssertionError,
@@ -109,58 +85,33 @@ FOREIGN = (
     ValueError,
 )
 """What damaged bytes may raise in the libraries that read them."""
-
-
-class WriteError(StoreError):
-    """The system does not let a store be written to."""
+_DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
+_GROWING = ("spp", "render_seconds", "appended", "why_no_features")
+"""Attributes that change while samples are added; all others are the identity of a store."""
+_LABEL = struct.Struct("<8s8s4IQII")
+"""Mark, identity, tile_y, tile_x, batch, samples, length and checksum of what is before the label,
+and the checksum of the label itself."""
+_MARK = b"chdstat2"
+_LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
+_CRC = {"name": "crc32c"}
 
 
 class DamageError(ValueError):
     """What is wrong with a file."""
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """One unit of work: a tile of pixels times a batch of samples."""
+def is_store(source: object) -> TypeGuard[str | Path]:
+    """Return whether something is the path of a store, damaged or not.
 
-    batch: int
-    tile_y: int
-    tile_x: int
-    ys: slice
-    xs: slice
-    ss: slice
-
-    @property
-    def index(self) -> tuple[int, int, int]:
-        """Position in the ledger."""
-        return self.tile_y, self.tile_x, self.batch
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Height, width and number of samples."""
-        height, width, samples = (s.stop - s.start for s in (self.ys, self.xs, self.ss))
-        return height, width, samples
-
-    @property
-    def size(self) -> int:
-        """Samples in the chunk, over all its pixels."""
-        return math.prod(self.shape)
-
-
-def chunk_grid(
-    height: int, width: int, spp: int, *, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL
-) -> Iterator[Chunk]:
-    """Yield the chunks that an image, or a part of it, lies in.
-
-    They come batch by batch, so that an interrupted render holds whole images.
+    Examples
+    --------
+    >>> is_store("cornell-box")
+    False
     """
-    cuts = []
-    for part, length, step in ((ss, spp, BATCH), (ys, height, TILE), (xs, width, TILE)):
-        start, stop, _ = part.indices(length)
-        numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
-        cuts.append([(i, slice(i * step, min((i + 1) * step, length))) for i in numbers])
-    for (b, samples), (ty, rows), (tx, columns) in itertools.product(*cuts):
-        yield Chunk(b, ty, tx, rows, columns, samples)
+    if not is_path(source):
+        return False
+    manifests = [place_of(source) / name for name in ("zarr.json", "radiance/zarr.json")]
+    return any(exists(file) if is_remote(file) else is_file(file) for file in manifests)
 
 
 def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
@@ -174,7 +125,7 @@ def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
     return [name for name in {**one, **two} if one.get(name) != two.get(name)]
 
 
-def part_folder(part: Part) -> str:
+def part_folder(part: LightPart) -> str:
     """Return the folder, within a store, of a part of the light of its samples."""
     if isinstance(part, int):
         return _DIRECT if part == DIRECT_DEPTH else f"{_DEPTH}{part}"
@@ -182,7 +133,7 @@ def part_folder(part: Part) -> str:
     return f"{_LIGHT}{plain}-{digest[:8]}"
 
 
-def parts_in(path: Path, manifest: Mapping[str, Any]) -> list[Part]:
+def parts_in(path: Path, manifest: Mapping[str, Any]) -> list[LightPart]:
     """Return the parts that a store has, or should have by its manifest, depths first."""
     depths = {DIRECT_DEPTH} if manifest["direct"] or is_store(path / _DIRECT) else set()
     for folder in path.glob(f"{_DEPTH}*"):
@@ -195,7 +146,7 @@ def parts_in(path: Path, manifest: Mapping[str, Any]) -> list[Part]:
     ]
 
 
-def with_parts(manifest: Mapping[str, Any], parts: Iterable[Part]) -> dict[str, Any]:
+def with_parts(manifest: Mapping[str, Any], parts: Iterable[LightPart]) -> dict[str, Any]:
     """Return a manifest that lists parts, too."""
     made = dict(manifest)
     for part in parts:
@@ -255,17 +206,15 @@ def group_metadata(attributes: Mapping[str, Any]) -> dict[str, Any]:
     return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes)}
 
 
-def radiance_metadata(
-    shape: Sequence[int], attributes: Mapping[str, Any], *, index: str = "start"
-) -> dict[str, Any]:
-    """Return the metadata of the samples; the index of a shard is before or behind its blocks."""
+def radiance_metadata(shape: Sequence[int], attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the metadata of the samples."""
     # Paths that end alike give equal numbers: unshuffled, zstd finds them (a fifth smaller).
     blosc = {"cname": "zstd", "clevel": 1, "shuffle": "noshuffle", "typesize": 4, "blocksize": 0}
     shard = {
         "chunk_shape": [BLOCK, BLOCK, shape[2], BATCH],
         "codecs": [_LITTLE, {"name": "blosc", "configuration": blosc}, _CRC],
         "index_codecs": [_LITTLE, _CRC],
-        "index_location": index,
+        "index_location": "start",
     }
     codecs = [{"name": "sharding_indexed", "configuration": shard}]
     names = ["y", "x", "channel", "sample"]
@@ -303,7 +252,10 @@ def _array_metadata(
 
 
 def array(store: Any, name: str, metadata: Any) -> Any:
-    """Return an array of known metadata, whatever a file says of it."""
+    """Return an array of known metadata; its own file is not read."""
+    import zarr
+    from zarr.storage import StorePath
+
     # A chunk of nothing but NaN is a result; unless told at each opening, zarr drops it.
     with zarr.config.set({"array.write_empty_chunks": True}):
         return zarr.Array(zarr.AsyncArray(metadata, StorePath(store, name)))
@@ -345,34 +297,14 @@ def attributes_of(path: Path) -> dict[str, Any]:
             pass
         found.append(attributes)
     version = found[0].get("schema_version") if isinstance(found[0], dict) else None
-    if version == FIRST_SCHEMA:
-        return dict(found[0])
-    if version not in (None, SCHEMA_VERSION):
-        message = (
-            f"{path} has schema version {version}, this chdstat reads "
-            f"{FIRST_SCHEMA} and {SCHEMA_VERSION}"
-        )
-        raise StoreError(message)
-    raise incomplete(path, "zarr.json and its copy radiance/zarr.json are damaged or of others")
-
-
-def check_appendable(path: Path) -> None:
-    """Refuse to write to a store of schema 1.
-
-    Raises
-    ------
-    StoreError
-        If it is one; the message says how to convert it.
-    """
-    attributes = attributes_of(path)
-    if attributes["schema_version"] == FIRST_SCHEMA:
-        name, source = (attributes.get(key) for key in ("scene", "scene_source"))
-        scene = name if source in (None, "chdstat") else source
-        message = (
-            f"{path} is of schema {FIRST_SCHEMA}, which is only read; to append, convert it "
-            f"first: chdstat convert {path} -o NEW --scene {scene}"
-        )
-        raise StoreError(message)
+    if version in (None, SCHEMA_VERSION):
+        raise incomplete(path, "zarr.json and its copy radiance/zarr.json are damaged or of others")
+    message = f"{path} has schema version {version}, this chdstat reads {SCHEMA_VERSION}" + (
+        "; render it again, or convert it with chdstat 0.1: chdstat convert OLD -o NEW"
+        if version == 1
+        else ""
+    )
+    raise StoreError(message)
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -436,7 +368,7 @@ def writing(path: Path) -> Iterator[None]:
             f"cannot write to {path}: {error.strerror or error}. "
             "What is stored is kept; run the same command again to resume"
         )
-        raise WriteError(message) from error
+        raise StoreError(message) from error
 
 
 def brief(error: BaseException) -> str:

@@ -1,29 +1,41 @@
 """Samples: every radiance sample of an image, in memory or on disk, with the same methods.
 
-Index it with a pixel, cut it with `Samples.isel`, read parts, walk it with `Samples.blocks`, or map
-a function over its tiles with `Samples.map`; statistics elsewhere take it whole.
+Index them with a pixel, cut them with `Samples.isel`, read parts, walk them with `Samples.blocks`,
+or map a function over their tiles with `Samples.map`; statistics elsewhere take them whole.
 """
 
 from __future__ import annotations
 
 import copy
+import importlib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+import operator
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, Unpack, overload
+from typing import TYPE_CHECKING, Any, SupportsIndex, TypeAlias, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, spans
+from chdstat._core.arrays import Image, LeftOut, Reals, as_samples, check_real, is_bad, spans
+from chdstat._core.display import Card, duration, png
 from chdstat._core.files import place_of
+from chdstat._core.image_scales import tonemap
+from chdstat._core.moments import Moments
+from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.samples import tiles
-from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
-from chdstat.samples.repeats import warn_of_repeats
-from chdstat.samples.tiles import DIRECT_DEPTH, Mapped, Part, Source, Work
+from chdstat.samples.sequences import (
+    check_independent,
+    check_sequences,
+    check_single,
+    sequence_of,
+    warn_of_repeats,
+)
+from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, Mapped, SampleSource, Work
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,9 +43,32 @@ if TYPE_CHECKING:
 
     from chdstat.patterns.pixel import Pixel
 
-__all__ = ["Samples"]
+__all__ = [
+    "BIASED",
+    "ImageLike",
+    "Samples",
+    "axes_of",
+    "check_counts",
+    "check_features",
+    "provenance",
+    "single",
+]
 
+BIASED = "where that number depended on the samples, means and their errors are biased"
+"""What follows from pixels with different numbers of samples."""
 _ALL = slice(None)
+_ALWAYS_READ = 2**26
+"""Bytes that are read without a look at how much memory there is."""
+_MOST_CHANNELS = 4
+"""More than these are probably samples, unless the caller says that they are channels."""
+_DECADES, _LARGEST = 70, 38
+"""Decades that single precision surely has, and the logarithm of its largest number."""
+_THUMBNAIL, _VALUES = 256, 2**25
+"""Longer edge of a thumbnail in pixels, and samples that are read for it at most."""
+
+_Index = slice | SupportsIndex
+_Places = tuple[range, range, range]
+_PixelCounts = npt.NDArray[np.int32]
 
 
 class Samples:
@@ -52,14 +87,14 @@ class Samples:
 
     def __init__(
         self,
-        held: Image | Source,
+        held: Image | SampleSource,
         *,
         attrs: Mapping[str, Any],
         features: Mapping[str, Image] | None = None,
-        parts: Mapping[Part, Samples] | None = None,
-        part: tuple[range, range, range] | None = None,
+        parts: Mapping[LightPart, Samples] | None = None,
+        part: _Places | None = None,
         path: Path | None = None,
-        counts: npt.NDArray[np.int32] | None = None,
+        counts: _PixelCounts | None = None,
     ) -> None:
         height, width, _, spp = held.shape
         self._held, self._attrs, self._counts = held, dict(attrs), counts
@@ -117,11 +152,24 @@ class Samples:
         >>> Samples.from_array(radiance, axes="yxsc")
         <Samples 'samples' 6 x 4 pixels, 3 channels, 32 spp, in memory>
         """
-        parts, found = as_images(array, direct, counts, axes)
-        check_features(features or {}, parts[0].shape)
-        warn_of_repeats(lambda y, x, s: parts[0][y, x, :, s], parts[0].shape, "samples")
+        parts = [_as_image(array, "samples", axes)]
+        shape = parts[0].shape
+        if direct is not None:
+            parts.append(_as_image(direct, "direct", axes))
+            if parts[1].shape != shape:
+                message = (
+                    f"direct must have the shape of the samples, {shape}, got {parts[1].shape}"
+                )
+                raise InputError(message)
+        found = None if counts is None else check_counts(counts, shape)
+        if found is not None:
+            absent = np.arange(shape[3]) >= found[..., np.newaxis, np.newaxis]
+            parts = [np.where(absent, np.float32(np.nan), part) for part in parts]
+        check_features(features or {}, shape)
+        warn_of_repeats(lambda y, x, s: parts[0][y, x, :, s], shape, "samples")
         held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
-        held[0]._parts = dict.fromkeys([DIRECT_DEPTH] if direct is not None else [], held[-1])
+        if direct is not None:
+            held[0]._parts = {DIRECT_DEPTH: held[1]}
         return held[0]
 
     @property
@@ -140,7 +188,7 @@ class Samples:
         return self._path
 
     @property
-    def source(self) -> Source | None:
+    def source(self) -> SampleSource | None:
         """What the samples are read from; None in memory."""
         return None if isinstance(self._held, np.ndarray) else self._held
 
@@ -156,9 +204,9 @@ class Samples:
         return len(self.part[2])
 
     @property
-    def counts(self) -> npt.NDArray[np.int32] | None:
+    def counts(self) -> _PixelCounts | None:
         """Samples of each pixel, shape (y, x), where they differ (others read as NaN); or None."""
-        found = None if self._counts is None else counted(self._counts, self.part[2])
+        found = None if self._counts is None else _counted(self._counts, self.part[2])
         return None if found is None or (found == self.spp).all() else found
 
     @property
@@ -172,7 +220,7 @@ class Samples:
         """First-hit features by name: albedo, normal, position (y, x, component), depth (y, x)."""
         if self._features is not None or isinstance(self._held, np.ndarray):
             return dict(self._features or {})
-        ys, xs, _ = map(as_slice, self.part)
+        ys, xs, _ = map(_as_slice, self.part)
         return {name: image[ys, xs] for name, image in self._held.read_features().items()}
 
     @property
@@ -189,7 +237,7 @@ class Samples:
         return {which: part for which, part in self._parts.items() if isinstance(which, int)}
 
     @property
-    def parts(self) -> dict[Part, Samples]:
+    def parts(self) -> dict[LightPart, Samples]:
         """The same samples with a part of their light: those of `depths` and of `lights`."""
         return dict(self._parts)
 
@@ -210,7 +258,18 @@ class Samples:
         >>> one.shares_numbers_with(same), one.shares_numbers_with(other)
         (True, False)
         """
-        return same_numbers(self._attrs, self.part, other._attrs, other.part)
+        (*places, first), (*others, second) = self.part, other.part
+        one, two = self._attrs, other._attrs
+        named: dict[str, Any] = {"seed": None, "streams": None, "sampler": "independent"}
+        named |= {"sequence": 1, "averaged": 1}
+        return (
+            one.get("seed") is not None
+            and places == others
+            and (first.start, first.step) == (second.start, second.step)
+            # What compiles draws in wavefronts, with numbers of their own.
+            and (one.get("backend") == "scalar") == (two.get("backend") == "scalar")
+            and all(one.get(name, value) == two.get(name, value) for name, value in named.items())
+        )
 
     def pixel(self, y: int, x: int) -> Pixel:
         """Return one pixel as an object that knows its nulls, statistics, fits and patterns.
@@ -229,43 +288,71 @@ class Samples:
         """Draw linear and log10 histograms of one pixel with their best fits, as `Pixel.plot`."""
         return self.pixel(y, x).plot(fig=fig)
 
-    def _repr_html_(self) -> str:
-        from chdstat.samples.description import card
-
-        return card(self).html()
-
     def __repr__(self) -> str:
-        from chdstat.samples.description import line
+        height, width, channels, spp = self.shape
+        counts, length = self.counts, sequence_of(self._attrs)
+        number = f"{spp} spp" if counts is None else f"{counts.min()} to {spp} spp"
+        if length > 1:
+            sampler = self._attrs.get("sampler", "")
+            number += f" in {sampler} sequences of {length}".replace("  ", " ")
+        elif self._attrs.get("averaged", 1) > 1:
+            number += f" (averages of {self._attrs['averaged']})"
+        where = "in memory"
+        if self.source is not None:
+            where = f"{'at' if self.path else 'part of'} {self.source.path}"
+        return (
+            f"<Samples {self.name!r} {width} x {height} pixels, "
+            f"{channels} channel{'s' if channels > 1 else ''}, {number}, {where}>"
+        )
 
-        return line(self)
+    def _repr_html_(self) -> str:
+        """Show a thumbnail, and where the samples come from."""
+        height, width, channels, spp = self.shape
+        facts = provenance(self._attrs, self.shape)
+        if self.counts is not None:
+            facts["Samples"] = f"{self.counts.min()} to {self.counts.max()} in a pixel; {BIASED}"
+        if self.features:
+            facts["First hit"] = ", ".join(self.features)
+        facts["Stored"] = "in memory" if self.path is None else str(self.path)
+        if channels not in (1, 3):
+            return Card("Samples", facts).html()
+        step = -(-max(height, width) // _THUMBNAIL)
+        few = max(1, min(spp, _VALUES // math.prod(self.shape[:3])))
+        thumbnail = self.isel(y=slice(None, None, step), x=slice(None, None, step))
+        radiance = thumbnail.read(ss=slice(few)).astype(np.float64)
+        image = png(tonemap(Moments.of(radiance, ~is_bad(radiance)).mean))
+        return Card("Samples", facts, images={f"mean of the first {few} samples": image}).html()
 
     @overload
-    def __getitem__(self, pixel: tuple[SupportsIndex, SupportsIndex]) -> Image: ...
+    def __getitem__(self, pixel: tuple[slice, slice]) -> Samples: ...
     @overload
-    def __getitem__(self, pixel: tuple[slice, slice | SupportsIndex]) -> Samples: ...
+    def __getitem__(self, pixel: tuple[SupportsIndex, _Index]) -> Image: ...
     @overload
-    def __getitem__(self, pixel: tuple[slice | SupportsIndex, slice]) -> Samples: ...
-    def __getitem__(
-        self, pixel: tuple[slice | SupportsIndex, slice | SupportsIndex]
-    ) -> Image | Samples:
+    def __getitem__(self, pixel: tuple[slice, SupportsIndex]) -> Image: ...
+    def __getitem__(self, pixel: tuple[_Index, _Index]) -> Image | Samples:
         """Return the samples that one pixel has, shape (channel, sample); of slices, as `isel`."""
-        tiles.check_place(pixel)
-        part = self.isel(y=pixel[0], x=pixel[1])
-        if any(isinstance(i, slice) for i in pixel):
-            return part
-        number = part.spp if part.counts is None else int(part.counts[0, 0])
-        return part.read()[0, 0, :, :number]
+        pair = isinstance(pixel, tuple) and len(pixel) == 2
+        if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
+            message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
+            raise InputError(message)
+        found = self.isel(y=pixel[0], x=pixel[1])
+        if self._counts is None or any(isinstance(place, slice) for place in pixel):
+            return found
+        return np.asarray(found)[..., : int(_counted(self._counts[pixel], self.part[2]))]
 
-    def isel(
-        self,
-        *,
-        y: slice | SupportsIndex = _ALL,
-        x: slice | SupportsIndex = _ALL,
-        sample: slice | SupportsIndex = _ALL,
-    ) -> Samples:
-        """Return some rows, columns or samples of each pixel; nothing is read or copied for it.
+    @overload
+    def isel(self, *, y: slice = ..., x: slice = ..., sample: slice = ...) -> Samples: ...
+    @overload
+    def isel(self, *, y: SupportsIndex, x: _Index = ..., sample: _Index = ...) -> Image: ...
+    @overload
+    def isel(self, *, x: SupportsIndex, y: _Index = ..., sample: _Index = ...) -> Image: ...
+    @overload
+    def isel(self, *, sample: SupportsIndex, y: _Index = ..., x: _Index = ...) -> Image: ...
+    def isel(self, *, y: _Index = _ALL, x: _Index = _ALL, sample: _Index = _ALL) -> Image | Samples:
+        """Select rows, columns or samples of each pixel.
 
-        Features and parts are cut alike. An integer keeps its axis, of length 1.
+        Slices give `Samples`, for which nothing is read or copied; features and parts are cut
+        alike. An integer drops its axis, as in xarray: what is left is read into an array.
 
         Raises
         ------
@@ -277,18 +364,27 @@ class Samples:
         >>> samples = Samples.from_array(np.ones((4, 6, 3, 32)))
         >>> samples.isel(y=slice(1, 3), sample=slice(None, None, 2))
         <Samples 'samples' 6 x 2 pixels, 3 channels, 16 spp, in memory>
+        >>> samples.isel(y=3).shape, samples.isel(sample=0).shape
+        ((6, 3, 32), (4, 6, 3))
         """
         rows, columns, samples = self.part
-        ys, xs, ss = cut("y", rows, y), cut("x", columns, x), cut("sample", samples, sample)
-        features, parts = self._features, {}
+        ys, xs, ss = _cut("y", rows, y), _cut("x", columns, x), _cut("sample", samples, sample)
+        if not all(isinstance(index, slice) for index in (y, x, sample)):
+            first = [_ALL if isinstance(index, slice) else 0 for index in (y, x, sample)]
+            return np.asarray(self.read(ys, xs, ss)[first[0], first[1], :, first[2]])
+        features, parts, attrs = self._features, {}, self._attrs
         if features is not None:
             features = {name: image[ys, xs] for name, image in features.items()}
         for which, part in self._parts.items():
             if ss.start < part.spp:  # it may be rendered for fewer samples
                 parts[which] = part.isel(y=ys, x=xs, sample=ss)
+        if (kept := len(samples[ss])) != self.spp:
+            seconds = attrs.get("render_seconds")
+            spent = {"render_seconds": seconds * kept / self.spp} if seconds else {}
+            attrs = {**attrs, "spp": kept, **spent}
         return Samples(
             self._held[ys, xs, :, ss] if isinstance(self._held, np.ndarray) else self._held,
-            attrs=tiles.attrs_of(self._attrs, self.spp, len(samples[ss])),
+            attrs=attrs,
             features=features,
             parts=parts,
             part=(rows[ys], columns[xs], samples[ss]),
@@ -307,8 +403,12 @@ class Samples:
         """
         if isinstance(self._held, np.ndarray):
             return self._held[ys, xs, :, ss]
-        rows, columns, samples = (r[s] for r, s in zip(self.part, (ys, xs, ss), strict=True))
-        return tiles.read_part(self._held, rows, columns, samples)
+        parts = [whole[part] for whole, part in zip(self.part, (ys, xs, ss), strict=True)]
+        size = 4 * self.shape[2] * math.prod(map(len, parts))
+        if size > _ALWAYS_READ:
+            advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
+            check_memory(size, "these samples", advice)
+        return self._held.read(*map(_as_slice, parts))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
         """Return all samples as an array (y, x, channel, sample), for ``np.asarray(samples)``."""
@@ -356,7 +456,7 @@ class Samples:
         >>> samples.save(Path(tempfile.mkdtemp()) / "flat.zarr").spp
         32
         """
-        from chdstat.samples.saving import save
+        from chdstat.samples.store import save
 
         return save(self, place_of(path), append=append, progress=progress)
 
@@ -390,9 +490,28 @@ class Samples:
         >>> drawn.sequence_means()
         <Samples 'samples' 6 x 4 pixels, 3 channels, 2 spp (averages of 16), in memory>
         """
-        means, length = tiles.sequence_means(self), tiles.sequence_of(self._attrs)
+        length = sequence_of(self._attrs)
+        height, width, channels, spp = self.shape
+        count = spp // length
+        if length == 1 or not count:
+            message = (
+                f"expected samples in sequences, got {spp} of a sequence of {length}"
+                if length > 1
+                else "expected samples in sequences, as samplers that spread them draw, got "
+                "independent ones, which need no averages"
+            )
+            raise InputError(message)
+        check_sequences(self)
+        advice = "take some rows of the image, with isel"
+        check_memory(4 * height * width * channels * count, "averages of these sequences", advice)
+        means = np.empty((height, width, channels, count), np.float32)
+        for ys, xs in tiles.tiles(self.shape):
+            block = self.read(ys, xs, slice(0, count * length))
+            sequences = block.reshape(*block.shape[:3], count, length)
+            with np.errstate(invalid="ignore"):  # of infinite samples
+                means[ys, xs] = sequences.mean(axis=-1, dtype=np.float64)
         attrs = {name: value for name, value in self._attrs.items() if name != "sequence"}
-        attrs |= {"averaged": length, "spp": means.shape[-1]}
+        attrs |= {"averaged": length, "spp": count}
         return Samples(means, attrs=attrs, features=self.features)
 
     def blocks(self) -> Iterator[tuple[slice, slice, slice, Image]]:
@@ -438,16 +557,281 @@ class Samples:
             Label of a progress bar; ``progress`` to show it, None for a terminal alone; ``client``
             for a Dask client, whose workers then compute the tiles.
         """
-        kinds = {"logarithms": logarithms, "dependent": dependent}
-        return tiles.mapped(self, function, **kinds, description=description, **work)
+        check_single(self)
+        if not dependent:
+            check_independent(self)
+
+        def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
+            block = part.read()
+            left_out.see(block, channel_axis=-2, absent=part.absent())
+            return function(block)
+
+        places, shown = tiles.tiles(self.shape), {"description": description}
+        return tiles.over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)
 
     def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
         """Return how many samples the pixels of a part lack, where some have fewer than others."""
         if self._counts is None:
             return 0
         asked = self.part[2][ss]
-        return int((len(asked) - counted(self._counts[ys, xs], asked)).sum())
+        return int((len(asked) - _counted(self._counts[ys, xs], asked)).sum())
 
     def to_dataset(self) -> xr.Dataset:
         """Return samples, features and counts as a labelled dataset, lazily where on disk."""
-        return tiles.dataset_of(self)
+        dims = ("y", "x", "component")
+        variables: dict[str, Any] = {n: (dims[: i.ndim], i) for n, i in self.features.items()}
+        if self.counts is not None:
+            variables["counts"] = (dims[:2], self.counts, {"long_name": "samples", "units": "1"})
+        radiance: Any = self._held if self.source is None else self._lazily()
+        about = {"long_name": "linear radiance", "units": self._attrs.get("unit", "W sr-1 m-2")}
+        variables["radiance"] = (("y", "x", "channel", "sample"), radiance, about)
+        return tiles.labelled(self, variables)
+
+    def _lazily(self) -> Any:
+        """Return the samples as a dask array that reads its chunks when needed."""
+        da: Any = importlib.import_module("dask.array")
+
+        def block(block_info: Any) -> Image:
+            ys, xs, _, ss = (slice(*ends) for ends in block_info[None]["array-location"])
+            return self.read(ys, xs, ss)
+
+        named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
+        chunks = da.core.normalize_chunks((tiles.TILE, tiles.TILE, -1, tiles.BATCH), self.shape)
+        return da.map_blocks(block, chunks=chunks, **named)
+
+
+ImageLike: TypeAlias = Samples | str | Path
+"""What functions take as an image: its samples, or the path of the store that holds them."""
+
+
+def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]:
+    """Return the settings that render the same samples again, by name; those that are known.
+
+    Parameters
+    ----------
+    attrs
+        Of the samples.
+    shape
+        Theirs, (y, x, channel, sample).
+
+    Examples
+    --------
+    >>> provenance({"scene": "flat", "seed": 3, "sampler": "independent"}, (4, 6, 3, 32))
+    {'Scene': 'flat (samples given)',
+     'Image': '6 × 4 pixels, 3 channels, 32 samples per pixel',
+     'Random numbers': 'independent sampler, seed 3'}
+    """
+    height, width, channels, spp = shape
+    integrator = dict(attrs.get("integrator") or {})
+    kind = integrator.pop("type", "")
+    settings = ", ".join(f"{name} {value}" for name, value in integrator.items())
+    seconds = float(attrs.get("render_seconds") or 0)
+    numbers, length = list[str](), sequence_of(attrs)
+    if {"sampler", "seed"} <= attrs.keys():  # a seed alone tells nothing
+        numbers.append(f"{attrs['sampler']} sampler, seed {attrs['seed']}")
+    if length > 1:
+        numbers.append(f"in sequences of {length} samples that depend on each other")
+    source = Path(attrs.get("scene_source", "samples given")).name  # no folders of a machine
+    rows = {
+        "Scene": f"{attrs.get('scene', 'samples')} ({source})",
+        "Scene hash": str(attrs.get("scene_hash", ""))[:16],
+        "Plugins": ", ".join(f"{n} ({digest})" for n, digest in attrs.get("plugins", {}).items()),
+        "Integrator": f"{kind} ({settings})" if settings else kind,
+        "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
+        f"{spp} samples per pixel",
+        "Random numbers": ", ".join(numbers),
+        "Light": {"spectral": "spectral, samples in linear sRGB", "mono": "of one channel"}.get(
+            attrs.get("color", ""), ""
+        ),
+        "Filter": str(attrs.get("filter", "")),
+        "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
+        if "mitsuba_version" in attrs
+        else str(attrs.get("renderer", "")),
+        "Averages": f"each value is the average of {attrs['averaged']} samples"
+        if attrs.get("averaged", 1) > 1
+        else "",
+        "Rendering time": duration(seconds) if seconds else "",
+        "Note": "; ".join(attrs.get("notes") or []),
+    }
+    return {name: value for name, value in rows.items() if value}
+
+
+# --- what is given as samples -------------------------------------------------------------------
+
+
+def _as_image(array: npt.ArrayLike, name: str, axes: str | None) -> Image:
+    """Return samples (y, x, channel, sample) in single precision.
+
+    Raises
+    ------
+    InputError
+        If the axes are probably others, or single precision would change what is null or infinite.
+    """
+    data = as_samples(array, minimum=0, name=name)
+    if not hasattr(array, "dims"):
+        letters = axes_of(data, name, axes)
+        axis_order = [letters.index(letter) for letter in "yxcs" if letter in letters]
+        data = np.ascontiguousarray(data.transpose(axis_order))
+    elif axes is not None:
+        message = f"the dims of {name} have names, which decide: leave axes={axes!r} out"
+        raise InputError(message)
+    elif data.ndim not in (3, 4) or ("channel" in array.dims) != (data.ndim == 4):
+        message = f"{name} must have the dims y, x, sample and perhaps channel, got {array.dims}"
+        raise InputError(message)
+    elif 0 in data.shape:
+        message = f"{name} must have shape (y, x, channel, sample), got {data.shape}"
+        raise InputError(message)
+    return single(data if data.ndim == 4 else data[:, :, np.newaxis, :], name)
+
+
+def axes_of(array: Any, name: str, axes: str | None) -> str:
+    """Return the letters of the axes of an array without named dims, such as "yxcs".
+
+    Raises
+    ------
+    InputError
+        If it holds no real numbers, is empty, or the axes are not, or probably not, its own.
+    """
+    check_real(array.dtype, name)
+    shape = tuple(map(int, array.shape))
+    if len(shape) not in (3, 4) or 0 in shape:
+        message = (
+            f"{name} must have shape (y, x, channel, sample) or (y, x, sample), with at least one "
+            f"element along each axis, got {shape}"
+        )
+        raise InputError(message)
+    letters = "yxcs" if len(shape) == 4 else "yxs"
+    if axes is None:
+        _check_plausible(name, shape)
+        return letters
+    if not isinstance(axes, str) or sorted(axes) != sorted(letters):
+        named = "y, x, s (sample) and c (channel)" if len(shape) == 4 else "y, x and s (sample)"
+        message = (
+            f"axes must name each axis of the samples once, by the letters {named}, such as "
+            f"{letters[:2] + letters[:1:-1]!r}; got {axes!r} for {name} of shape {shape}"
+        )
+        raise InputError(message)
+    return axes
+
+
+def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
+    """Refuse samples whose axes are probably in another order than (y, x, channel, sample)."""
+    *_, channels, spp = shape
+    if len(shape) == 3 and spp > _MOST_CHANNELS:
+        return
+    if len(shape) == 3:
+        message = (
+            f"{name} of shape {shape} would be {spp} samples of one channel in each pixel; it "
+            "looks like an image, of means of samples. If it holds samples, give axes='yxs'"
+        )
+        raise InputError(message)
+    if channels <= _MOST_CHANNELS and spp >= channels:
+        return
+    short = next((i for i in (3, 0, 1) if shape[i] <= _MOST_CHANNELS), None)
+    likely = {
+        3: "axes='yxsc' if it is (y, x, sample, channel), 'syxc' if (sample, y, x, channel)",
+        0: "axes='cyxs' if it is (channel, y, x, sample)",
+        1: "axes='scyx' if it is (sample, channel, y, x)",
+        None: "axes, such as 'yxsc' if it is (y, x, sample, channel)",
+    }[short]
+    message = (
+        f"{name} of shape {shape} would have {channels} channels of {spp} samples; say what the "
+        f"axes are: {likely}, or 'yxcs' if this is right"
+    )
+    raise InputError(message)
+
+
+def single(data: Reals, name: str) -> Image:
+    """Return samples in single precision, unless that makes nulls or infinite ones of them."""
+    if data.dtype in (np.float32, np.float16):
+        return data.astype(np.float32, copy=False)
+    with np.errstate(over="ignore", under="ignore"):
+        kept = data.astype(np.float32)
+    changed = ((kept == 0) != (data == 0)) | (np.isinf(kept) != np.isinf(data))
+    if changed.any():
+        message = (
+            f"{name} holds {data[changed][0]:.6g}, but samples are kept in single precision, from "
+            f"1.5e-45 to 3.4e38: {_in_range(np.abs(data))}"
+        )
+        raise InputError(message)
+    return kept
+
+
+def _in_range(size: Reals) -> str:
+    """Return how absolute values may be brought to the range of single precision."""
+    low, high = np.log10([f(size[(size > 0) & np.isfinite(size)]) for f in (np.min, np.max)])
+    if high - low < _DECADES:
+        return f"scale the radiance, such as by 1e{-round((low + high) / 2)}"
+    if high < _LARGEST:
+        return "give 0 for what is too small to matter"
+    return f"scale the radiance by 1e{-round(high)}, and give 0 for what is then too small"
+
+
+def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]) -> None:
+    """Refuse first-hit features of another image than samples of this shape."""
+    for name, image in features.items():
+        if name == "counts":
+            message = (
+                "a feature must not be called counts: give the samples of each pixel as counts="
+            )
+            raise InputError(message)
+        if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != shape[:2]:
+            message = (
+                f"feature {name} must have shape {shape[:2]} or (*{shape[:2]}, component), "
+                f"as the samples, got {np.shape(image)}"
+            )
+            raise InputError(message)
+
+
+def check_counts(counts: npt.ArrayLike, shape: tuple[int, ...]) -> _PixelCounts:
+    """Return how many of the samples of this shape each pixel has, shape (y, x).
+
+    Raises
+    ------
+    InputError
+        If they are no whole numbers from 0 to the number of samples, or of another image.
+    """
+    found = np.asarray(counts)
+    if found.dtype.kind not in "iu" or found.shape != shape[:2]:
+        message = (
+            f"counts must be whole numbers, the samples of each pixel, of shape {shape[:2]}; got "
+            f"{found.dtype} of shape {found.shape}"
+        )
+        raise InputError(message)
+    if found.min() < 0 or found.max() > shape[3]:
+        message = (
+            f"counts must be from 0 to {shape[3]}, the samples that there are, got {found.min()} "
+            f"to {found.max()}"
+        )
+        raise InputError(message)
+    return np.asarray(found, np.int32)
+
+
+def _counted(counts: _PixelCounts, samples: range) -> _PixelCounts:
+    """Return how many of some samples each pixel has, of which it has the first `counts`.
+
+    Examples
+    --------
+    >>> _counted(np.array([[0, 5, 9]], np.int32), range(2, 8, 2))
+    array([[0, 2, 3]], dtype=int32)
+    """
+    last = np.minimum(counts, samples.stop) - samples.start
+    return np.asarray(np.maximum(-(-last // samples.step), 0), np.int32)
+
+
+def _cut(dim: str, places: range, index: _Index) -> slice:
+    """Return an index of places along a dim as a slice that goes forward, an integer as one."""
+    length = len(places)
+    if isinstance(index, slice):
+        kept = range(length)[index]
+    else:
+        place = operator.index(index)
+        kept = range(place % length, place % length + 1) if -length <= place < length else range(0)
+    if not kept or kept.step < 0:
+        message = f"{dim} must lie within {-length} to {length - 1} and go forward, got {index!r}"
+        raise InputError(message)
+    return _as_slice(kept)
+
+
+def _as_slice(places: range) -> slice:
+    return slice(places.start, places.stop, places.step)

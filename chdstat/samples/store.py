@@ -1,15 +1,19 @@
 """Store: the samples of an image in a folder, a zarr v3 group that many processes may read.
 
-`chdstat.samples.layout` says where everything lies and what a file of it holds.
+`chdstat.samples.layout` says where everything lies and what a file of it holds. `open` returns the
+samples of a store, `inspect` what it holds, and `save` writes samples to one.
 
 **Many writers.** A chunk and its label are one file, replaced at once without a look at anything
 else: any process may write chunks, as workers of a cluster do, to which a store travels as its
-path. Only ``zarr.json`` and its copy are rewritten, by who holds the lock.
+path. Only the process that holds the lock rewrites ``zarr.json`` and its copy.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import hashlib
+import importlib.metadata
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -17,20 +21,53 @@ from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
-from zarr.storage import MemoryStore
 
 from chdstat._core.arrays import Image
-from chdstat._core.files import Lock, checksum, exists, is_remote, locked, remove, zarr_store
-from chdstat.errors import StoreError
+from chdstat._core.files import (
+    Lock,
+    checksum,
+    exists,
+    is_path,
+    is_remote,
+    locked,
+    place_of,
+    remove,
+    zarr_store,
+)
+from chdstat._core.work import track
+from chdstat.errors import InputError, StoreError
 from chdstat.samples import layout
-from chdstat.samples.access import of_store, reopened
-from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Part, Shape
-from chdstat.samples.samples import Samples
+from chdstat.samples.layout import FOREIGN, DamageError, is_store
+from chdstat.samples.samples import ImageLike, Samples
+from chdstat.samples.sequences import (
+    check_independent,
+    check_sequences,
+    check_single,
+    sequence_of,
+)
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 
-__all__ = ["Store"]
+__all__ = [
+    "Store",
+    "cache_key",
+    "check_equal_counts",
+    "checkpoint_key",
+    "inspect",
+    "open",
+    "opened",
+    "reopened",
+    "samples_of",
+    "save",
+]
 
+_ALL = slice(None)
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes by which the samples of two stores begin with the same random numbers."""
+_OF_A_STORE = (
+    *("scene_hash", "scene_code", "scene_files", "plugins"),
+    *("appended", "manifest", "schema_version"),
+)
+"""Attributes of a store itself: by the first, samples of a scene are appended to a render."""
 
 
 class Store:
@@ -50,9 +87,6 @@ class Store:
     """
 
     frames = False
-    path: Path
-    shape: Shape
-    _index_location = "start"
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
         self.path, self._attributes, self._lock = path, dict(attributes), lock
@@ -66,7 +100,7 @@ class Store:
         cls,
         path: Path,
         *,
-        shape: Shape,
+        shape: tuple[int, int, int, int],
         attrs: Mapping[str, Any],
         features: Mapping[str, Image] | None = None,
     ) -> Store:
@@ -109,19 +143,13 @@ class Store:
         ------
         StoreError
             If there is none, its manifest is damaged, or, for one that is writable, another process
-            writes to it, or it is of schema 1 or cannot be written to.
+            writes to it, or it cannot be written to.
         """
         if not exists(path):
             message = f"no store at {path}; render one with: chdstat render SCENE -o {path}"
             raise StoreError(message)
         if not writable:
-            attributes = layout.attributes_of(path)
-            if attributes["schema_version"] != layout.FIRST_SCHEMA:
-                return cls(path, attributes)
-            from chdstat.samples.first_schema import FirstStore
-
-            return FirstStore(path, attributes)
-        layout.check_appendable(path)
+            return cls(path, layout.attributes_of(path))
         with layout.writing(path):
             lock = locked(path, layout.LOCK)
             store = cls(path, layout.attributes_of(path), lock)
@@ -134,7 +162,7 @@ class Store:
     def place(self) -> tuple[Any, ...]:
         """What another process needs for `reopened`."""
         held = self._manifest
-        return self.path.absolute(), held.get("identity"), held["complete"], self.shape
+        return self.path.absolute(), held["identity"], held["complete"], self.shape
 
     def __reduce__(self) -> tuple[Any, ...]:
         return reopened, self.place
@@ -176,14 +204,16 @@ class Store:
 
     def _lay_out(self) -> None:
         """Make the arrays that chunks are decoded and encoded with; nothing is read for it."""
-        metadata = layout.radiance_metadata(self.shape, {}, index=self._index_location)
+        from zarr.storage import MemoryStore
+
+        metadata = layout.radiance_metadata(self.shape, {})
         self._radiance = layout.array(zarr_store(self.path), "radiance", metadata)
         self._encoded: dict[str, Any] = {}
         self._encoder = layout.array(MemoryStore(self._encoded), "radiance", metadata)
 
-    def _chunks(self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL) -> Iterator[Chunk]:
+    def _chunks(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> Iterator[Chunk]:
         height, width, _, spp = self.shape
-        return layout.chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
+        return chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
 
     def pending(self) -> list[Chunk]:
         """Return the chunks that are not safely stored yet, in the order to render them."""
@@ -201,7 +231,7 @@ class Store:
         """Return the file that holds a chunk."""
         return self.path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
 
-    def parts(self) -> dict[Part, Store]:
+    def parts(self) -> dict[LightPart, Store]:
         """Open the stores of the same samples with a part of their light: by depth, then by light.
 
         Raises
@@ -211,7 +241,7 @@ class Store:
         """
         return {part: self._part(part) for part in layout.parts_in(self.path, self._manifest)}
 
-    def _part(self, which: Part) -> Store:
+    def _part(self, which: LightPart) -> Store:
         path = self.path / layout.part_folder(which)
         part = Store.open(path)
         ours, theirs = self._same, part._same
@@ -269,7 +299,7 @@ class Store:
             raise DamageError(message)
 
     def _damaged_chunks(
-        self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL, *, content: bool = True
+        self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL, *, content: bool = True
     ) -> list[Chunk]:
         """Return the stored chunks in a part that are damaged; by their labels alone or whole."""
         damaged = []
@@ -382,7 +412,7 @@ class Store:
         if self.complete_spp() > self._manifest["complete"]:
             self.update()
 
-    def update(self, *, parts: Iterable[Part] = (), **attrs: Any) -> None:
+    def update(self, *, parts: Iterable[LightPart] = (), **attrs: Any) -> None:
         """Change attributes, and note what samples every pixel has, and of which parts."""
         manifest = self._manifest
         manifest["complete"] = max(manifest["complete"], self.complete_spp())
@@ -400,10 +430,10 @@ class Store:
         with contextlib.suppress(StoreError):
             self.update(render_seconds=round(before + seconds, 3))
 
-    def finish(self, parts: Mapping[Part, Samples] | None = None) -> Samples:
+    def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples that every pixel has, with the parts of their light."""
         self.update(parts=parts or ())
-        return of_store(self, parts)
+        return _of_store(self, parts)
 
     def discard(self) -> None:
         """Remove the store, if no samples were written to it."""
@@ -442,6 +472,8 @@ class Store:
                 self.update(why_no_features=why_none)
 
     def _write_feature(self, name: str, image: Image) -> None:
+        from zarr.storage import MemoryStore
+
         held: dict[str, Any] = {}
         metadata = layout.feature_metadata(image.shape)
         encoder = layout.array(MemoryStore(held), f"features/{name}", metadata)
@@ -459,3 +491,351 @@ class Store:
         for name, content in self._metadata():
             if layout.loaded(self.path / name) != content:
                 layout.put(self.path / name, json.dumps(content, indent=2, sort_keys=True).encode())
+
+
+# --- opening ------------------------------------------------------------------------------------
+
+
+def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
+    """Open a store of samples.
+
+    A store that is still being rendered, or whose rendering was stopped, opens with the samples
+    that every pixel has; ``attrs["spp"]`` says how many were asked for.
+
+    Parameters
+    ----------
+    path
+        The store, as written by `chdstat.render` or ``chdstat render``: a folder, or any URL that
+        fsspec reaches, such as ``s3://bucket/room.zarr``.
+
+    Raises
+    ------
+    StoreError
+        If there is no store, it is damaged or of another schema, it holds no complete batch, or
+        what lies in its folder ``direct`` is not of the same samples.
+    """
+    store = Store.open(place_of(path))
+    if not store.complete_spp():
+        message = (
+            f"{path} holds no sample that every pixel has: its rendering was stopped early. "
+            "Run the same 'chdstat render' again to resume it"
+        )
+        raise StoreError(message)
+    parts = store.parts().items()
+    return _of_store(store, {k: _of_store(part) for k, part in parts if part.complete_spp()})
+
+
+def _of_store(store: Store, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
+    """Return the samples of an open store that every pixel has, and as many of their parts."""
+    height, width, _, _ = store.shape
+    spp = store.complete_spp()
+    known = {
+        which: found if found.spp <= spp else found.isel(sample=slice(spp))
+        for which, found in (parts or {}).items()
+    }
+    return Samples(
+        store,
+        attrs=store.attrs,
+        parts=known,
+        part=(range(height), range(width), range(spp)),
+        path=store.path,
+        counts=store.counts(),
+    )
+
+
+@functools.lru_cache(maxsize=8)
+def reopened(path: Path, identity: str, complete: int, shape: tuple[int, ...]) -> Store:
+    """Return a store in another process than that which sent its path; it is opened there once.
+
+    Raises
+    ------
+    StoreError
+        If this process does not see it, or sees another one.
+    """
+    try:
+        store = Store.open(path)
+    except StoreError as error:
+        message = f"a worker cannot read {path}, which all workers must see there: {error}"
+        raise StoreError(message) from error
+    _, own, done, size = store.place
+    if own != identity or done < complete or size[3] < shape[3]:
+        message = f"a worker sees another store at {path} than is read here"
+        raise StoreError(message)
+    return store
+
+
+def cache_key(samples: Samples) -> str:
+    """Return what identifies samples of a store, for a `Cache`; "" for samples in memory.
+
+    All attributes of the store are in it: another render may take its place and name. The time that
+    the render took is one of them.
+    """
+    if samples.path is None:
+        return ""
+    attrs = json.dumps(samples.attrs, sort_keys=True).encode()
+    return f"{samples.path.stem}-{hashlib.sha256(attrs).hexdigest()[:12]}-{samples.spp}"
+
+
+def checkpoint_key(samples: Samples) -> str:
+    """Return what identifies any samples, those in memory by their content.
+
+    Examples
+    --------
+    >>> one, two = (Samples.from_array(np.full((4, 4, 8), value)) for value in (1, 2))
+    >>> checkpoint_key(one) == checkpoint_key(two), checkpoint_key(one) == checkpoint_key(one)
+    (False, True)
+    """
+    source = samples.source
+    known = [samples.attrs, samples.shape, str(samples.part), source and str(source.path)]
+    digest = hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode())
+    if source is None:
+        digest.update(np.ascontiguousarray(samples.read()).data)
+    return digest.hexdigest()[:16]
+
+
+def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
+    """Return what a store holds, ready for JSON, whether it is finished or not.
+
+    Parameters
+    ----------
+    path
+        The store.
+    verify
+        Read everything and check its checksums; without it, that files are there and in their
+        places. ``damaged`` lists those that fail.
+
+    Raises
+    ------
+    StoreError
+        If there is no store.
+    """
+    store = Store.open(place_of(path))
+    parts, counts = store.parts(), store.counts()
+    height, width, channels, spp = store.shape
+    files = [f for f in store.path.rglob("*") if f.is_file()]
+    found = {
+        **store.attrs,
+        "path": str(store.path),
+        "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
+        "complete_spp": store.complete_spp(),
+        "pending_chunks": len(store.pending()),
+        "direct_spp": parts[DIRECT_DEPTH].complete_spp() if DIRECT_DEPTH in parts else 0,
+        "depths": {str(k): p.complete_spp() for k, p in parts.items() if isinstance(k, int)},
+        "lights": {k: p.complete_spp() for k, p in parts.items() if isinstance(k, str)},
+        "features": store.feature_names,
+        "counts": None if counts is None else [int(counts.min()), int(counts.max())],
+        "bytes": sum(f.stat().st_size for f in files),
+    }
+    damaged = store.damaged(content=verify)
+    if verify or damaged:
+        found["damaged"] = [str(file) for file in damaged]
+    return found
+
+
+def opened(x: ImageLike | npt.ArrayLike) -> Samples | npt.ArrayLike:
+    """Return the samples of a store that is given by its path; everything else passes through."""
+    return open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
+
+
+def samples_of(
+    source: ImageLike | npt.ArrayLike, *, averages: bool = False, dependent: bool = False
+) -> Samples:
+    """Return the samples of an image, be they given as such, in an array or by a store's path.
+
+    Raises
+    ------
+    InputError
+        If it is none of these, or `Samples.from_array` refuses the array; or if it holds averages
+        of batches, and the caller does not take `averages`, or samples that depend on each other,
+        and it does not take `dependent` ones.
+    StoreError
+        If there is no store at the path, or `open` refuses it.
+    """
+    found = opened(source)
+    if isinstance(found, Samples):
+        if not averages:
+            check_single(found)
+        if not dependent:
+            check_independent(found)
+        return found
+    if isinstance(found, np.ndarray) or type(found).__name__ == "DataArray":
+        return Samples.from_array(found)
+    message = (
+        "expected Samples, an array (y, x, channel, sample) or the path of a store, "
+        f"got {type(source).__name__}"
+    )
+    raise InputError(message)
+
+
+def check_equal_counts(samples: Samples) -> None:
+    """Refuse samples of which some pixels have more than others.
+
+    Raises
+    ------
+    InputError
+        If that is so; the message says how to go on.
+    """
+    if samples.counts is not None:
+        fewest = int(samples.counts.min())
+        message = (
+            f"this needs as many samples in each pixel, {samples.name} has {fewest} to "
+            f"{samples.spp}: use the first of each, samples.first({max(fewest, 1)}) or "
+            f"--spp {max(fewest, 1)}"
+        )
+        raise InputError(message)
+
+
+# --- saving -------------------------------------------------------------------------------------
+
+
+def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -> Samples:
+    """Write samples to a new store, or behind those of an existing one; see `Samples.save`."""
+    attrs = _described(samples)
+    if not is_store(path):
+        if append:
+            message = f"there is no store at {path} to append to; leave append out to make one"
+            raise StoreError(message)
+        shape = samples.shape
+        features = dict(samples.features)
+        if samples.counts is not None:
+            features[layout.COUNTS] = samples.counts.astype(np.float32)
+        store = Store.create(path, shape=shape, attrs=attrs, features=features)
+        first = 0
+    elif append:
+        store, first = _extended(samples, path, attrs)
+    else:
+        _check_interrupted(samples, path, attrs)
+        store, first = Store.open(path, writable=True), 0
+    with store:
+        _fill(store, samples, first, progress)
+        if append:
+            return store.finish()
+        parts = {
+            which: save(part, path / layout.part_folder(which), append=False, progress=progress)
+            for which, part in samples.parts.items()
+        }
+        return store.finish(parts)
+
+
+def _described(samples: Samples) -> dict[str, Any]:
+    """Return what a store says of samples: where they come from, and which they are."""
+    check_sequences(samples)
+    attrs = {k: v for k, v in samples.attrs.items() if k not in _OF_A_STORE}
+    height, width, _, spp = samples.shape
+    moved = any(r.start or r.step != 1 for r in samples.part)
+    if moved or attrs.get("size", [width, height]) != [width, height]:
+        # Of a pixel elsewhere, the random numbers are others.
+        attrs = {k: v for k, v in attrs.items() if k not in ("seed", "streams")}
+    return {
+        "scene": samples.name,
+        **attrs,
+        "size": [width, height],
+        "spp": spp,
+        "chdstat_version": importlib.metadata.version("chdstat"),
+        "content": _content(samples),
+    }
+
+
+def _content(samples: Samples) -> str:
+    """Return a hash by which the same samples are known when their saving is repeated."""
+    if samples.source is None:
+        digest = hashlib.blake2b(digest_size=16)
+        for *_, block in samples.blocks():
+            digest.update(np.ascontiguousarray(block).data)
+        return digest.hexdigest()
+    about = [str(samples.source.path), samples.attrs, list(samples.shape), repr(samples.part)]
+    return hashlib.blake2b(layout.canonical(about), digest_size=16).hexdigest()
+
+
+def _check_interrupted(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> None:
+    """Refuse a store unless it is one of the same samples whose writing was stopped."""
+    held = Store.open(path)
+    same = held.attrs.get("content") == attrs["content"] and held.shape == samples.shape
+    if not same or not held.pending():
+        what = "these samples already" if same else "other samples"
+        message = (
+            f"{path} holds {what}; nothing was changed. Give another path, or append to add these "
+            "to those that are there"
+        )
+        raise StoreError(message)
+
+
+def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[Store, int]:
+    """Return a store with room for more samples, and where they begin."""
+    held = Store.open(path)
+    appended = list(held.attrs.get("appended", []))
+    begun = bool(appended) and bool(held.pending()) and appended[-1]["content"] == attrs["content"]
+    if held.shape[:3] != samples.shape[:3]:
+        message = (
+            f"{path} holds samples of shape (y, x, channel) = {held.shape[:3]}, those to append "
+            f"have {samples.shape[:3]}"
+        )
+        raise InputError(message)
+    if held.pending() and not begun:
+        message = f"{path} is not complete: repeat first what was interrupted"
+        raise StoreError(message)
+    if held.counts() is not None or samples.counts is not None:
+        message = (
+            "samples can be appended where each pixel has as many as the others; import those of "
+            "different numbers together"
+        )
+        raise InputError(message)
+    length = sequence_of(held.attrs)
+    if length != sequence_of(samples.attrs) or held.shape[3] % length:
+        message = (
+            f"{path} holds {held.shape[3]} samples in sequences of {length}, those to append are "
+            f"in sequences of {sequence_of(samples.attrs)} (1: independent); save them to a store "
+            "of their own"
+        )
+        raise InputError(message)
+    if not begun:
+        _check_other(held.attrs, appended, attrs, path)
+        named = {k: attrs[k] for k in ("content", "seed", "scene_source") if k in attrs}
+        appended.append({**named, "first": held.shape[3]})
+    first = int(appended[-1]["first"])
+    store = Store.open(path, writable=True)
+    store.extend(first + samples.spp)
+    store.update(appended=appended)
+    return store, first
+
+
+def _check_other(
+    held: Mapping[str, Any],
+    appended: list[dict[str, Any]],
+    attrs: Mapping[str, Any],
+    path: Path,
+) -> None:
+    """Refuse samples that are in a store already, or repeat its random numbers."""
+    before = [held, *appended]
+    if attrs["content"] in {a.get("content") for a in before}:
+        message = f"{path} holds these samples already; nothing was changed"
+        raise InputError(message)
+    seed = attrs.get("seed")
+    if seed is not None and seed in [a.get("seed") for a in before]:
+        message = (
+            f"{path} holds samples of seed {seed} already: these would repeat them, and make "
+            "errors look smaller than they are. Render with another seed"
+        )
+        raise InputError(message)
+
+
+def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> None:
+    """Write the chunks that are missing, with the samples that begin at number `first`."""
+    chunks = store.pending()
+    by_frame = samples.source is not None and samples.source.frames
+    if not by_frame:  # all samples of a pixel lie together: go through them tile by tile
+        chunks.sort(key=lambda c: (c.tile_y, c.tile_x, c.batch))
+    description, size = f"writing {store.path.name}", sum(c.size for c in chunks)
+    with track(description, size, unit="S", show=progress) as advance:
+        for chunk in chunks:
+            store.write(chunk, _block(store, samples, first, chunk))
+            advance(chunk.size)
+
+
+def _block(store: Store, samples: Samples, first: int, chunk: Chunk) -> Image:
+    """Return the samples of a chunk, of which the first may be in the store already."""
+    start, stop = chunk.ss.start, chunk.ss.stop
+    new = samples.read(chunk.ys, chunk.xs, slice(max(0, start - first), stop - first))
+    if start >= first:
+        return new
+    return np.concatenate([store.read(chunk.ys, chunk.xs, slice(start, first)), new], axis=-1)

@@ -20,7 +20,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import PositiveHistogram
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError, check_option
-from chdstat.samples import Blocks, ImageLike, Mapped, Samples, opened, reduce_tiles
+from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, opened, reduce_tiles
 from chdstat.summary.bins import (
     LOG_SUPPORT,
     SCALES,
@@ -483,7 +483,7 @@ def label_histogram(dataset: xr.Dataset, scale: Scale) -> xr.Dataset:
 def _image_histogram(
     samples: Samples, scale: Scale, bins: int, support: GivenSupport | None
 ) -> xr.Dataset:
-    def of_tile(tile: Samples, blocks: Blocks) -> Mapped:
+    def of_tile(tile: Samples, blocks: SampleBlocks) -> Mapped:
         chosen = tile_support(tile) if support is None and scale == "linear" else support
         stream = StreamingHistogram(scale=scale, bins=bins, support=chosen)
         for block in blocks:

@@ -18,8 +18,9 @@ from chdstat._core.display import Shown
 from chdstat._core.moments import Batches, PixelMoments
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
-from chdstat.samples import Blocks, ImageLike, Mapped, Samples, reduce_tiles, samples_of
-from chdstat.samples.tiles import Work, check_sequences, sequence_of
+from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of
+from chdstat.samples.sequences import check_sequences, sequence_of
+from chdstat.samples.tiles import Work
 from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
 from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
 
@@ -290,7 +291,7 @@ def summarize(
     length = sequence_of(image.attrs)
     batch_size = -(-batch_size // length) * length
 
-    def of_tile(tile: Samples, blocks: Blocks) -> Mapped:
+    def of_tile(tile: Samples, blocks: SampleBlocks) -> Mapped:
         support = tile_support(tile)
         summary = Summary(
             batch_size=batch_size, max_batches=max_batches, bins=bins, support=support

@@ -17,7 +17,7 @@ import numpy as np
 
 import chdstat as chd
 from chdstat.samples import Samples
-from chdstat.samples.layout import chunk_grid
+from chdstat.samples.tiles import chunk_grid
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ import psutil
 import pytest
 
 import chdstat as chd
-from chdstat.samples.layout import BATCH, TILE, chunk_grid
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import BATCH, TILE, chunk_grid
 
 SERVE = (
     "import sys\nfrom chdstat.explorer import explore\nexplorer = explore(sys.argv[1])\n"

@@ -25,8 +25,8 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import layout
-from chdstat.samples.layout import chunk_grid
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import chunk_grid
 from chdstat.scenes import load_scene
 
 BT_709 = np.array([0.212671, 0.715160, 0.072169])

@@ -24,7 +24,7 @@ from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
-from chdstat.samples.layout import TILE, chunk_grid
+from chdstat.samples.tiles import TILE, chunk_grid
 from chdstat.scenes import load_scene
 
 BT_709 = np.array([0.212671, 0.715160, 0.072169])

@@ -21,7 +21,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.rendering.sequences import Sequences, grouped
-from chdstat.samples.layout import TILE, chunk_grid
+from chdstat.samples.tiles import TILE, chunk_grid
 
 ALPHA = 1e-3
 SIZE = (12, 10)

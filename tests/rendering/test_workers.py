@@ -20,8 +20,8 @@ from chdstat.rendering import workers
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
-from chdstat.samples.layout import chunk_grid
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import chunk_grid
 from chdstat.scenes import load_scene
 
 SETTINGS: dict[str, Any] = {"size": (8, 8), "backend": "scalar"}

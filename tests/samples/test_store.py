@@ -1,33 +1,24 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import itertools
 import json
 import os
 import shutil
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
-from zarr.codecs import BloscCodec, Crc32cCodec
 
 import chdstat as chd
-from chdstat.cli import main
 from chdstat.errors import StoreError
-from chdstat.rendering.conversion import convert
 from chdstat.samples import inspect, is_store, layout
-from chdstat.samples.layout import BATCH, SCHEMA_VERSION, TILE, chunk_grid
+from chdstat.samples.layout import SCHEMA_VERSION
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import BATCH, TILE, chunk_grid
 
 ALL = slice(None)
-BALL = [
-    "70189d9781890fa471d07c01cfffc8d787c87a346739411b22fe76b72a799387",
-    "fd4c260a7f60afb70852a108f036197104f5a6825053ce9be82beb6e59a10ee8",
-]
-"""SHA-256 of all samples, and of their direct part, as read by the version that rendered them."""
 
 
 def radiance(height: int, width: int, spp: int, *, channels: int = 3) -> np.ndarray:
@@ -62,41 +53,25 @@ def test_chunks_cover_every_sample_once(shape):
         count[chunk.ys, chunk.xs, chunk.ss] += 1
         assert chunk.size == count[chunk.ys, chunk.xs, chunk.ss].size
     assert (count == 1).all()
-
-
-def test_chunks_come_batch_by_batch():
-    batches = [chunk.batch for chunk in chunk_grid(130, 70, 3 * BATCH)]
-    assert batches == sorted(batches)
+    batches = [chunk.batch for chunk in chunk_grid(*shape)]
+    assert batches == sorted(batches)  # whole images first
 
 
 # --- round trip ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "shape", [(1, 1, 1), (16, 16, 64), (17, 5, 65), (64, 64, 64), (70, 130, 66)]
+    ("shape", "channels"), [((1, 1, 1), 1), ((17, 5, 64), 4), ((70, 130, 66), 3)]
 )
-def test_what_is_written_is_read_to_the_bit(tmp_path, shape):
-    x = radiance(*shape)
+def test_what_is_written_is_read_to_the_bit(tmp_path, shape, channels):
+    x = radiance(*shape, channels=channels)
     fill(create(tmp_path / "s.zarr", x), x)
     store = Store.open(tmp_path / "s.zarr")
     assert store.complete_spp() == shape[2]
     assert store.pending() == []
     assert store.read(ALL, ALL, ALL).tobytes() == x.tobytes()
-
-
-@pytest.mark.parametrize("channels", [1, 4])
-def test_any_number_of_channels(tmp_path, channels):
-    x = radiance(5, 6, 7, channels=channels)
-    store = fill(create(tmp_path / "s.zarr", x), x)
-    assert np.array_equal(store.read(ALL, ALL, ALL), x)
-
-
-def test_parts_are_read_across_the_borders_of_chunks(tmp_path):
-    x = radiance(70, 70, 70)
-    store = fill(create(tmp_path / "s.zarr", x), x)
-    for part in ((15, 17), (60, 68), (63, 65), (69, 70)):
-        s = slice(*part)
-        assert np.array_equal(store.read(s, s, s), x[s, s, :, s])
+    for part in map(slice, (0, 15, 60, 63), (1, 17, 68, 65)):  # across the borders of chunks
+        assert np.array_equal(store.read(part, part, part), x[part, part, :, part])
 
 
 def test_nulls_and_bad_samples_stay_as_they_are(tmp_path):
@@ -139,7 +114,7 @@ def test_only_batches_that_all_pixels_have_count(tmp_path):
     assert np.array_equal(samples.read(), x[..., :BATCH])
 
 
-@pytest.mark.parametrize(("old", "new"), [(64, 128), (40, 41), (40, 200), (65, 128)])
+@pytest.mark.parametrize(("old", "new"), [(64, 128), (40, 41), (65, 200)])
 def test_growing_keeps_what_is_stored(tmp_path, old, new):
     x = radiance(20, 70, new)
     path = tmp_path / "s.zarr"
@@ -149,15 +124,8 @@ def test_growing_keeps_what_is_stored(tmp_path, old, new):
     assert np.array_equal(store.read(ALL, ALL, slice(0, old)), x[..., :old])
     assert np.array_equal(Store.open(path).read(ALL, ALL, slice(0, old)), x[..., :old])
     assert all(chunk.ss.stop > old for chunk in store.pending())
-    fill(store, x)
+    fill(store, x).extend(10)  # it does not shrink
     assert np.array_equal(Store.open(path).read(ALL, ALL, ALL), x)
-
-
-def test_a_store_does_not_shrink(tmp_path):
-    x = radiance(4, 4, 80)
-    store = fill(create(tmp_path / "s.zarr", x), x)
-    store.extend(10)
-    assert store.shape == x.shape
 
 
 def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
@@ -252,22 +220,18 @@ def test_of_two_makers_one_is_refused(tmp_path):
 # --- what is not a store ------------------------------------------------------------------------
 
 
-def test_missing_store(tmp_path):
-    with pytest.raises(StoreError, match=r"no store at .*nowhere; render one with"):
-        chd.open(tmp_path / "nowhere")
-
-
-def test_a_file_is_not_a_store(tmp_path):
-    file = tmp_path / "notes.txt"
-    file.write_text("mine")
-    with pytest.raises(StoreError, match=r"notes\.txt is a file; a store is a folder"):
-        chd.open(file)
-
-
-def test_another_folder_is_not_a_store(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere", r"no store at .*nowhere; render one with"),
+        ("notes.txt", r"notes\.txt is a file; a store is a folder"),
+        (".", "is not a complete chdstat store"),
+    ],
+)
+def test_what_is_no_store_is_an_error(tmp_path, name, message):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(StoreError, match="is not a complete chdstat store"):
-        chd.open(tmp_path)
+    with pytest.raises(StoreError, match=message):
+        chd.open(tmp_path / name)
 
 
 @pytest.mark.parametrize("kind", ["array", "group", "namesakes"])
@@ -285,15 +249,22 @@ def test_other_zarr_data_is_not_a_store(tmp_path, kind):
     assert contents(path) == before
 
 
-@pytest.mark.parametrize("version", [SCHEMA_VERSION + 1, 0, "new"])
-def test_another_schema_is_refused(tmp_path, version):
+@pytest.mark.parametrize(
+    ("version", "advice"),
+    [
+        (SCHEMA_VERSION + 1, "$"),
+        ("new", "$"),
+        (1, "; render it again, or convert it with chdstat 0.1: chdstat convert OLD -o NEW$"),
+    ],
+)
+def test_another_schema_is_refused(tmp_path, version, advice):
     path = tmp_path / "s.zarr"
     create(path, radiance(4, 4, 4))
     for file in (path / "zarr.json", path / "radiance/zarr.json"):
         held = json.loads(file.read_text())
         held["attributes"]["schema_version"] = version
         file.write_text(json.dumps(held))
-    with pytest.raises(StoreError, match=f"schema version {version}, this chdstat reads 1 and 2"):
+    with pytest.raises(StoreError, match=f"schema version {version}, this chdstat reads 2{advice}"):
         chd.open(path)
 
 
@@ -311,17 +282,13 @@ def test_nothing_is_overwritten(tmp_path, kind):
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 
 
-def test_an_empty_folder_is_filled(tmp_path):
-    path = tmp_path / "empty"
-    path.mkdir()
-    x = radiance(4, 4, 4)
-    assert np.array_equal(fill(create(path, x), x).read(ALL, ALL, ALL), x)
-
-
-def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
+def test_a_store_is_made_where_nothing_is(tmp_path):
+    (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
+    x = radiance(4, 4, 4)
+    assert np.array_equal(fill(create(tmp_path / "empty", x), x).read(ALL, ALL, ALL), x)
     with pytest.raises(StoreError, match=r"cannot write to .*s\.zarr: "):
-        create(tmp_path / "file" / "s.zarr", radiance(4, 4, 4))
+        create(tmp_path / "file" / "s.zarr", x)
 
 
 # --- damage -------------------------------------------------------------------------------------
@@ -380,34 +347,26 @@ def test_damage_is_found_named_and_repaired(tmp_path, harm):
     assert contents(path) == sound
 
 
-@pytest.mark.parametrize("name", ["zarr.json", "radiance/zarr.json", "features/depth/zarr.json"])
+@pytest.mark.parametrize(
+    "name",
+    ["zarr.json", "radiance/zarr.json", "features/depth/zarr.json", "features/depth/c/0/0"],
+)
 @pytest.mark.parametrize("harm", [truncate, flip, fold, Path.unlink])
-def test_metadata_is_believed_only_where_it_is_sound(tmp_path, name, harm):
+def test_metadata_and_features_are_used_only_where_they_are_sound(tmp_path, name, harm):
     x, features = radiance(5, 6, 70), {"depth": np.ones((5, 6), np.float32)}
     path = tmp_path / "s.zarr"
     fill(create(path, x, features=features), x).close()
     sound = contents(path)
     harm(path / name)
     store = Store.open(path)
-    assert store.damaged() == [path / name]
     assert np.array_equal(store.read(ALL, ALL, ALL), x)
-    assert store.read_features()["depth"].all()
-    Store.open(path, writable=True).close()
-    assert contents(path) == sound
-
-
-@pytest.mark.parametrize("harm", [truncate, flip, fold, Path.unlink])
-def test_damaged_features_are_named_and_repaired(tmp_path, harm):
-    x, features = radiance(5, 6, 70), {"depth": np.ones((5, 6), np.float32)}
-    path = tmp_path / "s.zarr"
-    fill(create(path, x, features=features), x).close()
-    sound = contents(path)
-    harm(path / "features/depth/c/0/0")
-    store = Store.open(path)
-    assert store.damaged() == [path / "features/depth"]
-    assert np.array_equal(store.read(ALL, ALL, ALL), x)
-    with pytest.raises(StoreError, match="cannot read .*features/depth/c/0/0 .*render' again"):
-        store.read_features()
+    if name.endswith(".json"):
+        assert store.damaged() == [path / name]
+        assert store.read_features()["depth"].all()
+    else:
+        assert store.damaged() == [path / "features/depth"]
+        with pytest.raises(StoreError, match="cannot read .*features/depth/c/0/0 .*render' again"):
+            store.read_features()
     with Store.open(path, writable=True) as writer:
         writer.restore(features)
     assert contents(path) == sound
@@ -481,184 +440,3 @@ def test_a_store_that_cannot_be_written_is_read(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="cannot write to .*Read-only file system"):
         Store.open(path, writable=True)
     assert np.array_equal(chd.open(path).read(), x)
-
-
-# --- stores of the first schema -----------------------------------------------------------------
-
-
-def first_schema(path: Path, x: np.ndarray, features: dict[str, np.ndarray]) -> Path:
-    """Write a store as chdstat did that had no manifest."""
-    height, width, channels, spp = x.shape
-    group = zarr.open_group(path, mode="w", zarr_format=3)
-    with zarr.config.set({"array.write_empty_chunks": True}):
-        group.create_array(
-            "radiance",
-            shape=x.shape,
-            dtype="float32",
-            chunks=(16, 16, channels, 64),
-            shards=(64, 64, channels, 64),
-            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="noshuffle"), Crc32cCodec()],
-            fill_value=float("nan"),
-            dimension_names=("y", "x", "channel", "sample"),
-        )[...] = x
-    grid = (-(-height // 64), -(-width // 64), -(-spp // 64))
-    ledger = group.create_array(
-        "ledger", shape=grid, dtype="int32", chunks=(*grid[:2], 1024), fill_value=0
-    )
-    ledger[...] = np.broadcast_to(np.minimum(64, spp - 64 * np.arange(grid[2])), grid)
-    folder = group.create_group("features")
-    for name, image in features.items():
-        folder.create_array(name, data=image)
-    about = {"schema_version": 1, "scene": "old", "size": [width, height], "spp": spp}
-    group.attrs.update({**about, "integrator": {"type": "path", "max_depth": 8}})
-    return path
-
-
-@pytest.fixture
-def run(monkeypatch):
-    """Return a function that runs a command, which must succeed."""
-
-    def command(*arguments: object) -> None:
-        monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code
-
-    return command
-
-
-@pytest.fixture
-def ball(tmp_path, monkeypatch):
-    """Return the folder of a store that chdstat rendered at commit 078eeb6, and of its scene."""
-    archive = Path(__file__).parent / "store_of_schema_1.zip"
-    shutil.unpack_archive(archive, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def old(tmp_path):
-    x, features = radiance(5, 70, 130), {"depth": np.ones((5, 70), np.float32)}
-    return first_schema(tmp_path / "old.zarr", x, features), x
-
-
-def test_the_first_schema_is_read(old):
-    path, x = old
-    before = contents(path)
-    samples = chd.open(path)
-    assert np.array_equal(samples.read(), x)
-    assert samples.features["depth"].all()
-    assert (inspect(path, verify=True)["damaged"], samples.attrs["schema_version"]) == ([], 1)
-    assert np.array_equal(samples.to_dataset()["radiance"].values, x)
-    with pytest.raises(StoreError, match=f"of schema 1.*chdstat convert {path} -o NEW"):
-        Store.open(path, writable=True)
-    assert contents(path) == before
-
-
-def test_the_first_schema_is_converted_and_then_grows(old, tmp_path, run, capsys):
-    path, x = old
-    new = tmp_path / "new.zarr"
-    first_schema(path / "direct", x / 2, {})
-    run("convert", path, "-o", new)
-    assert "130 samples per pixel" in capsys.readouterr().out
-    samples = chd.open(new)
-    assert np.array_equal(samples.read(), x)
-    assert np.array_equal(samples.direct.read(), x / 2)
-    assert samples.features["depth"].all()
-    assert samples.attrs == chd.open(path).attrs | {"schema_version": 2}
-    with Store.open(new, writable=True) as store:
-        store.extend(140)
-        assert store.complete_spp() == 130
-    with pytest.raises(StoreError, match="of schema 2 already"):
-        convert(new, tmp_path / "newer.zarr")
-    with pytest.raises(StoreError, match="nothing was overwritten"):
-        convert(path, new)
-
-
-def test_a_store_that_was_really_of_the_first_schema_is_read(ball):
-    samples = chd.open("ball.zarr")
-    told = [hashlib.sha256(part.read().tobytes()).hexdigest() for part in (samples, samples.direct)]
-    assert told == BALL
-    assert samples.features["position"].mean() == pytest.approx(1.47096, abs=1e-4)
-    assert inspect("ball.zarr", verify=True)["damaged"] == []
-    found = chd.analyze(samples, progress=False)
-    assert np.allclose(found["mean"], samples.read().mean(axis=-1), rtol=1e-6)
-    estimate = chd.estimate(samples, progress=False)
-    assert np.isfinite(estimate.radiance).all()
-
-
-def test_a_store_that_was_really_of_the_first_schema_is_converted_and_appended_to(ball, run):
-    before = contents(ball)
-    more = {"spp": 130, "progress": False}
-    with pytest.raises(StoreError, match="chdstat convert ball.zarr -o NEW --scene ball.xml"):
-        chd.render("ball.xml", out="ball.zarr", **more)
-    run("convert", "ball.zarr", "-o", "new.zarr", "--scene", "ball.xml", "-q")
-    if chd.open("new.zarr").attrs["mitsuba_version"] == version("mitsuba"):
-        found = chd.render("ball.xml", out="new.zarr", **more)
-        fresh = chd.render("ball.xml", direct=True, backend="scalar", **more)
-        for one, other in ((found, fresh), (found.direct, fresh.direct)):
-            assert np.array_equal(one.read(), other.read())
-    assert inspect("new.zarr", verify=True)["damaged"] == []
-    assert {name: content for name, content in contents(ball).items() if name in before} == before
-
-
-def test_a_store_is_not_converted_as_of_another_scene(ball):
-    Path("ball.xml").write_text(Path("ball.xml").read_text().replace("0.8", "0.7"))
-    with pytest.raises(StoreError, match="holds other samples than 'ball' gives now"):
-        convert("ball.zarr", "new.zarr", scene="ball.xml", progress=False)
-    convert("ball.zarr", "new.zarr")
-    with pytest.raises(StoreError, match="'chdstat convert --scene' shows"):
-        chd.render("ball.xml", out="new.zarr", spp=130, progress=False)
-
-
-def test_a_conversion_that_stops_leaves_nothing(ball, monkeypatch):
-    before = contents(ball)
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
-        with pytest.raises(StoreError, match="cannot write to new.zarr: No space left .*nothing"):
-            convert("ball.zarr", "new.zarr")
-    assert contents(ball) == before
-    convert("ball.zarr", "new.zarr")
-
-
-def test_a_store_of_the_first_schema_that_was_killed_while_it_grew_is_read(old):
-    path, x = old
-    group = zarr.open_group(path, mode="r+")
-    group.attrs["spp"] = 300
-    group["ledger"].resize((1, 2, 5))
-    assert np.array_equal(chd.open(path).read(), x)
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("radiance/zarr.json", {"shape": [5, 70, 3, 10**9]}),
-        ("radiance/zarr.json", {"shape": [5, 70, 4, 130]}),
-        ("radiance/zarr.json", {"shape": [5, 70, 3, 60]}),
-        ("radiance/zarr.json", {"shape": "?"}),
-        ("ledger/zarr.json", {"shape": [1, 2]}),
-        ("ledger/zarr.json", {"data_type": "?"}),
-        ("zarr.json", {"attributes": {"schema_version": 1}}),
-        ("zarr.json", {"attributes": []}),
-    ],
-)
-def test_a_damaged_store_of_the_first_schema_is_an_error(old, name, change):
-    path, _ = old
-    file = path / name
-    file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    with pytest.raises(StoreError):
-        chd.open(path).read()
-
-
-@pytest.mark.parametrize("harm", [truncate, flip])
-def test_a_damaged_chunk_of_the_first_schema_is_named(old, harm):
-    path, x = old
-    harm(path / "radiance/c/0/1/0/1")
-    assert Store.open(path).damaged() == [path / "radiance/c/0/1/0/1"]
-    with pytest.raises(StoreError, match=r"cannot read .*radiance/c/0/1/0/1 \(.*convert"):
-        chd.open(path).read()
-    assert np.array_equal(chd.open(path).read(xs=slice(0, 64)), x[:, :64])

@@ -1,27 +1,96 @@
-"""Repeats: passes that hold the same samples, such as those of a renderer that ignores its seed.
+"""Sequences and repeats: samples that are not independent of each other.
 
-Passes are compared in tiles of 16 x 16 pixels. Two equal ones, to the bit, are no accident if
-independent passes would hardly ever be: where p is the share of all passes that have the value of a
-pixel, a tile is repeated by chance with a probability of the product of p over its pixels. Pixels
-that are black or the same in every pass, as those of lamps, thus count for nothing. A tile that is
-the same in every pass is suspicious if its neighbouring pixels differ as noise does.
+Samplers that spread the samples of a pixel draw them in sequences, whose samples depend on each
+other; their averages are independent. A renderer that ignores its seed repeats samples.
 
-Of large images all tiles are compared for a few passes, and some tiles for all.
+**How repeats are found.** Passes are compared in tiles of 16 x 16 pixels. Two equal ones, to the
+bit, are no accident if independent passes would hardly ever be: where p is the share of all passes
+that have the value of a pixel, a tile is repeated by chance with a probability of the product of p
+over its pixels. Pixels that are black or the same in every pass, as those of lamps, thus count for
+nothing. A tile that is the same in every pass is suspicious if its neighbouring pixels differ as
+noise does. Of large images all tiles are compared for a few passes, and some tiles for all.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, spans, warn_caller
+from chdstat._core.arrays import Image, spans, warn_caller, whole
+from chdstat.errors import InputError
 from chdstat.samples.tiles import TILE
 
-__all__ = ["warn_of_repeats"]
+if TYPE_CHECKING:
+    from chdstat.samples.samples import Samples
+
+__all__ = [
+    "check_independent",
+    "check_sequences",
+    "check_single",
+    "sequence_of",
+    "warn_of_repeats",
+]
+
+
+def sequence_of(attrs: Mapping[str, Any]) -> int:
+    """Return how many samples of a pixel depend on each other; 1 where they are independent.
+
+    Raises
+    ------
+    InputError
+        If it is no integer from 1.
+
+    Examples
+    --------
+    >>> sequence_of({"sampler": "stratified", "sequence": 16}), sequence_of({})
+    (16, 1)
+    """
+    length = attrs.get("sequence")
+    return 1 if length is None else whole("sequence", length, least=1)
+
+
+def check_single(samples: Samples) -> None:
+    """Raise InputError if these are averages of batches, where single samples are needed."""
+    averaged = int(samples.attrs.get("averaged", 1))
+    if averaged > 1:
+        message = (
+            f"expected single samples, got averages of {averaged}, whose distribution is another; "
+            "summarize and contrast take them"
+        )
+        raise InputError(message)
+
+
+def check_independent(samples: Samples) -> None:
+    """Raise InputError, which says how to go on, if samples depend on each other."""
+    attrs = samples.attrs
+    length = sequence_of(attrs)
+    if length > 1:
+        named = f"the {attrs['sampler']} sampler" if "sampler" in attrs else "a sampler"
+        message = (
+            f"expected independent samples, got those of {named}, which spreads {length} at a time "
+            "over a pixel: summarize and contrast take them, by the averages of these sequences, "
+            "which samples.sequence_means() returns; for anything else, render with the "
+            "independent sampler"
+        )
+        raise InputError(message)
+
+
+def check_sequences(samples: Samples) -> None:
+    """Raise InputError if dependent samples do not begin with a sequence, or some are left out."""
+    length, places = sequence_of(samples.attrs), samples.part[2]
+    if length > 1 and (places.start % length or places.step != 1):
+        message = (
+            f"expected whole sequences of {length} samples, got each {places.step} from number "
+            f"{places.start} on: begin at a multiple of {length}, without a step"
+        )
+        raise InputError(message)
+
+
+# --- repeats ------------------------------------------------------------------------------------
 
 _EDGE, _STEP = 16, 4
 """Edge of the tiles that are compared, in pixels, and of those of which one is compared first."""
