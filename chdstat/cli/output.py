@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from chdstat.samples.sequences import sequence_of
+from chdstat.samples.dependence import sequence_of
 
 if TYPE_CHECKING:
     from chdstat.samples import Samples

@@ -35,7 +35,7 @@ from chdstat.estimators.training import TrainedModel, first_samples, load_model
 from chdstat.estimators.weighting import LEAST, Combination, CombinationStream, combine
 from chdstat.io import denoise, write_exr
 from chdstat.samples import ImageLike, Samples, check_equal_counts
-from chdstat.samples.sequences import check_independent
+from chdstat.samples.dependence import check_independent
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -20,7 +20,7 @@ from chdstat._core.arrays import LeftOut, generator, spans
 from chdstat.errors import InputError
 from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples, check_equal_counts
-from chdstat.samples.sequences import check_independent
+from chdstat.samples.dependence import check_independent
 
 __all__ = [
     "PUBLISHED_PIXELS",

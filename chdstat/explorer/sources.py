@@ -19,8 +19,8 @@ from chdstat.explorer.render_process import COARSE, RenderProcess
 from chdstat.explorer.view import Box, Pixel, check_pixel
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
+from chdstat.samples.dependence import sequence_of
 from chdstat.samples.layout import BLOCK
-from chdstat.samples.sequences import sequence_of
 from chdstat.samples.tiles import TILE, Chunk
 from chdstat.summary.bins import sample_masks
 

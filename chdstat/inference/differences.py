@@ -31,7 +31,7 @@ from chdstat._core.moments import Moments
 from chdstat._core.resampling import p_of_means
 from chdstat.errors import InputError
 from chdstat.samples import ImageLike, Samples, opened
-from chdstat.samples.sequences import check_independent
+from chdstat.samples.dependence import check_independent
 
 __all__ = ["Difference", "difference"]
 

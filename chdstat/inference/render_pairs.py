@@ -36,7 +36,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.inference.windows import Cells, FlipMoments, guarded
 from chdstat.io.exr import ExrImage, read_exr
 from chdstat.samples import Samples, samples_of
-from chdstat.samples.sequences import sequence_of
+from chdstat.samples.dependence import sequence_of
 
 __all__ = ["Pair"]
 

@@ -22,9 +22,9 @@ import numpy.typing as npt
 from chdstat._core.arrays import Image, warn_caller
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
+from chdstat.samples.dependence import warn_of_repeats
 from chdstat.samples.layout import canonical
 from chdstat.samples.samples import check_counts, check_features
-from chdstat.samples.sequences import warn_of_repeats
 from chdstat.samples.tiles import BATCH, SampleSource
 
 __all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]

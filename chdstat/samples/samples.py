@@ -28,7 +28,7 @@ from chdstat._core.moments import Moments
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.samples import tiles
-from chdstat.samples.sequences import (
+from chdstat.samples.dependence import (
     check_independent,
     check_sequences,
     check_single,

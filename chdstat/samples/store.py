@@ -37,14 +37,14 @@ from chdstat._core.files import (
 from chdstat._core.work import track
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import layout
-from chdstat.samples.layout import FOREIGN, DamageError, is_store
-from chdstat.samples.samples import ImageLike, Samples
-from chdstat.samples.sequences import (
+from chdstat.samples.dependence import (
     check_independent,
     check_sequences,
     check_single,
     sequence_of,
 )
+from chdstat.samples.layout import FOREIGN, DamageError, is_store
+from chdstat.samples.samples import ImageLike, Samples
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 
 __all__ = [

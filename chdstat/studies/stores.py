@@ -28,7 +28,7 @@ from chdstat.rendering.capture import render
 from chdstat.rendering.sequences import SamplerName
 from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
-from chdstat.samples.sequences import check_independent
+from chdstat.samples.dependence import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
 from chdstat.studies.scene_data import BSDF_SAMPLING, DIRECT, SceneData
 from chdstat.summary.statistics import summarize

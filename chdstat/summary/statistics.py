@@ -19,7 +19,7 @@ from chdstat._core.moments import Batches, PixelMoments
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of
-from chdstat.samples.sequences import check_sequences, sequence_of
+from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.tiles import Work
 from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
 from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.samples.sequences import warn_of_repeats
+from chdstat.samples.dependence import warn_of_repeats
 
 pytestmark = pytest.mark.usefixtures("as_benchmark")
 

@@ -13,7 +13,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.errors import InputWarning
-from chdstat.samples.sequences import warn_of_repeats
+from chdstat.samples.dependence import warn_of_repeats
 
 
 def noise(*shape, seed=0, nulls=0.0):

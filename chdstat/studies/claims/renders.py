@@ -26,7 +26,8 @@ from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_
 from chdstat.inference import modality
 from chdstat.patterns import Label
 from chdstat.samples import Samples
-from chdstat.samples.tiles import sequence_of, tiles
+from chdstat.samples.dependence import sequence_of
+from chdstat.samples.tiles import tiles
 from chdstat.studies.claim import IMAGES, TWO_RENDERS, Claim
 from chdstat.studies.claims.shape_distances import (
     SHAPE_NEEDS,

@@ -1,4 +1,4 @@
-"""Sequences and repeats: samples that are not independent of each other.
+"""Dependence: samples that are not independent of each other, in sequences or repeated.
 
 Samplers that spread the samples of a pixel draw them in sequences, whose samples depend on each
 other; their averages are independent. A renderer that ignores its seed repeats samples.
