@@ -17,8 +17,8 @@ import chdstat as chd
 from chdstat._core.work import beside, client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
+from chdstat.estimators.combining import combine
 from chdstat.estimators.shapes import PowerSums
-from chdstat.estimators.weighting import combine
 from chdstat.rendering import render_batches, workers
 from chdstat.samples import Samples
 from chdstat.samples import tiles as cut

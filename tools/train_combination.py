@@ -25,9 +25,9 @@ import numpy as np
 import torch
 
 import chdstat as chd
-from chdstat.estimators.halves import Measured, compare_halves
+from chdstat.estimators.combining.halves import Measured, candidates
+from chdstat.estimators.combining.network import LEVELS, comparisons, unit_of
 from chdstat.estimators.training import write_model
-from chdstat.estimators.weighting import LEVELS
 from chdstat.rendering import render_batches
 
 SCENES = (
@@ -52,7 +52,7 @@ NUMBERS = 8, 24, 64, 256
 """Samples of a pixel that are estimated from."""
 PER_THIRD = 3_000
 """Pixels of an image that tell how wide intervals are where it is dark, between, and bright."""
-TARGET = Path(chd.__file__).parent / "estimators" / "combination.safetensors"
+TARGET = Path(chd.__file__).parent / "estimators/combining/network.safetensors"
 STEPS, AT_ONCE, HIDDEN, RATE, DECAY = 500, 6, 48, 3e-3, 1e-2
 WORSE = 3.0
 """How much more an error above that of the denoiser counts, in logarithms."""
@@ -105,8 +105,11 @@ def case(held: dict[str, np.ndarray], scene: str, name: str, n: int, *, guided: 
     features = {key[2:]: held[key] for key in held if key.startswith("f_")} if guided else {}
     few = chd.Samples.from_array(held["x"][..., :n])
     measured = Measured.of(few)
-    names, full, _, inputs, unit = compare_halves(measured, features)
-    full, unit = full * measured.unit, unit * measured.unit
+    made = [candidates(start, features) for start in measured.starts]
+    names, unit = list(made[0]), unit_of(made[0])
+    inputs = comparisons(made, measured, unit)
+    full = np.stack(list(made[0].values())) * measured.unit
+    unit = unit * measured.unit
     reference, noise = held["ref"], held["var"]
     weight = 1 / (np.maximum(reference, 0) ** 2 + 0.01 * reference.mean() ** 2)
     squared = (full - reference) ** 2 - noise

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
 from chdstat.estimators.collaborative import boughida2017
+from chdstat.estimators.combining import Combination, CombinationStream, combine
 from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
 from chdstat.estimators.estimates import estimate, refine, write_estimates
 from chdstat.estimators.neighbourhood import Fireflies
@@ -39,7 +40,6 @@ from chdstat.estimators.registry import (
 )
 from chdstat.estimators.shrinkage import james_stein
 from chdstat.estimators.training import History, load_model, train_model
-from chdstat.estimators.weighting import Combination, CombinationStream, combine
 
 __all__ = [
     "MLP",

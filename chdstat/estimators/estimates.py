@@ -24,6 +24,7 @@ from chdstat import __version__
 from chdstat._core.files import checked_target
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError
+from chdstat.estimators.combining import LEAST, Combination, CombinationStream, combine
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import (
     Estimates,
@@ -32,7 +33,6 @@ from chdstat.estimators.registry import (
     mean_of_good,
 )
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
-from chdstat.estimators.weighting import LEAST, Combination, CombinationStream, combine
 from chdstat.io import denoise, write_exr
 from chdstat.samples import ImageLike, Samples, check_equal_counts
 from chdstat.samples.dependence import check_independent

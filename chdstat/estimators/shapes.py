@@ -16,17 +16,19 @@ from chdstat._core.arrays import Floats, Reals, as_pixels, whole
 from chdstat.estimators import similarity
 from chdstat.estimators.registry import check_positive, check_probability, register
 
-__all__ = ["PowerSums", "ShapeStatistics", "shared_shape"]
+__all__ = ["RADIUS", "PowerSums", "ShapeStatistics", "shared_shape"]
 
 _ROUNDING, _EQUAL = 1e-6, 1e-13
 _POWERS = 0.25, 0.5, 0.75, 1.0
-_LIMIT, _ALPHA, _AROUND = 1.75, 0.005, 5
+_LIMIT, _ALPHA = 1.75, 0.005
+RADIUS = 5
+"""Of the window, in pixels."""
 _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
 
 @register("shared_shape", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_shape(
-    x: Reals, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
+    x: Reals, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = RADIUS
 ) -> Reals:
     """Mean of the pixel, limited by the shape that its samples share with those of similar pixels.
 
@@ -150,6 +152,11 @@ class PowerSums:
             self.count += whole
             self.null += (x[..., i] == 0).all(axis=-1)
 
+    def rows(self, rows: slice) -> PowerSums:
+        """Return the sums of some rows of the image, without copying them."""
+        of_rows = {name: value[rows] for name, value in vars(self).items() if name != "roots"}
+        return PowerSums(**of_rows, roots=self.roots[:, rows])
+
     def merged(self, other: PowerSums) -> PowerSums:
         """Return the sums over the samples of both."""
         added = {name: value + getattr(other, name) for name, value in vars(self).items()}
@@ -233,9 +240,7 @@ class ShapeStatistics:
             shape = a / np.sqrt(b)
         return cls(sums.mean(), mean, below, level, positive, shape, error, sums.count)
 
-    def limited(
-        self, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
-    ) -> Floats:
+    def limited(self, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = RADIUS) -> Floats:
         """Return the means, that of the positive samples limited by the shape of what is around."""
         level, mean = self.level, self.mean.copy()
         known = (level > 0) & (mean > 0)

@@ -20,10 +20,10 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import Interval
+from chdstat.estimators.combining import Combination
+from chdstat.estimators.combining.halves import Measured, candidates
 from chdstat.estimators.estimates import through_denoiser
-from chdstat.estimators.halves import Measured, candidates
 from chdstat.estimators.training import train_model
-from chdstat.estimators.weighting import Combination
 from chdstat.rendering import render_batches
 from chdstat.studies.claims import SceneData
 

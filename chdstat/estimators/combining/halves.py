@@ -1,6 +1,6 @@
-"""Halves: candidates of half the samples, compared with the mean of the other half.
+"""Halves: what a combination needs to know of all samples and of each half, and its candidates.
 
-Samples are read once, tile by tile; what is kept of them are images.
+Samples are read once, tile by tile; only images of sums are kept.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import Image, Reals
+from chdstat._core.arrays import Image, Reals, spans
 from chdstat._core.work import in_order
-from chdstat.estimators.shapes import PowerSums, ShapeStatistics
+from chdstat.estimators.shapes import RADIUS, PowerSums, ShapeStatistics
 from chdstat.io.denoiser import denoise, works
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Work
@@ -23,19 +23,17 @@ from chdstat.samples.tiles import Work
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Measured", "candidates", "compare_halves"]
+__all__ = ["Measured", "candidates"]
 
 
-_SCALES = (1.5, 4.0, 12.0)
-"""Standard deviations in pixels of the windows that comparisons are averaged over."""
+_BAND = 2**19
+"""Radiances that are computed at once."""
 _USUAL = 0.999
 """Share of an image's radiances, the darkest, that its unit is made of."""
 _ABSURD = 1e5
 """Multiple of their mean from which a pixel is absurd."""
 _NEAR = 5
 """Edge in pixels of what is around an absurd pixel."""
-_FAINT = 0.01
-"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
 
 
 @dataclass(frozen=True)
@@ -101,23 +99,36 @@ class Measured:
     @classmethod
     def of_halves(cls, one: PowerSums, other: PowerSums) -> Measured:
         """Measure an image of which every other sample was added to the one sums, the others."""
-        parts = (one.merged(other), one, other)
-        starts: list[dict[str, Reals]] = []
-        for part in parts:
-            shape = ShapeStatistics.of(part)
-            starts.append({"mean": part.mean(), "shared_shape": shape.or_mean(shape.limited())})
-        whole = parts[0]
+        height, width, channels = one.total.shape
+        starts = [
+            {name: np.empty(one.total.shape) for name in ("mean", "shared_shape")} for _ in range(3)
+        ]
+        errors = [np.empty(one.total.shape) for _ in range(3)]
+        count, null = np.empty(one.total.shape), np.empty((height, width))
+        # Bands of rows keep what is computed of the sums small beside them.
+        for rows in spans(height, max(1, _BAND // (width * channels))):
+            around = slice(max(0, rows.start - RADIUS), rows.stop + RADIUS)
+            inside = slice(rows.start - around.start, rows.stop - around.start)
+            halves = one.rows(around), other.rows(around)
+            whole = halves[0].merged(halves[1])
+            for part, start, error in zip((whole, *halves), starts, errors, strict=True):
+                shape = ShapeStatistics.of(part)
+                start["mean"][rows] = part.mean()[inside]
+                start["shared_shape"][rows] = shape.or_mean(shape.limited())[inside]
+                error[rows] = part.error()[inside]
+            count[rows] = whole.good[inside]
+            null[rows] = (whole.null / np.maximum(whole.good.max(axis=-1), 1))[inside]
         mean = np.nan_to_num(starts[0]["mean"], posinf=0, neginf=0)
         unit, absurd = _unit_and_absurd(np.abs(starts[0]["shared_shape"]), np.abs(mean))
         return cls(
             [{k: _tamed(v / unit, absurd) for k, v in start.items()} for start in starts],
-            [_tamed(part.error() / unit, absurd) for part in parts],
+            [_tamed(error / unit, absurd) for error in errors],
             mean / unit,
             unit,
             absurd,
-            whole.null / np.maximum(whole.good.max(axis=-1), 1),
-            whole.good,
-            bool((whole.below < 0).any()),
+            null,
+            count,
+            bool((one.below < 0).any() or (other.below < 0).any()),
         )
 
 
@@ -169,102 +180,3 @@ def _denoised(job: tuple[Reals, Any, Any]) -> Reals:
     """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
     image, albedo, normal = job
     return denoise(image, albedo=albedo, normal=normal) if image.any() else image
-
-
-def compare_halves(
-    measured: Measured, features: Mapping[str, npt.NDArray[Any]], client: Client | None = None
-) -> tuple[list[str], Image, Image, Image, Image]:
-    """Return candidates, and how those of half the samples compare with the other half.
-
-    Returns
-    -------
-    names : list of str
-    full, halves : ndarray
-        The candidates from all samples, shape (candidate, y, x, channel), and from each half of
-        them, (half, candidate, y, x, channel).
-    inputs : ndarray
-        What the network sees, shape (y, x, number).
-    unit : ndarray
-        Radiance that errors are measured in, shape (y, x).
-    """
-    made = [_stacked(candidates(start, features, client)) for start in measured.starts]
-    names, full = made[0]
-    parts = np.stack([images for _, images in made[1:]])
-    targets = np.stack([np.nan_to_num(part["mean"]) for part in measured.starts[:0:-1]])
-    inputs, unit = _inputs(
-        full,
-        parts,
-        targets.astype(np.float32),
-        np.square(measured.errors[0]),
-        measured.null,
-        np.nan_to_num(measured.starts[0]["mean"]),
-    )
-    return names, full, parts, inputs, unit
-
-
-def _stacked(images: Mapping[str, Image]) -> tuple[list[str], Image]:
-    return list(images), np.stack(list(images.values()))
-
-
-def _inputs(
-    full: Image, parts: Image, targets: Image, variance: Reals, null: Reals, mean: Reals
-) -> tuple[Image, Image]:
-    """Return what the network sees: logarithms, ratios and standard scores, without a unit.
-
-    Of each candidate against the first: which mixture of the two the other half of the samples asks
-    for (the slope of a regression without constant) and its standard error, in three windows; how
-    far they are apart, and on which side. Of each candidate: how far those of the two halves are
-    apart, and how many standard errors of the mean it is from the mean.
-    """
-    overall = float(np.abs(full[0]).mean(dtype=np.float64)) or 1.0
-    unit = _smooth(np.abs(full).mean(axis=(0, 3)), _SCALES[0]) + _FAINT * overall
-    error = np.sqrt(variance.mean(axis=-1))
-    noise = [_smooth(variance.mean(axis=-1), s) for s in _SCALES[:2]]
-    count = 5 + (2 * len(_SCALES) + 3) * (len(full) - 1) + 3 * len(full)
-    found = np.empty((*unit.shape, count), np.float32)
-    place = iter(range(count))
-
-    def write(*images: Reals) -> None:
-        for image in images:
-            found[..., next(place)] = image
-
-    write(
-        _log(error / unit, 1e-4),
-        _log(np.sqrt(noise[0]) / unit, 1e-4),
-        _log(np.sqrt(noise[1]) / _smooth(unit, _SCALES[1]), 1e-4),
-        _smooth(null, _SCALES[0]),
-        np.log(unit / overall),
-    )
-    scale = unit[..., np.newaxis]
-    target_variance = 2 * variance / scale**2
-    parts = parts / scale
-    targets = targets / scale
-    for j in range(1, len(full)):
-        apart = parts[:, j] - parts[:, 0]
-        towards = (apart * (targets - parts[:, 0])).mean(axis=(0, 3))
-        squared = np.square(apart).mean(axis=(0, 3))
-        of_noise = (np.square(apart) * target_variance).mean(axis=(0, 3)) / 2
-        for s in _SCALES:
-            whole = _smooth(squared, s) + 1e-8
-            slope = _smooth(towards, s) / whole
-            spread = np.sqrt(_smooth(of_noise, s) / (4 * np.pi * s * s)) / whole
-            write(np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3))
-        write(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
-        moved = (full[j] - full[0]) / scale
-        size = _smooth(np.square(moved).mean(axis=-1), _SCALES[0])
-        write(np.arcsinh(3 * moved.mean(axis=-1)), _log(np.sqrt(size), 1e-4))
-    for j in range(len(full)):
-        between = _smooth(np.var(parts[:, j], axis=0).mean(axis=-1), _SCALES[0])
-        score = (full[j] - mean).mean(axis=-1) / (error + 1e-3 * unit)
-        around = _smooth(np.minimum(np.square(score), 1e6), _SCALES[0])
-        write(_log(np.sqrt(between), 1e-4), np.arcsinh(score), _log(np.sqrt(around), 1e-2))
-    return found, unit.astype(np.float32)
-
-
-def _smooth(image: Reals, scale: float) -> Reals:
-    smooth = ndimage.gaussian_filter(image.astype(np.float32), scale, mode="nearest", truncate=3)
-    return np.asarray(np.maximum(smooth, 0) if (image >= 0).all() else smooth)
-
-
-def _log(x: Reals, least: float) -> Reals:
-    return np.asarray(np.log(x + least))

@@ -6,10 +6,11 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import combine, estimate, halves, weighting, write_estimates
+from chdstat.estimators import Combination, CombinationStream, combine, estimate, write_estimates
+from chdstat.estimators.combining import halves, network, weighting
+from chdstat.estimators.combining.halves import Measured, candidates
+from chdstat.estimators.combining.network import LEVELS, Weighting, comparisons, unit_of
 from chdstat.estimators.estimates import through_denoiser
-from chdstat.estimators.halves import Measured, candidates, compare_halves
-from chdstat.estimators.weighting import LEVELS, Combination, CombinationStream, Weighting
 from chdstat.io import read_exr
 
 
@@ -221,11 +222,28 @@ def test_the_file_holds_what_each_candidate_was_given(samples, found, tmp_path):
 
 def test_a_network_sees_ratios_only(samples):
     x = samples.read(slice(0, 32), slice(0, 32))
-    inputs = compare_halves(Measured.of(chd.Samples.from_array(x)), {})[3]
-    scaled = compare_halves(Measured.of(chd.Samples.from_array(x * 256)), {})[3]
+
+    def seen(x):
+        measured = Measured.of(chd.Samples.from_array(x))
+        made = [candidates(start, {}) for start in measured.starts]
+        return comparisons(made, measured, unit_of(made[0]))
+
+    inputs, scaled = seen(x), seen(x * 256)
     assert np.allclose(inputs, scaled, atol=0.05)
     assert np.isfinite(inputs).all()
     assert Weighting.shipped(with_features=False).centre.shape == inputs.shape[-1:]
+
+
+def test_bands_of_rows_are_parts_of_the_whole(monkeypatch):
+    x = np.random.default_rng(0).gamma(0.5, size=(128, 8, 3, 16)).astype(np.float32)
+    x[60:70] *= 40
+    at_once = combine(x)
+    monkeypatch.setattr(halves, "_BAND", 30 * 8 * 3)
+    monkeypatch.setattr(network, "_BAND", 20 * 8)
+    in_bands = combine(x)
+    for name in ("radiance", "low", "high", "certainty"):
+        # Matrix products of other shapes round otherwise.
+        assert np.allclose(getattr(at_once, name), getattr(in_bands, name), atol=1e-4)
 
 
 def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():

@@ -18,7 +18,7 @@ both train on the error of two estimates, here it is any number of them.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,11 +30,11 @@ from scipy import special, stats
 from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.work import checkpoints
 from chdstat.errors import InputError
-from chdstat.estimators.halves import Measured, compare_halves
-from chdstat.estimators.held_out import Proposal, weight_of_mean
+from chdstat.estimators.combining.halves import Measured, candidates
+from chdstat.estimators.combining.held_out import Proposal, weight_of_mean
+from chdstat.estimators.combining.network import Weighting, unit_of
 from chdstat.estimators.registry import Estimates, check_probability, register
 from chdstat.estimators.shapes import PowerSums
-from chdstat.estimators.training import read_model
 from chdstat.estimators.validation import reordered
 from chdstat.samples import Samples, checkpoint_key
 
@@ -43,20 +43,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEAST",
-    "LEVELS",
     "Combination",
-    "Weighting",
     "combination",
     "combine",
     "combine_measured",
 ]
 
 
-LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
-"""Probabilities of which the width of an interval was measured."""
-_SHIPPED = Path(__file__).with_name("combination.safetensors")
-_ROWS = 2**16
-"""Pixels whose weights are computed at once."""
 _BELOW = 0.001
 """Probability, for normal samples, that radiance is less than its floor."""
 _AGREES = 1.5
@@ -268,28 +261,28 @@ def combine_measured(
         If the level is no probability.
     """
     check_probability(level=level)
-    names, full, halves, inputs, scale = compare_halves(measured, features, client)
+    made = [candidates(start, features, client) for start in measured.starts]
+    names, unit = list(made[0]), unit_of(made[0])
     mean, error = measured.mean, measured.errors[0]
     ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
     if len(names) > 2:
         weighting = Weighting.shipped(with_features="albedo" in features)
-        weights, width = weighting(inputs)
-        half = (weighting.quantile(level, scale) * width * scale)[..., np.newaxis]
+        weights, width = weighting(made, measured, unit)
+        half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
     else:
-        # Nothing is denoised: what is proposed is the limited mean, as certain as the mean is.
-        weights = np.broadcast_to(np.array(names) == "shared_shape", (*scale.shape, 2))
+        # Nothing is denoised: the limited mean is proposed, as certain as the mean is.
+        weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
         half = ends[1] - mean
     proposed = [
         Proposal(
-            np.einsum("yxj,jyxc->yxc", weights, images),
+            sum(weights[..., j, np.newaxis] * image for j, image in enumerate(images.values())),
             np.nan_to_num(start["mean"]),
-            error,
+            error_of_mean,
             np.nan_to_num(start["shared_shape"]),
         )
-        for images, start, error in zip(
-            (full, *halves), measured.starts, measured.errors, strict=True
-        )
+        for images, start, error_of_mean in zip(made, measured.starts, measured.errors, strict=True)
     ]
+    del made
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
     image_of = proposed[0].image
     radiance = image_of + of_mean * (mean - image_of)
@@ -434,71 +427,3 @@ def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
         return np.nan, np.nan
     of_radiance = float(np.nansum(radiance, dtype=np.float64))
     return of_radiance / whole - 1, _error_of_sum(error) / abs(whole)
-
-
-@dataclass(frozen=True)
-class Weighting:
-    """The network from comparisons to weights and to the width of an interval.
-
-    Attributes
-    ----------
-    layers
-        Matrices and offsets, each (out, in) and (out,): the last one gives a score for each
-        candidate, and the logarithm of the width.
-    centre, spread
-        By which inputs are standardised.
-    quantiles
-        Widths of intervals of the probabilities `LEVELS`, in the dark, middle and bright third of
-        an image, shape (third, level).
-    """
-
-    layers: Sequence[tuple[Reals, Reals]]
-    centre: Reals
-    spread: Reals
-    quantiles: Reals
-
-    @classmethod
-    @functools.cache
-    def shipped(cls, *, with_features: bool) -> Weighting:
-        """Return the network that comes with the library."""
-        arrays, _ = read_model(_SHIPPED)
-        kind = "features" if with_features else "plain"
-        found = {k.removeprefix(f"{kind}."): v for k, v in arrays.items() if k.startswith(kind)}
-        depth = sum(name.startswith("matrix") for name in found)
-        layers = [(found[f"matrix{i}"], found[f"offset{i}"]) for i in range(depth)]
-        return cls(layers, found["centre"], found["spread"], found["quantiles"])
-
-    def __call__(self, inputs: Image) -> tuple[Image, Image]:
-        """Return weights (..., candidate) and widths (...) in the unit of a pixel's errors."""
-        rows = inputs.reshape(-1, inputs.shape[-1])
-        outputs = np.concatenate(
-            [self._outputs(rows[i : i + _ROWS]) for i in range(0, len(rows), _ROWS)]
-        ).reshape(*inputs.shape[:-1], -1)
-        scores = outputs[..., :-1]
-        weights = np.exp(scores - scores.max(axis=-1, keepdims=True))
-        weights /= weights.sum(axis=-1, keepdims=True)
-        return weights, np.exp(outputs[..., -1])
-
-    def _outputs(self, rows: Image) -> Image:
-        x = (rows - self.centre) / self.spread
-        for i, (matrix, offset) in enumerate(self.layers):
-            x = x @ matrix.T + offset
-            if i < len(self.layers) - 1:
-                x = np.where(x > 0, x, 0.01 * x)
-        return np.asarray(x, np.float32)
-
-    def quantile(self, level: float, brightness: Image) -> Image:
-        """Return how many widths an interval of this probability reaches to each side.
-
-        Shape of `brightness` (y, x), of which only the order of pixels counts.
-        """
-        # Between levels that were measured, and beyond, errors fall off about exponentially.
-        places = -np.log1p(-np.array((0, *LEVELS)))
-        place = -np.log1p(-level)
-        beyond = max(0, place - places[-1]) / (places[-1] - places[-2])
-        widths = [
-            np.interp(place, places, [0, *third]) + beyond * (third[-1] - third[-2])
-            for third in self.quantiles
-        ]
-        share = (stats.rankdata(brightness) - 0.5).reshape(brightness.shape) / brightness.size
-        return np.asarray(np.interp(share, np.array((1, 3, 5)) / 6, widths), np.float32)
