@@ -275,7 +275,7 @@ def combine_measured(
         half = ends[1] - mean
     proposed = [
         Proposal(
-            sum(weights[..., j, np.newaxis] * image for j, image in enumerate(images.values())),
+            _weighted(weights, images),
             np.nan_to_num(start["mean"]),
             error_of_mean,
             np.nan_to_num(start["shared_shape"]),
@@ -365,6 +365,14 @@ def combination(
     """
     samples = as_pixels(x, minimum=LEAST, image=True)
     return combine(reordered(samples)[0], features=features).radiance
+
+
+def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
+    """Return the sum of images (y, x, channel) with weights (y, x, candidate)."""
+    found = np.zeros(next(iter(images.values())).shape, np.float32)
+    for j, image in enumerate(images.values()):
+        found += weights[..., j, np.newaxis] * image
+    return found
 
 
 def _interval_of_mean(
