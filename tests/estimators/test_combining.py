@@ -7,9 +7,9 @@ from scipy import stats
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Combination, CombinationStream, combine, estimate, write_estimates
-from chdstat.estimators.combining import halves, network, weighting
+from chdstat.estimators.combining import halves, weighting, weights
 from chdstat.estimators.combining.halves import Measured, candidates
-from chdstat.estimators.combining.network import LEVELS, Weighting, comparisons, unit_of
+from chdstat.estimators.combining.weights import LEVELS, Weighting, comparisons, unit_of
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.io import read_exr
 
@@ -239,7 +239,7 @@ def test_bands_of_rows_are_parts_of_the_whole(monkeypatch):
     x[60:70] *= 40
     at_once = combine(x)
     monkeypatch.setattr(halves, "_BAND", 30 * 8 * 3)
-    monkeypatch.setattr(network, "_BAND", 20 * 8)
+    monkeypatch.setattr(weights, "_BAND", 20 * 8)
     in_bands = combine(x)
     for name in ("radiance", "low", "high", "certainty"):
         # Matrix products of other shapes round otherwise.

@@ -32,7 +32,7 @@ from chdstat._core.work import checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.combining.halves import Measured, candidates
 from chdstat.estimators.combining.held_out import Proposal, weight_of_mean
-from chdstat.estimators.combining.network import Weighting, unit_of
+from chdstat.estimators.combining.weights import Weighting, unit_of
 from chdstat.estimators.registry import Estimates, check_probability, register
 from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.validation import reordered

@@ -23,7 +23,7 @@ __all__ = ["LEVELS", "Weighting", "comparisons", "unit_of"]
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Probabilities of which the width of an interval was measured."""
-_SHIPPED = Path(__file__).with_name("network.safetensors")
+_SHIPPED = Path(__file__).with_name("weights.safetensors")
 _ROWS = 2**16
 """Pixels whose weights are computed at once."""
 _SCALES = (1.5, 4.0, 12.0)
