@@ -144,14 +144,13 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
             for total, values in zip(evidence, told, strict=True):
                 total += np.bincount(place.ravel(), (share * values).ravel(), len(total))
     evidence = evidence.reshape(5, *shape)
-    weight = _believed(knots)
-    weight = np.broadcast_to(_updated(weight, evidence.sum(axis=(1, 2))), shape)
+    weight = np.broadcast_to(_updated(_believed(knots), evidence.sum(axis=(1, 2))), shape)
     for scale in _AROUND:
         spread = (0, scale, scale, *[0] * len(knots))
         around = ndimage.gaussian_filter(evidence, spread, mode="nearest", truncate=3)
         # The whole weight of a window is the number of nodes in it.
-        weight = _updated(weight, around * (4 * np.pi * scale * scale))
-    nodes = _updated(weight, evidence).ravel()
+        weight = _at_nodes(weight, around * (4 * np.pi * scale * scale))
+    nodes = _at_nodes(weight, evidence).ravel()
     return np.asarray(sum(share * nodes[place] for place, share in _corners(whole, sides)))
 
 
@@ -169,6 +168,18 @@ def _evidence(half: Proposal, held_out: Proposal) -> list[Reals]:
     n = (apart**2 - noise**2 / 4).sum(axis=-1)
     c = (noise * moved / 4 - apart * missed).sum(axis=-1)
     return [n, c, c * c, c * n, n * n]
+
+
+def _at_nodes(before: Reals, evidence: Reals) -> Reals:
+    """Return the weights of nodes (y, x, score, limited, bright) after their evidence.
+
+    Pixels that are not limited are first asked together, whatever their score: the few of a lamp
+    would else be spread over so many classes that none of them has evidence.
+    """
+    together = evidence.sum(axis=-3, keepdims=True)[..., :1, :]
+    not_limited = _updated(before[..., :1, :], together)
+    weight = np.concatenate([not_limited, before[..., 1:, :]], axis=-2)
+    return _updated(weight, evidence)
 
 
 def _updated(before: Reals, evidence: Reals) -> Reals:
