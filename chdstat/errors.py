@@ -100,17 +100,21 @@ class Reason(enum.IntEnum):
 
 
 def brief(error: BaseException) -> str:
-    """Return the first lines of what another library says, for a message that quotes it.
+    """Return what another library says, and why, for a message that quotes it.
+
+    Of a long text, the middle is left out: the cause stands at its end.
 
     Examples
     --------
     >>> brief(RuntimeError("no such plugin"))
     'no such plugin'
     """
-    text = " ".join(line.strip() for line in str(error).splitlines()[:3])
-    return (
-        text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
-    )
+    text = " ".join(line.strip() for line in str(error).splitlines() if line.strip())
+    text = text or type(error).__name__
+    if error.__cause__ is not None and (why := brief(error.__cause__)) not in text:
+        text = f"{text}: {why}"
+    half = _LONGEST // 2
+    return text if len(text) <= _LONGEST else f"{text[:half]} ... {text[-half:]}"
 
 
 def check_option(name: str, given: object, choices: Iterable[str]) -> None:

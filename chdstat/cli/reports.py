@@ -9,7 +9,7 @@ import typer
 
 from chdstat.cli import output
 from chdstat.cli import program as cli
-from chdstat.rendering.sequences import SamplerName
+from chdstat.rendering.seeds import SamplerName
 
 __all__ = ["analyze", "doctor", "explore", "list_names", "report", "study"]
 

@@ -13,7 +13,7 @@ from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError, InputError
 from chdstat.rendering.backend import Color
-from chdstat.rendering.sequences import SamplerName
+from chdstat.rendering.seeds import SamplerName
 
 __all__ = ["export", "import_samples", "include", "info", "render"]
 

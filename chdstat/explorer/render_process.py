@@ -21,7 +21,7 @@ from typing import Any
 
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job
 from chdstat.rendering.renderer import Renderer
 
 __all__ = ["COARSE", "RenderProcess", "serve"]

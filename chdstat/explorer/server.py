@@ -32,7 +32,7 @@ from chdstat._core.files import place_of
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.explorer.render_process import COARSE, RenderProcess
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions
 from chdstat.samples import Samples, is_store
 from chdstat.scenes import Scene
 
@@ -281,7 +281,8 @@ def explore(
         stored = source
         name = source.name if isinstance(source, Samples) else place_of(source).name
     else:
-        job = Job.of(source, size=size, seed=seed, max_depth=max_depth, backend="scalar")
+        options = RenderOptions(size=size, seed=seed, max_depth=max_depth, backend="scalar")
+        job = Job.of(source, options)
         render, name, stored = RenderProcess(job), job.scene.name, None
     drawing = ThreadPoolExecutor(1, thread_name_prefix="chdstat-startup")
     try:

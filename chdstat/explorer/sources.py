@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from chdstat._core.arrays import Image, generator, luminance, spans
+from chdstat._core.arrays import Image, generator, luminance, seed_number, spans
 from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
 from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
@@ -331,7 +331,7 @@ class SceneSource:
     channels = ("R", "G", "B")
 
     def __init__(self, render: RenderProcess, coarse: Image | None = None) -> None:
-        self._seed, self._render = render.job.seed, render
+        self._seed, self._render = seed_number(render.job.options.seed), render
         (width, height), self._integrator = self._render.described
         self.size: tuple[int, int] = (height, width)
         self.name = self.title = render.job.scene.name

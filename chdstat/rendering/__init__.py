@@ -7,9 +7,17 @@ rendered; `render_pixels` renders a few pixels alone.
 from __future__ import annotations
 
 from chdstat.rendering.batches import Rendering, render_batches
-from chdstat.rendering.capture import refuse_render, render, render_pixels
+from chdstat.rendering.capture import render, render_pixels
+from chdstat.rendering.options import RenderOptions, refuse_render
 
-__all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pixels"]
+__all__ = [
+    "RenderOptions",
+    "Rendering",
+    "refuse_render",
+    "render",
+    "render_batches",
+    "render_pixels",
+]
 
 
 def __dir__() -> list[str]:

@@ -14,6 +14,7 @@ import platform
 import re
 import subprocess
 import sys
+import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -145,7 +146,11 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
 
 @contextlib.contextmanager
 def activate(verdict: Verdict) -> Iterator[Any]:
-    """Set the Mitsuba variant of a backend, yield the module, and restore what was set before."""
+    """Set the Mitsuba variant of a backend, yield the module, and restore what was set before.
+
+    An error that leaves the context holds no scene: Dr.Jit would call the materials of a scene that
+    is alive in the next render, too.
+    """
     if verdict.library is not None:
         os.environ.setdefault(_LIBRARY_VARIABLE, verdict.library)
     import mitsuba as mi
@@ -155,6 +160,12 @@ def activate(verdict: Verdict) -> Iterator[Any]:
     mi.set_log_level(mi.LogLevel.Error)
     try:
         yield mi
+    except BaseException as error:
+        held: list[BaseException | None] = [error]
+        while (last := held[-1]) is not None and last not in held[:-1]:
+            traceback.clear_frames(last.__traceback__)
+            held.append(last.__cause__ or last.__context__)
+        raise
     finally:
         if previous is not None:
             mi.set_variant(previous)

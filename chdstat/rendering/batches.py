@@ -9,21 +9,20 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from chdstat._core.arrays import Image, Seed, spans, whole
+from chdstat._core.arrays import Image, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.work import Interrupts, track
-from chdstat.rendering.backend import Backend, Color, activate
-from chdstat.rendering.job import Crop, IntegratorLike, Job
+from chdstat.rendering.backend import activate
+from chdstat.rendering.capture import checked_renderer
+from chdstat.rendering.options import Job, RenderOptions, RenderSettings
 from chdstat.rendering.renderer import Renderer
-from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import at_once, render_remote, rendered
-from chdstat.rendering.writers import provenance, renderer_of
 from chdstat.samples import Samples
-from chdstat.samples.samples import provenance as described
+from chdstat.samples.samples import provenance
 from chdstat.samples.tiles import BATCH, Chunk, chunk_grid
 from chdstat.scenes import SceneLike
 
@@ -36,19 +35,9 @@ _AT_ONCE = 4
 def render_batches(
     scene: SceneLike,
     *,
-    spp: int = 256,
     batch: int = 16,
-    size: tuple[int, int] | None = None,
-    seed: Seed = 0,
-    max_depth: int | None = None,
-    sensor: int = 0,
-    integrator: IntegratorLike | None = None,
-    crop: Crop | None = None,
-    color: Color = "rgb",
-    sampler: SamplerName = "independent",
-    sequence: int | None = None,
-    backend: Backend = "auto",
     progress: bool | None = None,
+    **options: Unpack[RenderSettings],
 ) -> Rendering:
     """Render a scene batch by batch and keep nothing: memory is that of a batch.
 
@@ -56,14 +45,15 @@ def render_batches(
 
     Parameters
     ----------
-    scene, size, seed, max_depth, sensor, integrator, crop, color, sampler, sequence, backend
+    scene
         As for `render`.
-    spp
-        Samples per pixel in all.
     batch
         Samples per pixel in a batch; the last one may have fewer.
     progress
         Show a progress bar while batches are drawn; None shows it on a terminal.
+    **options
+        As for `render`: `spp`, the samples per pixel in all, `size`, `seed`, `max_depth`, `sensor`,
+        `integrator`, `crop`, `color`, `sampler`, `sequence` and `backend`.
 
     Returns
     -------
@@ -73,7 +63,7 @@ def render_batches(
     Raises
     ------
     InputError
-        If `spp`, `batch`, `size` or `seed` is out of range.
+        If `batch` or an option is out of range.
     SceneError, RenderError
         If the scene cannot be read, or not be rendered as asked.
 
@@ -83,22 +73,9 @@ def render_batches(
     >>> [batch.shape for batch in rendering]
     [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
     """
-    spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
-    job = Job.of(
-        scene,
-        size=size,
-        seed=seed,
-        max_depth=max_depth,
-        sensor=sensor,
-        integrator=integrator,
-        crop=crop,
-        color=color,
-        sampler=sampler,
-        sequence=sequence,
-        backend=backend,
-    )
-    renderer = renderer_of(job, spp, kept=min(spp, batch), out=None)
-    return Rendering(job, renderer, spp=spp, batch=batch, progress=progress)
+    batch, job = whole("batch", batch, least=1), Job.of(scene, RenderOptions(**options))
+    renderer = checked_renderer(job, kept=min(job.options.spp, batch), out=None)
+    return Rendering(renderer, batch=batch, progress=progress)
 
 
 class Rendering:
@@ -124,11 +101,9 @@ class Rendering:
     (8, 8, 3)
     """
 
-    def __init__(
-        self, job: Job, renderer: Renderer, *, spp: int, batch: int, progress: bool | None
-    ) -> None:
-        self._job, self._renderer, self._progress = job, renderer, progress
-        self.spp, self.batch, self._seconds = spp, batch, 0.0
+    def __init__(self, renderer: Renderer, *, batch: int, progress: bool | None) -> None:
+        self._job, self._renderer, self._progress = renderer.job, renderer, progress
+        self.spp, self.batch, self._seconds = renderer.job.options.spp, batch, 0.0
 
     @property
     def name(self) -> str:
@@ -149,8 +124,7 @@ class Rendering:
     @property
     def attrs(self) -> dict[str, Any]:
         """Provenance, as `Samples.attrs`; the seconds of rendering are those until now."""
-        told = provenance(self._job, self._renderer, self.spp)
-        return told | {"render_seconds": round(self._seconds, 3)}
+        return self._renderer.provenance | {"render_seconds": round(self._seconds, 3)}
 
     @cached_property
     def features(self) -> dict[str, Image]:
@@ -178,7 +152,7 @@ class Rendering:
             yield Samples(source, attrs=self.attrs, features={}), threads
 
     def _repr_html_(self) -> str:
-        return Card("Rendering", described(self.attrs, self.shape)).html()
+        return Card("Rendering", provenance(self.attrs, self.shape)).html()
 
     def __repr__(self) -> str:
         height, width, _, spp = self.shape
@@ -189,24 +163,25 @@ class Rendering:
 
     def __iter__(self) -> Iterator[Image]:
         height, width, _, spp = self.shape
-        step = self.batch if self._scalar else BATCH
-        if self._job.sequences is not None:
-            step = self._job.sequences.span
+        step = self._step(self.batch)
         with track(
             f"rendering {self.name}", height * width * spp, unit="S", show=self._progress
         ) as advance:
             yield from _cut((self._draw(ss, advance) for ss in spans(spp, step)), self.batch)
 
-    @property
-    def _scalar(self) -> bool:
-        return self._job.verdict.backend == "scalar"
+    def _step(self, few: int) -> int:
+        """Return how many samples of a pixel to draw together, `few` where any number will do."""
+        sequences = self._job.options.sequences
+        if sequences is not None:
+            return sequences.span
+        return few if self._job.verdict.backend == "scalar" else BATCH
 
     def _draw(self, ss: slice, advance: Callable[[float], None]) -> Image:
         """Draw some samples of all pixels; nothing of the renderer is left at work after it."""
         start = time.monotonic()
         block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
         with activate(self._job.verdict):
-            for chunk, part in rendered(self._job, self._renderer, self._chunks(ss), None):
+            for chunk, part in rendered(self._renderer, self._chunks(ss)):
                 here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
                 block[chunk.ys, chunk.xs, :, here] = part
                 advance(chunk.size)
@@ -219,9 +194,7 @@ class Rendering:
         But for a wavefront, which draws chunks as they are stored.
         """
         height, width = self.shape[:2]
-        step = _AT_ONCE if self._scalar else BATCH
-        if self._job.sequences is not None:
-            step = self._job.sequences.span
+        step = self._step(_AT_ONCE)
         cuts = [slice(k, min(k + step, ss.stop)) for k in range(ss.start, ss.stop, step)]
         tiles = list(chunk_grid(height, width, 1))
         return [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]

@@ -13,25 +13,24 @@ import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, Seed, whole
-from chdstat._core.files import place_of
-from chdstat._core.work import track
+from chdstat._core.files import free_disk, place_of
+from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.backend import Backend, Color, activate
-from chdstat.rendering.job import Crop, IntegratorLike, Job
+from chdstat.rendering.options import Crop, IntegratorLike, Job, RenderOptions, RenderSettings
 from chdstat.rendering.renderer import Renderer
-from chdstat.rendering.sequences import SamplerName
-from chdstat.rendering.workers import features_restored, rendered
-from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
+from chdstat.rendering.seeds import SamplerName, check_spp
+from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import part_folder
+from chdstat.samples.layout import differing, part_folder
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import DIRECT_DEPTH, LightPart
+from chdstat.samples.tiles import DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import LONGEST
@@ -39,9 +38,11 @@ from chdstat.scenes.settings import LONGEST
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["refuse_render", "render", "render_pixels"]
+__all__ = ["MemoryWriter", "checked_renderer", "opened_store", "render", "render_pixels"]
 
 _log = logging.getLogger("chdstat")
+_MOST_COMPRESSION = 10
+"""Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
 
 
 def render(
@@ -149,24 +150,9 @@ def render(
     >>> samples
     <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
     """
-    loaded, spp = load_scene(scene), whole("spp", spp, least=1)
-    deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
-    depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
-    existing = Store.open(place_of(out)) if out is not None and is_store(out) else None
-    if existing is not None:
-        held = existing.parts()  # parts of other samples are refused here
-        depths |= {part for part in held if isinstance(part, int)}
-        by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
-        if "scene_hash" not in existing.attrs:
-            message = (
-                f"{out} holds samples that were saved or imported, to which no render can be "
-                "added; nothing was changed. Give another path"
-            )
-            raise StoreError(message)
-        backend = existing.attrs["backend"] if backend == "auto" else backend
-        size = size or (None if crop else tuple(existing.attrs["size"]))
-    job = Job.of(
-        loaded,
+    loaded = load_scene(scene)
+    options = RenderOptions(
+        spp=spp,
         size=size,
         seed=seed,
         max_depth=max_depth,
@@ -178,10 +164,21 @@ def render(
         sequence=sequence,
         backend=backend,
     )
-    if (depths or by_light) and job.sequences is not None:
+    deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
+    depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
+    existing = Store.open(place_of(out)) if out is not None and is_store(out) else None
+    if existing is not None:
+        held = existing.parts()  # parts of other samples are refused here
+        depths |= {part for part in held if isinstance(part, int)}
+        by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
+        options = _as_stored(options, existing)
+        if options.spp < existing.complete_spp() == existing.shape[3]:
+            message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
+            _log.warning(message, out, existing.shape[3], options.spp)
+    if (depths or by_light) and options.sequences is not None:
         message = (
             "direct, by_depth and by_light draw the same samples again, which only independent "
-            f"ones allow; leave them out, or the sampler {job.sampler!r}"
+            f"ones allow; leave them out, or the sampler {options.sampler!r}"
         )
         raise InputError(message)
     if by_light and isinstance(loaded.source, LiveScene):
@@ -190,53 +187,56 @@ def render(
             "give the file or dict that it was made of"
         )
         raise InputError(message)
+    job = Job.of(loaded, options)
     if client is not None:
         _check_portable(job)
     with activate(job.verdict):
-        renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
-        renderer.check_lights(by_light)
-        partial = _cut_paths(job, renderer, depths) | {n: replace(job, light=n) for n in by_light}
-        if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
-            message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
-            _log.warning(message, out, existing.shape[3], spp)
-        with _writer(job, renderer, spp, out) as writer:
-            with features_restored(job, renderer, client, writer):
-                _fill(job, renderer, writer, client, progress)
-            parts = {}
-            for which, of_part in partial.items():
-                del renderer  # kernels are frozen where one scene is alive only
-                renderer = Renderer(of_part)
-                folder = None if out is None else place_of(out) / part_folder(which)
-                with _writer(of_part, renderer, spp, folder) as part:
-                    _fill(of_part, renderer, part, client, progress)
-                    parts[which] = part.finish()
-            return writer.finish(parts)
+        return _captured(
+            job, depths, by_light, None if out is None else place_of(out), client, progress
+        )
+
+
+def _captured(
+    job: Job,
+    depths: Collection[int],
+    lights: Sequence[str],
+    out: Path | None,
+    client: Client | None,
+    progress: bool | None,
+) -> Samples:
+    """Render a job, and once more each part of its light."""
+    kept = job.options.spp * (1 + len(depths) + len(lights))
+    renderer = checked_renderer(job, kept=kept, out=out)
+    renderer.check_lights(lights)
+    partial = _cut_paths(renderer, depths) | {n: replace(job, light=n) for n in lights}
+    with _writer(renderer, out) as writer:
+        with _features_restored(renderer, client, writer):
+            _fill(renderer, writer, client, progress)
+        parts = {}
+        for which, of_part in partial.items():
+            del renderer  # kernels are frozen where one scene is alive only
+            renderer = Renderer(of_part)
+            with _writer(renderer, out and out / part_folder(which)) as part:
+                _fill(renderer, part, client, progress)
+                parts[which] = part.finish()
+        return writer.finish(parts)
 
 
 def render_pixels(
-    scene: SceneLike,
-    pixels: npt.ArrayLike,
-    *,
-    spp: int = 2048,
-    size: tuple[int, int] | None = None,
-    seed: Seed = 0,
-    max_depth: int | None = None,
-    sensor: int = 0,
-    integrator: IntegratorLike | None = None,
-    crop: Crop | None = None,
-    color: Color = "rgb",
-    backend: Backend = "scalar",
+    scene: SceneLike, pixels: npt.ArrayLike, **options: Unpack[RenderSettings]
 ) -> Image:
     """Draw samples of a few pixels, without rendering the rest of the image.
 
     Parameters
     ----------
-    scene, size, seed, max_depth, sensor, integrator, crop, color, backend
-        As for `render`. The samples are independent, also of those that `render` draws.
+    scene
+        As for `render`.
     pixels
         (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
-    spp
-        Samples per pixel.
+    **options
+        As for `render`: `spp`, 2048 here, `size`, `seed`, `max_depth`, `sensor`, `integrator`,
+        `crop`, `color`, and `backend`, "scalar" here. The samples are independent, also of those
+        that `render` draws.
 
     Returns
     -------
@@ -246,7 +246,7 @@ def render_pixels(
     Raises
     ------
     InputError
-        If a pixel lies outside the image, or `spp` or `seed` is out of range.
+        If a pixel lies outside the image, or an option is out of range.
 
     Examples
     --------
@@ -254,40 +254,16 @@ def render_pixels(
     >>> chd.rendering.render_pixels("cornell-box", [(4, 4)], spp=16, size=(8, 8)).shape
     (1, 3, 16)
     """
-    spp = whole("spp", spp, least=1)
-    job = Job.of(
-        scene,
-        size=size,
-        seed=seed,
-        max_depth=max_depth,
-        sensor=sensor,
-        integrator=integrator,
-        crop=crop,
-        color=color,
-        backend=backend,
-    )
-    with activate(job.verdict):
-        renderer = Renderer(job)
-        return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
-
-
-def refuse_render(source: object, settings: Mapping[str, Any]) -> None:
-    """Refuse settings of a render, by name, where samples are there already.
-
-    What is None, and the backend "auto", was not asked for.
-
-    Raises
-    ------
-    InputError
-        If any was.
-    """
-    asked = [name for name, value in settings.items() if value not in (None, "auto")]
-    if asked:
+    options = {"spp": 2048, "backend": "scalar", **options}
+    job = Job.of(scene, RenderOptions(**options))
+    if job.options.sequences is not None:
         message = (
-            f"{', '.join(asked)}: a setting of a render, but {source} holds finished samples; "
-            "leave it out, or give the scene"
+            f"samples of single pixels are independent; leave out sampler={job.options.sampler!r}"
         )
         raise InputError(message)
+    with activate(job.verdict):
+        renderer = Renderer(job)
+        return renderer.pixels(_checked_pixels(pixels, renderer.size), job.options.spp)
 
 
 def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray[np.intp]:
@@ -317,13 +293,39 @@ def _check_portable(job: Job) -> None:
         raise InputError(message) from error
 
 
-def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[LightPart, Job]:
+def checked_renderer(job: Job, *, kept: int, out: Path | None) -> Renderer:
+    """Return the renderer of a job whose samples can be drawn, and so many of a pixel kept.
+
+    Raises
+    ------
+    InputError, SceneError, RenderError
+        If the scene cannot be rendered as asked, or there is no room for what is kept.
+    """
+    renderer, spp = Renderer(job), job.options.spp
+    width, height = renderer.size
+    check_spp(job.verdict.backend, width, height, spp, job.options.sequences)
+    needed = 12 * width * height * kept
+    what = f"{kept} samples for each of {width} x {height} pixels"
+    if out is None:
+        check_memory(needed, what, "use fewer samples or pixels, or give a store to write to")
+    elif (free := free_disk(out)) is not None and needed > _MOST_COMPRESSION * free:
+        message = (
+            f"{what} take {needed / 1e9:.3g} GB, more than the disk can hold; use fewer samples "
+            "or pixels, or free some space"
+        )
+        raise InputError(message)
+    if renderer.notes:
+        _log.warning("%s: %s", job.scene.name, "; ".join(renderer.notes))
+    return renderer
+
+
+def _cut_paths(renderer: Renderer, depths: Collection[int]) -> dict[LightPart, Job]:
     """Return the same job with paths cut after each of some depths, where that cuts any.
 
     A sample of it is that of the whole but for the light that its path meets later: both draw the
     same random numbers in the same order.
     """
-    longest = renderer.depth
+    longest, job = renderer.depth, renderer.job
     if depths and longest is None:
         message = (
             f"integrator {renderer.integrator['type']!r} has no max_depth that can be set, so that "
@@ -333,22 +335,107 @@ def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Li
         raise RenderError(message)
     most = LONGEST if longest is None or longest < 0 else longest
     return {
-        depth: replace(job, max_depth=min(depth, most))
+        depth: replace(job, options=replace(job.options, max_depth=min(depth, most)))
         for depth in sorted(depths)
         if depth < most or depth == DIRECT_DEPTH
     }
 
 
 @contextlib.contextmanager
-def _writer(job: Job, renderer: Renderer, spp: int, out: str | Path | None) -> Iterator[Writer]:
-    """Yield what keeps samples: a store, which may be there already, or memory."""
-    attrs = provenance(job, renderer, spp)
-    if out is None:
-        yield MemoryWriter(attrs, renderer.size, spp)
+def _features_restored(renderer: Renderer, client: Client | None, writer: Writer) -> Iterator[None]:
+    """Give a writer the first-hit features that it lacks, while its samples are rendered.
+
+    One worker of a cluster draws them beside the others, which would wait for them otherwise: they
+    take as long as some dozen samples per pixel.
+    """
+    if not writer.lacks_features:
+        yield
+    elif client is None:
+        writer.restore(*renderer.features())
+        yield
+    else:
+        with pool(client=client) as cluster:
+            drawn = cluster.submit(features_remote, renderer.job, renderer.identity)
+            try:
+                yield
+                features = cluster.result(drawn)
+            finally:
+                drawn.cancel()
+            writer.restore(*features)
+
+
+def _fill(renderer: Renderer, writer: Writer, client: Client | None, progress: bool | None) -> None:
+    """Render what is missing, writing each chunk as it arrives."""
+    chunks = writer.pending()
+    if not chunks:
         return
-    place = place_of(out)
-    is_new = not is_store(place)
-    with opened_store(place, attrs, renderer.size, spp) as store:
+    start, name = time.monotonic(), renderer.job.scene.name
+    samples = sum(chunk.size for chunk in chunks)
+    store = writer if isinstance(writer, Store) else None
+    with track(f"rendering {name}", samples, unit="S", show=progress) as advance:
+        try:
+            for chunk, block in rendered(renderer, chunks, client, store):
+                if block is not None:
+                    writer.write(chunk, block)
+                elif store is not None:
+                    store.note(chunk)
+                advance(chunk.size)
+        finally:
+            writer.spent(time.monotonic() - start)
+
+
+# --- what keeps samples -------------------------------------------------------------------------
+
+
+class MemoryWriter:
+    """Keeps rendered samples in memory, as a `chdstat.samples.store.Store` does on disk."""
+
+    def __init__(self, attrs: dict[str, Any], size: tuple[int, int]) -> None:
+        (width, height), spp = size, attrs["spp"]
+        self._attrs, self._features = attrs, dict[str, Image]()
+        self._array = np.full((height, width, 3, spp), np.nan, np.float32)
+
+    def pending(self) -> list[Chunk]:
+        """Return the chunks that are not there yet."""
+        height, width, _, spp = self._array.shape
+        return list(chunk_grid(height, width, spp))
+
+    def write(self, chunk: Chunk, block: Image) -> None:
+        """Keep the samples of a chunk."""
+        self._array[chunk.ys, chunk.xs, :, chunk.ss] = block
+
+    @property
+    def lacks_features(self) -> bool:
+        """Whether there are no first-hit features yet."""
+        return not self._features
+
+    def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
+        """Keep first-hit features, or why there are none."""
+        self._features = dict(features)
+        if why_none:
+            self._attrs["why_no_features"] = why_none
+
+    def spent(self, seconds: float) -> None:
+        """Record how long rendering took."""
+        self._attrs["render_seconds"] = round(seconds, 3)
+
+    def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
+        """Return the samples, with the parts of their light."""
+        return Samples(self._array, attrs=self._attrs, features=self._features, parts=parts)
+
+
+Writer = MemoryWriter | Store
+"""What keeps rendered samples."""
+
+
+@contextlib.contextmanager
+def _writer(renderer: Renderer, out: Path | None) -> Iterator[Writer]:
+    """Yield what keeps samples: a store, which may be there already, or memory."""
+    if out is None:
+        yield MemoryWriter(renderer.provenance, renderer.size)
+        return
+    is_new = not is_store(out)
+    with opened_store(out, renderer.provenance, renderer.size) as store:
         try:
             yield store
         except Exception:
@@ -357,24 +444,81 @@ def _writer(job: Job, renderer: Renderer, spp: int, out: str | Path | None) -> I
             raise
 
 
-def _fill(
-    job: Job, renderer: Renderer, writer: Writer, client: Client | None, progress: bool | None
-) -> None:
-    """Render what is missing, writing each chunk as it arrives."""
-    chunks = writer.pending()
-    if not chunks:
-        return
-    start = time.monotonic()
-    with track(
-        f"rendering {job.scene.name}", sum(c.size for c in chunks), unit="S", show=progress
-    ) as advance:
-        store = writer if isinstance(writer, Store) else None
-        try:
-            for chunk, block in rendered(job, renderer, chunks, client, store):
-                if block is not None:
-                    writer.write(chunk, block)
-                elif store is not None:
-                    store.note(chunk)
-                advance(chunk.size)
-        finally:
-            writer.spent(time.monotonic() - start)
+def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Store:
+    """Open or create a store that is written to, with room for the samples asked for."""
+    if not is_store(out):
+        width, height = size
+        return Store.create(out, shape=(height, width, 3, attrs["spp"]), attrs=attrs)
+    _check_identity(Store.open(out), attrs)
+    store = Store.open(out, writable=True)
+    store.extend(attrs["spp"])
+    return store
+
+
+def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
+    """Return options with what a store that goes on settles, where nothing else is asked for."""
+    if "scene_hash" not in store.attrs:
+        message = (
+            f"{store.path} holds samples that were saved or imported, to which no render can be "
+            "added; nothing was changed. Give another path"
+        )
+        raise StoreError(message)
+    backend, size = options.backend, options.size
+    if backend == "auto":
+        backend = store.attrs["backend"]
+    if size is None and options.crop is None:
+        size = tuple(store.attrs["size"])
+    return replace(options, backend=backend, size=size)
+
+
+_IDENTITY: dict[str, Any] = {
+    "scene_hash": None,
+    "scene_code": {},
+    "plugins": {},
+    "integrator": None,
+    "sensor": 0,
+    "size": None,
+    "crop": None,
+    "light": None,
+    "seed": None,
+    "backend": None,
+    "color": "rgb",
+    "mitsuba_version": None,
+    "streams": None,
+    "sampler": "independent",
+    "sequence": None,
+}
+"""Attributes that must agree before samples are added to a store, with what older stores mean that
+lack them."""
+
+
+def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
+    """Refuse to mix samples of two scenes, seeds or settings in one store."""
+    held = store.attrs
+    stored = {name: held.get(name, default) for name, default in _IDENTITY.items()}
+    if names := differing(stored, {name: attrs.get(name) for name in _IDENTITY}):
+        why = _changed(held, attrs)
+        why += [
+            f"{n}: stored {stored[n]}, asked for {attrs.get(n)}"
+            for n in names
+            if n not in _CHANGES or held.get(n) is None
+        ]
+        message = (
+            f"{store.path} holds other samples ({'; '.join(why)}). Nothing was "
+            "changed; give another output path, or the same settings to resume or append"
+        )
+        raise StoreError(message)
+
+
+_CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": "plugins"}
+"""Attributes of which the names that differ are told, and what they are the names of."""
+
+
+def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:
+    """Return which files and plugins of a scene differ from those of a store."""
+    parts = []
+    for key, word in _CHANGES.items():
+        if held.get(key) is not None and (names := sorted(differing(held[key], attrs[key]))):
+            more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+            parts.append(f"changed {word}: {', '.join(names[:5])}{more}")
+    return parts

@@ -1,40 +1,88 @@
-"""Rays: one sample of a pixel, or of many lanes, from a ray of the sensor to linear sRGB."""
+"""Rays: what one through a position of the image gives, radiance or first-hit features.
+
+First-hit features are albedo, shading normal, depth and position of what the samples see. A ray
+passes through lamps that the integrator hides, and through materials that let it pass in a straight
+line (null, mask, thin glass), as often as these do; in a participating medium it ends where the
+medium scatters it first. There the albedo is that of the medium, and the normal is 0, as it is
+where nothing is hit.
+"""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["drawn", "sensed", "srgb"]
+import drjit
+import numpy as np
+
+from chdstat._core.arrays import Image
+from chdstat.rendering.backend import one_thread
+
+__all__ = ["BLOCK", "FEATURES", "drawn", "first_hits", "wavefront"]
+
+FEATURES = {"albedo": 3, "normal": 3, "depth": 1, "position": 3}
+"""Channels of each feature, in order."""
+_AOVS = "albedo:albedo,normal:sh_normal,depth:depth,position:position"
+"""What Mitsuba's aov integrator calls them."""
+_FEATURE_SPP = 16
+BLOCK = 32
+"""Edge in pixels of the blocks that an integrator renders; Mitsuba's default depends on the cores.
+"""
+dr: Any = drjit
+_VOLUMETRIC = ("volpath", "volpathmis", "prbvolpath")
+"""Mitsuba's integrators that see participating media."""
+_LEAST = 1e-30
+"""Extinction that a medium is divided by at least: scalars divided by 0 are an error."""
 
 
-def sensed(mi: Any, position: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
-    """Return the ray through a position of the image, from 0 to 1, and its weight.
+def wavefront(
+    mi: Any,
+    objects: Sequence[Any],
+    size: tuple[int, int],
+    run: int,
+    number: Any,
+    left: Any,
+    top: Any,
+    width: Any,
+    pixels: Any,
+    lanes: int,
+) -> Any:
+    """Return the radiance of all lanes, which run over the samples of a run, then over pixels.
 
-    The sampler draws the time within the shutter interval, the point on the lens and the
-    wavelengths, where needed.
+    This is no method of a renderer: a kernel that held its renderer would keep the scene alive in a
+    circle, and the next scene's kernel could not be frozen.
+
+    Parameters
+    ----------
+    objects
+        Scene, sensor, integrator, sampler and the medium that rays start in.
+    size
+        (width, height) of the image.
+    run
+        Samples of a pixel in neighbouring lanes.
+    number
+        Seed of the sampler.
+    left, top, width, pixels
+        The rectangle of the image that is drawn, and how many pixels it has.
     """
-    time = sensor.shutter_open()
-    if sensor.shutter_open_time() > 0:
-        time = time + sampler.next_1d() * sensor.shutter_open_time()
-    lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-    wavelength = sampler.next_1d() if mi.is_spectral else 0.0
-    ray, weight = sensor.sample_ray_differential(time, wavelength, position, lens)
-    return ray, weight
+    scene, sensor, integrator, source, medium = objects
+    sampler = source.clone()
+    sampler.seed(number, lanes)
+    index = dr.arange(mi.UInt32, lanes) // run % pixels
+    pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
+    position = (pixel + sampler.next_2d()) / mi.Point2f(*map(float, size))
+    return drawn(mi, position, scene, sensor, integrator, sampler, medium)
 
 
 def drawn(
     mi: Any, position: Any, scene: Any, sensor: Any, integrator: Any, sampler: Any, medium: Any
 ) -> Any:
-    """Return the radiance of a ray through a position of the image as linear sRGB.
-
-    No method of a renderer: a kernel that held its renderer would keep the scene alive in a circle,
-    and the next scene's kernel could not be frozen.
-    """
-    ray, weight = sensed(mi, position, sensor, sampler)
-    if _is_differentiable(mi, integrator):  # Mitsuba's in Python take other arguments
-        import drjit
-
-        dr: Any = drjit
+    """Return the radiance of a ray through a position of the image, from 0 to 1, as linear sRGB."""
+    ray, weight = _sensed(mi, position, sensor, sampler)
+    differentiable = getattr(mi, "CppADIntegrator", ())
+    if isinstance(integrator, differentiable):  # Mitsuba's in Python take other arguments
         with dr.suspend_grad():
             color, *_ = integrator.sample(
                 mode=dr.ADMode.Primal,
@@ -49,16 +97,231 @@ def drawn(
             )
     else:
         color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
-    return srgb(mi, weight * color, ray)
+    return _srgb(mi, weight * color, ray)
 
 
-def srgb(mi: Any, radiance: Any, ray: Any) -> Any:
+def _sensed(mi: Any, position: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
+    """Return the ray through a position of the image, and its weight.
+
+    The sampler draws the time within the shutter interval, the point on the lens and the
+    wavelengths, where needed.
+    """
+    time = sensor.shutter_open()
+    if sensor.shutter_open_time() > 0:
+        time = time + sampler.next_1d() * sensor.shutter_open_time()
+    lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+    wavelength = sampler.next_1d() if mi.is_spectral else 0.0
+    ray, weight = sensor.sample_ray_differential(time, wavelength, position, lens)
+    return ray, weight
+
+
+def _srgb(mi: Any, radiance: Any, ray: Any) -> Any:
     """Return the spectrum of a ray as linear sRGB, each sample as Mitsuba's film takes it."""
     if mi.is_spectral:
         return mi.spectrum_to_srgb(radiance, ray.wavelengths, True)
     return mi.Color3f(radiance[0]) if mi.is_monochromatic else radiance
 
 
-def _is_differentiable(mi: Any, integrator: Any) -> bool:
-    base = getattr(mi, "CppADIntegrator", None)
-    return base is not None and isinstance(integrator, base)
+# --- first-hit features -------------------------------------------------------------------------
+
+
+def first_hits(
+    mi: Any,
+    scene: Any,
+    sensor: Any,
+    medium: Any,
+    size: tuple[int, int],
+    *,
+    integrator: str,
+    hides: bool,
+    as_it_is: bool,
+) -> dict[str, Image]:
+    """Return the first-hit features of an image by name, shape (y, x) or (y, x, channel).
+
+    Parameters
+    ----------
+    medium
+        The medium that rays of the sensor start in, or None.
+    size
+        (width, height) of the image.
+    integrator
+        Mitsuba's name of the integrator.
+    hides
+        Whether it hides lamps.
+    as_it_is
+        Whether the film of the sensor cannot be changed, so that Mitsuba cannot render to it.
+    """
+    aov = mi.load_dict({"type": "aov", "aovs": _AOVS, "block_size": BLOCK})
+    volumetric = integrator in _VOLUMETRIC
+    if as_it_is or not _is_plain(mi, scene, sensor, hides=hides, volumetric=volumetric):
+        stack = _followed_rays(mi, scene, aov, sensor, medium, size, hides, volumetric)
+    else:
+        # For each sample, it copies the list of shapes: threads wait for its counters.
+        with one_thread() if mi.Bool is bool else contextlib.nullcontext():
+            image = aov.render(scene, sensor, seed=0, spp=_FEATURE_SPP)
+            stack = np.array(image, np.float32)[..., -sum(FEATURES.values()) :]
+    ends = np.cumsum(list(FEATURES.values()))[:-1]
+    parts = zip(FEATURES, np.split(stack, ends, axis=-1), strict=True)
+    return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in parts}
+
+
+def _is_plain(mi: Any, scene: Any, sensor: Any, *, hides: bool, volumetric: bool) -> bool:
+    """Return whether a sample shows the first surface that a ray of the sensor meets."""
+    held = mi.traverse(scene).hierarchy  # instances do not say what they are made of
+    materials = [part for part in held if isinstance(part, mi.BSDF)]
+    passing = any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in materials)
+    hidden = hides and any(shape.is_emitter() for shape in scene.shapes())
+    return not (passing or hidden or (volumetric and sensor.get_medium() is not None))
+
+
+def _followed_rays(
+    mi: Any,
+    scene: Any,
+    aov: Any,
+    sensor: Any,
+    medium: Any,
+    size: tuple[int, int],
+    hides: bool,
+    volumetric: bool,
+) -> Image:
+    """Return the mean of what many rays of each pixel hit, shape (y, x, number)."""
+    width, height = size
+    sampler = mi.load_dict({"type": "independent"})
+
+    def hit(x: Any, y: Any) -> list[Any]:
+        dx, dy = sampler.next_2d()
+        position = mi.Point2f((x + dx) / width, (y + dy) / height)
+        ray, _ = _sensed(mi, position, sensor, sampler)
+        return _first_hit(mi, scene, aov, ray, sampler, medium, hides, volumetric)
+
+    if mi.Bool is bool:
+        sampler.seed(0, 1)
+        pixels = np.ndindex(height, width)
+        means = [np.mean([hit(x, y) for _ in range(_FEATURE_SPP)], axis=0) for y, x in pixels]
+        return np.array(means, np.float32).reshape(height, width, -1)
+    lanes = width * height * _FEATURE_SPP
+    sampler.seed(0, lanes)
+    index = dr.arange(mi.UInt32, lanes) // _FEATURE_SPP
+    found = hit(mi.Float(index % width), mi.Float(index // width))
+    stack = np.stack([np.broadcast_to(np.array(v), lanes) for v in found], axis=-1)
+    stack = stack.reshape(height, width, _FEATURE_SPP, -1)
+    return np.asarray(stack.mean(axis=2), np.float32)
+
+
+def _first_hit(
+    mi: Any,
+    scene: Any,
+    aov: Any,
+    ray: Any,
+    sampler: Any,
+    medium: Any,
+    hides: bool,
+    volumetric: bool,
+) -> list[Any]:
+    """Return the 10 numbers of the features of a ray, or of many lanes."""
+    origin = mi.Point3f(ray.o)
+    if mi.Bool is not bool:  # as variables of kernels hold it
+        medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
+    path = _followed(mi, scene, ray, sampler, medium, hides, volumetric)
+    _, _, found = aov.sample(scene, sampler, mi.RayDifferential3f(path.ray), None, True)
+    values = [mi.Float(value) for value in found[-10:]]
+    values[6] = dr.select(values[6] > 0, path.length + values[6], 0)
+    scattered = [*path.albedo, 0, 0, 0, dr.norm(path.place - origin), *path.place]
+    return [dr.select(path.ends, s, v) for s, v in zip(scattered, values, strict=True)]
+
+
+@dataclass
+class _Path:
+    """A ray that is followed: what is left of it, how far it came, and where it was scattered."""
+
+    ray: Any
+    medium: Any
+    length: Any
+    ends: Any
+    albedo: Any
+    place: Any
+    is_fresh: Any
+    goes_on: Any
+
+
+@dr.syntax  # type: ignore[untyped-decorator]
+def _followed(
+    mi: Any, scene: Any, ray: Any, sampler: Any, medium: Any, hides: bool, volumetric: bool
+) -> Any:
+    """Follow a ray until it meets a surface that shows, a medium scatters it, or nothing is met."""
+    path = _Path(
+        ray=mi.Ray3f(ray),
+        medium=medium,
+        length=mi.Float(0),
+        ends=mi.Bool(False),
+        albedo=mi.Color3f(0),
+        place=mi.Point3f(0),
+        is_fresh=mi.Bool(True),
+        goes_on=mi.Bool(True),
+    )
+    while path.goes_on:
+        path = _continued(mi, scene, path, sampler, hides, volumetric)
+    return path
+
+
+def _continued(
+    mi: Any, scene: Any, path: _Path, sampler: Any, hides: bool, volumetric: bool
+) -> _Path:
+    """Return a path after its next event: a surface, or in a medium a collision."""
+    si = scene.ray_intersect(path.ray, path.goes_on)
+    collides = scatters = mi.Bool(False)
+    t, place, albedo = mi.Float(0), path.place, path.albedo
+    if volumetric and path.medium is not None:
+        inside = path.goes_on & (True if mi.Bool is bool else path.medium != None)  # noqa: E711
+        event, t, scattered = _collision(mi, path, sampler, inside)
+        collides = inside & event.is_valid() & (t < si.t)
+        scatters = collides & scattered
+        share = event.sigma_s / dr.maximum(event.sigma_t, _LEAST)
+        albedo = dr.select(scatters, _srgb(mi, _flat(mi, share, path.ray), path.ray), albedo)
+        place = dr.select(scatters, event.p, place)
+    lamp = passes = mi.Bool(False)
+    surface = path.goes_on & (collides ^ True) & si.is_valid()
+    medium = path.medium
+    if mi.Bool is not bool or surface:
+        lamp = surface & path.is_fresh & hides & si.shape.is_emitter()
+        sample, _ = si.bsdf().sample(
+            mi.BSDFContext(), si, sampler.next_1d(surface), sampler.next_2d(surface), surface
+        )
+        passes = surface & (lamp ^ True) & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        if volumetric:
+            crosses = (lamp | passes) & si.is_medium_transition()
+            inner = si.target_medium(path.ray.d)
+            if mi.Bool is bool:
+                medium = inner if crosses else medium
+            else:
+                medium = dr.select(crosses, inner, medium)
+    onward, ray = lamp | passes, mi.Ray3f(path.ray)
+    ray.o = dr.select(collides, path.ray(t), ray.o)
+    ray = dr.select(onward, si.spawn_ray(path.ray.d), ray)
+    return _Path(
+        ray=ray,
+        medium=medium,
+        length=path.length + dr.select(onward, si.t, dr.select(collides, t, 0)),
+        ends=path.ends | scatters,
+        albedo=albedo,
+        place=place,
+        # What passes through a material counts as a reflection, but for integrators of media.
+        is_fresh=path.is_fresh & ((passes ^ True) | volumetric),
+        goes_on=onward | (collides & (scatters ^ True)),
+    )
+
+
+def _collision(mi: Any, path: _Path, sampler: Any, inside: Any) -> tuple[Any, Any, Any]:
+    """Return where a medium interacts with a ray next, how far away, and if it scatters there."""
+    channel = mi.UInt32(dr.minimum(3 * sampler.next_1d(inside), 2)) if mi.is_rgb else 0
+    event = path.medium.sample_interaction(path.ray, sampler.next_1d(inside), channel, inside)
+    real = dr.mean(event.sigma_t / dr.maximum(event.combined_extinction, _LEAST))
+    return event, event.t, sampler.next_1d(inside) < real
+
+
+def _flat(mi: Any, spectrum: Any, ray: Any) -> Any:
+    """Return a spectrum of reflectances over the density with which wavelengths are drawn."""
+    if not mi.is_spectral:
+        return spectrum
+    density = mi.pdf_rgb_spectrum(ray.wavelengths)
+    return spectrum * dr.select(density > 0, dr.rcp(density), 0)

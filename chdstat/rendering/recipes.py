@@ -21,7 +21,7 @@ from scipy import ndimage
 import chdstat
 from chdstat._core.display import percent
 from chdstat.errors import InputError
-from chdstat.rendering.job import scene_integrator, scene_size
+from chdstat.rendering.options import scene_integrator, scene_size
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.files import is_file

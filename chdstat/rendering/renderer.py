@@ -8,38 +8,38 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib.metadata
 import logging
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image
+import chdstat
+from chdstat._core.arrays import Image, seed_number
 from chdstat._core.work import Interrupted
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
-from chdstat.rendering.backend import activate, one_thread
-from chdstat.rendering.instances import IntegratorObject, told
-from chdstat.rendering.job import Job
-from chdstat.rendering.lights import check_lights, darken, flush, light_names, switched_off
-from chdstat.rendering.rays import drawn, sensed
-from chdstat.rendering.seeds import Streams
+from chdstat.rendering.backend import activate
+from chdstat.rendering.options import IntegratorObject, Job, told
+from chdstat.rendering.seeds import STREAMS, Streams
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import check_variant
 
-__all__ = ["Renderer"]
+__all__ = ["Renderer", "check_lights"]
 
 _log = logging.getLogger("chdstat")
-_FAILING = (ChdstatError, RuntimeError, TypeError, ValueError, AttributeError, LookupError)
-"""What materials of one's own may raise that were written for radiance only."""
-_BLOCK = 32
+_LIBRARIES = tuple(str(Path(file).parent) for file in (chdstat.__file__, np.__file__))
+"""Folders whose functions are no part of a scene."""
 _RUN = 16
 """Independent samples of a pixel in neighbouring lanes: their paths begin alike, which saves a
 tenth."""
-_FEATURE_SPP = 16
 
 
 class Renderer:
@@ -47,6 +47,8 @@ class Renderer:
 
     Attributes
     ----------
+    job
+        What is rendered.
     size
         (width, height) of the image in pixels.
     film
@@ -60,36 +62,36 @@ class Renderer:
 
     def __init__(self, job: Job) -> None:
         with activate(job.verdict) as mi:
-            self._mi = mi
-            self._scalar, self._plugins = job.verdict.backend == "scalar", job.plugins
+            self.job, self._mi = job, mi
+            self._scalar = job.verdict.backend == "scalar"
             self.files, self.scene_hash = job.scene.files(), job.scene.hash
             self._asked = asked = job.asked()
-            self.notes = list(asked.notes)
             live = job.scene.source if isinstance(job.scene.source, LiveScene) else None
-            self.film, note = asked.film.resized(job.size)
-            self.notes += note
-            if job.crop is not None:
-                self.film = self.film.cropped(job.crop)
+            self.film, note = asked.film.resized(job.options.size)
+            self.notes = [*asked.notes, *note]
+            if job.options.crop is not None:
+                self.film = self.film.cropped(job.options.crop)
             self.size = self.film.crop_size
-            if job.max_depth is not None:
-                asked.integrator.node(0).props["max_depth"] = job.max_depth
-            self._given = job.integrator if isinstance(job.integrator, IntegratorObject) else None
+            if job.options.max_depth is not None:
+                asked.integrator.node(0).props["max_depth"] = job.options.max_depth
+            given = job.options.integrator
+            self._given = given if isinstance(given, IntegratorObject) else None
             self.integrator: dict[str, Any] = {"type": asked.integrator.plugin(0)}
-            self._streams, self._sequences = Streams(self.size, job.seed), job.sequences
+            self._streams = Streams(self.size, seed_number(job.options.seed))
+            self._sequences = job.options.sequences
             self._local = threading.local()
             with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
                 self._scene = live.value if live else asked.scene.make(parallel=True)
             # Only now, for Mitsuba takes note of which settings were looked at.
-            given = self._given.description if self._given else asked.integrator.node(0).props
-            self.integrator |= told(dict(given))
-            self._loaded_sensor = self._scene.sensors()[job.sensor]
+            settings = self._given.description if self._given else asked.integrator.node(0).props
+            self.integrator |= told(dict(settings))
+            self._loaded_sensor = self._scene.sensors()[job.options.sensor]
             self._sensor_medium = self._loaded_sensor.get_medium()
-            self._as_it_is = live is not None and not live.is_described(job.sensor)
-            self._refuse_view(job)
+            self._as_it_is = live is not None and not live.is_described(job.options.sensor)
+            self._refuse_view()
             if job.light is not None:
-                darken(mi, self._scene, job.light)
-            self._darkened = job.light is not None
+                _darken(mi, self._scene, job.light)
             self.code = code_of(made)
             if self._given is not None:
                 self.code |= self._given.code
@@ -113,6 +115,35 @@ class Renderer:
             "plugins": self.plugins,
         }
 
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Where the samples come from, ready for JSON."""
+        job = self.job
+        return {
+            "scene": job.scene.name,
+            **self.identity,
+            "scene_source": job.scene.origin,
+            "scene_parameters": dict(job.scene.parameters),
+            "integrator": self.integrator,
+            "sensor": job.options.sensor,
+            "size": list(self.size),
+            "crop": self.film.crop,
+            "light": job.light,
+            "spp": job.options.spp,
+            "seed": job.options.seed,
+            "backend": job.verdict.backend,
+            "color": job.verdict.color,
+            "mitsuba_version": importlib.metadata.version("mitsuba"),
+            "chdstat_version": importlib.metadata.version("chdstat"),
+            "filter": "box",
+            "sampler": job.options.sampler,
+            **({"sequence": self._sequences.length} if self._sequences else {}),
+            "streams": STREAMS,
+            "units": "linear radiance",
+            "notes": self.notes,
+            "render_seconds": 0.0,
+        }
+
     def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
         """Draw the samples of one chunk, shape (y, x, channel, sample).
 
@@ -121,7 +152,9 @@ class Renderer:
         """
         with self._telling():
             block = self._drawn(chunk, before_pass)
-        return flush(block) if self._darkened else block
+        if self.job.light is None:
+            return block
+        return np.where(np.abs(block) < _FLUSHED, np.float32(0), block)
 
     def _drawn(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
         if self._sequences is not None:
@@ -177,9 +210,9 @@ class Renderer:
 
     def check_lights(self, patterns: Sequence[str]) -> None:
         """Refuse patterns of names of which the lights cannot be drawn alone."""
-        check_lights(light_names(self._scene), patterns)
+        check_lights(_light_names(self._scene), patterns)
         for pattern in patterns:
-            switched_off(self._mi, self._scene, pattern)
+            _switched_off(self._mi, self._scene, pattern)
 
     @property
     def depth(self) -> int | None:
@@ -196,91 +229,63 @@ class Renderer:
 
     def features(self) -> tuple[dict[str, Image], str]:
         """Return the first-hit features, and why there are none where they cannot be drawn."""
+        from chdstat.rendering.rays import first_hits
+
         try:
             with self._telling():
-                return self._first_hits(), ""
-        except _FAILING as error:
+                found = first_hits(
+                    self._mi,
+                    self._scene,
+                    self._sensor((0, 0), self.size),
+                    self._sensor_medium,
+                    self.size,
+                    integrator=self.integrator["type"],
+                    hides=bool(getattr(self._integrator, "hide_emitters", False)),
+                    as_it_is=self._as_it_is,
+                )
+        except ChdstatError as error:
             _log.warning("no first-hit features: %s", brief(error))
             return {}, brief(error)
-
-    def _first_hits(self) -> dict[str, Image]:
-        from chdstat.rendering.features import AOVS, FEATURES, first_hit, is_plain
-
-        aov = self._mi.load_dict({"type": "aov", "aovs": AOVS, "block_size": _BLOCK})
-        hides = bool(getattr(self._integrator, "hide_emitters", False))
-        name, sensor = self.integrator["type"], self._sensor((0, 0), self.size)
-        if self._as_it_is or not is_plain(self._mi, self._scene, sensor, name, hides=hides):
-
-            def hit(ray: Any, sampler: Any) -> list[Any]:
-                mi, scene, medium = self._mi, self._scene, self._sensor_medium
-                return first_hit(mi, scene, aov, ray, sampler, medium, name, hides=hides)
-
-            stack = self._followed(hit, sensor)
-        else:
-            # For each sample, it copies the list of shapes: threads wait for its counters.
-            with one_thread() if self._scalar else contextlib.nullcontext():
-                drawn = aov.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP)
-                stack = np.array(drawn, np.float32)[..., -sum(FEATURES.values()) :]
-        ends = np.cumsum(list(FEATURES.values()))[:-1]
-        parts = zip(FEATURES, np.split(stack, ends, axis=-1), strict=True)
-        return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in parts}
-
-    def _followed(self, hit: Callable[[Any, Any], list[Any]], sensor: Any) -> Image:
-        """Return the mean of what many rays of each pixel hit, shape (y, x, number)."""
-        mi, (width, height) = self._mi, self.size
-        sampler = mi.load_dict({"type": "independent"})
-        if not self._scalar:
-            import drjit as dr
-
-            lanes = width * height * _FEATURE_SPP
-            sampler.seed(0, lanes)
-            index = dr.arange(mi.UInt32, lanes) // _FEATURE_SPP
-            pixel = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
-            position = (pixel + sampler.next_2d()) / mi.Point2f(width, height)
-            found = hit(sensed(mi, position, sensor, sampler)[0], sampler)
-            stack = np.stack([np.broadcast_to(np.array(v), lanes) for v in found], axis=-1)
-            stack = stack.reshape(height, width, _FEATURE_SPP, -1)
-            return np.asarray(stack.mean(axis=2), np.float32)
-        sampler.seed(0, 1)
-        means = []
-        for y, x in np.ndindex(height, width):
-            hits = []
-            for _ in range(_FEATURE_SPP):
-                dx, dy = sampler.next_2d()
-                position = mi.Point2f((x + dx) / width, (y + dy) / height)
-                hits.append(hit(sensed(mi, position, sensor, sampler)[0], sampler))
-            means.append(np.mean(hits, axis=0))
-        return np.array(means, np.float32).reshape(height, width, -1)
+        return found, ""
 
     @contextlib.contextmanager
     def _telling(self) -> Iterator[None]:
-        """Turn what Mitsuba says of samples that it cannot draw into an error that names why."""
+        """Turn what Mitsuba and classes in Python raise into an error that names why."""
         try:
             yield
+        except (ChdstatError, Interrupted, MemoryError):
+            raise
         except Exception as error:
-            told = failure(self._plugins, error)
-            if isinstance(error, RuntimeError) and told is error:
-                told = RenderError(
-                    f"Mitsuba cannot sample this scene by integrator {self.integrator['type']!r}: "
-                    f"{brief(error)}"
-                )
-            if told is error:
-                raise
-            raise told from error
+            # No variable holds the new error: its traceback would hold the scene, in a circle.
+            raise self._told(error) from error
+
+    def _told(self, error: Exception) -> Exception:
+        told = failure(self.job.plugins, error)
+        if told is not error and isinstance(told, InputError):
+            return told
+        why = brief(error)
+        if not isinstance(error, RuntimeError):
+            why = f"{type(error).__name__}: {why}"
+        frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+        code = frames[-1].f_code
+        if not code.co_filename.startswith(_LIBRARIES):
+            why += f" (in {code.co_qualname} of {code.co_filename})"
+        name = self.integrator["type"]
+        return RenderError(f"Mitsuba cannot sample this scene by integrator {name!r}: {why}")
 
     # --- Mitsuba objects ------------------------------------------------------------------------
 
-    def _refuse_view(self, job: Job) -> None:
+    def _refuse_view(self) -> None:
         """Refuse a view that the sensor cannot show."""
-        kind = self._asked.sensor.plugin(0)
-        if job.crop is not None and self.film.crop is not None and not self._asked.crops:
+        kind, crop = self._asked.sensor.plugin(0), self.job.options.crop
+        if crop is not None and self.film.crop is not None and not self._asked.crops:
             message = (
                 f"a {kind} sensor cannot be cropped, as Mitsuba shows all of it in any crop; leave "
                 "out the crop"
             )
             raise InputError(message)
         own = self._asked.film.crop_size
-        if self._as_it_is and (self.size != own or job.crop is not None):
+        if self._as_it_is and (self.size != own or crop is not None):
             message = (
                 f"the {self._loaded_sensor.class_name()} of a scene that Mitsuba has built shows "
                 f"{own[0]} x {own[1]} pixels only; give the file or dict that it was made of"
@@ -315,9 +320,16 @@ class Renderer:
         return sensor
 
     @property
+    def _crops(self) -> bool:
+        """Whether the sensor can show a part of the image alone."""
+        return self._asked.crops and not self._as_it_is
+
+    @property
     def _integrator(self) -> Any:
         """The integrator of the calling thread; it keeps state while it renders."""
         if not hasattr(self._local, "integrator"):
+            from chdstat.rendering.rays import BLOCK
+
             described = self._asked.integrator.branch(0)
             check_variant(described)
             made = self._given.value if self._given else described.make()
@@ -328,7 +340,7 @@ class Renderer:
                 )
                 raise RenderError(message)
             if self._given is None:
-                described.node(0).props["block_size"] = _BLOCK  # the default depends on the cores
+                described.node(0).props["block_size"] = BLOCK
                 made = described.make()
             self._local.integrator = made
         return self._local.integrator
@@ -345,11 +357,6 @@ class Renderer:
         if not self._scalar:
             sampler.set_samples_per_wavefront(length)
         return sampler
-
-    @property
-    def _crops(self) -> bool:
-        """Whether the sensor can show a part of the image alone."""
-        return self._asked.crops and not self._as_it_is
 
     def _chunk_of_sequences(
         self, chunk: Chunk, step: int, before_pass: Callable[[], None]
@@ -373,13 +380,13 @@ class Renderer:
     ) -> Image:
         """Draw the first samples of one sequence for each pixel of a tile.
 
-        One by one in Python, for Mitsuba keeps the average of what it draws of a sequence; parts of
-        one cannot be drawn by themselves, as the random numbers of a sample go on from those of the
-        one before.
+        Python draws them one by one, for Mitsuba keeps the average of what it draws of a sequence.
+        Parts of a sequence cannot be drawn by themselves, as the random numbers of a sample go on
+        from those of the one before.
         """
         number = self._streams.of_sequence(chunk, sequence)
         sampler = self._sampler()
-        sample = self._sampling_scalar(sampler, self.size)
+        sample = self._sampling_scalar(sampler)
         height, width, _ = chunk.shape
         block = np.empty((height, width, 3, samples), np.float32)
         for y in range(height):
@@ -409,12 +416,14 @@ class Renderer:
     def _pixel_scalar(self, number: int, y: int, x: int, count: int) -> Image:
         sampler = self._mi.load_dict({"type": "independent"})
         sampler.seed(number, 1)
-        sample = self._sampling_scalar(sampler, self.size)
+        sample = self._sampling_scalar(sampler)
         return np.stack([sample(x, y) for _ in range(count)], axis=-1)
 
-    def _sampling_scalar(self, sampler: Any, size: tuple[int, int]) -> Callable[[int, int], Any]:
-        """Return a function that draws the next sample of the pixel at (x, y) of so many."""
-        mi, (width, height), sensor = self._mi, size, self._sensor((0, 0), self.size)
+    def _sampling_scalar(self, sampler: Any) -> Callable[[int, int], Any]:
+        """Return a function that draws the next sample of the pixel at (x, y)."""
+        from chdstat.rendering.rays import drawn
+
+        mi, (width, height), sensor = self._mi, self.size, self._sensor((0, 0), self.size)
         objects = self._scene, sensor, self._integrator, sampler, self._sensor_medium
 
         def sample(x: int, y: int) -> Any:
@@ -461,30 +470,27 @@ class Renderer:
         if not hasattr(self._local, "kernel"):
             import drjit as dr
 
+            from chdstat.rendering.rays import wavefront
+
             sensor, sampler = self._sensor((0, 0), self.size), self._sampler()
-            objects = (self._scene, sensor, self._integrator, sampler)
-            self._local.kernel = self._wavefront_kernel(dr, sensor, sampler)
-            self._local.frozen = dr.freeze(self._local.kernel, state_fn=lambda *_, **__: objects)
+            held = [self._scene, sensor, self._integrator, sampler, self._sensor_medium]
+            mi, size, run = self._mi, self.size, self._run
+
+            def kernel(*inputs: Any) -> Any:
+                return wavefront(mi, held, size, run, *inputs)
+
+            self._local.held, self._local.kernel = held, kernel
+            self._local.frozen = dr.freeze(kernel, state_fn=lambda *_, **__: held)
         try:
             with _uncollected():
                 return self._local.frozen(*inputs)
         except RuntimeError:
             self._local.frozen = self._local.kernel
+        try:
             return self._local.kernel(*inputs)
-
-    def _wavefront_kernel(self, dr: Any, sensor: Any, source: Any) -> Callable[..., Any]:
-        mi, scene, integrator, medium = self._mi, self._scene, self._integrator, self._sensor_medium
-        size, run = tuple(map(float, self.size)), self._run
-
-        def kernel(number: Any, left: Any, top: Any, width: Any, pixels: Any, lanes: int) -> Any:
-            sampler = source.clone()
-            sampler.seed(number, lanes)
-            index = dr.arange(mi.UInt32, lanes) // run % pixels
-            pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
-            position = (pixel + sampler.next_2d()) / mi.Point2f(*size)
-            return drawn(mi, position, scene, sensor, integrator, sampler, medium)
-
-        return kernel
+        except Exception:
+            self._local.held.clear()  # a traceback holds the kernel, and would hold the scene
+            raise
 
 
 @contextlib.contextmanager
@@ -497,3 +503,92 @@ def _uncollected() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
+
+
+# --- lights -------------------------------------------------------------------------------------
+#
+# Paths do not depend on how bright a light is: next-event estimation chooses among lights by their
+# number or their sampling weights, and Russian roulette looks at the throughput. So the light of a
+# sample is the sum of what it has by each light alone.
+
+_DARK = 2.0**-100
+"""What a light that is off is multiplied by: not 0, of which a texture or an environment map could
+not be sampled, but a power of two, which leaves all probabilities as they are."""
+_FLUSHED = 2.0**-60
+"""Less than this is of lights that are off."""
+_LISTED = 20
+_RADIANCE = ("value", "values", "data", "scale", "sun_scale", "sky_scale")
+
+
+def check_lights(names: Sequence[str], patterns: Sequence[str]) -> None:
+    """Refuse patterns of names that match no light, or one that another matches, too.
+
+    Raises
+    ------
+    InputError
+        If one does.
+
+    Examples
+    --------
+    >>> check_lights(["lamp-0", "lamp-1", "sky"], ["lamp-*", "sky"])
+    """
+    if isinstance(patterns, str | Path):
+        message = f"by_light must be a sequence of names, such as [{str(patterns)!r}]"
+        raise InputError(message)
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            there = ", ".join(names[:_LISTED]) or "none"
+            more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+            message = f"no light {pattern!r}; the scene has {there}{more}"
+            raise InputError(message)
+    for name in names:
+        matching = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
+        if len(matching) > 1:
+            message = f"light {name!r} is of several groups: {', '.join(matching)}"
+            raise InputError(message)
+
+
+def _light_names(scene: Any) -> list[str]:
+    """Return the names of the lights of a Mitsuba scene: ids of their shapes, or of their own.
+
+    Those that have none are called by their kind; those that share one are numbered.
+    """
+    names: list[str] = []
+    for light in scene.emitters():
+        shape = light.get_shape()
+        name = (shape.id() if shape is not None else light.id()) or type(light).__name__
+        names.append(name)
+    return [
+        name if names.count(name) == 1 else f"{name}-{names[:i].count(name)}"
+        for i, name in enumerate(names)
+    ]
+
+
+def _switched_off(mi: Any, scene: Any, kept: str) -> list[tuple[Any, list[str]]]:
+    """Return the parameters of all lights but those of a pattern, and the names of their radiance.
+
+    Raises
+    ------
+    RenderError
+        If a light has no radiance that can be changed.
+    """
+    found = []
+    for light, name in zip(scene.emitters(), _light_names(scene), strict=True):
+        if fnmatchcase(name, kept):
+            continue
+        parameters = mi.traverse(light)
+        keys = ["scale"] if "scale" in parameters else []
+        keys = keys or [key for key in parameters.keys() if key.split(".")[-1] in _RADIANCE]  # noqa: SIM118
+        if not keys:
+            message = f"light {name!r} ({type(light).__name__}) cannot be switched off"
+            raise RenderError(message)
+        found.append((parameters, keys))
+    return found
+
+
+def _darken(mi: Any, scene: Any, kept: str) -> None:
+    """Switch off all lights of a Mitsuba scene but those whose names match a pattern."""
+    for parameters, keys in _switched_off(mi, scene, kept):
+        for key in keys:
+            parameters[key] = parameters[key] * _DARK
+        parameters.update()

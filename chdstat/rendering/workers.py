@@ -8,16 +8,16 @@ import itertools
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from chdstat._core.arrays import Image
 from chdstat._core.work import Interrupts, Pool, cores, pool
 from chdstat.errors import RenderError, StoreError
 from chdstat.rendering.backend import activate, one_thread
-from chdstat.rendering.instances import IntegratorObject
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import IntegratorObject, Job
 from chdstat.rendering.renderer import Renderer
-from chdstat.rendering.sequences import grouped
+from chdstat.rendering.seeds import grouped
 from chdstat.samples.layout import differing
 from chdstat.samples.store import reopened
 from chdstat.samples.tiles import Chunk
@@ -25,10 +25,9 @@ from chdstat.samples.tiles import Chunk
 if TYPE_CHECKING:
     from distributed import Client
 
-    from chdstat.rendering.writers import Writer
     from chdstat.samples.store import Store
 
-__all__ = ["at_once", "features_remote", "features_restored", "render_remote", "rendered"]
+__all__ = ["at_once", "features_remote", "render_remote", "rendered"]
 
 Group = tuple[Chunk, Sequence[Chunk]]
 """Samples that are drawn together, and the chunks that they are stored in."""
@@ -37,10 +36,9 @@ Drawn = Sequence[tuple[Chunk, Image | None]]
 
 
 def rendered(
-    job: Job,
     renderer: Renderer,
     chunks: Sequence[Chunk],
-    client: Client | None,
+    client: Client | None = None,
     store: Store | None = None,
 ) -> Iterator[tuple[Chunk, Image | None]]:
     """Yield chunks with their samples, in the order they are done.
@@ -48,7 +46,8 @@ def rendered(
     Workers of a cluster write those of a `store` that they see themselves: None is yielded in their
     place. Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
     """
-    groups = list(grouped(chunks, job.sequences))
+    job = renderer.job
+    groups = list(grouped(chunks, job.options.sequences))
     if client is None:
         with Interrupts() as interrupts, at_once(job) as workers, pool(workers) as threads:
             draw = functools.partial(_samples_of, renderer, before_pass=interrupts.before_pass)
@@ -62,32 +61,6 @@ def rendered(
         yield from _collect(
             lambda g: cluster.submit(render_remote, job, identity, place, g), groups, cluster
         )
-
-
-@contextlib.contextmanager
-def features_restored(
-    job: Job, renderer: Renderer, client: Client | None, writer: Writer
-) -> Iterator[None]:
-    """Give a writer the first-hit features that it lacks, while its samples are rendered.
-
-    One worker of a cluster draws them beside the others, which would wait for them otherwise: they
-    take as long as some dozen samples per pixel.
-    """
-    if not writer.lacks_features:
-        yield
-        return
-    if client is None:
-        writer.restore(*renderer.features())
-        yield
-        return
-    with pool(client=client) as cluster:
-        drawn = cluster.submit(features_remote, job, renderer.identity)
-        try:
-            yield
-            features = cluster.result(drawn)
-        finally:
-            drawn.cancel()
-        writer.restore(*features)
 
 
 def _samples_of(renderer: Renderer, group: Group, **options: Any) -> list[tuple[Chunk, Image]]:
@@ -107,7 +80,8 @@ def at_once(job: Job) -> Iterator[int]:
     if job.verdict.backend != "scalar":
         yield 1
         return
-    alone = isinstance(job.integrator, IntegratorObject) and job.integrator.in_python
+    integrator = job.options.integrator
+    alone = isinstance(integrator, IntegratorObject) and integrator.in_python
     with one_thread():
         yield 1 if alone else cores()  # a class in Python may keep what it draws with
 
@@ -168,7 +142,9 @@ def _remote(job: Job, identity: dict[str, Any]) -> Iterator[Renderer]:
 
     A pass uses all cores, and Mitsuba's signal handler is not reentrant.
     """
-    key = (identity["scene_hash"], str(identity["scene_code"]), *job.settings)
+    options = replace(job.options, spp=1)  # any number of samples takes the same renderer
+    parts = identity["scene_hash"], identity["scene_code"], options, job.verdict, job.light
+    key = (str(parts), job.plugins)
     with activate(job.verdict), _REMOTE_LOCK:
         if key not in _REMOTE:
             _REMOTE.clear()

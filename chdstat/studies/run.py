@@ -27,7 +27,7 @@ from chdstat.patterns import Atlas, atlas
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.recipes import choose_regions
-from chdstat.rendering.sequences import SamplerName, Sequences
+from chdstat.rendering.seeds import SamplerName, Sequences
 from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
 from chdstat.studies.stores import SPREAD, Source, Stores, StudyScene, scenes_of

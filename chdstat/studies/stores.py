@@ -25,7 +25,7 @@ from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
-from chdstat.rendering.sequences import SamplerName
+from chdstat.rendering.seeds import SamplerName
 from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_independent

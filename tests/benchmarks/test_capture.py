@@ -19,9 +19,8 @@ import pytest
 
 from chdstat.rendering import capture
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.renderer import Renderer
-from chdstat.rendering.writers import opened_store, provenance
 from chdstat.scenes import Scene, load_scene
 
 SIZE, SPP, ROUNDS = (128, 128), 256, 7
@@ -45,7 +44,7 @@ def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, ba
     verdict = probe(request.getfixturevalue("llvm") if backend == "llvm" else backend)
     ratios: list[float] = []
     with activate(verdict):
-        job = Job(scene, verdict, SIZE)
+        job = Job(scene, RenderOptions(size=SIZE, spp=SPP), verdict)
         renderer = Renderer(job)
 
         def plain() -> None:
@@ -55,11 +54,11 @@ def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, ba
             np.array(renderer._integrator.render(renderer._scene, film, seed=number, spp=SPP))
 
         def turn() -> None:
-            path, attrs = tmp_path / f"{len(ratios)}.zarr", provenance(job, renderer, SPP)
-            writer = opened_store(path, attrs, renderer.size, SPP)
+            path, attrs = tmp_path / f"{len(ratios)}.zarr", renderer.provenance
+            writer = capture.opened_store(path, attrs, renderer.size)
 
             def captured() -> None:
-                capture._fill(job, renderer, writer, None, False)
+                capture._fill(renderer, writer, None, False)
 
             # Who comes first alternates too.
             if len(ratios) % 2:

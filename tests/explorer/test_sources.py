@@ -32,7 +32,7 @@ from chdstat.fit.tail import TailIndex
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part
 from chdstat.rendering import render_pixels
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions
 
 ARRAYS = dict[str, npt.NDArray[Any]]
 
@@ -255,7 +255,9 @@ def test_exposure_brings_an_image_near_white():
 
 @pytest.fixture(scope="module")
 def scene():
-    return SceneSource(RenderProcess(Job.of("cornell-box", size=(24, 16), backend="scalar")))
+    return SceneSource(
+        RenderProcess(Job.of("cornell-box", RenderOptions(size=(24, 16), backend="scalar")))
+    )
 
 
 def test_more_samples_of_a_pixel_are_new_ones(scene):
@@ -290,7 +292,7 @@ def test_a_region_of_a_scene_is_sampled(scene):
 
 def test_a_scene_without_emitters_says_so():
     dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
-    source = SceneSource(RenderProcess(Job.of(dark, size=(8, 8), backend="scalar")))
+    source = SceneSource(RenderProcess(Job.of(dark, RenderOptions(size=(8, 8), backend="scalar"))))
     with pytest.raises(SceneError, match="emitter"):
         list(source.passes())
 

@@ -19,9 +19,9 @@ import zarr
 import chdstat as chd
 from chdstat._core.files import place_of
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
-from chdstat.rendering import render_batches, render_pixels, writers
+from chdstat.rendering import capture, render_pixels
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions, RenderSettings
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import layout
@@ -585,7 +585,7 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     job = {"scene": "cornell-box", "size": (1024, 1024), "backend": "scalar", "spp": 3840}
     path = tmp_path / out if out else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(writers, "free_disk", lambda _: 10**9)
+        patch.setattr(capture, "free_disk", lambda _: 10**9)
         patch.setattr("chdstat._core.work.memory", lambda: 10**9)
         with pytest.raises(InputError, match=f"take 48.3 GB{place}"):
             chd.render(**job, out=path)
@@ -623,7 +623,7 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path, turn):
     kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger[c.index]]
     assert kept
     with activate(probe("scalar")):
-        whole = Renderer(Job(load_scene("cornell-box"), probe("scalar"), (96, 96)))
+        whole = Renderer(Job.of("cornell-box", RenderOptions(size=(96, 96), backend="scalar")))
         for chunk in kept[-3:]:
             block = done.read(chunk.ys, chunk.xs, chunk.ss)
             assert np.array_equal(block, whole.chunk(chunk))
@@ -646,15 +646,13 @@ def test_ctrl_c_works_after_a_render():
 
 
 def test_what_renders_takes_one_set_of_options():
-    """Those of a job: as many keywords, of the same types, and the same defaults but for one."""
-    asked = dict(signature(Job.of).parameters)
-    for function in (chd.render, render_batches, render_pixels):
-        taken = signature(function).parameters
-        # Single pixels have no numbers for several sequences.
-        left_out = {"sampler", "sequence"} if function is render_pixels else set()
-        for name, option in asked.items():
-            if name in left_out:
-                continue
-            assert taken[name].annotation == option.annotation, name
-            single = function is render_pixels and name == "backend"  # too few for a wavefront
-            assert taken[name].default == ("scalar" if single else option.default), name
+    """The fields of `RenderOptions`: the same names, types and defaults."""
+    taken = signature(chd.render).parameters
+    for name, option in signature(RenderOptions).parameters.items():
+        assert (
+            taken[name].annotation
+            == option.annotation
+            == RenderSettings.__annotations__[name].__forward_arg__
+        )
+        assert taken[name].default == option.default, name
+    assert RenderSettings.__annotations__.keys() == signature(RenderOptions).parameters.keys()

@@ -134,6 +134,39 @@ def test_the_command_takes_both(tmp_path, monkeypatch):
     assert np.array_equal(found.read(), direct.read())
 
 
+@pytest.mark.parametrize(
+    ("raised", "told"),
+    [
+        (KeyError("speed"), "KeyError: 'speed' .in .*Failing.eval_pdf of .*test_integrators.py"),
+        (RuntimeError("too fast"), "by integrator 'path': too fast .in .*Failing.eval_pdf"),
+    ],
+)
+@pytest.mark.parametrize("backend", ["scalar", "llvm"])
+def test_an_error_of_a_class_names_it_and_is_not_met_by_the_next_render(backend, raised, told):
+    """Dr.Jit calls the materials of all scenes that are alive: an error must keep none alive."""
+    if not probe(backend).works:
+        pytest.skip(f"no {backend}")
+    with activate(probe(backend)) as mi:
+
+        class Failing(mi.BSDF):
+            def __init__(self, props):
+                super().__init__(props)
+                self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+                self.m_components = [self.m_flags]
+
+            def eval_pdf(self, ctx, si, wo, active=True):
+                raise raised
+
+        mi.register_bsdf("failing", Failing)
+    ball = {"type": "sphere", "radius": 0.5, "bsdf": {"type": "failing"}}
+    scene = {**chd.load_scene("cornell-box").source, "ball": ball}
+    view = {**VIEW, "backend": backend}
+    with pytest.raises(RenderError, match=told) as kept:
+        chd.render(scene, **view)
+    assert np.isfinite(chd.render("cornell-box", **view).read()).all()
+    assert kept.value.__cause__ is raised
+
+
 # --- objects of Mitsuba's -----------------------------------------------------------------------
 
 

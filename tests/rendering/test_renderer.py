@@ -21,7 +21,7 @@ import scipy.stats
 import chdstat as chd
 from chdstat.rendering import render_pixels, seeds
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
@@ -137,7 +137,9 @@ def test_the_last_passes_vary_as_independent_ones(streams):
     if streams != "scalar":
         pytest.skip("a wavefront has no passes")
     with activate(probe("scalar")):
-        renderer = Renderer(Job(load_scene(RANDOM_NUMBERS), probe("scalar"), SIZE, seed=5))
+        renderer = Renderer(
+            Job.of(RANDOM_NUMBERS, RenderOptions(size=SIZE, seed=5, backend="scalar"))
+        )
         last = max_spp("scalar", *SIZE)
         chunk = replace(next(chunk_grid(16, 16, 64)), ss=slice(last - 2048, last))
         x = renderer.chunk(chunk)
@@ -168,7 +170,9 @@ def test_passes_chunks_and_single_pixels_share_no_number():
     assert seeds.PASSES * TILE**2 <= 2**32 - seeds.PIXELS
     assert seeds.CHUNKS <= 2**32 - seeds.PIXELS
     for seed in (0, 1, 55, 10_945):
-        renderer = Renderer(Job(load_scene("cornell-box"), probe("scalar"), (8, 8), seed))
+        renderer = Renderer(
+            Job.of("cornell-box", RenderOptions(size=(8, 8), seed=seed, backend="scalar"))
+        )
         numbers = [renderer._streams.of_pixel(y, x) for y in range(8) for x in range(8)]
         assert len(set(numbers)) == 64
         assert 2**32 - seeds.PIXELS <= min(numbers) <= max(numbers) < 2**32
@@ -325,7 +329,9 @@ def test_single_pixels_have_the_distribution_of_the_image(box, request, backend)
 
 def test_another_seed_draws_other_samples_of_a_pixel_and_the_same_one_the_same():
     with activate(probe("scalar")):
-        renderer = Renderer(Job(load_scene("cornell-box"), probe("scalar"), SIZE, seed=3))
+        renderer = Renderer(
+            Job.of("cornell-box", RenderOptions(size=SIZE, seed=3, backend="scalar"))
+        )
         own, same, other = (renderer.pixels(np.array(PIXELS), 64, seed=s) for s in (None, 3, 4))
     assert np.array_equal(own, same)
     lit = vectors(np.concatenate([own, other]))

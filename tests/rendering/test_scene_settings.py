@@ -19,7 +19,7 @@ from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.io import write_exr
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.job import scene_integrator, scene_size
+from chdstat.rendering.options import scene_integrator, scene_size
 from chdstat.scenes import load_scene
 from chdstat.scenes.scene import look_at, translate
 

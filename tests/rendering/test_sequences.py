@@ -17,10 +17,9 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering import render_batches, seeds
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.renderer import Renderer
-from chdstat.rendering.seeds import max_spp
-from chdstat.rendering.sequences import Sequences, grouped
+from chdstat.rendering.seeds import Sequences, grouped, max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
 
 ALPHA = 1e-3
@@ -218,7 +217,7 @@ def test_samples_do_not_depend_on_how_they_are_cut(backend, sampler, length, tmp
     batches = render_batches(NUMBERS, spp=spp, batch=50, size=SIZE, backend=backend, **options)
     assert np.array_equal(np.concatenate(list(batches), axis=-1), whole)
     with activate(probe(backend)):
-        renderer = Renderer(Job.of(NUMBERS, size=SIZE, backend=backend, **options))
+        renderer = Renderer(Job.of(NUMBERS, RenderOptions(size=SIZE, backend=backend, **options)))
         chunk = list(chunk_grid(*SIZE[::-1], spp))[1]
         alone = renderer.chunk(replace(chunk, ss=slice(70, 75)))
     assert np.array_equal(alone, whole[..., 70:75])

@@ -14,15 +14,14 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core import executor
+from chdstat._core import work
 from chdstat.errors import ClusterError, InputError, RenderError
 from chdstat.rendering import workers
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.job import Job
+from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.renderer import Renderer
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
-from chdstat.scenes import load_scene
 
 SETTINGS: dict[str, Any] = {"size": (8, 8), "backend": "scalar"}
 
@@ -75,7 +74,7 @@ def test_scenes_in_values_of_mitsuba_are_refused_on_a_cluster():
 def test_a_scheduler_without_workers_is_told(monkeypatch):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr(executor, "_PATIENCE", 0.5)
+    monkeypatch.setattr(work, "_PATIENCE", 0.5)
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as cluster,
         Client(cluster) as client,
@@ -115,13 +114,13 @@ def test_workers_of_other_versions_are_refused():
     with pytest.raises(
         ClusterError, match=r"tcp://a has other versions .mitsuba 3.7.0, here 3.9.1"
     ):
-        executor.check_workers(client)
+        work.check_workers(client)
     answer["workers"]["tcp://a"]["packages"] = packages
-    executor.check_workers(client)
+    work.check_workers(client)
 
 
 def test_a_worker_that_reads_another_scene_is_refused():
-    job = Job(load_scene("cornell-box"), probe("scalar"), (8, 8))
+    job = Job.of("cornell-box", RenderOptions(size=(8, 8), backend="scalar"))
     identity = Renderer(job).identity
     chunk = next(chunk_grid(8, 8, 1))
     group = chunk, [chunk]
