@@ -6,33 +6,33 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, is_bad, seed_number, whole
+from chdstat._core.arrays import Floats, Image, Seed, is_bad, seed_number, whole
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
-from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import Statistic
+from chdstat._core.positive import Part, PositivePart
+from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
 from chdstat._core.work import checkpoints, in_order
 from chdstat.errors import InputError
-from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
-from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
-from chdstat.fit.mixtures import Mixture, mixture_of_part
-from chdstat.fit.selection import finish_selection, select_part, selection_variables
+from chdstat.fit.goodness_of_fit import GoodnessOfFit
+from chdstat.fit.mixtures import MixtureFit
+from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import N_MEANS, NormalityOfMeans, sizes_of_means
-from chdstat.inference.modes import Modes
+from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.inference.normality import TESTS, Normality
-from chdstat.patterns import classification
+from chdstat.patterns.classification import Classification
 from chdstat.patterns.overview import Overview, Share, overview, pooled_shares
-from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
-from chdstat.samples import ImageLike, Mapped, checkpoint_key, samples_of
+from chdstat.patterns.pixel_statistics import Thresholds
+from chdstat.samples import ImageLike, checkpoint_key, samples_of
 from chdstat.samples.tiles import Work, assemble, tiles
 from chdstat.summary.histograms import Histogram
 from chdstat.summary.statistics import summarize
@@ -149,46 +149,82 @@ def analyze(
     if hasattr(given, "data_vars"):
         return _of_summary(given, resamples, seed, progress, client)
     samples, thresholds = samples_of(given), thresholds or Thresholds()
-    enough = samples.spp >= N_MEANS
-    sizes = tuple(sizes_of_means(samples.spp).tolist()) if enough else None
-    statistics = _statistics(sizes)
-
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        fits = PixelFits(PositivePart.of_pixels(block, rows="both"), held_out=held_out)
-        channels = fits.rows(slice(block.shape[-2]))
-        part, selection = channels.part, channels.selection
-        goodness = goodness_of_part(part, selection, resamples=resamples, seed=seed)
-        patterns = classification.patterns_of(fits.rows(-1), thresholds)
-        measured = {
-            "luminance": _luminance(block, fits.part.x[..., -1, :]),
-            "selection": selection_variables(selection),
-            "goodness": goodness_variables(goodness),
-            "mixture": fit_variables(channels.mixture),
-            "modality": Modes().variables(channels.modes),
-            "patterns": classification.patterns_variables(patterns),
-        }
-        measured |= {s: each.variables(part.measured(each)) for s, each in statistics.items()}
-        return {
-            f"{stage}/{name}": variable
-            for stage, variables in measured.items()
-            for name, variable in variables.items()
-        }
-
+    statistics: dict[str, Statistic[Any]] = {
+        "luminance": _LuminanceMoments(),
+        "selection": FamilySelection(held_out=held_out),
+        "goodness": GoodnessOfFit(resamples=resamples, seed=seed),
+        "tail": TailIndex(),
+        "mixture": ModalMixture(),
+        "modality": Modes(),
+        "normality": Normality(("log", "sqrt", "linear"), tuple(TESTS)),
+        "patterns": Classification(thresholds),
+    }
+    if samples.spp >= N_MEANS:
+        statistics["averages"] = NormalityOfMeans(tuple(sizes_of_means(samples.spp).tolist()))
+    of_block = functools.partial(_of_block, statistics)
     known = functools.partial(checkpoint_key, samples)
     with checkpoints(checkpoint, known, thresholds, held_out, resamples, seed) as kept:
         work: Work = {"progress": progress, "client": client, "checkpoint": kept}
         summary = summarize(samples, **work)
         found = samples.map(of_block, logarithms=True, description="analysing", **work)
-    finishes = _finishes(thresholds, resamples, sizes)
-    parts = [_finished(found, stage, finish) for stage, finish in finishes.items()]
     # The parts count the same samples; the summary's word on nulls and bad samples stands.
     merged = xr.merge(
-        [summary, *parts], compat="override", combine_attrs="drop_conflicts", join="override"
+        [summary, *_finished(found, statistics)],
+        compat="override",
+        combine_attrs="drop_conflicts",
+        join="override",
     )
-    if sizes is not None:
-        for name in ("skewness", "kurtosis"):
+    for name in ("skewness", "kurtosis"):
+        if "averages" in statistics:
             merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
+
+
+def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
+    """Return the variables of all statistics of a tile, by their stages."""
+    both = PositivePart.of_pixels(block, rows="both")
+    for shared in (FamilySelection(), TailIndex(), ModalMixture()):
+        both.measured(shared)
+    channels, luminance = both.rows(slice(block.shape[-2])), both.rows(-1)
+    return _variables(statistics, {"channels": channels, "luminance": luminance})
+
+
+def _variables(statistics: Mapping[str, Statistic[Any]], rows: Mapping[str, Part]) -> Mapped:
+    return {
+        f"{stage}/{name}": variable
+        for stage, statistic in statistics.items()
+        for name, variable in statistic.variables(rows[statistic.rows].measured(statistic)).items()
+    }
+
+
+def _finished(found: xr.Dataset, statistics: Mapping[str, Statistic[Any]]) -> Iterator[xr.Dataset]:
+    """Yield the variables of each stage, finished over the whole image, under their own names."""
+    for stage, statistic in statistics.items():
+        own = {str(n): str(n).partition("/")[2] for n in found if str(n).startswith(f"{stage}/")}
+        dataset = statistic.finish(found[list(own)].rename(own))
+        prefix = f"{stage}_" if stage in _PREFIXED else ""
+        yield dataset.rename({str(name): f"{prefix}{name}" for name in dataset.data_vars})
+
+
+@result
+class _Luminance(Result):
+    luminance_mean: Floats = variable("mean luminance", unit=RADIANCE)
+    coefficient_of_variation: Floats = variable("standard deviation over mean of luminance")
+
+
+@dataclass(frozen=True)
+class _LuminanceMoments(Statistic[_Luminance]):
+    """Mean and coefficient of variation of the luminance of every pixel."""
+
+    result: ClassVar = _Luminance
+    rows: ClassVar = "luminance"
+
+    def measure(self, part: PositivePart) -> _Luminance:
+        good = ~is_bad(part.x)
+        moments = Moments.of(np.where(good, part.x, 0), good)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.sqrt(moments.variance) / moments.mean
+        return _Luminance(moments.mean, np.where(moments.mean > 0, ratio, np.nan))
 
 
 def _of_summary(
@@ -211,7 +247,16 @@ def _of_summary(
         raise InputError(message)
     Histogram.of_dataset(summary.isel(y=[0], x=[0]))  # refused before the work
     summary = summary.transpose("y", "x", "channel", ...)
-    task = functools.partial(_fits_of_histograms, resamples, seed)
+    statistics: dict[str, Statistic[Any]] = {
+        "selection": FamilySelection(),
+        "goodness": GoodnessOfFit(resamples=resamples, seed=seed),
+        "mixture": MixtureFit(effort="fast"),
+    }
+
+    def task(counted: xr.Dataset) -> Mapped:
+        part = Histogram.of_dataset(counted).positive
+        return _variables(statistics, {"channels": part})
+
     counted = summary[[str(n) for n in summary if str(n).startswith("log_") or "count" in str(n)]]
     # Tiles are put together by their places, whatever their coordinates.
     counted = counted.drop_vars(["y", "x"], errors="ignore")
@@ -229,8 +274,7 @@ def _of_summary(
     )
     about: Any = {"progress": progress, "folder": folder}
     whole_image = assemble(image, placed(), description="fitting", **about).drop_vars(["y", "x"])
-    finishes = _finishes(Thresholds(), resamples, None)
-    parts = [_finished(whole_image, s, finishes[s]) for s in ("selection", "goodness", "mixture")]
+    parts = [*_finished(whole_image, statistics)]
     if folder is not None:
         _released(whole_image)
     return xr.merge([summary, *parts], compat="override").assign_attrs(summary.attrs)
@@ -240,24 +284,6 @@ def _released(found: xr.Dataset) -> None:
     """Give back the memory of maps in files, which were read or written."""
     for name in found.data_vars:
         release(found[name].values)
-
-
-def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> Mapped:
-    """Return families, their goodness and mixtures of the log histograms of a tile."""
-    part = Histogram.of_dataset(counted).positive
-    selection = select_part(part, [FAMILIES[name] for name in SELECTED])
-    stages = {
-        "selection": selection_variables(selection),
-        "goodness": goodness_variables(
-            goodness_of_part(part, selection, resamples=resamples, seed=seed)
-        ),
-        "mixture": fit_variables(mixture_of_part(part, effort="fast")),
-    }
-    return {
-        f"{stage}/{name}": variable
-        for stage, variables in stages.items()
-        for name, variable in variables.items()
-    }
 
 
 def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
@@ -328,53 +354,3 @@ def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
         batch.append(name)
         size += maps.nbytes
     yield batch
-
-
-def _finishes(
-    thresholds: Thresholds, resamples: int, sizes: tuple[int, ...] | None
-) -> dict[str, Callable[[xr.Dataset], xr.Dataset]]:
-    """Return what is done with each stage once the image is whole, by name."""
-    finish: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
-        "luminance": _label_luminance,
-        "selection": lambda d: finish_selection(d, list(SELECTED), "bic"),
-        "goodness": lambda d: finish_goodness(d, "best", resamples=resamples),
-        "mixture": lambda d: label_fit(d, "lognormal", Mixture),
-        "modality": Modes().finish,
-        "patterns": lambda d: classification.finish_patterns(d, thresholds),
-    }
-    return finish | {stage: each.finish for stage, each in _statistics(sizes).items()}
-
-
-def _statistics(sizes: tuple[int, ...] | None) -> dict[str, Statistic[Any]]:
-    """Return what is measured of the channels, by the names of the stages."""
-    found: dict[str, Statistic[Any]] = {"tail": TailIndex()}
-    found["normality"] = Normality(("log", "sqrt", "linear"), tuple(TESTS))
-    return found if sizes is None else found | {"averages": NormalityOfMeans(sizes)}
-
-
-def _finished(
-    found: xr.Dataset, stage: str, finish: Callable[[xr.Dataset], xr.Dataset]
-) -> xr.Dataset:
-    """Return the variables of a stage, finished over the whole image, under their own names."""
-    own = {str(n): str(n).partition("/")[2] for n in found if str(n).startswith(f"{stage}/")}
-    dataset = finish(found[list(own)].rename(own))
-    prefix = f"{stage}_" if stage in _PREFIXED else ""
-    return dataset.rename({str(n): f"{prefix}{n}" for n in dataset.data_vars})
-
-
-def _luminance(block: npt.NDArray[np.float32], luminance: npt.NDArray[Any]) -> Mapped:
-    """Return mean and coefficient of variation of the luminance of every pixel."""
-    good = ~np.asarray(is_bad(block).any(axis=-2))
-    moments = Moments.of(np.where(good, luminance, 0), good)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio: npt.NDArray[Any] = np.sqrt(moments.variance) / moments.mean
-    variation = np.where(moments.mean > 0, ratio, np.nan)
-    return {"luminance_mean": ((), moments.mean), "coefficient_of_variation": ((), variation)}
-
-
-def _label_luminance(dataset: xr.Dataset) -> xr.Dataset:
-    dataset["luminance_mean"].attrs.update(long_name="mean luminance", units="W sr-1 m-2")
-    dataset["coefficient_of_variation"].attrs.update(
-        long_name="standard deviation over mean of luminance", units="1"
-    )
-    return dataset

@@ -16,12 +16,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, as_samples, is_bad, is_null, luminance, spans
+from chdstat._core.arrays import (
+    Counts,
+    Floats,
+    Mask,
+    as_samples,
+    is_bad,
+    is_null,
+    luminance,
+    spans,
+    take_rows,
+)
 from chdstat._core.reasons import first_of
 from chdstat._core.statistic import Statistic
 from chdstat.errors import InputError, Reason
@@ -99,6 +109,10 @@ class _Rows:
             self.found[statistic] = statistic.measure(self)
         known: Found = self.found[statistic]
         return known
+
+    def rows(self, rows: int | slice) -> Self:
+        """Return some rows of each pixel, -1 for luminance; what was found of all goes along."""
+        return take_rows(self, rows, axis=self.n.ndim - 1)
 
     @property
     def log_statistics(self) -> LogStatistics:

@@ -25,13 +25,12 @@ from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource
-from chdstat.fit.families import FAMILIES, SELECTED
-from chdstat.fit.selection import select_part
+from chdstat.fit.families import SELECTED
+from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
 from chdstat.io.maps import open_maps
-from chdstat.patterns import classification
-from chdstat.patterns.pixel_statistics import PixelFits
+from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import Mapped, assemble
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of
@@ -140,7 +139,7 @@ IMAGES = ("null_share", "variance", "variation", "relative_error", "bad_count")
 """Maps that come with the image, a scene's too."""
 _FINITE = {0: "suspect", 1: "samples cannot tell", 2: "looks finite"}
 _FAMILIES = dict(enumerate(map(called, SELECTED)))
-_PATTERNS = {int(label): called(label.name.lower()) for label in classification.Label}
+_PATTERNS = {int(label): called(label.name.lower()) for label in Label}
 MAPS: dict[str, Map] = {
     kind.name: kind
     for kind in (
@@ -306,7 +305,7 @@ def walk(source: StoreSource, name: str, step: Callable[[float, Image], None]) -
     if name == "pattern":
         # Over the image, flags are decided with p-values corrected for its size.
         whole = assemble(source.samples, parts(), progress=False)
-        values = classification.finish_patterns(whole)["label"].to_numpy().astype(np.float32)
+        values = Classification().finish(whole)["label"].to_numpy().astype(np.float32)
     else:
         for _ in parts():
             pass
@@ -316,12 +315,13 @@ def walk(source: StoreSource, name: str, step: Callable[[float, Image], None]) -
 def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
     """Return the values of a tile (y, x, channel, sample), and what labels are decided by."""
     if name == "pattern":
-        found = classification.patterns_of(PixelFits(classification.luminance_part(block)))
-        variables = classification.patterns_variables(found)
+        patterns = Classification()
+        found = patterns.measure(PositivePart.of_pixels(block, rows="luminance"))
+        variables = patterns.variables(found)
         return np.asarray(variables["label"][1]), variables
     if name.startswith(_ERROR):
         return _error(name.removeprefix(_ERROR), block), {}
-    return _OF_LUMINANCE[name](classification.luminance_part(block)), {}
+    return _OF_LUMINANCE[name](PositivePart.of_pixels(block, rows="luminance")), {}
 
 
 def _finite_variance(part: PositivePart) -> Array:
@@ -331,7 +331,7 @@ def _finite_variance(part: PositivePart) -> Array:
 
 
 def _best_family(part: PositivePart) -> Array:
-    best = select_part(part, [FAMILIES[name] for name in SELECTED]).best
+    best = part.measured(FamilySelection()).best
     return np.where(best < 0, np.nan, best)
 
 

@@ -388,7 +388,7 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
     families: dict[str, None] = {}
     for s in series:
         found = s.place.positive(view.families[0] if view.families else "best", s.row)
-        part = s.place.fits.part
+        part = s.place.part
         n = int(part.n[s.row])
         if found is None or n < 2:
             continue
@@ -425,7 +425,7 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
             band = np.concatenate([mean - error, (mean + error)[::-1]])
             areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
         lines.append(Trace(at, mean, s.color, s.dash, 1.6))
-        tails += [(s.place.fits.tail, s.row)] if s.constant is None else []
+        tails += [(s.place.tail, s.row)] if s.constant is None else []
     caution = ""
     if any(tail.variance_suspect[row] for tail, row in tails):
         caution = " · tail index ≥ ½: do not trust it"

@@ -25,16 +25,19 @@ from chdstat.explorer.view import Pixel
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, fit_part, get_family
 from chdstat.fit.goodness_of_fit import goodness_of_part
+from chdstat.fit.selection import FamilySelection, Selection
+from chdstat.fit.tail import Tail, TailIndex
 from chdstat.inference.averages import NormalityOfMeans
+from chdstat.inference.modes import Modality, ModalMixture, Modes
 from chdstat.inference.normality import Normality
 from chdstat.patterns import Patterns, Thresholds
-from chdstat.patterns.classification import luminance_part, patterns_of
-from chdstat.patterns.pixel_statistics import PixelFits, firefly_limit
+from chdstat.patterns.classification import Classification
+from chdstat.patterns.pixel_statistics import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
 
 __all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodness", "suggest"]
 
-_OF_FIRST = {"fits", "_further_fits", "_positive", "patterns", "gaussianity", "means"}
+_OF_FIRST = {"part", "_further_fits", "_positive", "patterns", "gaussianity", "means"}
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
 _PIECE = 20
@@ -106,15 +109,36 @@ class PlaceStatistics:
         return Moments.of(self.rows, ~self.bad)
 
     @cached_property
-    def fits(self) -> PixelFits:
-        """Fits, tails and modes of each row, of the samples that are fitted."""
+    def part(self) -> PositivePart:
+        """The positive samples of each row, of the samples that are fitted."""
         x = self.samples[:, : self.fitted_spp]
-        return PixelFits(PositivePart.of_pixels(x, rows="both"))
+        return PositivePart.of_pixels(x, rows="both")
+
+    @property
+    def selection(self) -> Selection:
+        """The families of each row."""
+        return self.part.measured(FamilySelection())
+
+    @property
+    def tail(self) -> Tail:
+        """The tail of each row."""
+        return self.part.measured(TailIndex())
+
+    @property
+    def mixture(self) -> Mixture:
+        """The log-normal mixture of each row, by which its modes are found."""
+        return self.part.measured(ModalMixture())
+
+    @property
+    def modes(self) -> Modality:
+        """The modes of each row, which are found with its mixture."""
+        self.part.measured(ModalMixture())
+        return self.part.measured(Modes())
 
     @cached_property
     def constant(self) -> npt.NDArray[np.bool_]:
         """Whether the positive samples of each row are equal, but for what rounding leaves."""
-        spread = self.fits.part.log_statistics
+        spread = self.part.log_statistics
         return np.asarray(spread.log_variance <= Thresholds().constant ** 2) & (spread.n > 1)
 
     @cached_property
@@ -127,7 +151,7 @@ class PlaceStatistics:
     @cached_property
     def patterns(self) -> Patterns:
         """Patterns of luminance, at the level of a single pixel."""
-        return patterns_of(self.fits.rows(-1))
+        return self.part.rows(-1).measured(Classification())
 
     @property
     def is_firefly(self) -> bool:
@@ -138,7 +162,7 @@ class PlaceStatistics:
     def gaussianity(self) -> inference.Gaussianity:
         """Anderson-Darling's test of the logarithms and of the samples, shape (row, 2, 1)."""
         tests = Normality(("log", "linear"), ("anderson-darling",))
-        return self.fits.part.measured(tests)
+        return self.part.measured(tests)
 
     @cached_property
     def means(self) -> inference.GaussianityOfMeans | None:
@@ -146,7 +170,7 @@ class PlaceStatistics:
         if self.fitted_spp < inference.N_MEANS:
             return None
         sizes = inference.sizes_of_means(self.fitted_spp)
-        return self.fits.part.measured(NormalityOfMeans(tuple(sizes.tolist())))
+        return self.part.measured(NormalityOfMeans(tuple(sizes.tolist())))
 
     def averages(self, n: int) -> Floats:
         """Return the averages of consecutive good samples, n each, shape (row, average)."""
@@ -179,16 +203,16 @@ class PlaceStatistics:
         """
         if self.constant[row]:
             return None
-        selection = self.fits.selection
+        selection = self.selection
         if family == "best":
             family = str(selection.names[row])
         if not family:
             return None
         if family == "mixture":
-            return take_rows(self.fits.mixture, row, axis=0)
+            return take_rows(self.mixture, row, axis=0)
         fits = selection.fits if family in selection.fits else self._further_fits
         if family not in fits:
-            self._further_fits[family] = fit_part(self.fits.part, FAMILIES[family])
+            self._further_fits[family] = fit_part(self.part, FAMILIES[family])
         return take_rows(fits[family], row, axis=0)
 
     def positive(self, family: str, row: int) -> Fitted | None:
@@ -318,8 +342,8 @@ def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pi
     sure: dict[str, list[Floats]] = {name: [] for name, _ in _SUGGESTED}
     for i in range(0, len(pixels), _AT_ONCE):
         step(i / len(pixels))
-        part = luminance_part(source.some(pixels[i : i + _AT_ONCE], _SPP))
-        found = patterns_of(PixelFits(part))
+        part = PositivePart.of_pixels(source.some(pixels[i : i + _AT_ONCE], _SPP), rows="luminance")
+        found = Classification().measure(part)
         for name, patterns in _SUGGESTED:
             lower = [
                 np.where(found.flags[p] & (part.n > 0), found.intervals[p][..., 0], -np.inf)

@@ -62,7 +62,7 @@ def columns_of(places: Sequence[PlaceStatistics], channel: str) -> list[Column]:
 
 def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     """Return title, value and detail of the five numbers that matter most, of luminance."""
-    moments, tail, modes = place.moments, place.fits.tail, place.fits.modes
+    moments, tail, modes = place.moments, place.tail, place.modes
     mean, error = (float(values[-1]) for values in (moments.mean, moments.standard_error))
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.divide(error, mean) if mean > 0 else np.nan
@@ -247,7 +247,7 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], no
 def _family(place: PlaceStatistics, row: int) -> str:
     if place.constant[row]:
         return "constant"
-    selection = place.fits.selection
+    selection = place.selection
     return called(str(selection.names[row])) or reasons(selection.reason[row])
 
 
@@ -259,7 +259,7 @@ def _parameters(place: PlaceStatistics, row: int) -> str:
 
 
 def _finite_variance(place: PlaceStatistics, row: int) -> str:
-    tail = place.fits.tail
+    tail = place.tail
     if tail.reason[row] != Reason.OK:
         return "—"
     if tail.variance_trusted[row]:
@@ -306,22 +306,22 @@ _STATISTICS: tuple[tuple[str, Callable[[PlaceStatistics, int], str], bool], ...]
     ("bad samples", lambda p, _: str(int(p.bad.sum())), False),
     ("best family by BIC", _family, False),
     ("parameters", _parameters, False),
-    ("BIC margin", lambda p, i: number(p.fits.selection.margin[i]), True),
+    ("BIC margin", lambda p, i: number(p.selection.margin[i]), True),
     (
         "tail index ξ",
-        lambda p, i: with_interval(p.fits.tail.xi[i], *p.fits.tail.interval[i]),
+        lambda p, i: with_interval(p.tail.xi[i], *p.tail.interval[i]),
         True,
     ),
-    ("p of a gamma tail", lambda p, i: _p(p.fits.tail.p_exponential[i]), True),
+    ("p of a gamma tail", lambda p, i: _p(p.tail.p_exponential[i]), True),
     ("finite variance", _finite_variance, True),
-    ("modes", lambda p, i: str(p.fits.modes.modes[i] or "—"), True),
-    ("dip of log radiance", lambda p, i: number(p.fits.modes.dip[i]), True),
-    ("p of one mode (dip test)", lambda p, i: _p(p.fits.modes.dip_p_value[i]), True),
+    ("modes", lambda p, i: str(p.modes.modes[i] or "—"), True),
+    ("dip of log radiance", lambda p, i: number(p.modes.dip[i]), True),
+    ("p of one mode (dip test)", lambda p, i: _p(p.modes.dip_p_value[i]), True),
     ("p of log-normal (Anderson–Darling)", lambda p, i: _p(p.gaussianity.p_value[i, 0, 0]), True),
     ("p of normal (Anderson–Darling)", lambda p, i: _p(p.gaussianity.p_value[i, 1, 0]), True),
     (
         "p of gamma against log-normal (Vuong)",
-        lambda p, i: _p(p.fits.selection.vuong_p_value[i]),
+        lambda p, i: _p(p.selection.vuong_p_value[i]),
         True,
     ),
     ("N for Gaussian averages", _needed, False),

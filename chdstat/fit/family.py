@@ -51,7 +51,7 @@ class Estimate:
     limit: npt.NDArray[np.int8] | Literal[0] = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Family:
     """A parametric family on the positive numbers.
 

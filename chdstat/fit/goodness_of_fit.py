@@ -18,7 +18,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
+from chdstat._core.statistic import Statistic
 from chdstat.errors import InputError, Reason
 from chdstat.fit.atoms import split
 from chdstat.fit.families import Fit, estimate_part, fit_part, get_family, zero_log_likelihood
@@ -42,7 +43,7 @@ from chdstat.fit.family import (
     width_of,
 )
 from chdstat.fit.mixtures import Mixture, MixtureDistribution, mixture_of_part
-from chdstat.fit.selection import Selection
+from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
 
@@ -55,6 +56,7 @@ __all__ = [
     "FIT_TESTS",
     "FitTest",
     "Goodness",
+    "GoodnessOfFit",
     "finish_goodness",
     "goodness",
     "goodness_of_part",
@@ -146,6 +148,36 @@ def finish_goodness(
 
 Fitted: TypeAlias = Fit | Selection
 """What was fitted, a mixture included, and can be tested."""
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit(Statistic[Goodness]):
+    """Tests of a family, a fit, or (None) of the best family; options as of `goodness`."""
+
+    binned: ClassVar = True
+
+    fit: Family | Fitted | None = None
+    tests: tuple[FitTest, ...] = FIT_TESTS
+    resamples: int = 0
+    seed: int = 0
+    alpha: float = 0.05
+
+    def measure(self, part: Part) -> Goodness:
+        """Test each row."""
+        fit = part.measured(FamilySelection()) if self.fit is None else self.fit
+        options: Any = {"tests": self.tests, "resamples": self.resamples, "seed": self.seed}
+        return goodness_of_part(part, fit, **options)
+
+    def variables(self, found: Goodness) -> Mapped:
+        """Return the tests as variables."""
+        return goodness_variables(found)
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Add q-values and ``rejected``, and set names and units."""
+        name = "best" if self.fit is None else _name(self.fit)
+        options: Any = {"tests": self.tests, "resamples": self.resamples, "alpha": self.alpha}
+        return finish_goodness(dataset, name, **options)
+
 
 _MINIMUM = 8
 _SAME = 1e-6

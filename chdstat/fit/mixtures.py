@@ -16,6 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
 from chdstat._core.display import Card
 from chdstat._core.positive import PositivePart
+from chdstat._core.statistic import Mapped, Statistic
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.atoms import Atoms, split
 from chdstat.fit.clamps import before_clamps
@@ -37,7 +38,7 @@ from chdstat.summary.dispatch import Part, Source, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ChosenMixtures", "Mixture", "mixture", "mixture_of_part"]
+__all__ = ["ChosenMixtures", "Mixture", "MixtureFit", "mixture", "mixture_of_part"]
 
 
 MixtureCriterion = Literal["bic", "held_out"]
@@ -372,6 +373,32 @@ def _allowed_components(part: Part, largest: int) -> Mask:
 def _highest(score: Floats, allowed: Mask) -> Counts:
     """Return the index of the highest score of those that are allowed and known, shape (row,)."""
     return np.asarray(np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1))
+
+
+@dataclass(frozen=True)
+class MixtureFit(Statistic[Mixture]):
+    """Mixtures of log-normal or gamma components; options as of `mixture`."""
+
+    description: ClassVar = "fitting mixtures"
+    binned: ClassVar = True
+
+    k: int | None = None
+    family: MixtureFamily = "lognormal"
+    criterion: MixtureCriterion = "bic"
+    max_k: int = 3
+    effort: Effort = "thorough"
+
+    def measure(self, part: Part) -> Mixture:
+        """Fit a mixture to each row."""
+        return mixture_of_part(part, **vars(self))
+
+    def variables(self, found: Mixture) -> Mapped:
+        """Return the variables of the mixtures."""
+        return fit_variables(found)
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Set names and units."""
+        return label_fit(dataset, self.family, Mixture)
 
 
 _LARGEST_K = 8

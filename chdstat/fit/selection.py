@@ -9,8 +9,8 @@ the families is true; and its differences come with a standard error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from chdstat._core.display import Card, Shown, reasons
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import label_variables, place_attributes
 from chdstat._core.resampling import wilson
+from chdstat._core.statistic import Statistic
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import (
     SELECTED,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "FamilySelection",
     "HeldOut",
     "Selection",
     "family_shares",
@@ -144,6 +146,36 @@ class Selection(Shown):
             "not fitted": reasons(self.reason),
         }
         return Card(f"Selection by {criterion}", facts)
+
+
+@dataclass(frozen=True)
+class FamilySelection(Statistic[Selection]):
+    """Families compared on the same samples; options as of `select`."""
+
+    description: ClassVar = "selecting families"
+    binned: ClassVar = True
+
+    families: tuple[str | Family, ...] = SELECTED
+    criterion: Criterion = "bic"
+    held_out: bool = False
+
+    def measure(self, part: Part) -> Selection:
+        """Fit the families to each row, and compare them."""
+        families = [get_family(family) for family in self.families]
+        if not self.held_out or self.criterion == "held_out":
+            return select_part(part, families, self.criterion)
+        found = part.measured(replace(self, held_out=False))
+        fits = list(zip(families, found.fits.values(), strict=True))
+        return replace(found, held_out=_held_out(part, fits))
+
+    def variables(self, found: Selection) -> Mapped:
+        """Return the variables of every fit, and of their comparison."""
+        return selection_variables(found)
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Set names and units."""
+        names = [get_family(family).name for family in self.families]
+        return finish_selection(dataset, names, self.criterion)
 
 
 @of_source

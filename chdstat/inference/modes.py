@@ -17,7 +17,7 @@ over what was rounded to it, but never across a gap that is wider than the steps
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -30,10 +30,10 @@ from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import Reason
 from chdstat.fit.atoms import split
 from chdstat.fit.clamps import before_clamps
-from chdstat.fit.families import Fit
-from chdstat.fit.mixtures import ChosenMixtures, Mixture
+from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
 from chdstat.fit.search import Found, search
+from chdstat.fit.selection import FamilySelection
 from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
@@ -44,11 +44,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MODES",
+    "ModalMixture",
     "Modality",
     "Modes",
-    "mixture_and_modes_of_part",
     "modality",
-    "modality_of_part",
 ]
 
 MODES = 3
@@ -132,7 +131,32 @@ class Modes(Statistic[Modality]):
 
     def measure(self, part: PositivePart) -> Modality:
         """Look for modes of each row."""
-        return modality_of_part(part)
+        return _modality(part)
+
+
+@dataclass(frozen=True)
+class ModalMixture(MixtureFit):
+    """The best log-normal mixtures that the search for modes comes by, at hardly any further cost.
+
+    The mixtures are those of `chdstat.fit.mixture` with ``effort='fast'``, with two exceptions:
+    they need 20 positive samples, as modes do; and three components are not tried, and have no BIC,
+    where two are worse than one or than the best distribution of one mode.
+    """
+
+    def measure(self, part: Any) -> Mixture:
+        """Return the mixtures of each row; its modes are then found, too."""
+        atoms = split(part)
+        reason = atoms.reason(part, _MINIMUM)
+        atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
+        chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
+        part.found[Modes()] = _modality(
+            part, also=lambda found: chosen.enter(found.among(~apart[found.rows]))
+        )
+        # Where samples are equal, mixtures are searched for once more, without the atoms.
+        tied = atoms.tied & (reason == Reason.OK)
+        for found in search(atoms.rest, tied, "lognormal", MODES, effort="fast"):
+            chosen.enter(found)
+        return chosen.result("lognormal")
 
 
 @of_source
@@ -173,40 +197,8 @@ def modality(
     return run(Modes(), x, null=null, progress=progress)
 
 
-def mixture_and_modes_of_part(
-    part: PositivePart, *, fits: Iterable[Fit] | None = None
-) -> tuple[Mixture, Modality]:
-    """Look for modes, and return the best log-normal mixtures, too, at hardly any further cost.
-
-    The mixtures are those of `mixture_of_part` with ``effort='fast'``, with two exceptions: they
-    need 20 positive samples, as modes do; and three components are not tried, and have no BIC,
-    where two are worse than one or than the best distribution of one mode. Where samples are equal,
-    mixtures are searched for once more, without the atoms.
-    """
-    atoms = split(part)
-    reason = atoms.reason(part, _MINIMUM)
-    atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
-    chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
-    modality = modality_of_part(
-        part, fits=fits, also=lambda found: chosen.enter(found.among(~apart[found.rows]))
-    )
-    for found in search(
-        atoms.rest, atoms.tied & (reason == Reason.OK), "lognormal", MODES, effort="fast"
-    ):
-        chosen.enter(found)
-    return chosen.result("lognormal"), modality
-
-
-def modality_of_part(
-    part: PositivePart,
-    *,
-    fits: Iterable[Fit] | None = None,
-    also: Callable[[Found], None] = lambda _: None,
-) -> Modality:
-    """Look for modes in samples that are already split.
-
-    `fits` are fits of families of one mode, if they are there; `also` gets the mixtures.
-    """
+def _modality(part: PositivePart, *, also: Callable[[Found], None] = lambda _: None) -> Modality:
+    """Look for modes of each row; `also` gets the mixtures."""
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK
     tied_share = np.where(ok, _tied_shares(part), np.nan)
@@ -216,6 +208,7 @@ def modality_of_part(
     # Uniform samples are what the dip test takes for granted: where it speaks against them, a few
     # modes side by side are not to be mistaken for them.
     bounded = p_value >= _LEVEL
+    fits = part.measured(FamilySelection()).fits.values()
     rival = unimodal_scores(part, ok, bounded, fits=fits)
     if steps.any():
         # Fits to samples as they were rounded do not compare with those to what was spread.

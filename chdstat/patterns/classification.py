@@ -13,37 +13,27 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Mask, as_pixels, warn_left_out
+from chdstat._core.arrays import Floats, Mask
 from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import first_of, flag_attributes, label_variables, place_attributes
 from chdstat._core.resampling import q_values
+from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED
-from chdstat.patterns.pixel_statistics import PixelFits, Thresholds, gather
+from chdstat.patterns.pixel_statistics import Thresholds, gather
 from chdstat.patterns.table import PATTERNS
-from chdstat.samples import ImageLike, Mapped, Samples, opened
-from chdstat.summary.runner import Source, of_source
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "Agreement",
-    "Label",
-    "Patterns",
-    "agreement",
-    "classify",
-    "finish_patterns",
-    "luminance_part",
-    "patterns_of",
-    "patterns_variables",
-]
+__all__ = ["Agreement", "Classification", "Label", "Patterns", "agreement", "classify"]
 
 
 class Label(enum.IntEnum):
@@ -68,8 +58,8 @@ class Label(enum.IntEnum):
 _FLAGGED = {label: label.name.lower() for label in Label if label not in (0, 1, 10)}
 
 
-@dataclass(frozen=True, repr=False)
-class Patterns(Shown):
+@result
+class Patterns(Result):
     """Patterns of pixels; arrays of the batch's shape, dimensionless.
 
     Attributes
@@ -110,14 +100,119 @@ class Patterns(Shown):
     statistics: Mapping[str, Floats]
     p_values: Mapping[str, Floats]
     intervals: Mapping[str, Floats]
-    dip: Floats
-    luminance_family: npt.NDArray[np.int8]
-    misfit: Floats
-    long_tail_se: Floats
-    variance_unidentified: Mask
-    body_tail_index: Floats
-    label: npt.NDArray[np.int8]
-    reason: npt.NDArray[np.int8]
+    dip: Floats = variable("Hartigan's dip of log10 luminance")
+    luminance_family: npt.NDArray[np.int8] = variable("family of luminance with the smallest BIC")
+    misfit: Floats = variable("Kolmogorov distance to the better of gamma and log-normal")
+    long_tail_se: Floats = variable("standard error of the tail index of luminance")
+    variance_unidentified: Mask = variable(
+        "the samples do not identify whether the variance is finite"
+    )
+    body_tail_index: Floats = variable(
+        "tail index of the better of gamma and log-normal above its quantile 0.9"
+    )
+    label: npt.NDArray[np.int8] = variable("what the pixel is first of all")
+    reason: npt.NDArray[np.int8] = variable("why there is no positive part to look at")
+
+
+_DEFAULT = Thresholds()
+
+
+@dataclass(frozen=True)
+class Classification(Statistic[Patterns]):
+    """The patterns of luminance, as `PATTERNS` lists them, at some thresholds."""
+
+    result: ClassVar = Patterns
+    description: ClassVar = "classifying"
+    rows: ClassVar = "luminance"
+
+    thresholds: Thresholds = _DEFAULT
+
+    def measure(self, part: PositivePart) -> Patterns:
+        """Classify each row, tested for itself."""
+        thresholds = self.thresholds
+        found = gather(part, thresholds)
+        # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
+        p_values = {p.name: np.asarray(p.test(found, thresholds)) for p in PATTERNS if p.test}
+        large_enough = {p.name: np.asarray(p.large_enough(found, thresholds)) for p in PATTERNS}
+        flags = self._decide(large_enough, p_values)
+        reason = part.reason()
+        return Patterns(
+            flags=flags,
+            large_enough=large_enough,
+            statistics={p.name: np.asarray(p.measure(found)) for p in PATTERNS},
+            p_values=p_values,
+            intervals={p.name: p.interval(found) for p in PATTERNS if p.interval},
+            dip=found.modes.dip,
+            luminance_family=found.family,
+            misfit=found.misfit,
+            long_tail_se=np.asarray(found.tail.standard_error),
+            variance_unidentified=found.tail.variance_unidentified,
+            body_tail_index=found.body_index,
+            label=_label(flags, reason, found.modes.modes > 0),
+            reason=reason,
+        )
+
+    def variables(self, found: Patterns) -> Mapped:
+        """Return patterns as variables; flags are those of large effects, not yet decided."""
+        single: dict[str, npt.NDArray[Any]] = {
+            **found.large_enough,
+            **{f"{name}_statistic": value for name, value in found.statistics.items()},
+            **{f"{name}_p_value": value for name, value in found.p_values.items()},
+        }
+        intervals = {f"{name}_interval": (("bound",), v) for name, v in found.intervals.items()}
+        variables = {name: ((), value) for name, value in single.items()}
+        return {**variables, **super().variables(found), **intervals}
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Correct the p-values of an image, decide its flags and labels, and compare neighbours."""
+        q = {p.name: q_values(dataset[f"{p.name}_p_value"].to_numpy()) for p in PATTERNS if p.test}
+        flags = self._decide({p.name: dataset[p.name].to_numpy() for p in PATTERNS}, q)
+        known = dataset["label"].to_numpy() != Label.UNDETERMINED
+        label = _label(flags, dataset["reason"].to_numpy(), known)
+        found = agreement(label, known)
+        decided = {**flags, **{f"{name}_q_value": v for name, v in q.items()}, "label": label}
+        decided["label_agreement"] = found.share
+        dataset = dataset.assign({name: (("y", "x"), value) for name, value in decided.items()})
+        texts = {"label_agreement": "share of the neighbours with the same label"}
+        for pattern in PATTERNS:
+            texts[pattern.name] = f"{pattern.meaning}: {pattern.rule}"
+            texts[f"{pattern.name}_statistic"] = pattern.statistic
+            texts[f"{pattern.name}_interval"] = f"95 % interval of the {pattern.statistic}"
+            texts[f"{pattern.name}_p_value"] = f"p-value of no {pattern.name}"
+            texts[f"{pattern.name}_q_value"] = f"q-value of no {pattern.name}"
+            dataset[pattern.name].attrs["source"] = pattern.source
+        dataset = label_variables(super().finish(dataset), texts)
+        dataset["luminance_family"].attrs.update(place_attributes(SELECTED))
+        dataset["label"].attrs.update(flag_attributes(Label))
+        dataset["label_agreement"].attrs.update(
+            observed=found.observed, by_chance=found.expected, kappa=found.kappa, z=found.z
+        )
+        given = asdict(self.thresholds)
+        return dataset.assign_attrs({f"threshold_{name}": value for name, value in given.items()})
+
+    def _decide(
+        self, large_enough: Mapping[str, Mask], significance: Mapping[str, Floats]
+    ) -> dict[str, Mask]:
+        """Keep the flags that are significant where they must be, and that nothing excludes."""
+        flags = {name: np.array(large) for name, large in large_enough.items()}
+        for pattern in PATTERNS:
+            if pattern.decisive:
+                flags[pattern.name] &= significance[pattern.name] <= self.thresholds.alpha
+        for pattern in PATTERNS:
+            for other in pattern.excluded_by:
+                flags[pattern.name] &= ~flags[other]
+        return flags
+
+
+def _label(
+    flags: Mapping[str, Mask], reason: npt.NDArray[np.int8], known: Mask
+) -> npt.NDArray[np.int8]:
+    cases = {
+        Label.BLACK: reason == Reason.ALL_NULL,
+        **{label: flags[name] for label, name in _FLAGGED.items()},
+        Label.OTHER: known,
+    }
+    return first_of(cases, Label.UNDETERMINED)
 
 
 @of_source
@@ -165,141 +260,7 @@ def classify(
     >>> [Label(code).name for code in classify(gray).label]
     ['GAMMA_LIKE', 'NULL_HEAVY', 'BIMODAL', 'CONSTANT']
     """
-    given = opened(cast("ImageLike | npt.ArrayLike", x))
-    thresholds = thresholds or Thresholds()
-    if not isinstance(given, Samples):
-        pixels = as_pixels(given)
-        warn_left_out(pixels, channel_axis=-2, logarithms=True)
-        return patterns_of(PixelFits(luminance_part(pixels)), thresholds)
-
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        return patterns_variables(patterns_of(PixelFits(luminance_part(block)), thresholds))
-
-    dataset = given.map(of_block, logarithms=True, description="classifying", progress=progress)
-    return finish_patterns(dataset, thresholds)
-
-
-def luminance_part(x: npt.ArrayLike) -> PositivePart:
-    """Split the luminance of samples, shape (..., channel, sample), by whole samples.
-
-    Raises
-    ------
-    InputError
-        If there are neither 1 nor 3 channels.
-    """
-    return PositivePart.of_pixels(as_pixels(x), rows="luminance")
-
-
-def patterns_of(fits: PixelFits, thresholds: Thresholds | None = None) -> Patterns:
-    """Classify pixels by the fits of their luminance; each pixel is tested for itself."""
-    thresholds = thresholds or Thresholds()
-    statistics = gather(fits, thresholds)
-    # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
-    p_values = {p.name: np.asarray(p.test(statistics, thresholds)) for p in PATTERNS if p.test}
-    large_enough = {p.name: np.asarray(p.large_enough(statistics, thresholds)) for p in PATTERNS}
-    flags = _decide(large_enough, p_values, thresholds)
-    reason = fits.part.reason()
-    return Patterns(
-        flags=flags,
-        large_enough=large_enough,
-        statistics={p.name: np.asarray(p.measure(statistics)) for p in PATTERNS},
-        p_values=p_values,
-        intervals={p.name: p.interval(statistics) for p in PATTERNS if p.interval},
-        dip=statistics.modes.dip,
-        luminance_family=statistics.family,
-        misfit=statistics.misfit,
-        long_tail_se=np.asarray(statistics.tail.standard_error),
-        variance_unidentified=statistics.tail.variance_unidentified,
-        body_tail_index=statistics.body_index,
-        label=_label(flags, reason, statistics.modes.modes > 0),
-        reason=reason,
-    )
-
-
-def patterns_variables(patterns: Patterns) -> Mapped:
-    """Return patterns over (y, x) as variables for `Samples.map`; flags are not yet decided."""
-    single: dict[str, npt.NDArray[Any]] = {
-        **patterns.large_enough,
-        **{f"{name}_statistic": value for name, value in patterns.statistics.items()},
-        **{f"{name}_p_value": value for name, value in patterns.p_values.items()},
-        **{name: getattr(patterns, name) for name in _OTHERS},
-    }
-    intervals = {
-        f"{name}_interval": (("bound",), value) for name, value in patterns.intervals.items()
-    }
-    return {**{name: ((), value) for name, value in single.items()}, **intervals}
-
-
-def finish_patterns(dataset: xr.Dataset, thresholds: Thresholds | None = None) -> xr.Dataset:
-    """Correct the p-values of an image, decide its flags and labels, and compare neighbours."""
-    thresholds = thresholds or Thresholds()
-    q = {p.name: q_values(dataset[f"{p.name}_p_value"].to_numpy()) for p in PATTERNS if p.test}
-    flags = _decide({p.name: dataset[p.name].to_numpy() for p in PATTERNS}, q, thresholds)
-    known = dataset["label"].to_numpy() != Label.UNDETERMINED
-    label = _label(flags, dataset["reason"].to_numpy(), known)
-    found = agreement(label, known)
-    decided = {**flags, **{f"{name}_q_value": value for name, value in q.items()}, "label": label}
-    decided["label_agreement"] = found.share
-    dataset = dataset.assign({name: (("y", "x"), value) for name, value in decided.items()})
-    dataset = _described(dataset)
-    dataset["label_agreement"].attrs.update(
-        observed=found.observed, by_chance=found.expected, kappa=found.kappa, z=found.z
-    )
-    return dataset.assign_attrs({f"threshold_{k}": v for k, v in asdict(thresholds).items()})
-
-
-def _decide(
-    large_enough: Mapping[str, Mask], significance: Mapping[str, Floats], thresholds: Thresholds
-) -> dict[str, Mask]:
-    """Keep the flags that are significant where they must be, and that nothing excludes."""
-    flags = {
-        p.name: np.array(large_enough[p.name] & (significance[p.name] <= thresholds.alpha))
-        if p.decisive
-        else np.array(large_enough[p.name])
-        for p in PATTERNS
-    }
-    for pattern in PATTERNS:
-        for other in pattern.excluded_by:
-            flags[pattern.name] &= ~flags[other]
-    return flags
-
-
-def _label(
-    flags: Mapping[str, Mask], reason: npt.NDArray[np.int8], known: Mask
-) -> npt.NDArray[np.int8]:
-    cases = {
-        Label.BLACK: reason == Reason.ALL_NULL,
-        **{label: flags[name] for label, name in _FLAGGED.items()},
-        Label.OTHER: known,
-    }
-    return first_of(cases, Label.UNDETERMINED)
-
-
-_OTHERS = {
-    "dip": "Hartigan's dip of log10 luminance",
-    "luminance_family": "family of luminance with the smallest BIC",
-    "misfit": "Kolmogorov distance to the better of gamma and log-normal",
-    "long_tail_se": "standard error of the tail index of luminance",
-    "variance_unidentified": "the samples do not identify whether the variance is finite",
-    "body_tail_index": "tail index of the better of gamma and log-normal above its quantile 0.9",
-    "label": "what the pixel is first of all",
-    "reason": "why there is no positive part to look at",
-}
-
-
-def _described(dataset: xr.Dataset) -> xr.Dataset:
-    texts = {**_OTHERS, "label_agreement": "share of the neighbours with the same label"}
-    for pattern in PATTERNS:
-        texts[pattern.name] = f"{pattern.meaning}: {pattern.rule}"
-        texts[f"{pattern.name}_statistic"] = pattern.statistic
-        texts[f"{pattern.name}_interval"] = f"95 % interval of the {pattern.statistic}"
-        texts[f"{pattern.name}_p_value"] = f"p-value of no {pattern.name}"
-        texts[f"{pattern.name}_q_value"] = f"q-value of no {pattern.name}"
-        dataset[pattern.name].attrs["source"] = pattern.source
-    dataset = label_variables(dataset, texts)
-    dataset["luminance_family"].attrs.update(place_attributes(SELECTED))
-    dataset["label"].attrs.update(flag_attributes(Label))
-    return dataset
+    return run(Classification(thresholds or Thresholds()), x, progress=progress)
 
 
 _OFFSETS = tuple((i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1))

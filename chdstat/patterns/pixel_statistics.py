@@ -1,8 +1,7 @@
 """Pixel statistics: the scores that the rules of the patterns compare with thresholds.
 
 A firefly must not decide what the rest of a pixel looks like: where one sample carries too much of
-the mean, tail, modes and families are measured without it. `PixelFits` finds fits, tails and modes
-once each for several analyses of the same samples.
+the mean, tail, modes and families are measured without it.
 """
 
 from __future__ import annotations
@@ -15,16 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from chdstat._core.arrays import Floats, Mask, take_rows
+from chdstat._core.arrays import Floats, Mask
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.fit.families import FAMILIES, SELECTED
-from chdstat.fit.mixtures import Mixture
-from chdstat.fit.selection import Selection, select_part
+from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex, effective_tail_index
-from chdstat.inference.modes import Modality, mixture_and_modes_of_part
+from chdstat.inference.modes import Modality, Modes
 
-__all__ = ["PixelFits", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
+__all__ = ["PixelStatistics", "Thresholds", "firefly_limit", "gather"]
 
 _POINTS = 32
 """Quantiles at which a family is compared with the samples: at 512, the distance is 1/64 off."""
@@ -84,61 +81,6 @@ class Thresholds:
 
 
 @dataclass(frozen=True)
-class PixelFits:
-    """Fits, tails and modes of rows of samples, each found once, when it is first used.
-
-    Attributes
-    ----------
-    part
-        Positive part of the rows, shape (..., row, sample), such as the channels of pixels, and
-        their luminance as the last one (`PositivePart.of_pixels` with ``rows="both"``).
-    held_out
-        Compare the families by held-out likelihood, too.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.random.default_rng(0).gamma(2.0, size=(3, 512))
-    >>> found = PixelFits(PositivePart.of_pixels(x, rows="both"))
-    >>> found.selection.best.shape, found.rows(-1).tail.xi.shape
-    ((4,), ())
-    """
-
-    part: PositivePart
-    held_out: bool = False
-
-    @cached_property
-    def selection(self) -> Selection:
-        """The families and which of them is best, of each row."""
-        families = [FAMILIES[name] for name in SELECTED]
-        return select_part(self.part, families, held_out=self.held_out)
-
-    @cached_property
-    def tail(self) -> Tail:
-        """Tail of each row."""
-        return self.part.measured(TailIndex())
-
-    @cached_property
-    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
-        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
-
-    @property
-    def mixture(self) -> Mixture:
-        """The log-normal mixture behind the modes, of each row."""
-        return self._mixture_and_modes[0]
-
-    @property
-    def modes(self) -> Modality:
-        """Modes of each row."""
-        return self._mixture_and_modes[1]
-
-    def rows(self, rows: int | slice) -> PixelFits:
-        """Return the same of some rows, -1 for luminance; it is found for all rows together."""
-        _ = self.tail, self.modes
-        return take_rows(self, rows, axis=self.part.n.ndim - 1)
-
-
-@dataclass(frozen=True)
 class PixelStatistics:
     """Scores per pixel; arrays of the batch's shape, NaN where there is nothing to measure.
 
@@ -179,17 +121,15 @@ class PixelStatistics:
         return np.take_along_axis(d, order, axis=-1), np.take_along_axis(error, order, axis=-1)
 
 
-def gather(fits: PixelFits, thresholds: Thresholds) -> PixelStatistics:
-    """Measure every pixel."""
-    found = _measure(fits)
-    rows = np.asarray(found.largest_share > firefly_limit(fits.part.n, thresholds))
+def gather(part: PositivePart, thresholds: Thresholds) -> PixelStatistics:
+    """Measure every pixel, without a sample that dominates it but for the share of that one."""
+    found = _measure(part)
+    rows = np.asarray(found.largest_share > firefly_limit(part.n, thresholds))
     if not rows.any():
         return found
-    rest = _measure(PixelFits(_without_largest(fits.part, rows)))
-    shape = {f.name for f in fields(found)} - {"part", "largest_share"}
-    return replace(
-        found, **{name: _put(getattr(found, name), getattr(rest, name), rows) for name in shape}
-    )
+    rest = _measure(_without_largest(part, rows))
+    names = {f.name for f in fields(found)} - {"part", "largest_share"}
+    return replace(found, **{n: _put(getattr(found, n), getattr(rest, n), rows) for n in names})
 
 
 def _put(found: Any, rest: Any, rows: Mask) -> Any:
@@ -218,16 +158,17 @@ def _without_largest(part: PositivePart, rows: Mask) -> PositivePart:
     return PositivePart(x, positive, part.n[rows] - 1, *(count[rows] for count in others))
 
 
-def _measure(fits: PixelFits) -> PixelStatistics:
-    body_index, body_index_se = _body_index(fits.selection)
+def _measure(part: PositivePart) -> PixelStatistics:
+    families = part.measured(FamilySelection())
+    body_index, body_index_se = _body_index(families)
     return PixelStatistics(
-        part=fits.part,
-        largest_share=fits.part.largest_share,
-        tail=fits.tail,
-        modes=fits.modes,
-        vuong_z=fits.selection.vuong_z,
-        family=fits.selection.best,
-        misfit=_misfit(fits.part, fits.selection),
+        part=part,
+        largest_share=part.largest_share,
+        tail=part.measured(TailIndex()),
+        modes=part.measured(Modes()),
+        vuong_z=families.vuong_z,
+        family=families.best,
+        misfit=_misfit(part, families),
         body_index=body_index,
         body_index_se=body_index_se,
     )

@@ -21,9 +21,9 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
-from chdstat.patterns.classification import Label, Patterns, patterns_of
+from chdstat.patterns.classification import Classification, Label, Patterns
 from chdstat.patterns.known_chds import CHD, CHDS, Component, Kind, random_chd
-from chdstat.patterns.pixel_statistics import PixelFits, Thresholds, firefly_limit
+from chdstat.patterns.pixel_statistics import Thresholds, firefly_limit
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples import Samples
 
@@ -420,7 +420,7 @@ def flag_scores(
     totals = {pattern.name: np.zeros(3, dtype=int) for pattern in PATTERNS}
     for some in spans(len(chds), _ROWS):
         part = _draw(chds[some], samples, rng)
-        patterns = patterns_of(PixelFits(part), thresholds)
+        patterns = Classification(thresholds).measure(part)
         for name, wanted in _truths(chds[some], patterns, samples, thresholds).items():
             flag = patterns.flags[name]
             cases = flag & (wanted == 1), flag & (wanted == 0), ~flag & (wanted == 1)

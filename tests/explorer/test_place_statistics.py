@@ -136,7 +136,7 @@ def test_the_place_says_what_the_library_says():
     place = PlaceStatistics(x, RGB)
     null = np.broadcast_to((x == 0).all(axis=0), x.shape)
     assert place.fits.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
-    np.testing.assert_allclose(place.fits.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
+    np.testing.assert_allclose(place.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
     np.testing.assert_allclose(place.moments.mean[:3], x.mean(axis=-1), rtol=1e-6)
     assert int(place.patterns.label) == int(chd.classify(x).label)
 
@@ -317,7 +317,7 @@ def test_both_tail_indices_are_named_where_a_firefly_is_left_out_of_one():
     place, plain = (PlaceStatistics(values, RGB) for values in (x, gamma()))
     columns = tables.columns_of([place], "all")
     shown = tables.headline(place)[2]
-    assert shown[1] == number(float(place.fits.tail.xi[-1]))
+    assert shown[1] == number(float(place.tail.xi[-1]))
     rest = number(float(place.patterns.statistics["long_tail"]))
     assert rest != shown[1]
     assert shown[2] == f"variance suspect; {rest} without the largest sample"

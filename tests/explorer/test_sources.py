@@ -14,6 +14,7 @@ import pytest
 import chdstat as chd
 from chdstat._core import work
 from chdstat._core.arrays import luminance
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
 from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
@@ -30,7 +31,6 @@ from chdstat.explorer.sources import (
 )
 from chdstat.fit.tail import TailIndex
 from chdstat.patterns import classify
-from chdstat.patterns.classification import luminance_part
 from chdstat.rendering import render_pixels
 from chdstat.rendering.options import Job, RenderOptions
 
@@ -169,7 +169,7 @@ def test_maps_say_what_the_library_says(flames):
     source = StoreSource(flames)
     labels = classify(flames, progress=False)["label"]
     np.testing.assert_array_equal(walk(source, "pattern", ignore).values, labels)
-    part = luminance_part(flames.read()[3:5])
+    part = PositivePart.of_pixels(flames.read()[3:5], rows="luminance")
     tail, found = part.measured(TailIndex()), walk(source, "tail_index", ignore).values
     np.testing.assert_allclose(found[3:5], tail.xi, rtol=1e-6)
     finite = walk(source, "finite_variance", ignore).values[3:5]

@@ -5,7 +5,11 @@ import pytest
 
 import chdstat as chd
 from chdstat import patterns
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
+from chdstat.fit.selection import FamilySelection
+from chdstat.fit.tail import TailIndex
+from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.patterns import (
     CHD,
     PATTERNS,
@@ -17,8 +21,7 @@ from chdstat.patterns import (
     simulate,
     truth_of,
 )
-from chdstat.patterns.classification import luminance_part, patterns_of
-from chdstat.patterns.pixel_statistics import PixelFits
+from chdstat.patterns.classification import Classification
 
 SPP = 1024
 FAMILY_FLAGS = ("gamma_like", "lognormal_like")
@@ -219,15 +222,13 @@ def test_what_the_samples_cannot_tell_is_said():
 
 
 def test_results_that_are_there_are_not_computed_again():
-    part = luminance_part(
-        clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
-    )
-    fits = PixelFits(part)
-    first = fits.selection, fits.tail, fits.mixture, fits.modes
-    found = patterns_of(fits)
-    again = fits.selection, fits.tail, fits.mixture, fits.modes
-    assert all(one is two for one, two in zip(first, again, strict=True))
-    for name, value in patterns_of(PixelFits(part)).statistics.items():
+    x = clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
+    part = PositivePart.of_pixels(x, rows="luminance")
+    statistics = FamilySelection(), TailIndex(), ModalMixture(), Modes()
+    first = [part.measured(statistic) for statistic in statistics]
+    found = part.measured(Classification())
+    assert all(part.measured(s) is one for s, one in zip(statistics, first, strict=True))
+    for name, value in classify(x).statistics.items():
         np.testing.assert_array_equal(found.statistics[name], value)
 
 
