@@ -288,53 +288,30 @@ def include(as_json: cli.Json = False) -> None:
         typer.echo(folder)
 
 
-@cli.app.command(epilog="Example: chdstat export bathroom.zarr --as bcd -o bathroom.exr")
+@cli.app.command(epilog="Example: chdstat export maps.zarr --as exr -o maps.exr")
 def export(
     source: Annotated[
         Path,
-        typer.Argument(
-            metavar="SOURCE", parser=place_of, help="A store; of maps, what analyze -o wrote."
-        ),
+        typer.Argument(metavar="MAPS", parser=place_of, help="What 'chdstat analyze -o' wrote."),
     ],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="File to write; its name is that of them all.")
-    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
     kind: Annotated[
-        Literal["bcd", "cascades", "moments", "exr", "netcdf"],
-        typer.Option(
-            "--as",
-            help="bcd (.exr), cascades (.exr) or moments (.pfm): what denoisers take, made of the "
-            "samples of a store. exr or netcdf (.nc): maps.",
-        ),
+        Literal["exr", "netcdf"],
+        typer.Option("--as", help="Layers of an EXR file (.exr), or netCDF (.nc)."),
     ],
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
-    """Write samples or maps in the formats of other programs.
-
-    bcd is for Bayesian collaborative denoising, cascades for Zirr et al. 2018, moments for StatMC.
-    """
+    """Write maps in the formats of other programs."""
     import chdstat
-    from chdstat.io.maps import open_maps
+    from chdstat.io.writing import open_maps
 
-    io = chdstat.io
-    files: tuple[Path, ...]
-    match kind:
-        case "bcd":
-            files = io.write_bcd(chdstat.open(source), out, progress=not quiet)
-        case "cascades":
-            files = io.write_cascades(chdstat.open(source), out, progress=not quiet)
-        case "moments":
-            files = io.write_moments(chdstat.open(source), out, progress=not quiet)
-        case "exr":
-            files = (io.write_maps(open_maps(source), out),)
-        case "netcdf":
-            files = (io.write_netcdf(open_maps(source), out),)
+    write = chdstat.io.write_maps if kind == "exr" else chdstat.io.write_netcdf
+    file = write(open_maps(source), out)
     if as_json:
-        output.print_json({"files": [str(file) for file in files]})
-    else:
-        for file in files:
-            output.say_written(file, as_json=False)
+        output.print_json({"files": [str(file)]})
+    elif not quiet:
+        output.say_written(file, as_json=False)
 
 
 @cli.app.command(epilog="Example: chdstat info bathroom.zarr")

@@ -29,7 +29,7 @@ from chdstat.fit.families import SELECTED
 from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
-from chdstat.io.maps import open_maps
+from chdstat.io.writing import open_maps
 from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import Mapped, assemble
 from chdstat.viz.estimators import called

@@ -1,20 +1,18 @@
-"""Exchange with other programs: their samples, EXR files, maps, and estimates for a denoiser.
+"""Exchange with other programs: their samples, EXR files, maps, and a denoiser for estimates.
 
 `read` opens samples in files of other programs; `get_include` names the folder of the C++ header
-with which a renderer writes such files. `write_bcd`, `write_cascades` and `write_moments` write
-what other denoisers start from. `write_exr` and `read_exr` keep images with their layers in EXR
-files, `write_maps` and `write_netcdf` results per pixel; `denoise` gives an image of estimates to
-Open Image Denoise.
+with which a renderer writes such files. `write_exr` and `read_exr` keep images with their layers in
+EXR files, `write_maps` and `write_netcdf` results per pixel; `denoise` gives an image of estimates
+to Open Image Denoise.
 """
 
 from __future__ import annotations
 
 from chdstat.io.denoiser import denoise
-from chdstat.io.denoiser_inputs import write_bcd, write_cascades, write_moments
 from chdstat.io.exr import ExrImage, read_exr, write_exr
-from chdstat.io.maps import write_maps, write_netcdf
 from chdstat.io.reading import read
 from chdstat.io.stream import get_include
+from chdstat.io.writing import write_maps, write_netcdf
 
 __all__ = [
     "ExrImage",
@@ -22,11 +20,8 @@ __all__ = [
     "get_include",
     "read",
     "read_exr",
-    "write_bcd",
-    "write_cascades",
     "write_exr",
     "write_maps",
-    "write_moments",
     "write_netcdf",
 ]
 

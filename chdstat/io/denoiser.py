@@ -6,6 +6,7 @@ one than the sample mean does: fewer fireflies to smear, less noise to mistake f
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import Floats
+from chdstat._core.arrays import Floats, Image
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError, brief
 
@@ -125,11 +126,9 @@ def works() -> bool:
     >>> works()
     True
     """
-    try:
-        _loaded()
-    except InputError:
-        return False
-    return True
+    with contextlib.suppress(InputError):
+        return bool(_loaded())
+    return False
 
 
 def _loaded() -> Any:
@@ -169,33 +168,28 @@ def _image(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:
 
 def _features(
     shape: tuple[int, ...], albedo: npt.ArrayLike | None, normal: npt.ArrayLike | None
-) -> dict[str, npt.NDArray[np.float32]]:
+) -> dict[str, Image]:
     if albedo is None and normal is not None:
         message = "Open Image Denoise takes normals only beside albedo; give albedo, too"
         raise InputError(message)
-    given = {"albedo": (albedo, 0.0, np.inf), "normal": (normal, -1.0, 1.0)}
-    return {
-        name: _feature(name, values, shape, lowest, highest)
-        for name, (values, lowest, highest) in given.items()
-        if values is not None
-    }
-
-
-def _feature(
-    name: str, values: npt.ArrayLike, shape: tuple[int, ...], lowest: float, highest: float
-) -> npt.NDArray[np.float32]:
-    feature = np.asarray(values, dtype=np.float64)
-    if feature.shape != (*shape[:2], 3):
-        message = f"{name} must have shape {(*shape[:2], 3)}, as the estimate, got {feature.shape}"
-        raise InputError(message)
-    known = np.where(np.isfinite(feature), feature, 0)
-    # Interpolated normals exceed their range by rounding.
-    if known.min() < lowest - 1e-3 or known.max() > highest + 1e-3:
-        message = (
-            f"{name} must lie between {lowest} and {highest}, got {known.min()} to {known.max()}"
-        )
-        raise InputError(message)
-    return np.clip(known, lowest, 1).astype(np.float32)
+    found = {}
+    for name, values, low, high in (("albedo", albedo, 0.0, np.inf), ("normal", normal, -1.0, 1.0)):
+        if values is None:
+            continue
+        feature = np.asarray(values, dtype=np.float64)
+        if feature.shape != (*shape[:2], 3):
+            expected = f"{(*shape[:2], 3)}, as the estimate"
+            message = f"{name} must have shape {expected}, got {feature.shape}"
+            raise InputError(message)
+        known = np.where(np.isfinite(feature), feature, 0)
+        # Interpolated normals exceed their range by rounding.
+        if known.min() < low - 1e-3 or known.max() > high + 1e-3:
+            message = (
+                f"{name} must lie between {low} and {high}, got {known.min()} to {known.max()}"
+            )
+            raise InputError(message)
+        found[name] = np.clip(known, low, 1).astype(np.float32)
+    return found
 
 
 def _certainty(shape: tuple[int, ...], certainty: npt.ArrayLike | None) -> Floats:

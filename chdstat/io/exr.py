@@ -1,12 +1,18 @@
 """EXR files: images of linear radiance for Nuke, tev and other programs, with their layers.
 
 `write_exr` puts certainties, intervals and other layers beside the image in one file; `read_exr`
-reads such files, and those of other programs.
+reads such files, and those of other programs. A file has the pixels of its data window, which may
+be a part of the display window, the image, or reach beyond it. Its colours are of the primaries
+that `chromaticities` name, those of Rec. 709 by default.
+
+Source: Academy Software Foundation, "Technical introduction to OpenEXR", "OpenEXR file layout" and
+"Standard attributes", https://openexr.com.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,20 +20,38 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, warn_caller
+from chdstat._core.arrays import Array, Image, warn_caller
 from chdstat._core.display import Card, Shown, png
-from chdstat._core.files import replacing
+from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
-from chdstat.io.exr_planes import OF_THE_FORMAT, read_planes
-from chdstat.io.primaries import REC709
+from chdstat.io.primaries import AP0, REC709, from_xyz, named, to_rec709
 
-__all__ = ["ExrImage", "read_exr", "read_feature", "write_exr"]
+__all__ = ["ExrImage", "Planes", "read_exr", "read_feature", "read_planes", "write_exr"]
 
+Window = tuple[int, int, int, int]
+"""Left, top, right and bottom of the pixels of an image, all of them inside."""
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
 _TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}
 _LONGEST_NAME = 255
+_MAGIC = b"\x76\x2f\x31\x01"
+"""What every EXR file begins with."""
+_OF_THE_FORMAT = {
+    *("channels", "chromaticities", "chunkCount", "compression", "dataWindow", "displayWindow"),
+    *("lineOrder", "name", "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth"),
+    *("tiles", "type", "version", "view"),
+}
+"""Attributes that say how the file is laid out: nobody else's."""
+_LARGEST = 2**26
+"""Pixels of a display window up to which a file need not be large to be believed."""
+_OVERFLOW = float(np.finfo(np.float16).max)
+_COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
+_CIE = ("x", "y", "z")
+_ORDERS = (*_COLOURS, _CIE, ("u", "v"), ("y",), ("z",))
+"""Channels of a layer in their order, in capitals or not; files have them in the alphabet's."""
+_SPACES = ("colorinteropid", "colorspace")
+"""Names of attributes, in whatever namespace, that name a colour space."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,7 +71,7 @@ class ExrImage(Shown):
         Text in the header of the file.
     """
 
-    image: npt.NDArray[np.float32]
+    image: Image
     channels: tuple[str, ...]
     extra: Mapping[str, Array]
     attributes: Mapping[str, str]
@@ -56,6 +80,417 @@ class ExrImage(Shown):
         known = self.image.shape[-1] in (1, 3)
         shown = {"image": png(tonemap(self.image))} if known else {}
         return replace(super()._card(), images=shown)
+
+
+def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
+    """Read an image and its layers from an EXR file.
+
+    The image is the display window: 0 where the file holds nothing, and without what lies outside.
+    Its colours are brought to linear Rec. 709; a `chdstat.errors.InputWarning` tells of it, and of
+    what else is not as usual.
+
+    Parameters
+    ----------
+    path
+        The file.
+    channels
+        Which channels or layers are the image; None for red, green and blue, in capitals or not;
+        else for Y, or the only layer of colours. All others become `ExrImage.extra`, as they are in
+        the file. The channel X of a part "normal" is called normal.X, that of the first part X.
+
+    Returns
+    -------
+    ExrImage
+        What the file's display window holds.
+
+    Raises
+    ------
+    InputError
+        If the file holds no such channels.
+    StoreError
+        If there is no such file, it is damaged, or the image is of a kind that is not read here:
+        deep, of luminance and chroma, of lower resolution, or outside of the display window.
+
+    References
+    ----------
+    SMPTE RP 177-1993, "Derivation of basic television color equations"; the white point is adapted
+    as in K. M. Lam, "Metamerism and colour constancy", PhD thesis, University of Bradford, 1985.
+
+    Examples
+    --------
+    >>> read_exr("nowhere.exr")
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.StoreError: no EXR file at nowhere.exr
+    """
+    planes = read_planes(Path(path))
+    if channels is None:
+        names = planes.main("name those of the image with channels=, out of")
+    else:
+        names = tuple(name for given in channels for name in planes.layer(given))
+    image = planes.image(names, colours=True if channels is None else None)
+    if planes.unread:
+        name, why = next(iter(planes.unread.items()))
+        planes.notes["unread"] = f"{path}: channel {name!r} is left out, for it {why}"
+    for note in planes.notes.values():
+        warn_caller(note)
+    shown = _USUAL[3] if "xyz" in planes.notes else names
+    return ExrImage(
+        image=image, channels=shown, extra=planes.others(names), attributes=planes.texts()
+    )
+
+
+def read_feature(path: Path, name: str) -> Image:
+    """Return a first-hit feature from a file: the layer of its name, or else the image in it.
+
+    Raises
+    ------
+    InputError
+        If it is not clear which channels are the feature.
+    StoreError
+        As `read_exr` does.
+    """
+    planes = read_planes(path)
+    advice = f"rename one to {name}, or give features the array of read_exr(..., channels=) of"
+    held = {name.rpartition(".")[0] for name in planes.channels} | planes.channels.keys()
+    names = planes.layer(name) if name in held else planes.main(advice, radiance=False)
+    image = planes.image(names, colours=name == "albedo")
+    for note in planes.notes.values():
+        warn_caller(note)
+    return image
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The channels of an EXR file, brought to its display window.
+
+    Attributes
+    ----------
+    path
+        The file.
+    attributes
+        Those of its first part.
+    window
+        The display window.
+    channels
+        Shape (y, x) each, by name, of the types of the file. Those of other parts than the first
+        are called as layers are: ``normal.X`` is the channel X of the part "normal".
+    unread
+        Why other channels cannot be read, by name.
+    notes
+        What a user is to be told of the file, by kinds of which one is told once.
+    """
+
+    path: Path
+    attributes: Mapping[str, Any]
+    window: Window
+    channels: Mapping[str, Array]
+    unread: Mapping[str, str]
+    notes: dict[str, str]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(y, x)."""
+        return _shape(self.window)
+
+    def layer(self, name: str) -> tuple[str, ...]:
+        """Return the channels of a layer in their usual order, without alpha; or of that name.
+
+        Raises
+        ------
+        InputError
+            If there is no such layer or channel.
+        StoreError
+            If it is of a kind that is not read.
+        """
+        if name in self.channels or name in self.unread:
+            return self._readable([name])
+        inside = self._inside(name)
+        if not inside:
+            held = ", ".join(self.channels)
+            message = f"{self.path} has no layer {name!r}, but the channels {held}"
+            raise InputError(message)
+        found = next((f for order in _ORDERS[:-2] if (f := _ordered(inside, order))), ())
+        without_alpha = tuple(full for own, full in inside.items() if own not in "Aa")
+        return self._readable(found or without_alpha or tuple(inside.values()))
+
+    def main(self, advice: str, *, radiance: bool = True) -> tuple[str, ...]:
+        """Return the channels of the image: red, green and blue, X, Y and Z, or Y.
+
+        Where these are missing, they are those of the only layer of colours. Of what is no
+        `radiance`, such as normals, they may be other channels, too.
+
+        Raises
+        ------
+        InputError
+            If it is not clear which they are; the message ends with `advice` and names of layers.
+        StoreError
+            If they are of a kind that is not read.
+        """
+        every = [*self.channels, *self.unread]
+        top, layers = self._inside(""), sorted({n.rpartition(".")[0] for n in every} - {""})
+        coloured = [layer for layer in layers if _coloured(self._inside(layer))]
+        if radiance and {"RY", "BY"} & top.keys():
+            message = (
+                f"{self.path} holds luminance and chroma, Y, RY and BY, which are not put together "
+                f"here: write it with R, G and B; or for the luminance alone {advice} Y"
+            )
+            raise StoreError(message)
+        orders: Sequence[Sequence[str]] = (*_COLOURS, _CIE, ("y",)) if radiance else _ORDERS
+        if radiance and coloured and _ordered(top, _CIE):  # which may be positions
+            orders = _COLOURS
+        if found := next((f for order in orders if (f := _ordered(top, order))), ()):
+            return self._readable(found)
+        only = coloured or ([] if radiance or top else layers)
+        if len(only) == 1:
+            return self.layer(only[0])
+        if len(every) == 1 and not radiance:
+            return self._readable(every)
+        offered = ", ".join(n for n in coloured or [*layers, *top] if self._holds_numbers(n))
+        if not offered:
+            self._readable(every)
+            advice = "its channels are whole numbers, as those of objects are"
+        message = f"{self.path} has no channels R, G, B or Y; {advice} {offered}".rstrip()
+        raise InputError(message)
+
+    def _holds_numbers(self, name: str) -> bool:
+        """Return whether a layer or channel can be read as samples."""
+        names = self._inside(name).values() or [name]
+        return all(n in self.channels and self.channels[n].dtype.kind == "f" for n in names)
+
+    def _readable(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return names of channels, all of which are read."""
+        for name in names:
+            if name in self.unread:
+                message = f"{self.path}: channel {name!r} {self.unread[name]}"
+                raise StoreError(message)
+        return tuple(names)
+
+    def image(self, names: Sequence[str], *, colours: bool | None) -> Image:
+        """Return channels as an image (y, x, channel); `colours` in linear Rec. 709.
+
+        None takes for colours what is called R, G and B.
+
+        Raises
+        ------
+        StoreError
+            If colours are whole numbers.
+        """
+        planes = [self.channels[name] for name in names]
+        found = np.stack([_single(plane) for plane in planes], axis=-1).astype(np.float32)
+        if not (_coloured(_own(names)) if colours is None else colours):
+            return found
+        if any(plane.dtype.kind == "u" for plane in planes):
+            message = (
+                f"{self.path}: {', '.join(names)} holds whole numbers, as those of objects are; "
+                "expected radiance"
+            )
+            raise StoreError(message)
+        if any(p.dtype == np.float16 and (np.abs(p) >= _OVERFLOW).any() for p in planes):
+            self.notes["half"] = (
+                f"{self.path} holds half floats of {_OVERFLOW:g}, the most that they can be, or "
+                "infinite ones: what is brighter was cut. Write float to keep it"
+            )
+        matrix = self._matrix(names)
+        if matrix is None:
+            return found
+        with np.errstate(invalid="ignore", over="ignore"):  # of infinite values
+            return np.asarray(found @ matrix.T.astype(np.float32))
+
+    def _matrix(self, names: Sequence[str]) -> npt.NDArray[np.float64] | None:
+        """Return the matrix from channels to linear Rec. 709, None for none, and note why."""
+        kinds, note = tuple(map(str.casefold, _own(names))), f"{self.path}: its colours are "
+        if kinds == _CIE and "." not in names[0]:
+            self.notes["xyz"] = f"{note}X, Y and Z of CIE 1931, converted to linear Rec. 709"
+            return from_xyz()
+        if kinds not in _COLOURS:
+            return None
+        texts = {re.split("[:/]", n)[-1].casefold(): v for n, v in self.texts().items()}
+        space = next((texts[name] for name in _SPACES if name in texts), "")
+        known = named(space)
+        aces = AP0 if self.attributes.get("acesImageContainerFlag") == 1 else ()
+        given = self.attributes.get("chromaticities") or aces or known or REC709
+        try:
+            matrix = to_rec709(given)
+        except ValueError as error:
+            self.notes["chromaticities"] = f"{note}taken for linear Rec. 709: {error}"
+            return None
+        if matrix is not None:
+            text = ", ".join(f"{value:.4g}" for value in given)
+            self.notes[text] = (
+                f"{note}converted to linear Rec. 709; x and y of their red, green, blue and white "
+                f"are {text}"
+            )
+        elif known is None or (known and known != REC709):
+            self.notes[space] = (
+                f"{note}taken for linear Rec. 709, but the file names the colour space {space!r}"
+            )
+        return matrix
+
+    def others(self, names: Sequence[str]) -> dict[str, Array]:
+        """Return the other channels; as one layer (y, x, channel) those called as `names` are."""
+        kept = {name: _single(p) for name, p in self.channels.items() if name not in names}
+        own = _own(names)
+        layers = {name.rpartition(".")[0] for name in kept} - {"", *kept}
+        for layer in layers:
+            inside = self._inside(layer)
+            if inside.keys() == set(own):
+                kept[layer] = np.stack([kept.pop(inside[name]) for name in own], axis=-1)
+        return kept
+
+    def texts(self) -> dict[str, str]:
+        """Return the attributes that are text and do not belong to the format."""
+        return {
+            name: value
+            for name, value in self.attributes.items()
+            if isinstance(value, str) and name not in _OF_THE_FORMAT
+        }
+
+    def _inside(self, layer: str) -> dict[str, str]:
+        """Return the full names of the channels of a layer, by their own."""
+        of = "" if layer == self.attributes.get("name") else layer
+        split = ((name.rpartition("."), name) for name in (*self.channels, *self.unread))
+        return {own: name for (layer, _, own), name in split if layer == of}
+
+
+def _own(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of channels without those of their layers."""
+    return tuple(name.rpartition(".")[2] for name in names)
+
+
+def _ordered(inside: Mapping[str, str], order: Sequence[str]) -> tuple[str, ...]:
+    """Return the full names of channels in an order, in capitals or not; () if one is missing."""
+    for spelled in (str.upper, str.lower, str.capitalize):
+        if {*map(spelled, order)} <= inside.keys():
+            return tuple(inside[spelled(name)] for name in order)
+    return ()
+
+
+def _coloured(inside: Iterable[str]) -> bool:
+    return any(_ordered(dict.fromkeys(inside, ""), order) for order in _COLOURS)
+
+
+def _single(plane: Array) -> Array:
+    """Return half floats as floats."""
+    return plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
+
+
+def read_planes(path: Path) -> Planes:
+    """Return the channels of an EXR file.
+
+    Raises
+    ------
+    StoreError
+        As `read_exr` does.
+    """
+    import OpenEXR
+
+    try:
+        with path.open("rb") as start:
+            magic = start.read(len(_MAGIC))
+    except OSError as error:
+        why = f"cannot read {path}: {error.strerror or error}"
+        message = why if path.is_file() else f"no EXR file at {path}"
+        raise StoreError(message) from error
+    if magic != _MAGIC:
+        message = f"{path} is not an EXR file: it does not begin as one"
+        raise StoreError(message)
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            headers = [part.header for part in file.parts]
+            data = [_window(header, "dataWindow") for header in headers]
+            display = _window(headers[0], "displayWindow")
+            claimed = [_pixels(w) * len(h["channels"]) for w, h in zip(data, headers, strict=True)]
+            check_claim(path, 4 * sum(claimed))
+            if _pixels(display) > _LARGEST:
+                check_claim(path, 4 * _pixels(display))
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            parts = [(str(part.name()), dict(part.channels)) for part in file.parts]
+            attributes = dict(file.header())
+            channels: dict[str, Array] = {}
+            unread: dict[str, str] = {}
+            for (part, held), window in zip(parts, data, strict=True):
+                for name, channel in held.items():
+                    outside = part != parts[0][0] and not name.startswith(f"{part}.")
+                    full = f"{part}.{name}" if outside else name
+                    if why := _unreadable(channel, window, display):
+                        unread[full] = why
+                    else:
+                        channels[full] = _placed(channel.pixels, window, display)
+    except (OSError, RuntimeError, ValueError, MemoryError) as error:
+        message = f"{path} is damaged or cut off; write or copy it again ({error})"
+        raise StoreError(message) from error
+    return Planes(
+        path, attributes, display, channels, unread, _notes(path, attributes, data, display)
+    )
+
+
+def _window(header: Mapping[str, Any], name: str) -> Window:
+    left, top, right, bottom = (int(edge) for corner in header[name] for edge in corner)
+    return left, top, right, bottom
+
+
+def _shape(window: Window) -> tuple[int, int]:
+    left, top, right, bottom = window
+    return bottom - top + 1, right - left + 1
+
+
+def _pixels(window: Window) -> int:
+    height, width = _shape(window)
+    return max(height, 0) * max(width, 0)
+
+
+def _unreadable(channel: Any, data: Window, display: Window) -> str:
+    """Return why a channel is not one value for each pixel; "" if it is."""
+    if channel.pixels.dtype.kind not in "fu":
+        return "is deep, with any number of values in each pixel: flatten it first"
+    if (channel.xSampling, channel.ySampling) != (1, 1) or channel.pixels.shape != _shape(data):
+        return (
+            f"is of a resolution of its own; expected one value for each of {_shape(data)} pixels"
+        )
+    if any(data[i] > display[i + 2] or data[i + 2] < display[i] for i in (0, 1)):
+        return f"has the data window {data} outside of the display window {display}"
+    return ""
+
+
+def _placed(plane: Array, data: Window, display: Window) -> Array:
+    """Return the part of a channel in the display window, 0 where the file holds nothing."""
+    if data == display:
+        return plane
+    whole = np.zeros(_shape(display), plane.dtype)
+    begins = [data[1] - display[1], data[0] - display[0]]
+    to = tuple(
+        slice(max(begin, 0), min(begin + n, size))
+        for begin, n, size in zip(begins, plane.shape, whole.shape, strict=True)
+    )
+    whole[to] = plane[
+        tuple(slice(s.start - b, s.stop - b) for s, b in zip(to, begins, strict=True))
+    ]
+    return whole
+
+
+def _notes(
+    path: Path, attributes: Mapping[str, Any], data: Sequence[Window], display: Window
+) -> dict[str, str]:
+    """Return what is to be told of windows and pixels."""
+    notes = {}
+    outside = [
+        w for w in data if any(np.less(w[:2], display[:2])) or any(np.greater(w[2:], display[2:]))
+    ]
+    if outside:
+        notes["overscan"] = (
+            f"{path} has pixels outside of its display window (left, top, right, bottom = "
+            f"{display}; data: {outside[0]}): they were left out"
+        )
+    if (aspect := float(attributes.get("pixelAspectRatio", 1))) != 1:
+        notes["aspect"] = (
+            f"{path} has pixels of {aspect:.4g} times their height in width: they are kept as they "
+            "are, and shown as squares"
+        )
+    return notes
+
+
+# --- writing --------------------------------------------------------------------------------------
 
 
 def write_exr(
@@ -144,84 +579,6 @@ def write_exr(
     return target
 
 
-def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
-    """Read an image and its layers from an EXR file.
-
-    The image is the display window: 0 where the file holds nothing, and without what lies outside.
-    Its colours are brought to linear Rec. 709; a `chdstat.errors.InputWarning` tells of it, and of
-    what else is not as usual.
-
-    Parameters
-    ----------
-    path
-        The file.
-    channels
-        Which channels or layers are the image; None for red, green and blue, in capitals or not;
-        else for Y, or the only layer of colours. All others become `ExrImage.extra`, as they are in
-        the file. The channel X of a part "normal" is called normal.X, that of the first part X.
-
-    Returns
-    -------
-    ExrImage
-        What the file's display window holds.
-
-    Raises
-    ------
-    InputError
-        If the file holds no such channels.
-    StoreError
-        If there is no such file, it is damaged, or the image is of a kind that is not read here:
-        deep, of luminance and chroma, of lower resolution, or outside of the display window.
-
-    References
-    ----------
-    SMPTE RP 177-1993, "Derivation of basic television color equations"; the white point is adapted
-    as in K. M. Lam, "Metamerism and colour constancy", PhD thesis, University of Bradford, 1985.
-
-    Examples
-    --------
-    >>> read_exr("nowhere.exr")
-    Traceback (most recent call last):
-        ...
-    chdstat.errors.StoreError: no EXR file at nowhere.exr
-    """
-    planes = read_planes(Path(path))
-    if channels is None:
-        names = planes.main("name those of the image with channels=, out of")
-    else:
-        names = tuple(name for given in channels for name in planes.layer(given))
-    image = planes.image(names, colours=True if channels is None else None)
-    if planes.unread:
-        name, why = next(iter(planes.unread.items()))
-        planes.notes["unread"] = f"{path}: channel {name!r} is left out, for it {why}"
-    for note in planes.notes.values():
-        warn_caller(note)
-    shown = _USUAL[3] if "xyz" in planes.notes else names
-    return ExrImage(
-        image=image, channels=shown, extra=planes.others(names), attributes=planes.texts()
-    )
-
-
-def read_feature(path: Path, name: str) -> npt.NDArray[np.float32]:
-    """Return a first-hit feature from a file: the layer of its name, or else the image in it.
-
-    Raises
-    ------
-    InputError
-        If it is not clear which channels are the feature.
-    StoreError
-        As `read_exr` does.
-    """
-    planes = read_planes(path)
-    advice = f"rename one to {name}, or give features the array of read_exr(..., channels=) of"
-    held = {name.rpartition(".")[0] for name in planes.channels} | planes.channels.keys()
-    names = planes.layer(name) if name in held else planes.main(advice, radiance=False)
-    image = planes.image(names, colours=name == "albedo")
-    for note in planes.notes.values():
-        warn_caller(note)
-    return image
-
-
 def _real(name: str, values: npt.ArrayLike) -> Array:
     array = np.asarray(values)
     if array.dtype.kind not in "fiub":
@@ -296,9 +653,10 @@ def _stored(name: str, plane: Array, pixel_type: str) -> Array:
 
 
 def _check_attributes(attributes: Mapping[str, Any]) -> None:
+    """Refuse attributes that are no text, or that the format gives itself."""
     for name, value in attributes.items():
         _check_name("header attribute", name)
-        if name in OF_THE_FORMAT:
+        if name in _OF_THE_FORMAT:
             message = f"attribute {name!r} belongs to the format; choose another name"
             raise InputError(message)
         if not isinstance(value, str):

@@ -11,8 +11,8 @@ import contextlib
 import hashlib
 import importlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,54 +21,14 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Image, warn_caller
 from chdstat.errors import InputError, StoreError
+from chdstat.io.lazy import Opened, ReadOptions
 from chdstat.samples import Samples
 from chdstat.samples.dependence import warn_of_repeats
 from chdstat.samples.layout import canonical
 from chdstat.samples.samples import check_counts, check_features
 from chdstat.samples.tiles import BATCH, SampleSource
 
-__all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]
-
-
-@dataclass(frozen=True)
-class ReadOptions:
-    """What a caller says of files.
-
-    Attributes
-    ----------
-    axes
-        Order of the axes, of letters y, x, c and s; None where the files say it.
-    variable
-        Which array or layer of a file with several holds the samples; None finds it.
-    features
-        Name within the files of each feature, by the name that it has here.
-    """
-
-    axes: str | None = None
-    variable: str | None = None
-    features: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Opened:
-    """Samples in files: where to read them from, and what the files say of them.
-
-    Attributes
-    ----------
-    source
-        Reads parts of the samples.
-    attrs
-        Provenance that the files hold; ``averaged`` if each value is an average of so many samples.
-    counts
-        Samples of each pixel, shape (y, x), where they differ.
-    """
-
-    source: SampleSource
-    attrs: Mapping[str, Any] = field(default_factory=dict)
-    counts: npt.NDArray[np.int32] | None = None
-
-
-Opener = Callable[[Sequence[Path], ReadOptions], Opened]
+__all__ = ["FORMATS", "Format", "read"]
 
 
 @dataclass(frozen=True)
@@ -83,8 +43,8 @@ class Format:
         Of its files, with the dot.
     title
         What it is, for help and documentation.
-    opener
-        Module and function that open it: loaded when it is used.
+    module
+        What opens it with a function ``open_NAME``; it is loaded when it is used.
     takes
         Those of `ReadOptions` that it leaves to the caller.
     """
@@ -92,7 +52,7 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     title: str
-    opener: str
+    module: str
     takes: tuple[str, ...] = ()
 
     def open(self, paths: Sequence[Path], options: ReadOptions) -> Opened:
@@ -105,45 +65,27 @@ class Format:
                     f"{option.name} out{instead}"
                 )
                 raise InputError(message)
-        module, function = self.opener.split(":")
-        opener: Opener = getattr(importlib.import_module(f"chdstat.io.{module}"), function)
-        return opener(paths, options)
+        module = importlib.import_module(f"chdstat.io.{self.module}")
+        opened: Opened = getattr(module, f"open_{self.name}")(paths, options)
+        return opened
 
 
+_NAMED = ("variable", "features")
 FORMATS = (
-    Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy", ("axes",)),
-    Format("npz", (".npz",), "NumPy archives", "arrays:open_npz", ("axes", "variable", "features")),
+    Format("npy", (".npy",), "NumPy arrays", "arrays", ("axes",)),
+    Format("npz", (".npz",), "NumPy archives", "arrays", ("axes", *_NAMED)),
     Format(
         "xarray",
         (".nc", ".nc4", ".h5", ".zarr"),
         "Arrays of netCDF and zarr",
-        "arrays:open_xarray",
-        ("axes", "variable", "features"),
+        "arrays",
+        ("axes", *_NAMED),
     ),
-    Format(
-        "exr",
-        (".exr",),
-        "EXR images, each a sample or average",
-        "frames:open_exr",
-        ("variable", "features"),
-    ),
-    Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "frames:open_rawls"),
-    Format(
-        "noisebase",
-        (".zip",),
-        "Sample sets of noisebase",
-        "arrays:open_noisebase",
-        ("variable", "features"),
-    ),
-    Format(
-        "bcd",
-        (".raw",),
-        "Raw samples of Bayesian collaborative denoising",
-        "denoiser_inputs:open_bcd",
-    ),
-    Format(
-        "stream", (".chds",), "Streams of chdstat_writer.h", "stream:open_stream", ("features",)
-    ),
+    Format("exr", (".exr",), "EXR images, each a sample or average", "exr_stack", _NAMED),
+    Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "rawls"),
+    Format("noisebase", (".zip",), "Sample sets of noisebase", "noisebase", _NAMED),
+    Format("bcd", (".raw",), "Raw samples of Bayesian collaborative denoising", "bcd"),
+    Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream", ("features",)),
 )
 """Formats in the order in which they are tried."""
 
@@ -212,18 +154,21 @@ def read(
     named = {n: str(v) for n, v in given.items() if isinstance(v, str | Path) and not _is_file(v)}
     opened = _format(paths, format).open(paths, ReadOptions(axes, variable, named))
     shape = opened.source.shape
-    images = {n: _feature(n, v) for n, v in given.items() if n not in named}
-    images = {**{n: _flat(v) for n, v in opened.source.read_features().items()}, **images}
+    images = opened.source.read_features()
+    images |= {n: _feature(n, v) for n, v in given.items() if n not in named}
+    images = {n: x[..., 0] if x.ndim == 3 and x.shape[2] == 1 else x for n, x in images.items()}
     check_features(images, shape)
     found = opened.counts
     if counts is not None:
         found = check_counts(_loaded(counts), shape)
+    # By which an import that was stopped is known to be of the same files.
+    stated = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in paths]
     about = {
         "scene": paths[0].stem,
         "scene_source": paths[0].name,
         **opened.attrs,
         "files": len(paths),
-        "files_hash": _hash(paths),
+        "files_hash": hashlib.blake2b(canonical(stated), digest_size=16).hexdigest(),
         **attrs,
     }
     held = opened.source if found is None else _Counted(opened.source, found)
@@ -251,12 +196,6 @@ def _warn_of_copies(paths: Sequence[Path], source: SampleSource) -> None:
     names = [path.name for path in paths] if len(paths) == source.shape[3] else []
     with contextlib.suppress(StoreError):  # which is raised again when the samples are needed
         warn_of_repeats(source.read, (height, width, channels, spp), f"{source.path}", names)
-
-
-def _hash(paths: Sequence[Path]) -> str:
-    """Return by what an import that was stopped is known to be of the same files."""
-    about = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in paths]
-    return hashlib.blake2b(canonical(about), digest_size=16).hexdigest()
 
 
 class _Counted:
@@ -321,12 +260,8 @@ def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
     if isinstance(value, str | Path) and Path(value).suffix.lower() == ".exr":
         from chdstat.io.exr import read_feature
 
-        return _flat(read_feature(Path(value), name))
-    return _flat(np.asarray(_loaded(value), np.float32))
-
-
-def _flat(image: Image) -> Image:
-    return image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
+        return read_feature(Path(value), name)
+    return np.asarray(_loaded(value), np.float32)
 
 
 def _loaded(value: str | Path | npt.ArrayLike) -> npt.ArrayLike:

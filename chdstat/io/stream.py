@@ -1,47 +1,50 @@
 """Streams: samples that a renderer wrote with ``chdstat_writer.h``, as they came.
 
-A stream is a header and blocks. A block of samples belongs to a tile of 64 x 64 pixels and says
-which of them have how many samples in it; its place in the file is when a thread wrote it, so the
-samples of a tile lie all over the file, and of a pixel some may lie in one block, some in another.
-Opening a stream reads what blocks say of themselves, one after the other; their samples are read
-tile by tile, when they are asked for.
+A stream is a header and blocks; what each of their bytes means is on the page "Format of a stream"
+of the reference. A block of samples belongs to a tile of 64 x 64 pixels and says which of them have
+how many samples in it; its place in the file is when a thread wrote it, so the samples of a tile
+lie all over the file, and of a pixel some may lie in one block, some in another. Opening a stream
+reads what blocks say of themselves, one after the other; their samples are read tile by tile, when
+they are asked for.
 """
 
 from __future__ import annotations
 
+import enum
 import itertools
 import math
 import os
+import struct
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, warn_caller
+from chdstat._core.arrays import Array, Image, warn_caller
+from chdstat._core.files import checksum
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
-from chdstat.io.reading import Opened, ReadOptions
-from chdstat.io.stream_blocks import (
-    COMPONENTS,
-    EDGE,
-    PIXELS,
-    Block,
-    Indices,
-    Kind,
-    damaged,
-    opened,
-    read_block,
-    read_body,
-    read_header,
-    text,
-)
+from chdstat.io.lazy import Opened, ReadOptions, readable
 from chdstat.samples.tiles import BATCH
 
 __all__ = ["StreamSource", "get_include", "open_stream"]
 
+_VERSION = 1
+_EDGE = 64
+"""Edge of the tiles of a stream, in pixels."""
+_PIXELS = _EDGE * _EDGE
+_COMPONENTS = {"albedo": 3, "normal": 3, "position": 3, "depth": 1}
+"""Features that a stream may have, and how many numbers each has."""
+_MAGIC, _LITTLE = b"\x89CHDS\r\n\x1a", b"\x04\x03\x02\x01"
+_HEADER, _BLOCK = struct.Struct("<8sI4s4I"), struct.Struct("<4s7I")
+_HEAD = 4 * _PIXELS
+"""Bytes of a head at most."""
+_MOST_PIXELS = 2**28
+_LONGEST = 64
+"""Bytes of the names of features, and of the checksum behind them, at most."""
 _HELD = 2**25
 """Bytes of samples of a tile that are decoded at once, unless `BATCH` of each pixel are more."""
 _SHORT = 16
@@ -51,9 +54,9 @@ _STRETCHES = 16
 _KNOWN = ("scene", "renderer", "integrator", "unit")
 _WHOLE = ("seed", "averaged")
 
+Indices = npt.NDArray[np.intp]
 Tile = tuple[int, int]
 """Row and column of a tile."""
-_Tiles = dict[Tile, npt.NDArray[Any]]
 
 
 def get_include() -> Path:
@@ -98,24 +101,36 @@ class StreamSource:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.path = paths[0]
-        index = _Index(self.path)
+        with _File(self.path) as file:
+            self.header = file.header
+        self._components = sum(_COMPONENTS[name] for name in self.header.features)
+        self._begins: dict[Tile, dict[Path, array[int]]] = {}
+        self._sums: dict[Tile, Array] = {}
+        told, total = [], dict[Tile, Array]()
+        seeds: dict[tuple[int, Tile], npt.NDArray[np.bool_]] = {}
         for path in paths:
-            index.add(path)
-        self.header, self._begins, self.attrs = index.header, index.begins, index.attrs()
-        self.counts, self._features = index.counts(), index.features()
+            attrs, counts = self._add(path)
+            told.append(attrs)
+            if "seed" in attrs:
+                _check_seeds(seeds, attrs["seed"], counts, path)
+            for tile, number in counts.items():
+                total[tile] = total.get(tile, 0) + number
+        self.attrs = {k: v for k, v in told[0].items() if all(o.get(k) == v for o in told)}
+        self.counts = self._image(total).astype(np.int32)
+        self._features = self._averages()
         height, width = self.counts.shape
         self.shape = (height, width, self.header.channels, int(self.counts.max()))
         if not self.shape[3]:
             message = f"{self.path} holds no samples"
             raise StoreError(message)
-        self._window = max(_HELD // (4 * PIXELS * self.shape[2]) // BATCH, 1) * BATCH
+        self._window = max(_HELD // (4 * _PIXELS * self.shape[2]) // BATCH, 1) * BATCH
         self._last: tuple[tuple[int, int, int], Image] | None = None
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample), NaN where there are none."""
         height, width, channels, spp = self.shape
         rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
-        cuts = (_cuts(rows, EDGE), _cuts(columns, EDGE), _cuts(samples, self._window))
+        cuts = (_cuts(rows, _EDGE), _cuts(columns, _EDGE), _cuts(samples, self._window))
         part = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
         for (y, to_y, of_y), (x, to_x, of_x), (window, to_s, of_s) in itertools.product(*cuts):
             found = self._decoded(y, x, window)[of_y, of_x, :, of_s]
@@ -139,60 +154,45 @@ class StreamSource:
         channels, spp = self.shape[2:]
         low = window * self._window
         high = min(low + self._window, spp)
-        rows, columns = slice(y * EDGE, (y + 1) * EDGE), slice(x * EDGE, (x + 1) * EDGE)
+        rows, columns = slice(y * _EDGE, (y + 1) * _EDGE), slice(x * _EDGE, (x + 1) * _EDGE)
         counts = self.counts[rows, columns]
-        shape = (PIXELS, channels, high - low)
-        tile = np.empty(shape, np.float32)
+        tile = np.empty((_PIXELS, channels, high - low), np.float32)
         if counts.min() < high:
             tile.fill(np.nan)
-        seen = np.zeros(PIXELS, np.intp)
+        seen = np.zeros(_PIXELS, np.intp)
         for path, begins in self._begins[y, x].items() if counts.max() > low else ():
-            with opened(path) as file:
-                size = os.fstat(file.fileno()).st_size
+            with _File(path) as file:
                 for begin in begins:
-                    block = read_block(file, begin, size, path)
+                    block = file.block(begin)
                     if block is None:
-                        raise damaged(path, begin, "it has changed since it was opened")
+                        raise file.damaged(begin, "it has changed since it was opened")
                     pixels, numbers = block.pixels()
                     first = seen[pixels]
                     seen[pixels] += numbers
                     if first.min() < high and (first + numbers).max() > low:
-                        values = np.frombuffer(read_body(file, block, path), "<f4")
+                        values = np.frombuffer(file.body(block), "<f4")
                         _place(tile, values, pixels, numbers, first - low)
         tile.flags.writeable = False  # parts of it are handed out
-        return tile.reshape(EDGE, EDGE, channels, high - low)
+        return tile.reshape(_EDGE, _EDGE, channels, high - low)
 
-
-class _Index:
-    """What the blocks of streams say of themselves, read one after the other, by tile."""
-
-    def __init__(self, path: Path) -> None:
-        with opened(path) as file:
-            self.header, _ = read_header(file, path)
-        self._components = sum(COMPONENTS[name] for name in self.header.features)
-        self._counts: _Tiles = {}
-        self._features: _Tiles = {}
-        self._attrs: list[dict[str, Any]] = []
-        self._seeds: dict[tuple[int, Tile], npt.NDArray[np.bool_]] = {}
-        self.begins: dict[Tile, dict[Path, array[int]]] = {}
-
-    def add(self, path: Path) -> None:
-        """Add the blocks of a file."""
+    def _add(self, path: Path) -> tuple[dict[str, Any], dict[Tile, Array]]:
+        """Add the blocks of a file; return its provenance, and how many samples a pixel has."""
         told: dict[str, str] = {}
-        counts: _Tiles = {}
+        counts: dict[Tile, Array] = {}
         ended, total = False, -1
-        with opened(path) as file:
-            header, begin = read_header(file, path)
-            if header != self.header:
-                message = f"{path} is of another image, {header}, than the first, {self.header}"
+        with _File(path) as file:
+            if file.header != self.header:
+                message = (
+                    f"{path} is of another image, {file.header}, than the first, {self.header}"
+                )
                 raise InputError(message)
-            size = os.fstat(file.fileno()).st_size
-            while not ended and (block := read_block(file, begin, size, path)):
-                if block.kind in (Kind.SAMPLES, Kind.FEATURES):
-                    self._add(block, begin, counts, file, path)
-                elif block.kind == Kind.ATTRIBUTE:
-                    told[text(block.head)] = text(read_body(file, block, path))
-                elif block.kind == Kind.END:
+            begin = file.begin
+            while not ended and (block := file.block(begin)):
+                if block.kind in (_Kind.SAMPLES, _Kind.FEATURES):
+                    self._count(block, begin, counts, file)
+                elif block.kind == _Kind.ATTRIBUTE:
+                    told[_text(block.head)] = _text(file.body(block))
+                elif block.kind == _Kind.END:
                     ended, total = True, int.from_bytes(block.head, "little")
                 begin = block.body + block.size
         count = sum(int(of_tile.sum()) for of_tile in counts.values())
@@ -202,82 +202,73 @@ class _Index:
                 "that are there are read"
             )
             warn_caller(message)
-        elif begin != size or total != count:
-            raise damaged(path, begin, f"it does not end with its {count} samples")
-        self._attrs.append(_provenance(told))
-        self._merge(counts, path)
+        elif begin != file.size or total != count:
+            raise file.damaged(begin, f"it does not end with its {count} samples")
+        return _provenance(told), counts
 
-    def _add(self, block: Block, begin: int, counts: _Tiles, file: BinaryIO, path: Path) -> None:
+    def _count(self, block: _Block, begin: int, counts: dict[Tile, Array], file: _File) -> None:
         """Count the samples, or add the features, of a block."""
-        tile = block.y // EDGE, block.x // EDGE
+        tile = block.y // _EDGE, block.x // _EDGE
         inside = block.y < self.header.height and block.x < self.header.width
-        if not inside or block.x % EDGE or block.y % EDGE or not block.head or len(block.head) % 4:
-            raise damaged(path, begin, "a block does not fit the image")
+        beside = block.x % _EDGE or block.y % _EDGE
+        if not inside or beside or not block.head or len(block.head) % 4:
+            raise file.damaged(begin, "a block does not fit the image")
         pixels, numbers = block.pixels()
-        samples = block.kind == Kind.SAMPLES
+        samples = block.kind == _Kind.SAMPLES
         values = numbers.sum() * self.header.channels if samples else len(pixels) * self._components
-        if block.size != 4 * values or pixels[-1] >= PIXELS or (np.diff(pixels) <= 0).any():
-            raise damaged(path, begin, "a block does not fit its pixels")
+        if block.size != 4 * values or pixels[-1] >= _PIXELS or (np.diff(pixels) <= 0).any():
+            raise file.damaged(begin, "a block does not fit its pixels")
         if samples:
-            counts.setdefault(tile, np.zeros(PIXELS, np.int64))[pixels] += numbers
-            self.begins.setdefault(tile, {}).setdefault(path, array("Q")).append(begin)
+            counts.setdefault(tile, np.zeros(_PIXELS, np.int64))[pixels] += numbers
+            self._begins.setdefault(tile, {}).setdefault(file.path, array("Q")).append(begin)
         else:
-            sums = np.frombuffer(read_body(file, block, path), "<f4").reshape(len(pixels), -1)
-            added = np.column_stack([sums, numbers])
-            empty = np.zeros((PIXELS, self._components + 1))
-            self._features.setdefault(tile, empty)[pixels] += added
+            sums = np.frombuffer(file.body(block), "<f4").reshape(len(pixels), -1)
+            empty = np.zeros((_PIXELS, self._components + 1))
+            self._sums.setdefault(tile, empty)[pixels] += np.column_stack([sums, numbers])
 
-    def _merge(self, counts: _Tiles, path: Path) -> None:
-        """Add the samples of a file, unless its random numbers are those of another."""
-        seed = self._attrs[-1].get("seed")
-        for tile, number in counts.items():
-            self._counts[tile] = self._counts.get(tile, 0) + number
-            if seed is not None:
-                before = self._seeds.get((seed, tile), np.zeros(PIXELS, bool))
-                if (before & (number > 0)).any():
-                    message = (
-                        f"{path} repeats pixels of seed {seed}, which are in another of the files: "
-                        "errors would look smaller than they are. Render with another seed"
-                    )
-                    raise InputError(message)
-                self._seeds[seed, tile] = before | (number > 0)
-
-    def attrs(self) -> dict[str, Any]:
-        """Return what all files say of where they come from."""
-        first, *others = self._attrs
-        return {k: v for k, v in first.items() if all(o.get(k) == v for o in others)}
-
-    def counts(self) -> npt.NDArray[np.int32]:
-        """Return the samples of each pixel, shape (y, x)."""
-        return self._image(self._counts).astype(np.int32)
-
-    def features(self) -> dict[str, Image]:
+    def _averages(self) -> dict[str, Image]:
         """Return averages of the features, (y, x, component), depth (y, x)."""
         if not self.header.features:
             return {}
-        *sums, weights = np.moveaxis(self._image(self._features, self._components + 1), -1, 0)
+        *sums, weights = np.moveaxis(self._image(self._sums, self._components + 1), -1, 0)
         means = np.stack(sums, axis=-1) / np.maximum(weights, 1)[..., np.newaxis]
-        found, first = {}, 0
-        for name in self.header.features:
-            last = first + COMPONENTS[name]
-            image = means[..., first:last].astype(np.float32)
-            found[name], first = image[..., 0] if last == first + 1 else image, last
-        return found
+        ends = np.cumsum([_COMPONENTS[name] for name in self.header.features])
+        parts = np.split(means.astype(np.float32), ends[:-1], axis=-1)
+        named = zip(self.header.features, parts, strict=True)
+        return {n: x[..., 0] if x.shape[2] == 1 else x for n, x in named}
 
-    def _image(self, tiles: _Tiles, *components: int) -> npt.NDArray[Any]:
+    def _image(self, tiles: dict[Tile, Array], *components: int) -> Array:
         """Return an image (y, x, ...) of the tiles that there are, zero elsewhere."""
         height, width = self.header.height, self.header.width
         size = 8 * math.prod((height, width, *components))
         check_memory(3 * size, f"{width} x {height} pixels", "render a part of them")
         image = np.zeros((height, width, *components))
         for (y, x), values in tiles.items():
-            part = image[y * EDGE : (y + 1) * EDGE, x * EDGE : (x + 1) * EDGE]
-            tile = values.reshape(EDGE, EDGE, *components)
+            part = image[y * _EDGE : (y + 1) * _EDGE, x * _EDGE : (x + 1) * _EDGE]
+            tile = values.reshape(_EDGE, _EDGE, *components)
             part[:] = tile[: part.shape[0], : part.shape[1]]
             if tile[part.shape[0] :].any() or tile[:, part.shape[1] :].any():
                 message = "a stream has samples outside of its image"
                 raise StoreError(message)
         return image
+
+
+def _check_seeds(
+    seeds: dict[tuple[int, Tile], npt.NDArray[np.bool_]],
+    seed: int,
+    counts: Mapping[Tile, Array],
+    path: Path,
+) -> None:
+    """Refuse a file whose random numbers are those of another, and note which it has."""
+    for tile, number in counts.items():
+        before = seeds.get((seed, tile), np.zeros(_PIXELS, bool))
+        if (before & (number > 0)).any():
+            message = (
+                f"{path} repeats pixels of seed {seed}, which are in another of the files: "
+                "errors would look smaller than they are. Render with another seed"
+            )
+            raise InputError(message)
+        seeds[seed, tile] = before | (number > 0)
 
 
 def _place(tile: Image, values: Image, pixels: Indices, numbers: Indices, first: Indices) -> None:
@@ -345,3 +336,119 @@ def _provenance(told: Mapping[str, str]) -> dict[str, Any]:
             attrs[name] = int(text[:20])
     others = {k: v for k, v in told.items() if k not in attrs}
     return {**attrs, "renderer_settings": others} if others else attrs
+
+
+# --- blocks ---------------------------------------------------------------------------------------
+
+
+class _Kind(enum.IntEnum):
+    """What a block holds."""
+
+    SAMPLES = 1
+    FEATURES = 2
+    ATTRIBUTE = 3
+    END = 4
+
+
+class Header(NamedTuple):
+    """What all blocks of a stream have in common."""
+
+    width: int
+    height: int
+    channels: int
+    features: tuple[str, ...]
+
+
+class _Block(NamedTuple):
+    """A block without its body, and where that lies in the file."""
+
+    kind: int
+    x: int
+    y: int
+    head: bytes
+    body: int
+    size: int
+    checksum: int
+
+    def pixels(self) -> tuple[Indices, Indices]:
+        """Return pixels within the tile, and how many samples each has."""
+        pairs = np.frombuffer(self.head, "<u2").reshape(-1, 2).astype(np.intp)
+        return pairs[:, 0], pairs[:, 1]
+
+
+class _File:
+    """A stream that is read as long as it is entered: its size, header, and where blocks begin."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with readable(path):
+            self._file = path.open("rb", buffering=0)
+
+    def __enter__(self) -> _File:
+        try:
+            self.size = os.fstat(self._file.fileno()).st_size
+            self.header, self.begin = self._header()
+        except BaseException:
+            self._file.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def _header(self) -> tuple[Header, int]:
+        start = self._file.read(_HEADER.size + _LONGEST)
+        if len(start) < _HEADER.size + 4 or not start.startswith(_MAGIC):
+            message = f"{self.path} is no stream of samples, as chdstat_writer.h writes it"
+            raise StoreError(message)
+        _, version, order, width, height, channels, length = _HEADER.unpack_from(start)
+        if order != _LITTLE:
+            message = f"{self.path} was written with another order of bytes than little-endian"
+            raise StoreError(message)
+        if version != _VERSION:
+            message = f"{self.path} has version {version}, this chdstat reads {_VERSION}"
+            raise StoreError(message)
+        end = _HEADER.size + length
+        held = start[end : end + 4]
+        if len(held) < 4 or int.from_bytes(held, "little") != checksum(start[:end]):
+            raise self.damaged(0, "its header is not what was written")
+        features = tuple(_text(start[_HEADER.size : end]).split())
+        sizes = (1 <= size <= 2**16 for size in (width, height, channels * 2**10))
+        named = set(features) <= set(_COMPONENTS) and len(set(features)) == len(features)
+        if not all(sizes) or width * height > _MOST_PIXELS or not named:
+            raise self.damaged(0, "its header describes no image")
+        return Header(width, height, channels, features), end + 4
+
+    def block(self, begin: int) -> _Block | None:
+        """Return the block at a place, without its body; None where the file ends before it."""
+        self._file.seek(begin)
+        start = self._file.read(_BLOCK.size + _HEAD)
+        if len(start) < _BLOCK.size:
+            return None
+        mark, kind, x, y, head, body, of_head, of_body = _BLOCK.unpack_from(start)
+        end = _BLOCK.size + head
+        if mark != b"CHDB" or head > _HEAD:
+            raise self.damaged(begin, "there is no block")
+        if len(start) < end:
+            return None
+        if checksum(start[: _BLOCK.size - 8] + start[_BLOCK.size : end]) != of_head:
+            raise self.damaged(begin, "a block is not what was written")
+        found = _Block(kind, x, y, start[_BLOCK.size : end], begin + end, body, of_body)
+        return found if found.body + body <= self.size else None
+
+    def body(self, block: _Block) -> bytes:
+        """Return the body of a block."""
+        self._file.seek(block.body)
+        found = self._file.read(block.size)
+        if len(found) != block.size or checksum(found) != block.checksum:
+            raise self.damaged(block.body, "samples are not what was written")
+        return found
+
+    def damaged(self, begin: int, what: str) -> StoreError:
+        """Return the error for a file that is not as it was written."""
+        return StoreError(f"{self.path} is damaged at byte {begin}: {what}")
+
+
+def _text(found: bytes) -> str:
+    """Return what should be UTF-8, with a mark for each byte that is not."""
+    return found.decode("utf-8", errors="replace")

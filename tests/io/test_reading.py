@@ -2,42 +2,26 @@
 
 import contextlib
 import re
+import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 
 import chdstat as chd
 from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
+from chdstat.io import lazy
 from chdstat.io.reading import FORMATS
+from tests.io.writers import WRITERS, bcd, exr, noisebase, planes_of, rawls
 
 FRAMES = np.random.default_rng(5).gamma(2.0, size=(40, 6, 9, 3)).astype(np.float32)
 RADIANCE = np.moveaxis(FRAMES, 0, -1)
-
-
-def npy(folder):
-    np.save(folder / "x.npy", FRAMES)
-    return chd.io.read(folder / "x.npy", axes="syxc")
-
-
-def npz(folder):
-    np.savez_compressed(folder / "x.npz", radiance=FRAMES, other=np.zeros(3))
-    return chd.io.read(folder / "x.npz", axes="syxc")
-
-
-def zarr(folder):
-    dataset = xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)})
-    dataset.to_zarr(folder / "x.zarr", consolidated=False)
-    return chd.io.read(folder / "x.zarr")
-
-
-def netcdf(folder):
-    xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)}).to_netcdf(
-        folder / "x.nc", engine="scipy"
-    )
-    return chd.io.read(folder / "x.nc")
+IMAGES = np.random.default_rng(3).gamma(0.5, size=(130, 7, 9, 3)).astype(np.float32)
+ALBEDO = np.random.default_rng(4).random((130, 7, 9, 3)).astype(np.float32)
 
 
 @pytest.fixture
@@ -53,27 +37,91 @@ def run(monkeypatch):
     return command
 
 
-@pytest.mark.parametrize("write", [npy, npz, zarr, netcdf])
-def test_samples_are_read_as_they_are(tmp_path, write):
-    samples = write(tmp_path)
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory):
+    """Return a folder of images of one sample each, with layers."""
+    folder = tmp_path_factory.mktemp("stack")
+    for number, (image, albedo) in enumerate(zip(IMAGES, ALBEDO, strict=True)):
+        layers = {"albedo": albedo, "A": albedo[..., 0], "depth": albedo[..., 1]}
+        chd.io.write_exr(folder / f"{number:04}.exr", image, extra=layers)
+    return folder
+
+
+def refused(cases, folder):
+    """Check that files, read with options, are refused by an error that tells something."""
+    for names, options, error, told in cases:
+        with pytest.raises(error, match=told):
+            chd.io.read(*(folder / name for name in names), **options).read()
+
+
+# --- every format ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_samples_are_read_as_they_are(tmp_path, name):
+    suffix, write = WRITERS[name]
+    write(tmp_path / f"x{suffix}", RADIANCE)
+    samples = chd.io.read(tmp_path / f"x{suffix}")
     assert samples.shape == RADIANCE.shape
-    assert np.array_equal(samples.read(), RADIANCE)
+    whole = samples.read()
+    # Colours of noisebase have 8 bits.
+    np.testing.assert_allclose(whole, RADIANCE, rtol=0, atol=0.1 if name == "noisebase" else 0)
     part = slice(1, 5, 2), slice(2, 9), slice(3, 40, 5)
-    assert np.array_equal(samples.read(*part), RADIANCE[part[0], part[1], :, part[2]])
+    assert np.array_equal(samples.read(*part), whole[part[0], part[1], :, part[2]])
+    assert samples.attrs.get("averaged", 1) == 1
     saved = samples.save(tmp_path / "own.zarr")
-    assert np.array_equal(saved.read(), RADIANCE)
-    assert saved.attrs["scene"] == "x"
+    assert np.array_equal(saved.read(), whole)
+    assert saved.attrs["scene"] == (samples.attrs["scene"])
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.filterwarnings("ignore::chdstat.errors.InputWarning")
+def test_hostile_files_are_refused(tmp_path, name):
+    suffix, write = WRITERS[name]
+    write(tmp_path / f"x{suffix}", RADIANCE[..., :4])
+    found = tmp_path / f"x{suffix}"
+    found = next(found.iterdir()) if found.is_dir() else found
+    whole, rng = found.read_bytes(), np.random.default_rng(0)
+    path = tmp_path / f"mutated{found.suffix}"
+    for number in range(40):
+        mutated = bytearray(whole[: rng.integers(len(whole))] if number % 2 else whole)
+        for place in rng.integers(min(len(mutated), 400), size=4) if mutated else ():
+            mutated[place] = rng.integers(256)
+        path.write_bytes(mutated)
+        with contextlib.suppress(ChdstatError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert chd.io.read(path).read().ndim == 4
+
+
+def test_the_documentation_says_of_every_format_what_becomes_of_its_files():
+    page = Path(__file__).parents[2] / "docs" / "reference" / "formats.rst"
+    text = page.read_text(encoding="utf-8").partition("What becomes of what is in the files")[2]
+    tables = text.partition("EXR stacks")[0].split(".. list-table:: ")[1:]
+    names = [re.search(r"\w+", table)[0] for table in tables]
+    assert names == ["arrays", *(known.name for known in FORMATS)]
+    assert {known.name for known in FORMATS} == WRITERS.keys()
+    for table in tables:
+        rows = re.findall(r"\* - (.+)\n     - \S", table)
+        assert rows == ["Read", "Converted", "Warned of", "Ignored", "Refused"]
+
+
+# --- arrays ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("axes", ["yxcs", "yxsc", "syxc", "scyx", "cxys"])
-def test_axes_are_brought_in_order(tmp_path, axes):
-    np.save(tmp_path / "x.npy", RADIANCE.transpose(["yxcs".index(a) for a in axes]))
-    assert np.array_equal(chd.io.read(tmp_path / "x.npy", axes=axes).read(), RADIANCE)
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_axes_are_brought_in_order(tmp_path, axes, suffix):
+    array = RADIANCE.transpose(["yxcs".index(a) for a in axes])
+    (np.save if suffix == ".npy" else np.savez)(tmp_path / f"x{suffix}", array)
+    assert np.array_equal(chd.io.read(tmp_path / f"x{suffix}", axes=axes).read(), RADIANCE)
 
 
-def test_one_channel_gains_an_axis(tmp_path):
+def test_one_channel_gains_an_axis_and_zarr_is_read_by_its_dims(tmp_path):
     np.save(tmp_path / "x.npy", RADIANCE[:, :, 0])
     assert np.array_equal(chd.io.read(tmp_path / "x.npy").read(), RADIANCE[:, :, :1])
+    dataset = xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)})
+    dataset.to_zarr(tmp_path / "x.zarr", consolidated=False)
+    assert np.array_equal(chd.io.read(tmp_path / "x.zarr").read(), RADIANCE)
 
 
 def test_netcdf_is_unpacked_and_says_its_unit(tmp_path):
@@ -121,6 +169,33 @@ def test_counts_cut_what_a_pixel_has(tmp_path):
     assert np.array_equal(np.isfinite(saved.read()[:, :, 0]).sum(axis=-1), counts)
 
 
+def test_faults_of_arrays_are_named(tmp_path):
+    (tmp_path / "bad.npy").write_bytes(b"no array")
+    (tmp_path / "x.txt").write_text("1 2 3")
+    (tmp_path / "empty").mkdir()
+    np.save(tmp_path / "bytes.npy", (FRAMES * 10).astype(np.uint8))
+    np.save(tmp_path / "x.npy", FRAMES)
+    np.save(tmp_path / "small.npy", FRAMES[:, 1:])
+    np.savez(tmp_path / "x.npz", FRAMES)
+    cases = [
+        (["bad.npy"], {}, StoreError, "cannot read"),
+        (["x.txt"], {}, InputError, "known formats are npy"),
+        (["empty"], {}, StoreError, "empty folder"),
+        (["none.npy"], {}, StoreError, "nothing at"),
+        (["bytes.npy"], {}, InputError, "unsigned integers"),
+        (["x.npy"], {}, InputError, "say what the axes are"),
+        (["x.npy"], {"axes": "yxc"}, InputError, "name each axis"),
+        (["x.npy", "small.npy"], {"axes": "syxc"}, InputError, "small.npy holds samples of shape"),
+        (["x.npz"], {"axes": "syxc", "variable": "y"}, InputError, "holds no array 'y'"),
+        (["x.npz"], {"axes": "syxc", "features": {"albedo": "a"}}, InputError, "no array 'a'"),
+        (["x.npy"], {"axes": "syxc", "features": {"counts": FRAMES[0]}}, InputError, "counts="),
+    ]
+    refused(cases, tmp_path)
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
 def test_the_command_imports_and_appends(tmp_path, run):
     np.save(tmp_path / "x.npy", FRAMES)
     np.save(tmp_path / "y.npy", FRAMES + 1)
@@ -145,55 +220,130 @@ def test_the_command_tells_of_copies_in_a_line(tmp_path, run, capsys):
     assert "(1: 2.exr of 0.exr)" in said[0]
 
 
-def test_the_documentation_says_of_every_format_what_becomes_of_its_files():
-    page = Path(__file__).parents[2] / "docs" / "reference" / "formats.rst"
-    text = page.read_text(encoding="utf-8").partition("What becomes of what is in the files")[2]
-    tables = text.partition("EXR stacks")[0].split(".. list-table:: ")[1:]
-    names = [re.search(r"\w+", table)[0] for table in tables]
-    assert names == ["arrays", *(known.name for known in FORMATS)]
-    for table in tables:
-        rows = re.findall(r"\* - (.+)\n     - \S", table)
-        assert rows == ["Read", "Converted", "Warned of", "Ignored", "Refused"]
+# --- stacks of EXR images -------------------------------------------------------------------------
 
 
-def test_faults_are_named(tmp_path):
-    (tmp_path / "bad.npy").write_bytes(b"no array")
-    (tmp_path / "x.txt").write_text("1 2 3")
-    (tmp_path / "empty").mkdir()
-    np.save(tmp_path / "bytes.npy", (FRAMES * 10).astype(np.uint8))
-    np.save(tmp_path / "x.npy", FRAMES)
-    np.save(tmp_path / "small.npy", FRAMES[:, 1:])
-    np.savez(tmp_path / "x.npz", FRAMES)
+def test_what_was_decoded_before_may_be_gone(stack, monkeypatch):
+    monkeypatch.setattr(lazy, "_KEPT", 1)
+    samples = chd.io.read(stack, features={"albedo": "albedo"})
+    for ss in (slice(0, 10), slice(128, 130), slice(None), slice(3, 4)):
+        assert np.array_equal(samples.read(ss=ss), np.moveaxis(IMAGES, 0, -1)[..., ss])
+    np.testing.assert_allclose(samples.features["albedo"], ALBEDO.mean(axis=0), rtol=1e-6)
+
+
+def test_features_are_averages_of_layers_and_samples_may_be_a_layer(stack):
+    found = chd.io.read(stack, features={"albedo": "albedo", "depth": "depth"}).features
+    np.testing.assert_allclose(found["albedo"], ALBEDO.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(found["depth"], ALBEDO[..., 1].mean(axis=0), rtol=1e-6)
+    depth = chd.io.read(stack, variable="depth").read()
+    assert np.array_equal(depth[:, :, 0], np.moveaxis(ALBEDO[..., 1], 0, -1))
+    albedo = chd.io.read(stack, variable="albedo").read()
+    assert np.array_equal(albedo, np.moveaxis(ALBEDO, 0, -1))
+
+
+def test_parts_are_layers(tmp_path):
+    half = IMAGES[:2].astype(np.float16)
+    for number, image in enumerate(half):
+        normal = planes_of(IMAGES[5], "XYZ"), {"name": "N"}
+        exr(tmp_path / f"{number}.exr", planes_of(image), normal, name="beauty")
+    samples = chd.io.read(tmp_path, features={"normal": "N"})
+    assert np.array_equal(samples.read(), np.moveaxis(half, 0, -1).astype(np.float32))
+    assert np.array_equal(samples.features["normal"], IMAGES[5])
+
+
+@pytest.mark.parametrize("name", ["samplesPerPixel", "cycles.View Layer.samples"])
+def test_averages_are_known_by_what_renderers_write(tmp_path, name):
+    count = 16 if name.startswith("samples") else "16"
+    for number in range(2):
+        exr(tmp_path / f"{number}.exr", {"Y": IMAGES[number, ..., 0]}, **{name: count})
+    samples = chd.io.read(tmp_path)
+    assert samples.attrs.get("averaged", 1) == 16
+    with pytest.raises(InputError, match="averages of 16"):
+        chd.gaussianity(samples)
+    assert chd.io.read(tmp_path, averaged=1).attrs["averaged"] == 1
+
+
+def test_faults_of_stacks_are_named(stack, tmp_path):
+    chd.io.write_exr(tmp_path / "small.exr", IMAGES[0, 1:])
+    chd.io.write_exr(tmp_path / "grey.exr", IMAGES[0, ..., :1])
+    for count in (4, 8):
+        exr(tmp_path / f"of-{count}.exr", {"Y": IMAGES[0, ..., 0]}, samplesPerPixel=count)
+    exr(tmp_path / "other.exr", {"u.P": IMAGES[0, ..., 0]})
+    first, unequal = stack / "0000.exr", "of-8.exr is an average of 8 samples, of-4.exr of 4"
     cases = [
-        (["bad.npy"], {}, StoreError, "cannot read"),
-        (["x.txt"], {}, InputError, "known formats are npy"),
-        (["empty"], {}, StoreError, "empty folder"),
-        (["none.npy"], {}, StoreError, "nothing at"),
-        (["bytes.npy"], {}, InputError, "unsigned integers"),
-        (["x.npy"], {}, InputError, "say what the axes are"),
-        (["x.npy"], {"axes": "yxc"}, InputError, "name each axis"),
-        (["x.npy", "small.npy"], {"axes": "syxc"}, InputError, "small.npy holds samples of shape"),
-        (["x.npz"], {"axes": "syxc", "variable": "y"}, InputError, "holds no array 'y'"),
-        (["x.npz"], {"axes": "syxc", "features": {"albedo": "a"}}, InputError, "no array 'a'"),
-        (["x.npy"], {"axes": "syxc", "features": {"counts": FRAMES[0]}}, InputError, "counts="),
+        ([first, "small.exr"], {}, InputError, r"small.exr has \(6, 9\) pixels"),
+        ([first, "grey.exr"], {}, InputError, "has channels Y, but the first file R"),
+        (["of-4.exr", "of-8.exr"], {}, InputError, unequal),
+        (["other.exr"], {}, InputError, "as variable, one of u"),
+        ([first], {"variable": "x"}, InputError, "has no layer 'x', but the channels"),
+        ([first], {"features": {"normal": "x"}}, InputError, "has no layer 'x'"),
     ]
-    for names, options, error, told in cases:
-        with pytest.raises(error, match=told):
-            chd.io.read(*(tmp_path / name for name in names), **options)
+    refused(cases, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["x.npy", "x.npz", "x.nc"])
-def test_hostile_files_are_refused(tmp_path, name):
-    np.save(tmp_path / "x.npy", FRAMES)
-    np.savez_compressed(tmp_path / "x.npz", FRAMES)
-    xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)}).to_netcdf(
-        tmp_path / "x.nc", engine="scipy"
-    )
-    whole, rng = (tmp_path / name).read_bytes(), np.random.default_rng(0)
-    for number in range(40):
-        mutated = bytearray(whole[: rng.integers(len(whole))] if number % 2 else whole)
-        for place in rng.integers(min(len(mutated), 400), size=4) if mutated else ():
-            mutated[place] = rng.integers(256)
-        (tmp_path / f"mutated-{name}").write_bytes(mutated)
-        with contextlib.suppress(ChdstatError):
-            chd.io.read(tmp_path / f"mutated-{name}", axes="syxc").read(ss=slice(1))
+def test_no_room_for_what_is_decoded_is_said(stack, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(lazy.tempfile, "TemporaryFile", full)
+    with pytest.raises(StoreError, match="No space left on device; TMPDIR names another"):
+        chd.io.read(stack).read()
+
+
+# --- rawls, BCD and noisebase ---------------------------------------------------------------------
+
+
+def test_rawls_files_of_both_kinds_are_read(tmp_path):
+    for by_pixel in (True, False):
+        rawls(tmp_path / "x.rawls", FRAMES[0], samples=20, by_pixel=by_pixel)
+        samples = chd.io.read(tmp_path / "x.rawls")
+        assert np.array_equal(samples.read()[..., 0], FRAMES[0])
+        assert (samples.attrs["averaged"], samples.attrs["integrator"]) == (20, "path")
+
+
+@pytest.mark.parametrize("frames", [None, 2])
+def test_noisebase_is_decoded_as_it_is_encoded(tmp_path, frames):
+    radiance = RADIANCE * (np.random.default_rng(0).random((6, 9, 1, 40)) < 0.6)
+    right = noisebase(tmp_path / "x.zip", radiance, frames=frames)
+    samples = chd.io.read(tmp_path / "x.zip", variable=frames and str(frames))
+    np.testing.assert_allclose(samples.read(), right, rtol=1e-5)
+    assert np.array_equal(samples.read() == 0, right == 0)
+    means = radiance.mean(axis=-1)
+    np.testing.assert_allclose(samples.features["position"], means, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(samples.features["normal"], means, rtol=1e-2, atol=1e-5)
+    np.testing.assert_allclose(samples.features["albedo"], means / 2, rtol=1e-2, atol=1e-5)
+
+
+def test_alpha_of_bcd_is_left_out(tmp_path):
+    bcd(tmp_path / "x.raw", np.concatenate([RADIANCE, RADIANCE[:, :, :1]], axis=2))
+    assert np.array_equal(chd.io.read(tmp_path / "x.raw").read(), RADIANCE)
+
+
+def test_faults_of_other_formats_are_named(tmp_path):
+    rawls(tmp_path / "x.rawls", FRAMES[0])
+    rawls(tmp_path / "y.rawls", FRAMES[0, 1:])
+    rawls(tmp_path / "z.rawls", FRAMES[0], samples=4)
+    whole = bcd(tmp_path / "x.raw", RADIANCE).read_bytes()
+    (tmp_path / "cut.raw").write_bytes(whole[:-1])
+    small, wide = struct.pack("<I", 9), struct.pack("<I", 2**31)
+    large = (tmp_path / "x.rawls").read_bytes().replace(small, wide, 1)
+    (tmp_path / "large.rawls").write_bytes(large)
+    noisebase(tmp_path / "x.zip", RADIANCE)
+    noisebase(tmp_path / "y.zip", RADIANCE, frames=2)
+    with zarr.storage.ZipStore(tmp_path / "z.zip", mode="w") as store:
+        group = zarr.create_group(store, zarr_format=2)
+        group.create_array("color", shape=(4, 10**6, 10**6, 8), chunks=(4, 9, 9, 8), dtype="u1")
+    cases = [
+        (["x.zip", "y.zip"], {}, InputError, "one by one"),
+        (["y.zip"], {"variable": "3"}, InputError, "has the frames 0 to 2"),
+        (["x.zip"], {"features": {"depth": "z"}}, StoreError, "cannot read .* 'z'"),
+        (["x.zip"], {"features": {"depth": "exposure"}}, InputError, "must hold numbers of shape"),
+        (["z.zip"], {}, StoreError, r"cannot hold the 3.2e\+13"),
+        (["x.rawls", "y.rawls"], {}, InputError, r"y.rawls holds averages of 1 samples of shape"),
+        (["x.rawls", "z.rawls"], {}, InputError, r"z.rawls holds averages of 4 samples"),
+        (["large.rawls"], {}, StoreError, "cannot hold 2147483648 x 6 pixels"),
+        (["cut.raw"], {}, StoreError, "its header claims 9 x 6 pixels of 40 samples"),
+        (["x.raw"], {"features": {"albedo": "a"}}, InputError, "come without features"),
+        (["x.rawls"], {"variable": "a"}, InputError, "leave variable out"),
+    ]
+    refused(cases, tmp_path)

@@ -1,6 +1,6 @@
 """Streams of chdstat_writer.h: what a renderer wrote is read, whole, in parts, stopped or damaged.
 
-A writer in Python, after the page of the format, stands beside the one in C++.
+The writer in Python, after the page of the format, stands in `writers`.
 """
 
 import contextlib
@@ -18,48 +18,11 @@ from google_crc32c import value as checksum
 import chdstat as chd
 from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
+from tests.io.writers import block, dense, end, entries, samples_block, start
 
 DOCS = Path(__file__).parents[2] / "docs"
 HEADER = chd.io.get_include() / "chdstat_writer.h"
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pthread")
-
-
-# --- a writer after the documentation -----------------------------------------------------------
-
-
-def start(width, height, channels=3, features=b"", version=1, order=0x01020304):
-    head = b"\x89CHDS\r\n\x1a" + struct.pack("<2I", version, order)
-    head += struct.pack("<4I", width, height, channels, len(features)) + features
-    return head + struct.pack("<I", checksum(head))
-
-
-def block(kind, head=b"", body=b"", x=0, y=0):
-    about = struct.pack("<4s5I", b"CHDB", kind, x, y, len(head), len(body))
-    return about + struct.pack("<2I", checksum(about + head), checksum(body)) + head + body
-
-
-def entries(pixels, numbers):
-    return np.stack([pixels, numbers], axis=-1).astype("<u2").tobytes()
-
-
-def samples_block(x, y, samples):
-    """Return a block of samples by pixel (row, column) of a tile: arrays (sample, channel)."""
-    found = sorted((64 * row + column, of) for (row, column), of in samples.items())
-    head = entries([place for place, _ in found], [len(of) for _, of in found])
-    return block(1, head, b"".join(np.asarray(of, "<f4").T.tobytes() for _, of in found), x, y)
-
-
-def end(count):
-    return block(4, struct.pack("<Q", count))
-
-
-def dense(radiance):
-    """Return a block for each tile of samples (y, x, sample, channel)."""
-    height, width = radiance.shape[:2]
-    for y in range(0, height, 64):
-        for x in range(0, width, 64):
-            tile = radiance[y : y + 64, x : x + 64]
-            yield samples_block(x, y, {p: tile[p] for p in np.ndindex(tile.shape[:2])})
 
 
 RADIANCE = np.random.default_rng(3).gamma(2.0, size=(70, 90, 12, 3)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Maps: datasets of results per pixel, as EXR layers, or as netCDF."""
+"""Maps: datasets of results per pixel, written as EXR layers or netCDF, read from zarr."""
 
 from __future__ import annotations
 
