@@ -1,4 +1,4 @@
-"""Bayesian collaborative denoising: similar patches are drawn to their mean as far as noise allows.
+"""Bayesian collaborative denoising: similar patches are shrunk towards their mean.
 
 Where `neighbourhood` averages pixels whose samples are alike, `boughida2017` asks how much of the
 difference between similar patches is noise, by the covariances of their samples, and removes that.
@@ -118,7 +118,7 @@ def boughida2017(
 
 @dataclass(frozen=True)
 class _Pixels:
-    """What is known of the pixels of an image, at one scale.
+    """Statistics of the pixels of an image at one scale.
 
     Attributes
     ----------

@@ -255,7 +255,7 @@ def shared_patches(
     averages, whose errors are several times smaller, and averages the estimates.
 
     Test and transform are those of `sakai2024`, patches those of `delbracio2014`. A single pixel
-    tells too little: its error may be large for one firefly, or small because none has come yet.
+    is no evidence: its error may be large for one firefly, or small because none has come yet.
     The second pass is that of Rousselle et al. 2012. Weights, statistics and passes are
     new here.
 
@@ -362,7 +362,7 @@ def _distance(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
 
 
 def _patch_mean(values: Floats, known: npt.NDArray[np.bool_], radius: int) -> Floats:
-    """Average what is known of (y, x) over patches; infinite where nothing is."""
+    """Average the known values of (y, x) over patches; infinite where there are none."""
     count = similarity.window_sum(known.astype(values.dtype), radius)
     total = similarity.window_sum(np.where(known, values, 0), radius)
     return np.divide(total, count, out=np.full_like(total, np.inf), where=count > 0)

@@ -362,7 +362,7 @@ def balance(
         ``influence(rows, theta, *beside)`` returns the sum, which decreases with theta, and minus
         its derivative, shape (row,).
     rows, beside
-        Samples, shape (row, m), and whatever else belongs to them, shape (row,).
+        Samples, shape (row, m), and further values of each row, shape (row,).
     start
         First guesses within the range of their row, shape (row,).
     """

@@ -1,7 +1,7 @@
 """Outliers: samples that few others confirm are left out, in part or as a whole.
 
 `zirr2018` and `zirr2018_pixel` split a sample between the two layers whose brightness it lies
-between. A layer counts as far as enough samples of its brightness have fallen into the pixel or
+between. A layer counts the more, the more samples of its brightness have fallen into the pixel or
 around it; rarer ones, the fireflies, are left out in part. The former looks at 3 x 3 pixels, the
 latter at the pixel alone, and `Cascade` keeps the layers, so that a sweep of kappa splits the
 samples once. `decoro2010` leaves out samples with too few similar ones in the pixels around, and

@@ -245,7 +245,7 @@ LABELS: dict[str, str] = {}
 
 
 class Facts(TypedDict, total=False):
-    """What is known of a fixed estimator; see `Estimator`."""
+    """Facts about a fixed estimator; see `Estimator`."""
 
     label: str
     place: int

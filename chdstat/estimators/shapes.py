@@ -1,4 +1,4 @@
-"""Shapes: how far a mean may lie above what the other samples of its pixel say.
+"""Shapes: how far a mean may lie above the level of the other samples of its pixel.
 
 `shared_shape` learns that from similar pixels and averages nothing: it removes fireflies, and
 leaves noise and edges to a denoiser. It is new here.

@@ -1,4 +1,4 @@
-"""Shrinkage: the mean, pulled towards a biased estimate as far as their difference may be noise.
+"""Shrinkage: the mean, pulled towards a biased estimate, the less the more they differ.
 
 `james_stein` combines any two estimates. `gmon_shrinkage` pulls towards a robust estimate, the
 others towards the mean of a fitted family: `gamma_shrinkage` shows that the family that most CHDs

@@ -238,7 +238,7 @@ class TrainedModel(Shown, ABC, Generic[State]):
 def scene_record(
     scene: str, attrs: Mapping[str, Any], shape: Sequence[int], **facts: Any
 ) -> dict[str, Any]:
-    """Return what provenance says of an image that trained, ready for JSON."""
+    """Return the provenance of a training image, ready for JSON."""
     return {"scene": scene, "samples": dict(attrs), "samples_shape": list(shape), **facts}
 
 
@@ -282,8 +282,8 @@ def descend(
     parameters
         What is trained, in place.
     losses
-        Of each minibatch the loss, and whatever its record needs; the next one is asked for when
-        the parameters have changed.
+        The loss of each minibatch, and what its record needs; the next one is drawn after the
+        parameters have changed.
     iterations
         How many there are.
     every
@@ -396,7 +396,7 @@ def read_model(path: Path) -> tuple[Arrays, Any]:
 
 
 def _checksum(text: str, arrays: Mapping[str, npt.NDArray[Any]]) -> str:
-    """Return the checksum of a header and of all arrays, in whatever order they lie."""
+    """Return the checksum of a header and of all arrays, in any order."""
     parts = [text.encode()]
     for name, array in sorted(arrays.items()):
         parts += [f"{name} {array.dtype.str} {array.shape}".encode(), array.tobytes()]

@@ -252,9 +252,9 @@ def reordered(
 ) -> list[npt.NDArray[np.floating[Any]]]:
     """Return samples (..., channel, sample) in a random order that theirs does not change.
 
-    What splits samples by their places then finds the same parts in whatever order they come, and
-    in whatever unit. They are sorted, and then shuffled in each pixel: the parts would else be of
-    bright samples, or of dark ones.
+    A function that splits samples by their places then finds the same parts for any order and
+    any unit. They are sorted, and then shuffled in each pixel: otherwise some
+    parts would hold the bright samples and others the dark ones.
 
     Parameters
     ----------

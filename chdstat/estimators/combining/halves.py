@@ -38,23 +38,23 @@ _NEAR = 5
 
 @dataclass(frozen=True)
 class Measured:
-    """Images of what a combination has to know of the samples, which are read once, by tiles.
+    """What a combination needs of the samples, which are read once, tile by tile.
 
     All radiance is in `unit`.
 
     Attributes
     ----------
     starts
-        The mean and `shared_shape` of all samples, and of every other of them, by name; NaN where
-        no sample is good, and what is around where `absurd`.
+        The mean and `shared_shape` by name: of all samples, of the even and of the odd ones. NaN
+        where no sample is good, and the median of the pixels around where `absurd`.
     errors
-        Standard errors of the mean of all samples, and of every other of them.
+        Standard errors of these three means.
     mean
         Of each channel's good samples, shape (y, x, channel), 0 where there is none.
     unit
         A power of two, near the typical radiance of the image.
     absurd
-        Marks pixels that are brighter than all others by so much that no other may know of them,
+        Marks pixels that are so much brighter than all others that they must not change others,
         shape (y, x).
     null
         Share of null samples, shape (y, x).
@@ -98,7 +98,7 @@ class Measured:
 
     @classmethod
     def of_halves(cls, one: PowerSums, other: PowerSums) -> Measured:
-        """Measure an image of which every other sample was added to the one sums, the others."""
+        """Measure an image from the sums of its even samples and of its odd ones."""
         height, width, channels = one.total.shape
         starts = [
             {name: np.empty(one.total.shape) for name in ("mean", "shared_shape")} for _ in range(3)
@@ -133,7 +133,7 @@ class Measured:
 
 
 def _unit_and_absurd(limited: Reals, mean: Reals) -> tuple[float, npt.NDArray[np.bool_]]:
-    """Return the unit of an image, and the pixels that no other may know of."""
+    """Return the unit of an image, and which pixels are absurd."""
     known = limited[np.isfinite(limited)].astype(np.float64)
     usual = known[known <= np.quantile(known, _USUAL)] if known.size else known
     typical = float(usual.mean()) if usual.size else 0.0
@@ -143,7 +143,7 @@ def _unit_and_absurd(limited: Reals, mean: Reals) -> tuple[float, npt.NDArray[np
 
 
 def _tamed(image: Reals, absurd: npt.NDArray[np.bool_]) -> Image:
-    """Return an image with the median of what is around in place of absurd pixels."""
+    """Replace absurd pixels by the median of the pixels around them."""
     if absurd.any():
         around = ndimage.median_filter(np.nan_to_num(image), size=(_NEAR, _NEAR, 1))
         image = np.where(absurd[..., np.newaxis], around, image)

@@ -1,4 +1,4 @@
-"""Held-out samples: how far the mean of a pixel has to be kept, whatever was proposed in its place.
+"""Held-out samples: how much of the mean a pixel keeps when another image is proposed for it.
 
 A proposal is an image that is less noisy than the mean and may be biased, such as a weighted sum of
 denoised images. `weight_of_mean` measures on the image at hand which mixture of the two is nearest
@@ -8,11 +8,11 @@ Hubbard 2007, doi:10.2202/1544-6115.1309).
 
 With d the mean minus the proposal p of one half and t the mean of the other, the squared error of
 ``p + r d`` is least at ``r = -E d (p - t) / E d^2`` (Stein's loss: James and Stein 1961). All
-samples are twice as many as half of them, so half of the noise is taken off both expectations;
-the difference of the halves tells it. The expectations are those of pixels alike: over the image
-in classes of the pixel's standard score, of whether `shared_shape` takes it for fireflies and of
-its brightness, then over wider and closer surroundings in the same class. Each of these steps
-either confirms the one before or refutes it (a spike and a slab: George and McCulloch 1993,
+samples are twice as many as half of them, so half of the noise is taken off both expectations; the
+difference of the halves is an estimate of it. The expectations are pooled over similar pixels: over
+the image in classes of the pixel's standard score, of whether `shared_shape` takes it for fireflies
+and of its brightness, then over wider and closer surroundings in the same class. Each of these
+steps either confirms the one before or refutes it (a spike and a slab: George and McCulloch 1993,
 doi:10.1080/01621459.1993.10476353), and needs more evidence where single pixels make it.
 """
 
@@ -60,7 +60,7 @@ _ERROR = 1e-3
 
 @dataclass(frozen=True)
 class Proposal:
-    """An image that was proposed in place of the mean, from some samples.
+    """An image that is proposed in place of the mean, from some samples.
 
     Attributes
     ----------
@@ -139,9 +139,9 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
     shape = (*(size for _, _, size in sides), *knots)
     evidence = np.zeros((5, int(np.prod(shape))))
     for half, held_out in ((one, other), (other, one)):
-        told = _evidence(half, held_out)
+        terms = _evidence(half, held_out)
         for place, share in _corners(half, sides):
-            for total, values in zip(evidence, told, strict=True):
+            for total, values in zip(evidence, terms, strict=True):
                 total += np.bincount(place.ravel(), (share * values).ravel(), len(total))
     evidence = evidence.reshape(5, *shape)
     weight = np.broadcast_to(_updated(_believed(knots), evidence.sum(axis=(1, 2))), shape)
@@ -155,7 +155,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
 
 
 def _evidence(half: Proposal, held_out: Proposal) -> list[Reals]:
-    """Return what one half and the mean of the other tell of the weight in each pixel.
+    """Compare the proposal of one half with the mean of the other, pixel by pixel.
 
     The terms n of E d^2 and c of -E d (p - t) without half of their noise, and the products
     that the variance of c - r n is made of.
@@ -173,8 +173,8 @@ def _evidence(half: Proposal, held_out: Proposal) -> list[Reals]:
 def _at_nodes(before: Reals, evidence: Reals) -> Reals:
     """Return the weights of nodes (y, x, score, limited, bright) after their evidence.
 
-    Pixels that are not limited are first asked together, whatever their score: the few of a lamp
-    would else be spread over so many classes that none of them has evidence.
+    First, the pixels that are not limited are pooled over all scores. The few pixels of a lamp
+    are otherwise spread over so many classes that no class has enough evidence.
     """
     together = evidence.sum(axis=-3, keepdims=True)[..., :1, :]
     not_limited = _updated(before[..., :1, :], together)

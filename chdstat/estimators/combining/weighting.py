@@ -2,8 +2,8 @@
 
 No single estimate is the best everywhere: a denoiser loses what is small and bright, the mean is
 noisy, and which of them is nearer to the truth differs from pixel to pixel. `combine` weights
-candidates by what the samples themselves say of them: candidates are made of one half of the
-samples and compared with the mean of the other half, whose noise is independent and unbiased (van
+the candidates by their error on held-out samples: they are made of one half of the samples and
+compared with the mean of the other half, whose noise is independent and unbiased (van
 der Laan, Polley and Hubbard 2007, "Super learner", doi:10.2202/1544-6115.1309). A small network
 turns these comparisons into weights and into the width of an interval. It was trained once, on
 built-in scenes against converged images (``tools/train_combination.py``), and sees ratios only:
@@ -100,10 +100,10 @@ class Combination(Estimates):
         )
 
     def guarded(self, denoised: Image) -> Image:
-        """Return a denoised image of these estimates as far as the samples agree with it.
+        """Mix a denoised image of these estimates with them, by the weights of denoised candidates.
 
-        Where they said that denoising does not pay, it does not pay afterwards, either: candidates
-        that no denoiser has seen keep their weight. And no denoiser moves a pixel out of the
+        Candidates that are not denoised keep their weight: where denoising did not pay, it does
+        not pay afterwards. And no denoiser moves a pixel out of the
         interval of its mean.
         """
         unseen = [image for name, image in self.weights.items() if "denoised" not in name]
@@ -123,7 +123,7 @@ def combine(
     client: Client | None = None,
     checkpoint: str | Path | None = None,
 ) -> Combination:
-    """Estimate radiance by weighting candidates as the samples themselves say.
+    """Estimate radiance by candidates that are weighted by their error on held-out samples.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def combine_measured(
     Parameters
     ----------
     measured
-        What is known of the samples.
+        Statistics of the samples and of their halves.
     features, level, client
         As for `combine`.
 
@@ -287,7 +287,7 @@ def combine_measured(
     image_of = proposed[0].image
     radiance = image_of + of_mean * (mean - image_of)
     balanced = _balanced(radiance, mean, error, 1 - of_mean)
-    # Where nothing was found, that tells nothing of what there is.
+    # Where no light was found, the mean has no interval.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(image_of + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
     below, above = (
@@ -382,8 +382,8 @@ def _interval_of_mean(
 
     Means of positive samples are nearly gamma distributed, of the shape k = (mean / error)^2: those
     of exponential samples are so, and k equal ones among many nulls are nearly (Garwood 1936,
-    doi:10.1093/biomet/28.3-4.437). k is smaller as far as Student's quantile is larger than the
-    normal one. Signed samples have Student's interval.
+    doi:10.1093/biomet/28.3-4.437). k is smaller by the square of the
+    ratio of the normal quantile to Student's. Signed samples have Student's interval.
     """
     tails = np.array((0.5 + level / 2, 0.5 - level / 2))
     n = np.maximum(count.astype(np.float64) - 1, 1)

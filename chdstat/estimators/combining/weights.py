@@ -128,7 +128,7 @@ def comparisons(
     unit: Image,
     rows: slice = slice(None),
 ) -> Image:
-    """Return what the network sees of some rows: logarithms, ratios, standard scores.
+    """Return the inputs of the network for some rows: logarithms, ratios, standard scores.
 
     Of each candidate against the first: which mixture of the two the other half of the samples asks
     for (the slope of a regression without constant) and its standard error, in three windows; how
@@ -140,7 +140,7 @@ def comparisons(
     made
         Candidates by name, of all samples and of each half.
     measured
-        What is known of the samples.
+        Statistics of the samples and of their halves.
     unit
         Radiance that errors are measured in, of the whole image, shape (y, x).
     rows

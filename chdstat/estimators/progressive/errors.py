@@ -71,7 +71,7 @@ _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
 """Splits of each size, of each pixel on average, and samples of a pixel in all of these, at least:
 few samples of a lamp or a firefly are noisy."""
 _ROWS, _ENOUGH = 1024, 1 << 17
-"""Rows of a minibatch, and of a size: so many tell enough, however rarely each pixel is seen."""
+"""Rows of a minibatch, and of a size; these are enough, even if a pixel is rarely drawn."""
 Validation = dict[str, npt.NDArray[Any]]
 """Estimates from splits of pixels, in units of the image's radiance, by name:
 
@@ -491,7 +491,7 @@ def calibrate(weights: Reals, held_out: Validation, everywhere: Validation) -> R
 def _quantiles(normal: Reals, share: Reals) -> Reals:
     """Return quantiles at `LEVELS`, each as far from the middle as chance may have it.
 
-    Of few pixels, too many would else be farther out (Vovk 2013, as above).
+    Otherwise too many of few pixels would lie farther out (Vovk 2013, as above).
     """
     error = _CHANCE * np.sqrt(LEVELS * (1 - LEVELS) / share.sum())
     levels = np.clip(LEVELS + np.sign(LEVELS - 0.5) * error, 0, 1)

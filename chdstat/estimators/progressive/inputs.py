@@ -103,7 +103,7 @@ class Profile:
         return np.asarray(self.bins[..., 1:].sum(axis=-2) * self.unit / count)
 
     def variance_of_mean(self) -> Reals:
-        """Return the variance of the mean as far as octaves tell, shape (..., channel).
+        """Estimate the variance of the mean from the octaves, shape (..., channel).
 
         It is in squared units of `unit`.
         """

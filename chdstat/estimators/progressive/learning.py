@@ -45,16 +45,16 @@ _MOST_SPP = 2048
 PIXELS = 8192
 """Of one image, at most, where several may train together."""
 _MOST_PIXELS = 4 * PIXELS
-"""Of all images together: more take memory, and tell little."""
+"""Of all images together: more take memory and hardly help."""
 _ITERATIONS = 6000
 _VALIDATION = 0.1
 """Share of the pixels held out for validation, to measure how large the errors are."""
 _ENOUGH, _MARKS_NEEDED = 0.5, 4
 """Of the marks that are expected among the samples of an image: some pixels may be bad."""
 _SAME = 1e-6
-"""Logarithm of a ratio up to which samples are the same, in whatever unit."""
+"""Logarithm of a ratio up to which samples are the same, in any unit."""
 _MOST_SAMPLES = 2**17
-"""Samples of a minibatch: of many samples, fewer rows tell as much."""
+"""Samples of a minibatch: the more samples a row has, the fewer rows are needed."""
 _EQUAL = 1e-12
 """Part of the squares below which what is left of them is rounding: samples are equal."""
 _MARKS, _TRIED = 2048, 2**15
@@ -160,7 +160,7 @@ class TrainingSet:
     excluded
         Number of pixels that were left out for a bad sample.
     scenes
-        What provenance says of each scene; ``pixels_used`` of it are here.
+        Provenance of each scene; ``pixels_used`` counts its pixels here.
     mean, variance
         Mean of all samples of a pixel, and variance of one, shape (pixel, channel).
     """

@@ -33,7 +33,7 @@ from chdstat.samples import Samples, opened, samples_of
 __all__ = ["Progressive"]
 
 _MEASURED = 2**14
-"""Pixels that the weight of a model of another scene is measured on: more tell little more."""
+"""Pixels on which the weight of a model of another scene is measured; more hardly help."""
 _THIRDS = 3
 """Parts of an image by brightness, as large as each other, that have a weight of their own."""
 _FEWEST = 4
@@ -372,8 +372,8 @@ class Progressive(TrainedModel[learning.Learned]):
         shares = ", ".join(f"{weight:.2f}" for weight in weights)
         message = (
             f"{self.name} was trained on {scenes}, and these samples are not known to be of it: it "
-            "is mixed with the mean, as they say how far it pays. Its weight in the dark, middle "
-            f"and bright third of the image is {shares}; give Samples of the scene, or train on it"
+            "is mixed with the mean, by weights estimated from the samples. Its weight in the dark, "
+            f"middle and bright third of the image is {shares}; give Samples of the scene, or train on it"
         )
         warnings.warn(message, OtherSceneWarning, stacklevel=3)
 
@@ -457,7 +457,7 @@ def _mixed(found: Estimates, rows: Array, weights: Reals) -> Estimates:
     """Mix estimates of pixels with the means of their samples (pixel, channel, sample).
 
     The interval reaches from that of the mean towards that of the estimate, as far as this counts;
-    where no two samples differ, these tell nothing of the error, and it reaches to both.
+    where all samples are equal, the error is unknown, and it reaches to both.
     """
     centres = (np.arange(_THIRDS) + 0.5) / _THIRDS
     weight = np.interp(_rank(found.radiance), centres, weights)[:, np.newaxis]
@@ -494,14 +494,14 @@ def _student(rows: Array, mean: Reals, level: float) -> tuple[Reals, Reals, Arra
 def _keep_constants(found: Estimates, rows: Array) -> None:
     """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
 
-    In an image without any light nothing is known of its unit, either: it stays black. The interval
-    is kept, and widened to hold the mean: what few samples say may still be wrong.
+    An image without any light has no unit: it stays black. The interval
+    is kept, and widened to hold the mean, since few equal samples may still be wrong.
     """
     first = rows[..., 0]
     # The last one is another one in nearly all pixels; only the others are read as a whole.
     same = np.asarray((np.isfinite(first) & (rows[..., -1] == first)).all(axis=-1))
     same[same] = (rows[same] == first[same][..., np.newaxis]).all(axis=(-2, -1))
-    # Of nearly all images one sample a pixel tells that there is light.
+    # In nearly all images, one sample a pixel is enough to find light.
     lit = bool(first.any() or rows.any())
     same &= first.any(axis=-1) | (not lit)
     if same.any():
