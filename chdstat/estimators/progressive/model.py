@@ -372,8 +372,9 @@ class Progressive(TrainedModel[learning.Learned]):
         shares = ", ".join(f"{weight:.2f}" for weight in weights)
         message = (
             f"{self.name} was trained on {scenes}, and these samples are not known to be of it: it "
-            "is mixed with the mean, by weights estimated from the samples. Its weight in the dark, "
-            f"middle and bright third of the image is {shares}; give Samples of the scene, or train on it"
+            "is mixed with the mean, by weights estimated from the samples. Its weight in the "
+            f"dark, middle and bright third of the image is {shares}; give Samples of the scene, "
+            "or train on it"
         )
         warnings.warn(message, OtherSceneWarning, stacklevel=3)
 
