@@ -5,8 +5,8 @@ without features: the smaller product of both), without the noise of the referen
 image, the share of estimates that got better than the mean, and the share of 90 % intervals that
 hold the truth, by thirds of brightness, without that noise, too. Built-in scenes trained the
 network, those of CHDSTAT_SCENES did not. Run with ``--benchmark-only -s``; CHDSTAT_REFERENCES names
-a folder that keeps the renders, CHDSTAT_FILM the edge of the images, CHDSTAT_NAMES some of the
-scenes, apart by semicolons.
+a folder that keeps the renders, CHDSTAT_REFERENCE_SPP their samples, CHDSTAT_FILM the edge of the
+images, CHDSTAT_NAMES some of the scenes, apart by semicolons, CHDSTAT_SEEDS how many seeds.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ REAL = {
 BUILT_IN = ("bathroom", "fog", "many-lights", "night-room")
 NUMBERS = 16, 64, 256
 SEEDS = int(os.environ.get("CHDSTAT_SEEDS", "1"))
-REFERENCE_SPP = 4096
+REFERENCE_SPP = int(os.environ.get("CHDSTAT_REFERENCE_SPP", "4096"))
 SIZE = int(os.environ.get("CHDSTAT_FILM", "128"))
 
 
@@ -57,7 +57,7 @@ def folder(tmp_path_factory):
 
 def reference_of(folder: Path, name: str, scene: str) -> tuple[np.ndarray, np.ndarray]:
     """Return a reference and its variance, of a seed that no estimate has."""
-    path = folder / f"{name}-{SIZE}.npz"
+    path = folder / f"{name}-{SIZE}-{REFERENCE_SPP}.npz"
     if not path.exists():
         size = (SIZE, SIZE)
         batches = render_batches(
