@@ -43,13 +43,12 @@ def client() -> Iterator[Any]:
 
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch):
-    monkeypatch.setattr(cut, "TILE", 8)
+    monkeypatch.setattr(cut, "_EDGE", 8)
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory) -> Samples:
-    path = tmp_path_factory.mktemp("stores") / "box.zarr"
-    return chd.render("cornell-box", spp=64, out=path, **SETTINGS)
+def store(stored) -> Samples:
+    return chd.open(stored())
 
 
 @pytest.mark.parametrize("held", ["store", "memory"])
@@ -87,10 +86,8 @@ def test_workers_write_their_own_chunks(client, store, tmp_path, monkeypatch):
             "cornell-box", spp=64, out=tmp_path / "a.zarr", client=client, **SETTINGS
         )
     assert np.array_equal(found.read(), store.read())
-    assert found.features.keys() == store.features.keys()
-    assert all(
-        np.array_equal(found.features[name], store.features[name]) for name in found.features
-    )
+    for name in store.features:
+        assert np.array_equal(found.features[name], store.features[name])
 
     def unseen(*_: object) -> None:
         message = "no store there"
@@ -181,9 +178,8 @@ TILES = 6
 """Of 8 x 8 pixels in the image."""
 
 
-@pytest.mark.parametrize("held", ["store", "memory"])
-def test_an_analysis_that_was_stopped_goes_on(store, tmp_path, monkeypatch, held):
-    samples, folder = store if held == "store" else store.load(), tmp_path / "parts"
+def test_an_analysis_that_was_stopped_goes_on(store, tmp_path, monkeypatch):
+    samples, folder = store.load(), tmp_path / "parts"
     calls: list[int] = []
     for most in (2, TILES + 1, 10 * TILES):  # in the summary, in the fits, and not at all
         for target, name in ((Summary, "read"), (ModalMixture, "measure")):
@@ -193,7 +189,7 @@ def test_an_analysis_that_was_stopped_goes_on(store, tmp_path, monkeypatch, held
         except KeyboardInterrupt:
             assert folder.exists()
         monkeypatch.undo()
-        monkeypatch.setattr(cut, "TILE", 8)
+        monkeypatch.setattr(cut, "_EDGE", 8)
     assert not folder.exists()
     assert found.identical(chd.analyze(samples, progress=False))
     # Each tile twice, but for what was under way when it was stopped.
@@ -268,7 +264,7 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path, mon
         drawn(checkpoint=tmp_path / "parts")
     calls: list[int] = []
     monkeypatch.undo()
-    monkeypatch.setattr(cut, "TILE", 8)
+    monkeypatch.setattr(cut, "_EDGE", 8)
     monkeypatch.setattr(Summary, "read", stopping(Summary.read, calls, 100))
     assert found.equals(drawn(checkpoint=tmp_path / "parts"))
     assert 0 < len(calls) <= TILES - 2

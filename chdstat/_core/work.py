@@ -1,4 +1,13 @@
-"""Long work: threads or a Dask cluster, progress, interrupts, and results that are kept."""
+"""Long work: threads or a Dask cluster, interrupts, progress, and results that are kept.
+
+NumPy releases Python's lock while it computes, so one thread for each core, which share memory, is
+enough. With a Dask client, the workers of a cluster take the place of the threads, and all else
+stays. Ctrl-C ends the work in all threads and is never lost.
+
+A `Cache` keeps results in ``.npz`` files until the samples or the code change: arrays by number,
+and a tree in JSON that says where they belong. The caches of joblib and diskcache are shorter, but
+hold pickles, which run code when they are read; a folder of renders must be safe to pass on.
+"""
 
 from __future__ import annotations
 
@@ -43,12 +52,10 @@ from chdstat._core.files import remove, writing
 from chdstat.errors import ClusterError, InputError, StoreError
 
 if TYPE_CHECKING:
+    from cattrs import Converter
     from distributed import Client
-if TYPE_CHECKING:
     from rich.progress import ProgressColumn, Task
     from rich.text import Text
-if TYPE_CHECKING:
-    from cattrs import Converter
 
 __all__ = [
     "Cache",
@@ -82,13 +89,13 @@ class Interrupted(Exception):  # noqa: N818 - like KeyboardInterrupt, for which 
 
 
 class Interrupts:
-    """While it is entered, Ctrl-C stops passes; its own handler is called once it is left.
+    """A context in which Ctrl-C stops passes; the former handler is called at its end.
 
-    Two things would go wrong without it. KeyboardInterrupt may be raised anywhere, also where
-    threads are waited for, and passes that nobody waits for hang the next render. And a scalar pass
-    puts a handler of Mitsuba's in the place of Python's: on Ctrl-C that one cancels the pass, puts
-    back what the pass had found, and has it called, too. Of passes in several threads one would
-    find Mitsuba's, and the signal be lost: so `before_pass` has each of them find Python's.
+    It prevents two problems. KeyboardInterrupt may be raised anywhere, also while threads are
+    waited for, and passes that nobody waits for hang the next render. And a scalar pass replaces
+    Python's handler by one of Mitsuba, which on Ctrl-C cancels the pass, restores the handler that
+    it replaced, and calls that. If passes run in several threads, one of them would restore
+    Mitsuba's handler, and the signal would be lost: so `before_pass` restores Python's first.
     """
 
     def __enter__(self) -> Interrupts:
@@ -104,7 +111,7 @@ class Interrupts:
         return self
 
     def before_pass(self) -> None:
-        """Raise `Interrupted` if no pass shall begin; to be called in the thread that renders."""
+        """Raise `Interrupted` if no pass may begin; call it in the thread that renders."""
         _set_handler(signal.SIGINT, self._handler)
         if self._stopped.is_set():
             raise Interrupted
@@ -331,9 +338,10 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Client | N
 
 @contextlib.contextmanager
 def _unheard_by_children() -> Iterator[None]:
-    """Let processes begun here not hear of Ctrl-C, which a terminal tells all; here it waits.
+    """Start processes that ignore Ctrl-C, which a terminal sends to all of them.
 
-    A cluster that is interrupted while it starts may never end, and workers print tracebacks.
+    Here Ctrl-C is handled when the context ends: a cluster that is interrupted while it starts may
+    never end, and its workers would print tracebacks.
     """
     with Interrupts():
         if not hasattr(signal, "pthread_sigmask"):

@@ -285,16 +285,16 @@ class Store:
     def _label(self, chunk: Chunk) -> tuple[int, int, int]:
         return layout.read_label(self.chunk_file(chunk), self._manifest["identity"], chunk)
 
-    def _check(self, chunk: Chunk) -> None:
-        """Raise `DamageError` unless the file of a chunk is its own, with the samples it had."""
-        if self._label(chunk)[0] < self.ledger[chunk.index]:
+    def _check(self, chunk: Chunk, *, content: bool = False) -> None:
+        """Raise `DamageError` unless the file of a chunk is its own, with the samples it had.
+
+        With `content`, its checksum is compared, too.
+        """
+        samples, length, told = self._label(chunk)
+        if samples < self.ledger[chunk.index]:
             message = "it is an older one, with fewer samples"
             raise DamageError(message)
-
-    def _check_content(self, chunk: Chunk) -> None:
-        """Raise an error of `FOREIGN` unless the content of a chunk has its checksum."""
-        _, length, told = self._label(chunk)
-        if checksum(self.chunk_file(chunk).read_bytes()[:length]) != told:
+        if content and checksum(self.chunk_file(chunk).read_bytes()[:length]) != told:
             message = "its checksum is another"
             raise DamageError(message)
 
@@ -306,9 +306,7 @@ class Store:
         for chunk in self._chunks(ys, xs, ss):
             try:
                 if self.ledger[chunk.index]:
-                    self._check(chunk)
-                    if content:
-                        self._check_content(chunk)
+                    self._check(chunk, content=content)
             except FOREIGN:
                 damaged.append(chunk)
         return damaged
@@ -585,12 +583,9 @@ def checkpoint_key(samples: Samples) -> str:
     >>> checkpoint_key(one) == checkpoint_key(two), checkpoint_key(one) == checkpoint_key(one)
     (False, True)
     """
-    source = samples.source
-    known = [samples.attrs, samples.shape, str(samples.part), source and str(source.path)]
-    digest = hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode())
-    if source is None:
-        digest.update(np.ascontiguousarray(samples.read()).data)
-    return digest.hexdigest()[:16]
+    known = [samples.attrs, samples.shape, repr(samples.part), _content(samples)]
+    text = json.dumps(known, sort_keys=True, default=str).encode()
+    return hashlib.sha256(text).hexdigest()[:16]
 
 
 def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
@@ -789,7 +784,17 @@ def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[S
         )
         raise InputError(message)
     if not begun:
-        _check_other(held.attrs, appended, attrs, path)
+        before = [held.attrs, *appended]
+        if attrs["content"] in {a.get("content") for a in before}:
+            message = f"{path} holds these samples already; nothing was changed"
+            raise InputError(message)
+        seed = attrs.get("seed")
+        if seed is not None and seed in [a.get("seed") for a in before]:
+            message = (
+                f"{path} holds samples of seed {seed} already: these would repeat them, and make "
+                "errors look smaller than they are. Render with another seed"
+            )
+            raise InputError(message)
         named = {k: attrs[k] for k in ("content", "seed", "scene_source") if k in attrs}
         appended.append({**named, "first": held.shape[3]})
     first = int(appended[-1]["first"])
@@ -797,26 +802,6 @@ def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[S
     store.extend(first + samples.spp)
     store.update(appended=appended)
     return store, first
-
-
-def _check_other(
-    held: Mapping[str, Any],
-    appended: list[dict[str, Any]],
-    attrs: Mapping[str, Any],
-    path: Path,
-) -> None:
-    """Refuse samples that are in a store already, or repeat its random numbers."""
-    before = [held, *appended]
-    if attrs["content"] in {a.get("content") for a in before}:
-        message = f"{path} holds these samples already; nothing was changed"
-        raise InputError(message)
-    seed = attrs.get("seed")
-    if seed is not None and seed in [a.get("seed") for a in before]:
-        message = (
-            f"{path} holds samples of seed {seed} already: these would repeat them, and make "
-            "errors look smaller than they are. Render with another seed"
-        )
-        raise InputError(message)
 
 
 def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> None:
@@ -828,14 +813,10 @@ def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> 
     description, size = f"writing {store.path.name}", sum(c.size for c in chunks)
     with track(description, size, unit="S", show=progress) as advance:
         for chunk in chunks:
-            store.write(chunk, _block(store, samples, first, chunk))
+            begun, stop = chunk.ss.start, chunk.ss.stop
+            new = samples.read(chunk.ys, chunk.xs, slice(max(0, begun - first), stop - first))
+            if begun < first:  # the chunk holds samples already
+                old = store.read(chunk.ys, chunk.xs, slice(begun, first))
+                new = np.concatenate([old, new], axis=-1)
+            store.write(chunk, new)
             advance(chunk.size)
-
-
-def _block(store: Store, samples: Samples, first: int, chunk: Chunk) -> Image:
-    """Return the samples of a chunk, of which the first may be in the store already."""
-    start, stop = chunk.ss.start, chunk.ss.stop
-    new = samples.read(chunk.ys, chunk.xs, slice(max(0, start - first), stop - first))
-    if start >= first:
-        return new
-    return np.concatenate([store.read(chunk.ys, chunk.xs, slice(start, first)), new], axis=-1)

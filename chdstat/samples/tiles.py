@@ -49,6 +49,8 @@ TILE, BATCH = 64, 64
 """Edge in pixels and number of samples of a chunk, in which samples are drawn, kept and read."""
 DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what the camera sees."""
+_EDGE = TILE
+"""Edge in pixels of a tile that is computed, at most."""
 _MOST_BYTES = 16 * 2**20
 """Size of a tile with all its samples at most, unless 16 x 16 pixels are larger."""
 _OF_BAD = ("bad_count", "nan_count", "n_bad")
@@ -143,7 +145,7 @@ def tiles(
     Those whose samples are `streamed`, batch by batch, are as large as the chunks of a store.
     """
     height, width, channels, spp = shape
-    edge = TILE
+    edge = _EDGE
     while not streamed and edge > 16 and edge * edge * channels * spp * 4 > _MOST_BYTES:
         edge //= 2
     yield from itertools.product(spans(height, edge), spans(width, edge))

@@ -7,7 +7,7 @@ import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, mean_radiance
 
-SIDES = range(1, 201)
+SIDES = (*range(1, 20), 63, 64, 65, 100, 127, 128, 129, 200)
 
 
 def columns(y, x, height, width):
@@ -57,7 +57,7 @@ def test_without_noise_it_is_the_mean_at_every_width_and_height(pattern):
 
 @pytest.mark.parametrize("spp", [1, 2, 16])
 @pytest.mark.parametrize("shape", [(1, 1024), (32, 32), (64, 65), (200, 128)])
-@pytest.mark.parametrize("brighter", [1e4, 1e6, 1e30])
+@pytest.mark.parametrize("brighter", [1e4, 1e30])
 def test_one_firefly_hardly_moves_it_and_seven_little(shape, spp, brighter):
     """One is limited to 4 % of the sum, seven to 4 / (100 - 7 * 4) each."""
     rng = np.random.default_rng(0)
@@ -82,8 +82,7 @@ def test_a_lamp_is_told_from_a_firefly_by_its_other_samples():
     assert mean_radiance(alone) == pytest.approx(0.3, rel=0.05)
 
 
-@pytest.mark.parametrize("nulls", [0.0, 0.9, 0.99])
-@pytest.mark.parametrize("spp", [4, 64])
+@pytest.mark.parametrize(("nulls", "spp"), [(0.0, 4), (0.9, 64), (0.99, 4)])
 def test_light_that_comes_seldom_does_not_bias_it(nulls, spp):
     """The mean over 20 images of 64 x 64; its standard error is below 1 % but for 4 % at least spp.
 
@@ -98,7 +97,7 @@ def test_light_that_comes_seldom_does_not_bias_it(nulls, spp):
     assert np.mean(found) == pytest.approx(1, abs=tolerance + 0.002)
 
 
-@pytest.mark.parametrize("factor", [2.0**-60, 0.25, 2.0**80])
+@pytest.mark.parametrize("factor", [2.0**-60, 2.0**80])
 def test_it_follows_the_unit_of_radiance_to_the_bit(factor):
     x = np.random.default_rng(0).lognormal(size=(40, 32, 3, 4))
     x[3, 4, :, 1] = 1e6
@@ -120,15 +119,11 @@ def test_it_does_not_depend_on_the_order_of_samples_pixels_or_tiles():
     assert mean_radiance(turned) == pytest.approx(whole, rel=1e-12)
 
 
-@pytest.mark.parametrize("x", [np.zeros((40, 40, 3, 2)), np.full((4, 4, 3, 2), np.nan)])
-def test_a_black_or_unknown_image_is_measured_in_ones(x):
-    assert mean_radiance(x) == 1
-
-
-def test_an_image_that_is_black_but_for_one_sample_has_its_mean():
+def test_a_black_or_unknown_image_is_measured_in_ones():
     lone = np.zeros((32, 32, 1, 4))
-    lone[5, 5, 0, 1] = 4096.0
-    assert mean_radiance(lone) == 1
+    lone[5, 5, 0, 1] = 4096.0  # whose mean is 1
+    for x in (np.zeros((40, 40, 3, 2)), np.full((4, 4, 3, 2), np.nan), lone):
+        assert mean_radiance(x) == 1
 
 
 def test_bad_samples_and_pixels_are_left_out():
@@ -139,7 +134,7 @@ def test_bad_samples_and_pixels_are_left_out():
     assert mean_radiance(x) == pytest.approx(known, rel=0.05)
 
 
-@pytest.mark.parametrize("level", [1e-60, 1e-42, 3e38, 1e60])
+@pytest.mark.parametrize("level", [1e-60, 1e60])
 def test_it_can_be_held_in_single_precision(level):
     unit = np.float32(mean_radiance(np.full((20, 20, 3, 2), level)))
     assert 0 < unit < np.inf
@@ -150,9 +145,8 @@ def test_samples_without_channels_are_refused():
         mean_radiance(np.ones(8))
 
 
-@pytest.mark.parametrize("width", [64, 129])
-def test_training_measures_an_image_in_it(width):
-    x = noise_free(columns, 16, width, spp=16)
+def test_training_measures_an_image_in_it():
+    x = noise_free(columns, 16, 129, spp=16)
     expected = pytest.approx(x.mean(dtype=np.float64), rel=1e-6)
     model = Progressive().train(chd.Samples.from_array(x), sizes=[4], iterations=1, progress=False)
     assert model.unit == expected

@@ -7,9 +7,7 @@ import shutil
 import warnings
 
 import numpy as np
-import OpenEXR
 import pytest
-import xarray as xr
 
 import chdstat as chd
 from chdstat.errors import InputWarning
@@ -40,7 +38,7 @@ def with_copies(x, **copies):
     return x
 
 
-SHAPES = [(64, 48, 3, 16), (33, 17, 3, 5), (6, 9, 1, 8), (70, 200, 3, 3), (8, 8, 3, 32)]
+SHAPES = [(64, 48, 3, 16), (33, 17, 3, 5), (6, 9, 1, 8)]
 
 
 # --- whole passes ---------------------------------------------------------------------------------
@@ -55,8 +53,8 @@ def test_copies_are_named(shape, nulls):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("spp", [2, 3, 64])
-def test_a_renderer_that_ignores_its_seed(shape, spp):
+def test_a_renderer_that_ignores_its_seed(shape):
+    spp = shape[-1]
     said = told(np.repeat(noise(*shape)[..., :1], spp, axis=-1))
     assert f"all {spp} passes that were compared are equal" in said
     assert "Unless nothing in the image is random" in said
@@ -71,9 +69,7 @@ def test_a_renderer_with_few_seeds():
 # --- tiles ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("edge", [16, 32, 20])
-@pytest.mark.parametrize("nulls", [0, 0.5])
-@pytest.mark.parametrize("averaged", [1, 64])
+@pytest.mark.parametrize(("edge", "nulls", "averaged"), [(16, 0, 1), (32, 0.5, 1), (20, 0.5, 64)])
 def test_tiles_that_are_equal_in_all_passes(edge, nulls, averaged):
     shape = (96, 80, 3, 6)
     x = sum(noise(*shape, seed=seed, nulls=nulls) for seed in range(averaged)) / averaged
@@ -145,7 +141,7 @@ def test_samples_that_a_pixel_lacks_are_no_copies():
     assert not told(noise(64, 48, 3, 16), counts=counts)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_no_false_alarm_by_chance(seed):
     rng = np.random.default_rng(seed)
     shape = (int(rng.integers(1, 80)), int(rng.integers(1, 80)), int(rng.choice([1, 3])))
@@ -228,61 +224,11 @@ def several_npy(folder, images):
     return sorted(folder.glob("*.npy")), {"axes": "yxcs"}
 
 
-def npz(folder, images):
-    np.savez_compressed(folder / "x.npz", radiance=images)
-    return [folder / "x.npz"], {"axes": "syxc"}
-
-
-def netcdf(folder, images):
-    data = xr.Dataset({"light": (("sample", "y", "x", "channel"), images)})
-    data.to_netcdf(folder / "x.nc", engine="scipy")
-    return [folder / "x.nc"], {}
-
-
-def zarr(folder, images):
-    data = xr.Dataset({"light": (("sample", "y", "x", "channel"), images)})
-    data.to_zarr(folder / "x.zarr", consolidated=False)
-    return [folder / "x.zarr"], {}
-
-
-def bcd(folder, images):
-    height, width, channels = images.shape[1:]
-    header = np.array([1, width, height, len(images), channels], "<i4")
-    data = np.ascontiguousarray(np.moveaxis(images, 0, 2), "<f4")
-    (folder / "x.raw").write_bytes(header.tobytes() + data.tobytes())
-    return [folder / "x.raw"], {}
-
-
-def rawls(folder, images):
-    for number, image in enumerate(images):
-        height, width, channels = image.shape
-        size = np.array([width, height, channels], "<u4").tobytes()
-        text = b"IHDR\n12\n" + size + b"\nCOMMENTS\n#Samples 1\nDATA\n%d\n" % image.nbytes
-        text += b"".join(row.tobytes() + b"\n" for row in image)
-        (folder / f"{number}.rawls").write_bytes(text)
-    return sorted(folder.glob("*.rawls")), {}
-
-
-def tiled_exr(folder, images):
-    layout = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
-    for number, image in enumerate(images):
-        planes = {n: np.ascontiguousarray(image[..., i]) for i, n in enumerate("RGB")}
-        with OpenEXR.File(dict(layout), planes) as file:
-            file.write(str(folder / f"{number}.exr"))
-    return sorted(folder.glob("*.exr")), {}
-
-
-@pytest.mark.parametrize(
-    "write", [npy, several_npy, npz, netcdf, zarr, bcd, rawls, tiled_exr], ids=lambda f: f.__name__
-)
-def test_every_reader_tells_of_copies(tmp_path, write):
+@pytest.mark.parametrize("write", [npy, several_npy], ids=lambda f: f.__name__)
+def test_what_reads_arrays_tells_of_copies(tmp_path, write):
     files, options = write(tmp_path, stacked(0))
     assert chd.io.read(*files, **options).spp == 6
     (tmp_path / "again").mkdir()
     files, options = write(tmp_path / "again", stacked(2))
     with pytest.warns(InputWarning, match=r"copies among 8 passes that were compared \(2: "):
         chd.io.read(*files, **options)
-
-
-def test_what_is_rendered_here_has_no_copies():
-    chd.render("cornell-box", spp=8, size=(24, 16), seed=3)

@@ -51,6 +51,8 @@ def test_samples_are_appended_behind_those_that_are_there(tmp_path):
         chd.Samples.from_array(RADIANCE + 1, seed=1).save(tmp_path / "own.zarr", append=True)
     with pytest.raises(InputError, match=r"shape \(y, x, channel\)"):
         chd.Samples.from_array(RADIANCE[:9]).save(tmp_path / "own.zarr", append=True)
+    with pytest.raises(InputError, match="as many as the others"):
+        chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
 
 
 @pytest.mark.parametrize("append", [False, True])
@@ -79,8 +81,8 @@ def test_what_was_interrupted_goes_on(tmp_path, monkeypatch, append):
     assert not {c.index for c in again} & {c.index for c in written}
 
 
-def test_a_saved_part_of_a_render_is_not_paired_with_it(tmp_path):
-    x = chd.render("cornell-box", spp=4, size=(8, 8), backend="scalar")
+def test_a_saved_part_of_a_render_is_not_paired_with_it(cornell, tmp_path):
+    x = cornell.first(4)
     part = x.isel(y=slice(2, 6)).save(tmp_path / "part.zarr")
     assert not part.shares_numbers_with(x.isel(y=slice(4)))
     assert x.save(tmp_path / "whole.zarr").shares_numbers_with(x)
@@ -96,11 +98,8 @@ def test_a_pixel_has_the_samples_that_are_its_own(tmp_path):
         assert np.array_equal(np.isfinite(cut.read()[:, :, 0]).sum(axis=-1), cut.counts)
         assert found.to_dataset()["counts"].to_numpy().sum() == COUNTS.sum()
     assert "0 to 100 spp" in repr(samples)
-
-
-def test_equal_counts_are_none(tmp_path):
     counts = np.full((70, 5), 100)
-    assert chd.Samples.from_array(RADIANCE, counts=counts).counts is None
+    assert chd.Samples.from_array(RADIANCE, counts=counts).counts is None  # as all are equal
     counts[0, 0] = 30
     assert chd.Samples.from_array(RADIANCE, counts=counts).first(30).counts is None
 
@@ -138,12 +137,6 @@ def test_averages_are_not_taken_for_samples():
             function(averages)
 
 
-def test_different_counts_are_not_appended_to(tmp_path):
-    chd.Samples.from_array(RADIANCE).save(tmp_path / "own.zarr")
-    with pytest.raises(InputError, match="as many as the others"):
-        chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
-
-
 def test_a_pixel_is_described_as_if_it_were_alone():
     rng = np.random.default_rng(0)
     x = rng.gamma(2.0, size=(2, 3, 3, 400)) * (rng.random((2, 3, 1, 400)) < 0.8)
@@ -177,14 +170,6 @@ def test_a_pixel_is_described_as_if_it_were_alone():
                 assert same or str(variable).startswith("label"), (name, variable)
 
 
-def test_estimators_of_pixels_take_what_a_pixel_has():
-    samples = chd.Samples.from_array(RADIANCE, counts=np.maximum(COUNTS, 20))
-    with pytest.warns(LeftOutWarning):  # of a bare array, where nothing says what is absent
-        found = chd.estimators.catoni(samples.read())
-    for y, x in ((0, 0), (9, 2), (69, 4)):
-        assert np.allclose(found[y, x], chd.estimators.catoni(samples[y, x]), rtol=1e-5)
-
-
 def test_what_needs_equal_counts_says_so(tmp_path):
     samples = chd.Samples.from_array(RADIANCE, counts=np.maximum(COUNTS, 20))
     functions = (
@@ -197,7 +182,6 @@ def test_what_needs_equal_counts_says_so(tmp_path):
     for function in functions:
         with pytest.raises(InputError, match=r"has 20 to 100: .* samples.first\(20\)"):
             function(samples)
-    assert chd.compare(samples.first(20), ["mean"], n=8).table()
 
 
 def test_counts_are_told(tmp_path, capsys):

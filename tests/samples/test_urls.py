@@ -43,9 +43,14 @@ def bucket():
 
 
 @pytest.fixture(params=["memory", "s3"])
-def url(request):
+def either(request):
     root = "memory://renders" if request.param == "memory" else request.getfixturevalue("bucket")
     return f"{root}/{uuid.uuid4().hex}/box.zarr"
+
+
+@pytest.fixture
+def url():
+    return f"memory://renders/{uuid.uuid4().hex}/box.zarr"
 
 
 @pytest.fixture(scope="module")
@@ -64,39 +69,34 @@ def workers() -> Iterator[Client]:
         yield client
 
 
-def test_a_store_is_rendered_read_and_grows(url, expected, monkeypatch):
+def test_a_store_is_rendered_read_and_grows(either, expected, monkeypatch):
     for name in ("Lock", "_partial"):  # nothing is locked, and nothing written beside
         monkeypatch.setattr(files, name, None)
-    made = chd.render("cornell-box", spp=70, out=url, direct=True, **SETTINGS)
-    assert str(made.path) == url
-    assert np.array_equal(chd.open(url).read(), expected.first(70).read())
-    assert np.array_equal(chd.open(UPath(url))[3, 66], expected.first(70)[3, 66])
-    assert chd.open(url).features.keys() == expected.features.keys()
-    assert set(chd.open(url).parts) == {2}
-    grown = chd.render("cornell-box", spp=130, out=url, **SETTINGS)
+    made = chd.render("cornell-box", spp=70, out=either, direct=True, **SETTINGS)
+    assert str(made.path) == either
+    assert np.array_equal(chd.open(either).read(), expected.first(70).read())
+    assert np.array_equal(chd.open(UPath(either))[3, 66], expected.first(70)[3, 66])
+    assert chd.open(either).features.keys() == expected.features.keys()
+    assert set(chd.open(either).parts) == {2}
+    grown = chd.render("cornell-box", spp=130, out=either, **SETTINGS)
     assert np.array_equal(grown.read(), expected.read())
-    found = chdstat.samples.inspect(url, verify=True)
+    found = chdstat.samples.inspect(either, verify=True)
     assert (found["complete_spp"], found["damaged"]) == (130, [])
 
 
-def test_what_is_computed_of_it_is_that_of_a_folder(url, expected, tmp_path):
-    expected.save(url, progress=False)
-    expected.save(tmp_path / "box.zarr", progress=False)
+def test_workers_draw_and_compute_as_in_a_folder(url, expected, tmp_path):
     with workers() as client:
+        made = chd.render("cornell-box", spp=130, out=url, client=client, **SETTINGS)
+        assert np.array_equal(made.read(), expected.read())
         remote = chd.summarize(url, progress=False, client=client)
+    expected.save(tmp_path / "box.zarr", progress=False)
     local = chd.summarize(tmp_path / "box.zarr", progress=False)
     assert remote.drop_attrs().identical(local.drop_attrs())
 
 
-def test_workers_write_their_chunks(url, expected):
-    with workers() as client:
-        made = chd.render("cornell-box", spp=130, out=url, client=client, **SETTINGS)
-    assert np.array_equal(made.read(), expected.read())
-
-
-def test_damage_is_named_and_repaired(url, expected):
-    chd.render("cornell-box", spp=130, out=url, **SETTINGS)
-    changed, cut, gone = (UPath(url) / f"radiance/c/0/1/0/{batch}" for batch in range(3))
+def test_damage_is_named_and_repaired(either, expected):
+    chd.render("cornell-box", spp=130, out=either, **SETTINGS)
+    changed, cut, gone = (UPath(either) / f"radiance/c/0/1/0/{batch}" for batch in range(3))
     content = bytearray(changed.read_bytes())
     content[100] ^= 1
     changed.write_bytes(bytes(content))
@@ -104,10 +104,10 @@ def test_damage_is_named_and_repaired(url, expected):
     gone.unlink()
     for batch, file in enumerate((changed, cut, gone)):
         with pytest.raises(StoreError, match=f"cannot read {file} "):
-            chd.open(url).read(ss=slice(64 * batch, 64 * batch + 2))
-    damaged = chdstat.samples.inspect(url, verify=True)["damaged"]
+            chd.open(either).read(ss=slice(64 * batch, 64 * batch + 2))
+    damaged = chdstat.samples.inspect(either, verify=True)["damaged"]
     assert damaged == [str(changed), str(cut), str(gone)]
-    repaired = chd.render("cornell-box", spp=130, out=url, **SETTINGS)
+    repaired = chd.render("cornell-box", spp=130, out=either, **SETTINGS)
     assert np.array_equal(repaired.read(), expected.read())
 
 
