@@ -85,13 +85,6 @@ def result(kind: type[Kind]) -> type[Kind]:
 class Result(Shown):
     """What a statistic returns for an array: see `result` and `variable`."""
 
-    @classmethod
-    def declared(cls, prefix: str = "") -> dict[str, tuple[str, Variable]]:
-        """Return the variables by their names in a dataset, each with the name of its field."""
-        own: Any = fields(cls)  # type: ignore[arg-type]
-        known = [(f.name, f.metadata["variable"]) for f in own if "variable" in f.metadata]
-        return {about.name or f"{prefix}{name}": (name, about) for name, about in known}
-
 
 class Statistic(Generic[Found]):
     """A statistic of rows of samples: a frozen dataclass of its options.
@@ -109,7 +102,7 @@ class Statistic(Generic[Found]):
     logarithms
         Whether it leaves negative samples out.
     prefix
-        Of the names of its variables.
+        Of the names of its variables. In it, in labels and in `description`, {} is the `subject`.
     """
 
     result: ClassVar[type[Result]]
@@ -118,6 +111,11 @@ class Statistic(Generic[Found]):
     binned: ClassVar[bool] = False
     logarithms: ClassVar[bool] = True
     prefix: ClassVar[str] = ""
+
+    @property
+    def subject(self) -> str:
+        """What is measured, where that is an option, such as the name of a family."""
+        return ""
 
     def measure(self, part: Any) -> Found:
         """Return the result of the rows of a positive part, which is NaN where a reason says why.
@@ -143,27 +141,36 @@ class Statistic(Generic[Found]):
                 (*first, *(dim for dim in about.dims if dim not in left_out)),
                 getattr(found, own),
             )
-            for name, (own, about) in self.result.declared(self.prefix).items()
+            for name, (own, about) in self._declared().items()
         }
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Add what is pooled over an image, coordinates, and the names and units of variables."""
         labels = {}
-        for name, (_, about) in self.result.declared(self.prefix).items():
-            labels[name] = about.label, about.unit
+        for name, (_, about) in self._declared().items():
+            label = about.label.format(self.subject)
+            labels[name] = label, about.unit
             if about.pooled and name in dataset:
                 of_image, p_value = re.sub(r"(^|_)p_", r"\1q_", name), dataset[name]
                 q_value = p_value.copy(data=q_values(p_value.to_numpy()))
                 dataset = dataset.assign({of_image: q_value})
-                labels[of_image] = f"{about.label.replace('p-', 'q-')} over the image", "1"
+                labels[of_image] = f"{label.replace('p-', 'q-')} over the image", "1"
                 if about.rejected:
                     rejected = name.replace("p_value", "rejected")
                     alpha: float = vars(self)["alpha"]
-                    dataset = dataset.assign({rejected: rejections(q_value, alpha)})
-                    labels[rejected] = about.rejected, "1"
+                    found = rejections(q_value, alpha).assign_attrs(false_discovery_rate=alpha)
+                    dataset = dataset.assign({rejected: found})
+                    labels[rejected] = about.rejected.format(self.subject), "1"
         named = {
-            dim: np.asarray(names, dtype=object)
+            dim: names if isinstance(names, np.ndarray) else np.array(names, dtype=object)
             for dim, names in self.coordinates().items()
-            if names is not None
+            if names is not None and dim in dataset.dims
         }
         return label_variables(dataset, labels).assign_coords(named).assign_attrs(self.attrs())
+
+    def _declared(self) -> dict[str, tuple[str, Variable]]:
+        """Return the variables by their names in a dataset, each with the name of its field."""
+        own: Any = fields(self.result)  # type: ignore[arg-type]
+        known = [(f.name, f.metadata["variable"]) for f in own if "variable" in f.metadata]
+        prefix = self.prefix.format(self.subject)
+        return {about.name or f"{prefix}{name}": (name, about) for name, about in known}

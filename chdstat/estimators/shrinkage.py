@@ -25,7 +25,7 @@ from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.estimators.registry import estimate_rows, mean_of_good, register
 from chdstat.estimators.robust_means import gmon_adaptive
-from chdstat.fit.families import FAMILIES, Fit, fit_part
+from chdstat.fit.families import FAMILIES, FamilyFit, Fit
 from chdstat.fit.mixtures import Mixture, mixture
 
 __all__ = [
@@ -327,4 +327,4 @@ def _mean_of_fit(x: Reals, fit: Callable[[Reals], Fit | Mixture]) -> Floats:
 
 
 def _mean_of_family(x: Reals, name: str) -> Floats:
-    return _mean_of_fit(x, lambda x: fit_part(PositivePart.of(x), FAMILIES[name]))
+    return _mean_of_fit(x, lambda x: FamilyFit(FAMILIES[name]).measure(PositivePart.of(x)))

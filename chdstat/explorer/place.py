@@ -17,14 +17,23 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import inference
-from chdstat._core.arrays import Floats, generator, is_bad, is_null, luminance, spans, take_rows
+from chdstat._core.arrays import (
+    Floats,
+    generator,
+    is_bad,
+    is_null,
+    luminance,
+    seed_number,
+    spans,
+    take_rows,
+)
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat.explorer.sources import MOST_POOLED, Overall, Source
 from chdstat.explorer.view import Pixel
 from chdstat.fit import Fit, Mixture
-from chdstat.fit.families import FAMILIES, SELECTED, fit_part, get_family
-from chdstat.fit.goodness_of_fit import goodness_of_part
+from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, get_family
+from chdstat.fit.goodness_of_fit import FitTest, GoodnessOfFit
 from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex
 from chdstat.inference.averages import NormalityOfMeans
@@ -212,7 +221,7 @@ class PlaceStatistics:
             return take_rows(self.mixture, row, axis=0)
         fits = selection.fits if family in selection.fits else self._further_fits
         if family not in fits:
-            self._further_fits[family] = fit_part(self.part, FAMILIES[family])
+            self._further_fits[family] = self.part.measured(FamilyFit(FAMILIES[family]))
         return take_rows(fits[family], row, axis=0)
 
     def positive(self, family: str, row: int) -> Fitted | None:
@@ -270,16 +279,12 @@ def goodness(
     result = {}
     for i, name in enumerate(SELECTED):
         farther, drawn = np.zeros((2, *part.n.shape))
-        fit = fit_part(part, FAMILIES[name])
+        fit = part.measured(FamilyFit(FAMILIES[name]))
         for j, piece in enumerate(pieces):
             step((i + j / len(pieces)) / len(SELECTED))
-            found = goodness_of_part(
-                part,
-                fit,
-                tests=("anderson-darling", "kolmogorov-smirnov"),
-                resamples=piece.stop - piece.start,
-                seed=rng,
-            )
+            tests: tuple[FitTest, ...] = ("anderson-darling", "kolmogorov-smirnov")
+            count, seed = piece.stop - piece.start, seed_number(rng)
+            found = GoodnessOfFit(fit, tests, count, seed).measure(part)
             # p = (b + 1) / (B + 1) of the piece gives its b back.
             replicates = found.resamples[:, 0]
             farther += np.nan_to_num(found.p_value[:, 0] * (replicates + 1) - 1)

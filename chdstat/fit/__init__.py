@@ -12,7 +12,7 @@ from chdstat.fit.goodness_of_fit import Goodness, goodness
 from chdstat.fit.mixtures import Mixture, mixture
 from chdstat.fit.selection import HeldOut, Selection, family_shares, select
 from chdstat.fit.tail import Tail, tail_index
-from chdstat.summary.dispatch import OfSource
+from chdstat.summary.runner import OfSource
 
 __all__ = [
     "FAMILIES",

@@ -31,10 +31,10 @@ import numpy as np
 from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
+from chdstat._core.positive import Part
 from chdstat.errors import Reason
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
-from chdstat.summary.dispatch import Part
 
 __all__ = ["BURR"]
 

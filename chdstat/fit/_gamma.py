@@ -21,8 +21,8 @@ import numpy as np
 from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
+from chdstat._core.positive import Part
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples
-from chdstat.summary.dispatch import Part
 
 __all__ = ["GAMMA", "gamma_shape", "gap_of_shape"]
 

@@ -23,6 +23,7 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats
+from chdstat._core.positive import Part
 from chdstat.fit.family import (
     RADIANCE,
     Estimate,
@@ -32,7 +33,6 @@ from chdstat.fit.family import (
     of_rows,
     summed,
 )
-from chdstat.summary.dispatch import Part
 
 __all__ = ["INVERSE_GAUSSIAN"]
 

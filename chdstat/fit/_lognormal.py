@@ -21,8 +21,8 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats
+from chdstat._core.positive import Part
 from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples
-from chdstat.summary.dispatch import Part
 
 __all__ = ["LOGNORMAL"]
 

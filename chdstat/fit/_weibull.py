@@ -22,9 +22,9 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats, Mask
+from chdstat._core.positive import Part
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
-from chdstat.summary.dispatch import Part
 
 __all__ = ["WEIBULL"]
 

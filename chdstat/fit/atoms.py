@@ -24,10 +24,9 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.positive import PositivePart
+from chdstat._core.positive import Part, PositivePart
 from chdstat.errors import Reason
 from chdstat.fit.groups import cumulative
-from chdstat.summary.dispatch import Part
 
 __all__ = ["MOST_ATOMS", "Atoms", "split"]
 

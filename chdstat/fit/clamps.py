@@ -13,12 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from chdstat._core.positive import PositivePart
+from chdstat._core.positive import Part, PositivePart
 from chdstat.fit.atoms import Atoms
 from chdstat.fit.em import MixtureFamily
 from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import take_part
-from chdstat.summary.dispatch import Part
 
 __all__ = ["before_clamps"]
 

@@ -13,16 +13,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
-from chdstat._core.display import Card, Shown, each, reasons, with_error, with_interval, written
+from chdstat._core.display import Card, each, reasons, with_error, with_interval, written
+from chdstat._core.positive import Part
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
+from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import Reason, check_option
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
@@ -31,8 +33,7 @@ from chdstat.fit._lognormal import LOGNORMAL
 from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
 from chdstat.fit.family import TIGHT, Estimate, Family, Parameters
-from chdstat.samples import Mapped
-from chdstat.summary.dispatch import OfSource, Part, Source, of_source, run
+from chdstat.summary.runner import OfSource, Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,16 +42,15 @@ __all__ = [
     "FAMILIES",
     "SELECTED",
     "Family",
+    "FamilyFit",
     "Fit",
+    "ParametricFit",
     "counts_of",
     "estimate_part",
     "expand",
     "family_fit",
     "fit",
-    "fit_part",
-    "fit_variables",
     "get_family",
-    "label_fit",
     "zero_log_likelihood",
 ]
 
@@ -76,20 +76,8 @@ def get_family(family: str | Family) -> Family:
     return FAMILIES[family]
 
 
-_SHARED = {
-    "null_share": "share of null samples among the good ones",
-    "null_interval": "Wilson interval of the share of null samples",
-    "n": "samples that the family was fitted to",
-    "n_null": "null samples: all channels are 0",
-    "n_zero": "zeros of this channel in samples that are not null",
-    "n_negative": "negative samples of this channel, left out: they have no logarithm",
-    "n_bad": "samples left out: a channel is NaN or infinite",
-}
-"""Variables that all fits of the same samples share, with their long names."""
-
-
-@dataclass(frozen=True, repr=False)
-class Fit(Shown):
+@result
+class Fit(Result):
     """A zero-inflated family: a point mass at 0, and a density on the positive radiances.
 
     ``P(X = 0) = zero_share``; otherwise X follows the family. Every array has the batch's shape,
@@ -119,41 +107,34 @@ class Fit(Shown):
         for them to hold, fewer than `Family.errors_from`; or `NOT_REGULAR`.
     """
 
-    prefix: ClassVar[str] = "{}"
-    """Of the names of the variables that an image's fits become."""
-    dims: ClassVar[Mapping[str, str]] = {}
-    """Last dimensions of fields that are neither of the batch's shape nor of components."""
-    labels: ClassVar[Mapping[str, str]] = {
-        "log_likelihood": "log-likelihood of the zero-inflated model",
-        "aic": "Akaike information criterion",
-        "bic": "Bayesian information criterion",
-        "converged": "{} fit converged",
-        "reason": "why there is no {} fit",
-        "error_reason": "why {} has no standard errors",
-    }
-    """Long names of the variables that are fields."""
+    name_of: ClassVar[str] = "{}"
+    """What was fitted, of a family."""
 
     family: str
     parameters: Parameters
     standard_errors: Parameters
-    log_likelihood: Floats
-    aic: Floats
-    bic: Floats
-    null_share: Floats
-    null_interval: Floats
-    n: Counts
-    n_null: Counts
-    n_zero: Counts
-    n_negative: Counts
-    n_bad: Counts
-    converged: Mask
-    reason: npt.NDArray[np.int8]
-    error_reason: npt.NDArray[np.int8]
+    log_likelihood: Floats = variable("log-likelihood of the zero-inflated model")
+    aic: Floats = variable("Akaike information criterion")
+    bic: Floats = variable("Bayesian information criterion")
+    null_share: Floats = variable("share of null samples among the good ones", name="null_share")
+    null_interval: Floats = variable(
+        "Wilson interval of the share of null samples", "bound", name="null_interval"
+    )
+    n: Counts = variable("samples that the family was fitted to", name="n")
+    n_null: Counts = variable("null samples: all channels are 0", name="n_null")
+    n_zero: Counts = variable("zeros of this channel in samples that are not null", name="n_zero")
+    n_negative: Counts = variable(
+        "negative samples of this channel, left out: they have no logarithm", name="n_negative"
+    )
+    n_bad: Counts = variable("samples left out: a channel is NaN or infinite", name="n_bad")
+    converged: Mask = variable("{} fit converged")
+    reason: npt.NDArray[np.int8] = variable("why there is no {} fit")
+    error_reason: npt.NDArray[np.int8] = variable("why {} has no standard errors")
 
     @property
     def name(self) -> str:
         """What was fitted: the family, or its mixture."""
-        return self.prefix.format(self.family)
+        return self.name_of.format(self.family)
 
     @property
     def zero_share(self) -> Floats:
@@ -235,33 +216,77 @@ def counts_of(part: Part) -> dict[str, Any]:
     }
 
 
-def fit_variables(result: Fit) -> Mapped:
-    """Return a fit over (y, x, channel) as variables for `Samples.map`."""
-    errors = {f"{name}_se": value for name, value in result.standard_errors.items()}
-    fields = {name: getattr(result, name) for name in result.labels}
-    own = {**result.parameters, **errors, **fields}
-    variables = {f"{result.name}_{name}": value for name, value in own.items()}
-    variables |= {name: getattr(result, name) for name in _SHARED}
-    deep = {name: ("component",) for name, value in variables.items() if value.ndim > result.n.ndim}
-    deep |= {f"{result.name}_{name}": (dim,) for name, dim in result.dims.items()}
-    deep["null_interval"] = ("bound",)
-    return {name: (("channel", *deep.get(name, ())), value) for name, value in variables.items()}
+Fitted = TypeVar("Fitted", bound=Fit, covariant=True)
 
 
-def label_fit(dataset: xr.Dataset, family: str, kind: type[Fit] = Fit) -> xr.Dataset:
-    """Set long names, units and flag meanings of the variables of fits of a family."""
-    prefix = kind.prefix.format(family)
-    labels: dict[str, str | tuple[str, str]] = {**_SHARED}
-    labels |= {f"{prefix}_{name}": text.format(family) for name, text in kind.labels.items()}
-    components = "component" in dataset.dims
-    for name, unit in {**get_family(family).units, "weight": "1"}.items():
-        named = f"{name} of the {family} components" if components else f"{family} {name}"
-        labels[f"{prefix}_{name}"] = named, unit
-        labels[f"{prefix}_{name}_se"] = f"standard error of the {named}", unit
-    if components:
-        numbers = np.arange(1, dataset.sizes["component"] + 1)
-        dataset = dataset.assign_coords(component=numbers)
-    return label_variables(dataset, labels)
+class ParametricFit(Statistic[Fitted]):
+    """Fits with parameters, each of which is a variable, and so is its standard error."""
+
+    binned: ClassVar = True
+    prefix: ClassVar = "{}_"
+    of_components: ClassVar[bool] = False
+    """Whether parameters are those of components of a mixture."""
+
+    def variables(self, found: Fit) -> Mapped:
+        """Return the fields of a fit, its parameters and their errors."""
+        errors = {f"{name}_se": value for name, value in found.standard_errors.items()}
+        dims = ("channel", "component") if self.of_components else ("channel",)
+        prefix = self.prefix.format(self.subject)
+        own = {f"{prefix}{n}": (dims, v) for n, v in {**found.parameters, **errors}.items()}
+        return {**own, **super().variables(found)}
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Set names and units, those of parameters included."""
+        labels, of = {}, self.subject
+        prefix, units = self.prefix.format(of), get_family(vars(self)["family"]).units
+        for name, unit in {**units, "weight": "1"}.items():
+            named = f"{name} of the {of} components" if self.of_components else f"{of} {name}"
+            labels[f"{prefix}{name}"] = named, unit
+            labels[f"{prefix}{name}_se"] = f"standard error of the {named}", unit
+        return label_variables(super().finish(dataset), labels)
+
+
+@dataclass(frozen=True)
+class FamilyFit(ParametricFit[Fit]):
+    """Fits of a family by maximum likelihood."""
+
+    result: ClassVar = Fit
+    description: ClassVar = "fitting {}"
+
+    family: Family
+
+    @property
+    def subject(self) -> str:
+        """Name of the family."""
+        return self.family.name
+
+    def measure(self, part: Part) -> Fit:
+        """Fit the family to each row."""
+        family = self.family
+        estimate, reason = estimate_part(part, family)
+        parameters = estimate.parameters
+        of_positive = family.log_likelihood(part, parameters)
+        log_likelihood = np.asarray(of_positive + zero_log_likelihood(part))
+        count = len(parameters) + 1
+        no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
+        few = part.n < max(family.errors_from.values(), default=0)
+        why = np.where(few, Reason.TOO_FEW, np.where(no_error, Reason.NOT_REGULAR, Reason.OK))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            # Nulls hold nothing about the shape: only their share is estimated from all samples.
+            of_shape = len(parameters) * np.log(part.n)
+            bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
+        return Fit(
+            family=family.name,
+            parameters=parameters,
+            standard_errors=estimate.standard_errors,
+            **counts_of(part),
+            log_likelihood=log_likelihood,
+            aic=np.asarray(2 * count - 2 * log_likelihood),
+            bic=bic,
+            converged=estimate.converged,
+            reason=reason,
+            error_reason=np.where(reason == Reason.OK, why, reason).astype(np.int8),
+        )
 
 
 def expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:
@@ -346,16 +371,7 @@ def fit(
     >>> result.parameters["shape"].round(1)
     array([2., 2., 2., 2., 2.])
     """
-    chosen = get_family(family)
-    result = run(
-        x,
-        lambda part: fit_part(part, chosen),
-        fit_variables,
-        null=null,
-        description=f"fitting {chosen.name}",
-        progress=progress,
-    )
-    return result if isinstance(result, Fit) else label_fit(result, chosen.name)
+    return run(FamilyFit(get_family(family)), x, null=null, progress=progress)
 
 
 @cache
@@ -375,33 +391,6 @@ def family_fit(name: str) -> OfSource[..., Fit]:
     function.__name__ = function.__qualname__ = name
     function.__module__ = "chdstat.fit"
     return of_source(function)
-
-
-def fit_part(part: Part, family: Family) -> Fit:
-    """Fit a family to samples that are already split; several families share one part."""
-    estimate, reason = estimate_part(part, family)
-    parameters = estimate.parameters
-    log_likelihood = np.asarray(family.log_likelihood(part, parameters) + zero_log_likelihood(part))
-    count = len(parameters) + 1
-    no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
-    few = part.n < max(family.errors_from.values(), default=0)
-    why = np.where(few, Reason.TOO_FEW, np.where(no_error, Reason.NOT_REGULAR, Reason.OK))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # Nulls hold nothing about the shape: only their own share is estimated from all samples.
-        of_shape = len(parameters) * np.log(part.n)
-        bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
-    return Fit(
-        family=family.name,
-        parameters=parameters,
-        standard_errors=estimate.standard_errors,
-        **counts_of(part),
-        log_likelihood=log_likelihood,
-        aic=np.asarray(2 * count - 2 * log_likelihood),
-        bic=bic,
-        converged=estimate.converged,
-        reason=reason,
-        error_reason=np.where(reason == Reason.OK, why, reason).astype(np.int8),
-    )
 
 
 def estimate_part(

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Mask
-from chdstat._core.positive import PositivePart
+from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
-from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = ["Estimate", "Family", "Parameters", "WeightedSamples", "blocks", "of_rows", "take_part"]
 

@@ -18,20 +18,18 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, seed_number, spans, whole
-from chdstat._core.display import Shown
-from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import label_variables
-from chdstat._core.resampling import q_values, rejections
-from chdstat._core.statistic import Statistic
+from chdstat._core.positive import Part, PositiveHistogram, PositivePart
+from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.atoms import split
-from chdstat.fit.families import Fit, estimate_part, fit_part, get_family, zero_log_likelihood
+from chdstat.fit.families import FamilyFit, Fit, estimate_part, get_family, zero_log_likelihood
 from chdstat.fit.family import (
     Estimate,
     Family,
@@ -42,43 +40,30 @@ from chdstat.fit.family import (
     take_part,
     width_of,
 )
-from chdstat.fit.mixtures import Mixture, MixtureDistribution, mixture_of_part
+from chdstat.fit.mixtures import Mixture, MixtureDistribution, MixtureFit
 from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.samples import Samples
-from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from chdstat.samples import Mapped
 
 __all__ = [
     "FIT_TESTS",
     "FitTest",
     "Goodness",
     "GoodnessOfFit",
-    "finish_goodness",
     "goodness",
-    "goodness_of_part",
-    "goodness_variables",
 ]
 
 FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", "chi-square"]
 FIT_TESTS: tuple[FitTest, ...] = get_args(FitTest)
 """Names of the tests."""
 
-_LABELS = {
-    "statistic": "statistic of goodness of fit",
-    "p_value": "bootstrap p-value of the family",
-    "q_value": "q-value of the family over the image",
-    "effect": "misfit, whatever the number of samples",
-    "resamples": "bootstrap replicates that could be fitted",
-    "rejected": "1 where not of this family, at the false discovery rate of the dataset",
-}
 
-
-@dataclass(frozen=True, repr=False)
-class Goodness(Shown):
+@result
+class Goodness(Result):
     """Goodness of fit of a family; arrays of shape (..., test), NaN where `reason` says why.
 
     With the reasons `UNTESTED` and `FEW_REPLICATES`, there is a statistic and an effect.
@@ -105,45 +90,17 @@ class Goodness(Shown):
 
     family: str
     tests: tuple[FitTest, ...]
-    statistic: Floats
-    p_value: Floats
-    effect: Floats
-    resamples: Counts
+    statistic: Floats = variable("{}: statistic of goodness of fit", "fit_test")
+    p_value: Floats = variable(
+        "{}: bootstrap p-value of the family",
+        "fit_test",
+        pooled=True,
+        rejected="{}: 1 where not of this family, at the false discovery rate of the dataset",
+    )
+    effect: Floats = variable("{}: misfit, whatever the number of samples", "fit_test")
+    resamples: Counts = variable("{}: bootstrap replicates that could be fitted", "fit_test")
     n: Counts
-    reason: npt.NDArray[np.int8]
-
-
-def goodness_variables(result: Goodness) -> Mapped:
-    """Return tests over (y, x, channel) as variables for `Samples.map`."""
-    names = ("statistic", "p_value", "effect", "resamples", "reason")
-    dims = ("channel", "fit_test") if result.n.ndim == 3 else ("fit_test",)
-    return {f"{result.family}_goodness_{n}": (dims, getattr(result, n)) for n in names}
-
-
-def finish_goodness(
-    dataset: xr.Dataset,
-    family: str,
-    *,
-    tests: Sequence[FitTest] = FIT_TESTS,
-    resamples: int,
-    alpha: float = 0.05,
-) -> xr.Dataset:
-    """Add q-values and ``rejected``, coordinates and the names and units of the variables.
-
-    Without replicates nothing was tested: p-values and what follows from them are left out.
-    """
-    prefix = f"{family}_goodness"
-    p_value = dataset[f"{prefix}_p_value"]
-    if not resamples:
-        dataset = dataset.drop_vars([f"{prefix}_p_value", f"{prefix}_resamples"])
-    else:
-        q_value = p_value.copy(data=q_values(p_value.to_numpy()))
-        rejected = rejections(q_value, alpha).assign_attrs(false_discovery_rate=alpha)
-        dataset = dataset.assign({f"{prefix}_q_value": q_value, f"{prefix}_rejected": rejected})
-    labels = {f"{prefix}_{name}": f"{family}: {text}" for name, text in _LABELS.items()}
-    labels[f"{prefix}_reason"] = f"why there is no test of {family}"
-    dataset = label_variables(dataset, labels)
-    return dataset.assign_coords(fit_test=np.array(tests, dtype=object))
+    reason: npt.NDArray[np.int8] = variable("why there is no test of {}", "fit_test")
 
 
 Fitted: TypeAlias = Fit | Selection
@@ -154,7 +111,10 @@ Fitted: TypeAlias = Fit | Selection
 class GoodnessOfFit(Statistic[Goodness]):
     """Tests of a family, a fit, or (None) of the best family; options as of `goodness`."""
 
+    result: ClassVar = Goodness
+    description: ClassVar = "testing {}"
     binned: ClassVar = True
+    prefix: ClassVar = "{}_goodness_"
 
     fit: Family | Fitted | None = None
     tests: tuple[FitTest, ...] = FIT_TESTS
@@ -162,21 +122,73 @@ class GoodnessOfFit(Statistic[Goodness]):
     seed: int = 0
     alpha: float = 0.05
 
-    def measure(self, part: Part) -> Goodness:
-        """Test each row."""
-        fit = part.measured(FamilySelection()) if self.fit is None else self.fit
-        options: Any = {"tests": self.tests, "resamples": self.resamples, "seed": self.seed}
-        return goodness_of_part(part, fit, **options)
+    def __post_init__(self) -> None:
+        if not self.tests or not set(self.tests) <= set(FIT_TESTS):
+            message = f"tests must be some of {', '.join(FIT_TESTS)}, got {self.tests!r}"
+            raise InputError(message)
+        if not 0 < self.alpha < 1:
+            message = f"alpha must lie in (0, 1), got {self.alpha}"
+            raise InputError(message)
 
-    def variables(self, found: Goodness) -> Mapped:
-        """Return the tests as variables."""
-        return goodness_variables(found)
+    @property
+    def subject(self) -> str:
+        """Name of what was fitted."""
+        return "best" if self.fit is None or isinstance(self.fit, Selection) else self.fit.name
+
+    def coordinates(self) -> dict[str, tuple[FitTest, ...]]:
+        """Return the tests."""
+        return {"fit_test": self.tests}
+
+    def measure(self, part: Part) -> Goodness:
+        """Test each row; a `Family` is fitted to it first, a fit must be its own.
+
+        Of a `Selection`, each row is tested for the family that is best there. Its p-value then is
+        a little too large, as replicates are fitted with that family alone.
+        """
+        given = self.fit if isinstance(self.fit, Family) else None
+        if self.fit is None:
+            fit: Fitted = part.measured(FamilySelection())
+        elif isinstance(self.fit, Family):
+            fit = part.measured(FamilyFit(self.fit))
+        else:
+            fit = self.fit
+            _check_fit(part, fit)
+        if isinstance(fit, Mixture):
+            part = split(part).rest
+        reason = fit.reason.copy()
+        values = np.full((3, *part.n.shape, len(self.tests)), np.nan)
+        for family, parameters, rows, _ in _cases(fit, given):
+            few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
+            reason[few] = Reason.TOO_FEW
+            usable = rows & (reason == Reason.OK)
+            options = self.tests, self.resamples, self.seed
+            found = _bootstrap(part, usable, family, parameters, *options)
+            values[:, usable] = found.reshape(values.shape)[:, usable]
+        statistic, p_value, fitted = values
+        effect = np.sqrt(np.maximum(statistic, 0) / np.maximum(part.n, 1)[..., np.newaxis])
+        # Kolmogorov's D is a distance already, whatever the number of samples.
+        effect = np.where(np.array(self.tests) == "kolmogorov-smirnov", statistic, effect)
+        reasons = np.repeat(reason[..., np.newaxis], len(self.tests), axis=-1)
+        reasons[(reasons == Reason.OK) & np.isnan(statistic)] = Reason.TOO_FEW
+        untested = Reason.FEW_REPLICATES if self.resamples else Reason.UNTESTED
+        reasons[(reasons == Reason.OK) & np.isnan(p_value)] = untested
+        return Goodness(
+            family=self.subject,
+            tests=self.tests,
+            statistic=statistic,
+            p_value=p_value,
+            effect=effect,
+            resamples=np.nan_to_num(fitted).astype(np.int64),
+            n=part.n,
+            reason=reasons,
+        )
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Add q-values and ``rejected``, and set names and units."""
-        name = "best" if self.fit is None else _name(self.fit)
-        options: Any = {"tests": self.tests, "resamples": self.resamples, "alpha": self.alpha}
-        return finish_goodness(dataset, name, **options)
+        """Add q-values, and names; without replicates, nothing was tested: no p-values."""
+        if not self.resamples:
+            prefix = self.prefix.format(self.subject)
+            dataset = dataset.drop_vars([f"{prefix}p_value", f"{prefix}resamples"])
+        return super().finish(dataset)
 
 
 _MINIMUM = 8
@@ -262,79 +274,15 @@ def goodness(
     >>> lognormal.p_value[:3], bool(lognormal.effect[0] > gamma.effect[0])
     (array([0.01, 0.01, 0.01]), True)
     """
-    if isinstance(tests, str) or not tests or not set(tests) <= set(FIT_TESTS):
-        message = f"tests must be some of {', '.join(FIT_TESTS)}, got {tests!r}"
-        raise InputError(message)
-    if not 0 < alpha < 1:
-        message = f"alpha must lie in (0, 1), got {alpha}"
-        raise InputError(message)
-    resamples = whole("resamples", resamples, least=0)
-    root = seed_number(seed)
-    image = isinstance(x, Samples) or hasattr(x, "data_vars")
+    image = isinstance(x, (Samples, str, Path)) or hasattr(x, "data_vars")
     if image and not isinstance(fit, (str, Family)):
         message = "an image needs the name of a family, got a fit"
         raise InputError(message)
-
-    fit = get_family(fit) if isinstance(fit, (str, Family)) else fit
-    name = _name(fit)
-
-    def of_part(part: Part) -> Goodness:
-        if not isinstance(fit, Family):
-            _check_fit(part, fit)
-        return goodness_of_part(part, fit, tests=tests, resamples=resamples, seed=root)
-
-    result = run(
-        x, of_part, goodness_variables, null=null, description=f"testing {name}", progress=progress
-    )
-    if isinstance(result, Goodness):
-        return result
-    return finish_goodness(result, name, tests=tests, resamples=resamples, alpha=alpha)
-
-
-def goodness_of_part(
-    part: Part,
-    fit: Family | Fitted,
-    *,
-    tests: Sequence[FitTest] = FIT_TESTS,
-    resamples: int = 0,
-    seed: Seed = 0,
-) -> Goodness:
-    """Test samples that are already split; a `Family` is fitted to them first, a fit is theirs.
-
-    Of a `Selection`, each row is tested for the family that is best there. Its p-value then is a
-    little too large, as replicates are fitted with that family alone.
-    """
-    root = seed_number(seed)
-    given = fit if isinstance(fit, Family) else None
-    if isinstance(fit, Mixture):
-        part = split(part).rest
-    fit = fit_part(part, fit) if isinstance(fit, Family) else fit
-    reason = fit.reason.copy()
-    values = np.full((3, *part.n.shape, len(tests)), np.nan)
-    for family, parameters, rows, _ in _cases(fit, given):
-        few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
-        reason[few] = Reason.TOO_FEW
-        usable = rows & (reason == Reason.OK)
-        found = _bootstrap(part, usable, family, parameters, tests, resamples, root)
-        values[:, usable] = found.reshape(values.shape)[:, usable]
-    statistic, p_value, fitted = values
-    effect = np.sqrt(np.maximum(statistic, 0) / np.maximum(part.n, 1)[..., np.newaxis])
-    # Kolmogorov's D is a distance already, whatever the number of samples.
-    effect = np.where(np.array(tests) == "kolmogorov-smirnov", statistic, effect)
-    reasons = np.repeat(reason[..., np.newaxis], len(tests), axis=-1)
-    reasons[(reasons == Reason.OK) & np.isnan(statistic)] = Reason.TOO_FEW
-    untested = Reason.FEW_REPLICATES if resamples else Reason.UNTESTED
-    reasons[(reasons == Reason.OK) & np.isnan(p_value)] = untested
-    return Goodness(
-        family=_name(fit),
-        tests=tuple(tests),
-        statistic=statistic,
-        p_value=p_value,
-        effect=effect,
-        resamples=np.nan_to_num(fitted).astype(np.int64),
-        n=part.n,
-        reason=reasons,
-    )
+    chosen = get_family(fit) if isinstance(fit, (str, Family)) else fit
+    names: Any = (tests,) if isinstance(tests, str) else tuple(tests)
+    count, root = whole("resamples", resamples, least=0), seed_number(seed)
+    statistic = GoodnessOfFit(chosen, names, count, root, alpha)
+    return run(statistic, x, null=null, progress=progress)
 
 
 def _check_fit(part: Part, fit: Fitted) -> None:
@@ -360,10 +308,6 @@ def _check_fit(part: Part, fit: Fitted) -> None:
             "samples; fit x itself, with the same null, or give the family's name"
         )
         raise InputError(message)
-
-
-def _name(fit: Family | Fitted) -> str:
-    return "best" if isinstance(fit, Selection) else fit.name
 
 
 def _cases(
@@ -502,7 +446,7 @@ def _mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
         return {n: np.stack([parameters[f"{n}_{i + 1}"] for i in range(k)]) for n in units}
 
     def estimate(part: Part, *_search: object) -> Estimate:
-        found = mixture_of_part(part, k, family=mixture.family)
+        found = MixtureFit(k, mixture.family).measure(part)
         return Estimate(numbered(found), {}, found.converged)
 
     def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:

@@ -6,7 +6,6 @@ One search finds the mixtures of all numbers of components; `chdstat.fit.mixture
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
@@ -15,36 +14,35 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
 from chdstat._core.display import Card
-from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import Mapped, Statistic
+from chdstat._core.positive import Part, PositivePart
+from chdstat._core.statistic import result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.atoms import Atoms, split
 from chdstat.fit.clamps import before_clamps
 from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
     Fit,
+    ParametricFit,
     counts_of,
     expand,
-    fit_variables,
     get_family,
-    label_fit,
     zero_log_likelihood,
 )
 from chdstat.fit.family import halves_of
 from chdstat.fit.mixture_errors import standard_errors
 from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
-from chdstat.summary.dispatch import Part, Source, of_source, run
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ChosenMixtures", "Mixture", "MixtureFit", "mixture", "mixture_of_part"]
+__all__ = ["ChosenMixtures", "Mixture", "MixtureFit", "mixture"]
 
 
 MixtureCriterion = Literal["bic", "held_out"]
 
 
-@dataclass(frozen=True, repr=False)
+@result
 class Mixture(Fit):
     """A zero-inflated mixture: point masses at 0 and at atoms, K or fewer components on the rest.
 
@@ -102,32 +100,24 @@ class Mixture(Fit):
         that errors are too small.
     """
 
-    prefix: ClassVar[str] = "{}_mixture"
-    dims: ClassVar[Mapping[str, str]] = {"atoms": "atom", "atom_weights": "atom"}
-    labels: ClassVar[Mapping[str, str]] = {
-        "k": "number of components",
-        "weights": "weights of the components",
-        "atoms": "radiance that many samples share",
-        "atom_weights": "shares of the positive samples at the atoms",
-        "log_likelihood": "log-likelihood of the zero-inflated mixture",
-        "aic": "Akaike information criterion",
-        "bic": "Bayesian information criterion",
-        "bics": "Bayesian information criterion for each number of components",
-        "held_out": "held-out log-likelihood per sample for each number of components",
-        "converged": "the chosen fit converged",
-        "reason": "why there is no {} mixture",
-        "error_reason": "why the {} mixture has no standard errors",
-    }
+    name_of: ClassVar = "{}_mixture"
 
     family: MixtureFamily
     criterion: MixtureCriterion
-    k: npt.NDArray[np.int8]
-    weights: Floats
-    atoms: Floats
-    atom_weights: Floats
-    bics: Floats
-    held_out: Floats
-    error_reason: npt.NDArray[np.int8]
+    k: npt.NDArray[np.int8] = variable("number of components")
+    weights: Floats = variable("weights of the components", "component")
+    atoms: Floats = variable("radiance that many samples share", "atom")
+    atom_weights: Floats = variable("shares of the positive samples at the atoms", "atom")
+    log_likelihood: Floats = variable("log-likelihood of the zero-inflated mixture")
+    bics: Floats = variable(
+        "Bayesian information criterion for each number of components", "component"
+    )
+    held_out: Floats = variable(
+        "held-out log-likelihood per sample for each number of components", "component"
+    )
+    converged: Mask = variable("the chosen fit converged")
+    reason: npt.NDArray[np.int8] = variable("why there is no {} mixture")
+    error_reason: npt.NDArray[np.int8] = variable("why the {} mixture has no standard errors")
 
     def _card(self) -> Card:
         card = super()._card()
@@ -375,12 +365,17 @@ def _highest(score: Floats, allowed: Mask) -> Counts:
     return np.asarray(np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1))
 
 
+_LARGEST_K = 8
+
+
 @dataclass(frozen=True)
-class MixtureFit(Statistic[Mixture]):
+class MixtureFit(ParametricFit[Mixture]):
     """Mixtures of log-normal or gamma components; options as of `mixture`."""
 
-    description: ClassVar = "fitting mixtures"
-    binned: ClassVar = True
+    result: ClassVar = Mixture
+    description: ClassVar = "fitting {} mixtures"
+    prefix: ClassVar = "{}_mixture_"
+    of_components: ClassVar = True
 
     k: int | None = None
     family: MixtureFamily = "lognormal"
@@ -388,20 +383,46 @@ class MixtureFit(Statistic[Mixture]):
     max_k: int = 3
     effort: Effort = "thorough"
 
+    def __post_init__(self) -> None:
+        check_option("family", self.family, COMPONENTS)
+        check_option("criterion", self.criterion, get_args(MixtureCriterion))
+        check_option("effort", self.effort, EFFORTS)
+        for name, given in (("k", 1 if self.k is None else self.k), ("max_k", self.max_k)):
+            if not isinstance(given, (int, np.integer)) or not 1 <= given <= _LARGEST_K:
+                message = f"{name} must be a whole number from 1 to {_LARGEST_K}, got {given!r}"
+                raise InputError(message)
+
+    @property
+    def subject(self) -> str:
+        """Family of the components."""
+        return self.family
+
+    def coordinates(self) -> dict[str, npt.NDArray[np.int64]]:
+        """Return the numbers of the components."""
+        return {"component": np.arange(1, 1 + (self.k or self.max_k))}
+
     def measure(self, part: Part) -> Mixture:
         """Fit a mixture to each row."""
-        return mixture_of_part(part, **vars(self))
-
-    def variables(self, found: Mixture) -> Mapped:
-        """Return the variables of the mixtures."""
-        return fit_variables(found)
-
-    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Set names and units."""
-        return label_fit(dataset, self.family, Mixture)
-
-
-_LARGEST_K = 8
+        k, family, effort = self.k, self.family, self.effort
+        largest = self.max_k if k is None else k
+        atoms = split(part)
+        reason = atoms.reason(part, 3 * min(largest, 2) - 1)
+        if k is not None:
+            least = _allowed_components(atoms.rest, k)[..., k - 1]
+            reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
+        held_out = None
+        if self.criterion == "held_out":
+            if not isinstance(atoms.rest, PositivePart):
+                message = (
+                    "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
+                )
+                raise InputError(message)
+            held_out = _held_out(atoms.rest, reason == Reason.OK, family, largest, effort)
+        atoms = replace(atoms, rest=before_clamps(part, atoms, family))
+        chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
+        for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
+            chosen.enter(found)
+        return chosen.result(family)
 
 
 @of_source
@@ -481,49 +502,8 @@ def mixture(
     >>> int(result.k), result.weights.round(2), result.parameters["mu"].round(1)
     (2, array([0.3, 0.7, nan]), array([-4.1,  1. ,  nan]))
     """
-    _check(k, family, criterion, max_k, effort)
-    result = run(
-        x,
-        lambda part: mixture_of_part(
-            part, k, family=family, criterion=criterion, max_k=max_k, effort=effort
-        ),
-        fit_variables,
-        null=null,
-        description=f"fitting {family} mixtures",
-        progress=progress,
-    )
-    return result if isinstance(result, Mixture) else label_fit(result, family, Mixture)
-
-
-def mixture_of_part(
-    part: Part,
-    k: int | None = None,
-    *,
-    family: MixtureFamily = "lognormal",
-    criterion: MixtureCriterion = "bic",
-    max_k: int = 3,
-    effort: Effort = "thorough",
-) -> Mixture:
-    """Fit a mixture to samples that are already split; options as of `mixture`."""
-    largest = max_k if k is None else k
-    atoms = split(part)
-    reason = atoms.reason(part, 3 * min(largest, 2) - 1)
-    if k is not None:
-        least = _allowed_components(atoms.rest, k)[..., k - 1]
-        reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
-    held_out = None
-    if criterion == "held_out":
-        if not isinstance(atoms.rest, PositivePart):
-            message = (
-                "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
-            )
-            raise InputError(message)
-        held_out = _held_out(atoms.rest, reason == Reason.OK, family, largest, effort)
-    atoms = replace(atoms, rest=before_clamps(part, atoms, family))
-    chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
-    for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
-        chosen.enter(found)
-    return chosen.result(family)
+    statistic = MixtureFit(k, family, criterion, max_k, effort)
+    return run(statistic, x, null=null, progress=progress)
 
 
 def _held_out(
@@ -545,13 +525,3 @@ def _held_out(
     with np.errstate(invalid="ignore", divide="ignore"):
         per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
     return np.where(enough, per_sample, np.nan)
-
-
-def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:
-    check_option("family", family, COMPONENTS)
-    check_option("criterion", criterion, get_args(MixtureCriterion))
-    check_option("effort", effort, EFFORTS)
-    for name, number in (("k", 1 if k is None else k), ("max_k", max_k)):
-        if not isinstance(number, (int, np.integer)) or not 1 <= number <= _LARGEST_K:
-            message = f"{name} must be a whole number from 1 to {_LARGEST_K}, got {number!r}"
-            raise InputError(message)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from chdstat._core.arrays import Floats, Mask
+from chdstat._core.positive import Part
 from chdstat.fit.family import TIGHT, WeightedSamples, of_rows
-from chdstat.summary.dispatch import Part
 
 __all__ = ["maximise"]
 

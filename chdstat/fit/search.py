@@ -24,6 +24,7 @@ from typing import Literal
 import numpy as np
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans, take_rows
+from chdstat._core.positive import Part, PositiveHistogram
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
 from chdstat.fit.family import take_part
@@ -34,7 +35,6 @@ from chdstat.fit.groups import (
     summaries_of_each,
     summaries_of_samples,
 )
-from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = [
     "EFFORTS",

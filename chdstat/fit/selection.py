@@ -9,7 +9,7 @@ the families is true; and its differences come with a standard error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
@@ -17,24 +17,22 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Floats, Mask, spans
-from chdstat._core.display import Card, Shown, reasons
-from chdstat._core.positive import PositivePart
+from chdstat._core.display import Card, reasons
+from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.reasons import label_variables, place_attributes
 from chdstat._core.resampling import wilson
-from chdstat._core.statistic import Statistic
+from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import (
+    FAMILIES,
     SELECTED,
+    FamilyFit,
     Fit,
     estimate_part,
-    fit_part,
-    fit_variables,
     get_family,
-    label_fit,
 )
 from chdstat.fit.family import Family, blocks, halves_of, points_of, take
-from chdstat.samples import Mapped
-from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,12 +40,10 @@ if TYPE_CHECKING:
 __all__ = [
     "FamilySelection",
     "HeldOut",
+    "HeldOutLikelihood",
     "Selection",
     "family_shares",
-    "finish_selection",
     "select",
-    "select_part",
-    "selection_variables",
 ]
 
 Criterion = Literal["aic", "bic", "held_out"]
@@ -57,8 +53,8 @@ _CHUNK = 2**18
 _NAMES = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}
 
 
-@dataclass(frozen=True, repr=False)
-class HeldOut(Shown):
+@result
+class HeldOut(Result):
     """Families compared by the likelihood of samples that they were not fitted to.
 
     Attributes
@@ -75,10 +71,12 @@ class HeldOut(Shown):
         sample by sample, shape (...); NaN with fewer than two fits.
     """
 
-    loss: Floats
-    best: npt.NDArray[np.int8]
-    margin: Floats
-    margin_se: Floats
+    loss: Floats = variable("held-out loss per positive sample, in nats", "family")
+    best: npt.NDArray[np.int8] = variable(
+        "family with the smallest held-out loss", name="held_out_best_family"
+    )
+    margin: Floats = variable("held-out loss of the runner-up minus that of the best family")
+    margin_se: Floats = variable("standard error of the held-out margin")
 
     @property
     def decided(self) -> Mask:
@@ -87,8 +85,8 @@ class HeldOut(Shown):
             return np.asarray(self.margin > 2 * self.margin_se)
 
 
-@dataclass(frozen=True, repr=False)
-class Selection(Shown):
+@result
+class Selection(Result):
     """Families compared on the same samples.
 
     Attributes
@@ -118,10 +116,10 @@ class Selection(Shown):
     families: tuple[str, ...]
     criterion: Criterion
     values: Floats
-    best: npt.NDArray[np.int8]
-    margin: Floats
-    vuong_z: Floats
-    vuong_p_value: Floats
+    best: npt.NDArray[np.int8] = variable("family with the smallest {}", name="best_family")
+    margin: Floats = variable("{} of the runner-up minus that of the best family")
+    vuong_z: Floats = variable("Vuong's z of gamma against log-normal")
+    vuong_p_value: Floats = variable("two-sided p-value of Vuong's z")
     fits: Mapping[str, Fit]
     held_out: HeldOut | None = None
 
@@ -149,33 +147,110 @@ class Selection(Shown):
 
 
 @dataclass(frozen=True)
+class HeldOutLikelihood(Statistic[HeldOut]):
+    """Families compared by the likelihood of each half of the samples under fits to the other."""
+
+    result: ClassVar = HeldOut
+    prefix: ClassVar = "held_out_"
+
+    families: tuple[Family, ...]
+
+    def coordinates(self) -> dict[str, list[str]]:
+        """Return the names of the families."""
+        return {"family": [family.name for family in self.families]}
+
+    def measure(self, part: Part) -> HeldOut:
+        """Fit the even samples and score the odd ones, in stored order, and the other way round.
+
+        The searches begin at the fits to all samples.
+        """
+        fits = [(family, part.measured(FamilyFit(family))) for family in self.families]
+        if isinstance(part, PositiveHistogram):
+            message = "held-out likelihood needs samples: a histogram cannot be split, got one"
+            raise InputError(message)
+        shape, n = part.n.shape, part.n.reshape(-1)
+        loss, best = np.full((n.size, len(fits)), np.nan), np.full(n.size, -1, dtype=np.int8)
+        margins = np.full((2, n.size), np.nan)
+        # Rows with similar numbers of samples, so that those of a piece fill it.
+        order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
+        for span in spans(len(order), max(1, _CHUNK // part.x.shape[-1])):
+            rows = order[span]
+            loss[rows], best[rows], margins[:, rows] = _compare(halves_of(part, rows), rows, fits)
+        margin, error = (each.reshape(shape) for each in margins)
+        return HeldOut(loss.reshape(*shape, -1), best.reshape(shape), margin, error)
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Set names and units, and the names of the families."""
+        dataset, names = super().finish(dataset), self.coordinates()["family"]
+        dataset["held_out_best_family"].attrs.update(place_attributes(names))
+        return dataset
+
+
+_BY_DEFAULT = tuple(FAMILIES[name] for name in SELECTED)
+
+
+@dataclass(frozen=True)
 class FamilySelection(Statistic[Selection]):
     """Families compared on the same samples; options as of `select`."""
 
+    result: ClassVar = Selection
     description: ClassVar = "selecting families"
     binned: ClassVar = True
 
-    families: tuple[str | Family, ...] = SELECTED
+    families: tuple[Family, ...] = _BY_DEFAULT
     criterion: Criterion = "bic"
     held_out: bool = False
 
+    @property
+    def subject(self) -> str:
+        """The criterion in words."""
+        return _NAMES[self.criterion]
+
     def measure(self, part: Part) -> Selection:
         """Fit the families to each row, and compare them."""
-        families = [get_family(family) for family in self.families]
-        if not self.held_out or self.criterion == "held_out":
-            return select_part(part, families, self.criterion)
-        found = part.measured(replace(self, held_out=False))
-        fits = list(zip(families, found.fits.values(), strict=True))
-        return replace(found, held_out=_held_out(part, fits))
+        fits = {family.name: part.measured(FamilyFit(family)) for family in self.families}
+        split: HeldOut | None = None
+        if self.held_out or self.criterion == "held_out":
+            split = part.measured(HeldOutLikelihood(self.families))
+        if self.criterion == "held_out" and split is not None:
+            values = split.loss
+        else:
+            values = np.stack([getattr(fit, self.criterion) for fit in fits.values()], axis=-1)
+        _, best, margin = _ranked(values)
+        z, p_value = np.full((2, *part.n.shape), np.nan)
+        if {"gamma", "lognormal"} <= fits.keys():
+            z, p_value = _vuong(part, fits["gamma"], fits["lognormal"])
+        return Selection(
+            families=tuple(fits),
+            criterion=self.criterion,
+            values=values,
+            best=best,
+            margin=margin,
+            vuong_z=z,
+            vuong_p_value=p_value,
+            fits=fits,
+            held_out=split,
+        )
 
     def variables(self, found: Selection) -> Mapped:
         """Return the variables of every fit, and of their comparison."""
-        return selection_variables(found)
+        variables = dict(super().variables(found))
+        for family in self.families:
+            variables |= FamilyFit(family).variables(found.fits[family.name])
+        if found.held_out is not None:
+            variables |= HeldOutLikelihood(self.families).variables(found.held_out)
+        return variables
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Set names and units."""
-        names = [get_family(family).name for family in self.families]
-        return finish_selection(dataset, names, self.criterion)
+        for family in self.families:
+            dataset = FamilyFit(family).finish(dataset)
+        if "held_out_loss" in dataset:
+            dataset = HeldOutLikelihood(self.families).finish(dataset)
+        dataset = super().finish(dataset)
+        names = [family.name for family in self.families]
+        dataset["best_family"].attrs.update(place_attributes(names))
+        return dataset
 
 
 @of_source
@@ -250,84 +325,8 @@ def select(
     if isinstance(families, str) or not families:
         message = f"families must be a sequence of one or more families, got {families!r}"
         raise InputError(message)
-    chosen = [get_family(family) for family in families]
-    result = run(
-        x,
-        lambda part: select_part(part, chosen, criterion, held_out=held_out),
-        selection_variables,
-        null=null,
-        description="selecting families",
-        progress=progress,
-    )
-    if isinstance(result, Selection):
-        return result
-    return finish_selection(result, [family.name for family in chosen], criterion)
-
-
-def select_part(
-    part: Part, families: Sequence[Family], criterion: Criterion = "bic", *, held_out: bool = False
-) -> Selection:
-    """Compare families on samples that are already split."""
-    fits = {family.name: fit_part(part, family) for family in families}
-    split: HeldOut | None = None
-    if held_out or criterion == "held_out":
-        split = _held_out(part, list(zip(families, fits.values(), strict=True)))
-    if criterion == "held_out" and split is not None:
-        values = split.loss
-    else:
-        values = np.stack([getattr(fit, criterion) for fit in fits.values()], axis=-1)
-    _, best, margin = _ranked(values)
-    z, p_value = np.full((2, *part.n.shape), np.nan)
-    if {"gamma", "lognormal"} <= fits.keys():
-        z, p_value = _vuong(part, fits["gamma"], fits["lognormal"])
-    return Selection(
-        families=tuple(fits),
-        criterion=criterion,
-        values=values,
-        best=best,
-        margin=margin,
-        vuong_z=z,
-        vuong_p_value=p_value,
-        fits=fits,
-        held_out=split,
-    )
-
-
-def selection_variables(selection: Selection) -> Mapped:
-    """Return a selection over (y, x, channel) as variables for `Samples.map`."""
-    variables = dict(
-        item for result in selection.fits.values() for item in fit_variables(result).items()
-    )
-    own = {name: getattr(selection, name) for name in ("margin", "vuong_z", "vuong_p_value")}
-    own["best_family"] = selection.best
-    split = selection.held_out
-    if split is not None:
-        own["held_out_best_family"] = split.best
-        own |= {f"held_out_{name}": getattr(split, name) for name in ("margin", "margin_se")}
-        variables["held_out_loss"] = ("channel", "family"), split.loss
-    return variables | {name: (("channel",), value) for name, value in own.items()}
-
-
-def finish_selection(dataset: xr.Dataset, names: Sequence[str], criterion: str) -> xr.Dataset:
-    """Set long names, units, flag meanings and the families' names of a selection."""
-    for name in names:
-        dataset = label_fit(dataset, name)
-    labels = {
-        "best_family": f"family with the smallest {_NAMES[criterion]}",
-        "margin": f"{_NAMES[criterion]} of the runner-up minus that of the best family",
-        "vuong_z": "Vuong's z of gamma against log-normal",
-        "vuong_p_value": "two-sided p-value of Vuong's z",
-        "held_out_best_family": "family with the smallest held-out loss",
-        "held_out_margin": "held-out loss of the runner-up minus that of the best family",
-        "held_out_margin_se": "standard error of the held-out margin",
-        "held_out_loss": "held-out loss per positive sample, in nats",
-    }
-    dataset = label_variables(dataset, labels)
-    for name in {"best_family", "held_out_best_family"} & set(dataset):
-        dataset[name].attrs.update(place_attributes(names))
-    if "family" in dataset.dims:
-        dataset = dataset.assign_coords(family=np.array(list(names), dtype=object))
-    return dataset
+    chosen = tuple(get_family(family) for family in families)
+    return run(FamilySelection(chosen, criterion, held_out), x, null=null, progress=progress)
 
 
 def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.Dataset:
@@ -390,26 +389,6 @@ def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.D
 _LOOSE = 1e-2
 """Newton steps at which the search in a half ends: they leave about 1e-4 of the parameters and less
 than a hundredth of the margin's standard error (99.9 % of the pixels of a render)."""
-
-
-def _held_out(part: Part, fits: Sequence[tuple[Family, Fit]]) -> HeldOut:
-    """Fit the even samples and score the odd ones, in stored order, and the other way round.
-
-    The searches begin at the fits to all samples.
-    """
-    if isinstance(part, PositiveHistogram):
-        message = "held-out likelihood needs samples: a histogram cannot be split, got a Histogram"
-        raise InputError(message)
-    shape, n = part.n.shape, part.n.reshape(-1)
-    loss, best = np.full((n.size, len(fits)), np.nan), np.full(n.size, -1, dtype=np.int8)
-    margins = np.full((2, n.size), np.nan)
-    # Rows with similar numbers of samples, so that those of a piece fill it.
-    order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
-    for span in spans(len(order), max(1, _CHUNK // part.x.shape[-1])):
-        rows = order[span]
-        loss[rows], best[rows], margins[:, rows] = _compare(halves_of(part, rows), rows, fits)
-    margin, error = (each.reshape(shape) for each in margins)
-    return HeldOut(loss.reshape(*shape, -1), best.reshape(shape), margin, error)
 
 
 def _compare(

@@ -32,7 +32,7 @@ from scipy import special
 from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.positive import PositivePart
 from chdstat.fit.em import COMPONENTS
-from chdstat.fit.families import FAMILIES, SELECTED, Fit, fit_part, zero_log_likelihood
+from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, Fit, zero_log_likelihood
 from chdstat.fit.groups import SPREAD_FLOOR, cumulative
 from chdstat.fit.search import log_samples
 
@@ -288,7 +288,7 @@ def unimodal_scores(
     # What likelihoods of radiance have beside those of log radiance of positive samples.
     rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
     log_n = log_samples(part.n)
-    fits = (fit_part(part, FAMILIES[name]) for name in SELECTED) if fits is None else fits
+    fits = (part.measured(FamilyFit(FAMILIES[name])) for name in SELECTED) if fits is None else fits
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
     last = np.maximum(part.n - 1, 0)[..., np.newaxis]
     high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]

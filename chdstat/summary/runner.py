@@ -98,6 +98,7 @@ def run(
     StoreError
         If there is no store at a path, or it is damaged.
     """
+    description = statistic.description.format(statistic.subject)
     dataset: Any = x if hasattr(x, "data_vars") else None  # told without importing xarray
     given = opened(cast("ImageLike | npt.ArrayLike", x))
     binned = dataset is not None or isinstance(given, Histogram)
@@ -105,7 +106,7 @@ def run(
         message = f"null is for arrays: a {type(given).__name__} knows which samples are null"
         raise InputError(message)
     if binned and not statistic.binned:
-        message = f"{statistic.description} needs the samples themselves, got a histogram"
+        message = f"{description} needs the samples themselves, got a histogram"
         raise InputError(message)
     if isinstance(given, Samples):
 
@@ -113,7 +114,7 @@ def run(
             part = PositivePart.of_pixels(block, rows=statistic.rows)
             return statistic.variables(statistic.measure(part))
 
-        kinds: Any = {"logarithms": statistic.logarithms, "description": statistic.description}
+        kinds: Any = {"logarithms": statistic.logarithms, "description": description}
         return statistic.finish(given.map(of_block, **kinds, progress=progress))
     if dataset is not None:
         import xarray as xr

@@ -7,7 +7,7 @@ from chdstat._core.arrays import take_rows
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import select_part
+from chdstat.fit.selection import FamilySelection
 
 X = np.array(
     [
@@ -118,9 +118,9 @@ def x():
 
 @pytest.mark.parametrize("rows", [1, slice(0, 3)])
 def test_a_part_of_a_result_is_that_of_the_rows(x, rows):
-    families = [FAMILIES["gamma"], FAMILIES["lognormal"]]
-    whole = take_rows(select_part(PositivePart.of(x), families), rows, axis=2)
-    part = select_part(PositivePart.of(x[:, :, rows]), families)
+    selection = FamilySelection((FAMILIES["gamma"], FAMILIES["lognormal"]))
+    whole = take_rows(selection.measure(PositivePart.of(x)), rows, axis=2)
+    part = selection.measure(PositivePart.of(x[:, :, rows]))
     np.testing.assert_array_equal(whole.values, part.values)
     np.testing.assert_array_equal(whole.best, part.best)
     np.testing.assert_array_equal(

@@ -12,7 +12,7 @@ import chdstat as chd
 from chdstat._core.positive import PositivePart
 from chdstat.errors import Reason
 from chdstat.fit import FAMILIES
-from chdstat.fit.families import estimate_part, fit_part
+from chdstat.fit.families import FamilyFit, estimate_part
 from chdstat.fit.family import blocks
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
@@ -165,7 +165,10 @@ def test_histogram_route_agrees_with_samples(family):
     x = x[inside]
     assert len(x) > 100
     part = PositivePart.of(x)
-    of_samples, of_bins = fit_part(part, FAMILIES[family]), chd.fit.fit(chd.histogram(x), family)
+    of_samples, of_bins = (
+        FamilyFit(FAMILIES[family]).measure(part),
+        chd.fit.fit(chd.histogram(x), family),
+    )
     both = (of_samples.reason == Reason.OK) & (of_bins.reason == Reason.OK)
     assert both.mean() > 0.95
     likelihood = FAMILIES[family].log_likelihood(part, of_bins.parameters)
