@@ -123,7 +123,8 @@ class GoodnessOfFit(Statistic[Goodness]):
     alpha: float = 0.05
 
     def __post_init__(self) -> None:
-        if not self.tests or not set(self.tests) <= set(FIT_TESTS):
+        known = isinstance(self.tests, tuple) and set() < set(self.tests) <= set(FIT_TESTS)
+        if not known:
             message = f"tests must be some of {', '.join(FIT_TESTS)}, got {self.tests!r}"
             raise InputError(message)
         if not 0 < self.alpha < 1:
@@ -279,7 +280,7 @@ def goodness(
         message = "an image needs the name of a family, got a fit"
         raise InputError(message)
     chosen = get_family(fit) if isinstance(fit, (str, Family)) else fit
-    names: Any = (tests,) if isinstance(tests, str) else tuple(tests)
+    names: Any = tests if isinstance(tests, str) else tuple(tests)
     count, root = whole("resamples", resamples, least=0), seed_number(seed)
     statistic = GoodnessOfFit(chosen, names, count, root, alpha)
     return run(statistic, x, null=null, progress=progress)
