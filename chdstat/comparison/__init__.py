@@ -3,8 +3,8 @@
 `compare` measures estimators on batches of n samples; its `Comparison` holds every measure, the
 `Breakdown` of them by pattern, and `PixelEstimates` to look at one by one. `error_curve` does the
 same for many n, and returns an `ErrorCurve`. `DEFAULT_ESTIMATORS` is what they, `bench`,
-`chdstat.study`, `chdstat.report` and the explorer judge where nobody names any. `denoised` puts a
-denoiser after an estimator. `bench` compares on several scenes against converged references, and
+`chdstat.study`, `chdstat.report` and the explorer compare by default. `denoised` puts a denoiser
+after an estimator. `bench` compares on several scenes against converged references, and
 returns a `Bench`. `MEASURES` says what is measured; each measure is an `Interval`.
 """
 

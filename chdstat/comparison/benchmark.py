@@ -11,7 +11,7 @@ import hashlib
 import importlib.util
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -54,7 +54,7 @@ _SIZE = (128, 128)
 _REFERENCE_SPP = 2048
 _BATCH = 64
 _APART = 2**30
-"""Added to the seed of a reference, so that it shares no random number with what it judges."""
+"""Added to the seed of a reference, so that it shares no random number with the samples."""
 _FIREFLY = 3.0
 _CROP = 128
 """Largest edge in pixels of the images that are kept to be shown."""
@@ -167,7 +167,7 @@ class Bench(Shown):
     Attributes
     ----------
     estimators
-        Their names, in the order that was asked for.
+        Their names, in the order given.
     baseline
         The one whose errors are 1.
     cases
@@ -203,52 +203,45 @@ class Bench(Shown):
         places = {name: slice(ends[i], ends[i + 1]) for i, name in enumerate(first)}
         return Blocks.join(list(first.values())), places
 
-    def _over_cases(
-        self,
-        name: str,
-        measure: str,
-        of_case: Callable[[dict[str, Array]], Array],
-        finish: Callable[[Array], Array],
-        bounds: tuple[float, float],
-    ) -> Interval[float]:
-        """Return the mean over cases of what `of_case` makes of the errors of all estimators."""
-        blocks, places = self._regions
-        k = ERRORS.index(measure)
-
-        def statistic(weights: Array) -> Array:
-            values = [
-                of_case({n: weights[:, places[case.scene]] @ e[:, k] for n, e in errors.items()})
-                for case in self.cases
-                if name in (errors := case.errors)
-            ]
-            return finish(np.mean(values, axis=0))
-
-        return interval_of(statistic, blocks, bounds=bounds)
-
     def geometric_mean(self, name: str, measure: str = "mse") -> Interval[float]:
         """Return the geometric mean of the ratios of an error to the baseline's over all cases.
 
         With its interval of 95 % over blocks of pixels within these scenes; other scenes may differ
         by more.
         """
+        blocks, places = self._regions
+        k = ERRORS.index(measure)
 
-        def log_ratio(errors: dict[str, Array]) -> Array:
-            return np.log(np.maximum(errors[name] / errors[self.baseline], _LEAST))
+        def statistic(weights: Array) -> Array:
+            logs = []
+            for case in self.cases:
+                if name in case.errors:
+                    w = weights[:, places[case.scene]]
+                    one, other = (w @ case.errors[n][:, k] for n in (name, self.baseline))
+                    logs.append(np.log(np.maximum(one / other, _LEAST)))
+            return np.asarray(np.exp(np.mean(logs, axis=0)))
 
-        return self._over_cases(name, measure, log_ratio, np.exp, (0, np.inf))
+        return interval_of(statistic, blocks, bounds=(0, np.inf))
 
     def rank(self, name: str, measure: str = "mse") -> Interval[float]:
         """Return the average rank among the estimators over all cases, 1 for the least error."""
+        blocks, places = self._regions
+        k = ERRORS.index(measure)
 
-        def rank(errors: dict[str, Array]) -> Array:
-            own = errors.pop(name)
-            return np.asarray(1.0 + sum((own > other for other in errors.values()), 0 * own))
+        def statistic(weights: Array) -> Array:
+            ranks = []
+            for case in self.cases:
+                if name in case.errors:
+                    w = weights[:, places[case.scene]]
+                    own = w @ case.errors[name][:, k]
+                    others = [w @ e[:, k] for n, e in case.errors.items() if n != name]
+                    ranks.append(sum((own > other for other in others), np.ones(len(w))))
+            return np.asarray(np.mean(ranks, axis=0), np.float64)
 
-        bounds = 1, len(self.estimators)
-        return self._over_cases(name, measure, rank, np.asarray, bounds)
+        return interval_of(statistic, blocks, bounds=(1, len(self.estimators)))
 
     def summary(self) -> list[dict[str, Any]]:
-        """Return a row for each estimator: what all cases say of it.
+        """Return a row for each estimator, over all cases.
 
         Geometric means of the ratios of errors and average ranks of the MSE, each with its
         interval of 95 %; ``worst``, the largest ratio of the MSE in a case; ``bias``, the largest
@@ -271,7 +264,7 @@ class Bench(Shown):
 
     @property
     def notes(self) -> dict[str, str]:
-        """What a reader of the table has to know beside it, as of a `Comparison`."""
+        """Notes for a reader of the table, as of a `Comparison`."""
         return notes(self.estimators, left_out=self.left_out)
 
     def _card(self) -> Card:
@@ -390,7 +383,7 @@ def bench(
     references
         By scene: a converged image as an EXR file or an array (y, x, channel), or more samples as
         `Samples` or a store. The noise of an image is unknown, and part of the errors. Without one,
-        scenes are rendered with another seed, and of samples those that are left over are taken.
+        scenes are rendered with another seed; of given samples, those after the first are taken.
     reference_spp
         Samples of a rendered reference.
     images
@@ -467,7 +460,7 @@ def _name(scene: Any) -> str:
 
 @dataclass(frozen=True)
 class _Inputs:
-    """Where samples and references come from."""
+    """Makes or reads the samples and references of scenes."""
 
     numbers: Sequence[int]
     seed: int

@@ -1,8 +1,8 @@
 """Entries: the estimators that take part in a comparison, looked up by name and checked.
 
-`DEFAULT_ESTIMATORS` is the one list of what is compared where nobody names any. `Denoised` is an
-estimator followed by Open Image Denoise: use it to see whether a denoiser does better from a
-better start. ``compare(..., denoise=True)`` adds every estimator so; `denoised` makes one.
+`DEFAULT_ESTIMATORS` are compared by default. `Denoised` is an estimator followed by Open Image
+Denoise: use it to see whether a denoiser does better from a better start.
+``compare(..., denoise=True)`` adds every estimator so; `denoised` makes one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 
 
 DEFAULT_ESTIMATE = "combination"
-"""What `chdstat.estimate` returns where nothing else is asked for."""
+"""What `chdstat.estimate` returns by default."""
 DEFAULT_ESTIMATORS = (
     DEFAULT_ESTIMATE,
     "mean",
@@ -47,8 +47,8 @@ DEFAULT_ESTIMATORS = (
     "median_of_means",
     "elek2019",
 )
-"""What is compared where no estimators are named: the default estimate; the sample mean, to which
-errors are ratios; its denoised image, a robust mean and the network of the paper."""
+"""What is compared by default: the default estimate; the sample mean, by which errors are divided;
+its denoised image; a robust mean; and the network of the paper."""
 
 _EDGE = 8
 """Edge in pixels of the image of equal samples on which an estimator says what it refuses."""
@@ -67,7 +67,7 @@ class Denoised:
     with_features
         Whether the denoiser is given albedo and normal of the first hit.
     with_certainty
-        Whether an estimate is kept as far as its model is certain of it.
+        Whether the estimate is mixed with the denoised one, weighted by its certainty.
     uses_neighbours
         A denoiser always looks across pixels.
     """
@@ -101,8 +101,8 @@ def denoised(
     with_features
         Give the denoiser albedo and normal of the first hit; the image must have them.
     with_certainty
-        Mix with the estimate as far as it is certain, ``c estimate + (1 - c) denoised``; only for
-        learned estimators whose models predict a certainty.
+        Mix the estimate with the denoised one, ``c estimate + (1 - c) denoised``, where c is its
+        certainty; only for learned estimators whose models predict one.
 
     Raises
     ------
@@ -164,11 +164,11 @@ class Chosen:
     Attributes
     ----------
     entries
-        By name, in the order asked for.
+        By name, in the order given.
     left_out
         Those of `DEFAULT_ESTIMATORS` that do not apply, with the reason.
     by_default
-        Whether nobody named them: then one that cannot be trained is left out, too.
+        True where the caller named no estimators: one that cannot be trained is then left out.
     """
 
     entries: Mapping[str, Entry]
@@ -239,7 +239,7 @@ def _too_few(entry: Entry, sizes: Sequence[int]) -> str:
 
 
 def _refusal(entry: Entry, sizes: Sequence[int], samples: Samples | None) -> str:
-    """Return why an estimator takes no such image; "" where it does."""
+    """Return why an estimator does not apply to an image; "" where it does."""
     if isinstance(without_denoiser(entry), LearnedEstimator):
         return "" if samples is not None else "trains on each scene, against a reference"
     channels = 3 if samples is None else samples.shape[2]
@@ -317,11 +317,11 @@ def estimate_by(
     x
         Samples of a whole image, or of as much as it should see.
     features
-        First-hit features of the same pixels, for those that take them.
+        First-hit features of the same pixels, for estimators that take them.
     model
         Of an estimator that learns.
     at_home
-        Whether the model was trained on this scene, so that it is followed all the way.
+        Whether the model was trained on this scene; its estimate is then not mixed with the mean.
     """
     own, known = without_denoiser(entry), features or {}
     options = dict(own.options) if isinstance(own, LearnedEstimator) else {}

@@ -205,9 +205,9 @@ def bootstrap(
 ) -> Interval[Array]:
     r"""Bootstrap a statistic of pixel means: draw pixels with replacement, ask for its spread.
 
-    Pixels are the unit that is drawn, so whatever varies within a pixel (batches, channels) stays
-    together. The interval takes pixels for independent draws of the image, as their noise is; for
-    what neighbours share, such as the gain of an estimator, give means over blocks in their place.
+    Pixels are drawn whole, with all their batches and channels. The interval assumes that pixels
+    are independent, as their noise is. Neighbours share the gain of an estimator: give means over
+    blocks of pixels for it.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ MEASURES = {
 """Long name and unit of every measure."""
 
 SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
-"""What is added up for every estimator and channel: of estimates that count, the last is 1."""
+"""What is summed over the estimates of every estimator and channel; the last is 1 for each."""
 
 _SAME = 1e-6
 """Relative difference below which an estimate is the mean, summed in another order."""
@@ -342,9 +342,9 @@ def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Arr
 
     .. math:: p - y > 3 \sqrt{y^2 + 0.01\, m^2},
 
-    y being the reference and m the mean reference of the scene: at least two stops too bright, and
-    no matter of a faint pixel in a bright scene. The scale is that of relMSE, so that a firefly has
-    a relative squared error above 9. We know of no published threshold; this one is ours.
+    y being the reference and m the mean reference of the scene: at least two stops too bright,
+    and bright enough to be seen in the scene. The scale is that of relMSE: a firefly has a relative
+    squared error above 9. We know of no published threshold; this one is ours.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def _measures(sums: Array) -> Array:
         found = np.stack([*(part / count for part in shares), error / reference])
         found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
         squared, relative, improved, unchanged, firefly, bias = found
-        # What is left of the mean's error of equal samples is rounding, and divides nothing.
+        # The error of the mean of equal samples is rounding: no ratio is taken of it.
         exact = relative[:, :1] <= _SAME**2
         ratios = [np.where(exact, np.nan, part / part[:, :1]) for part in (squared, relative)]
         ratios.append(firefly / firefly[:, :1])

@@ -2,9 +2,9 @@
 
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
 batch, and measures against the mean of all *other* samples of the pixel. Estimators that learn are
-trained first, each on as many pixels as it wants of those that do not judge. Which pixels judge
-depends on the image and the seed alone, so that no row of the table depends on the other
-estimators; only where none was trained on an image of this size, all pixels judge.
+trained first, each on as many pixels as it asks for among those that do not judge. Which pixels
+judge depends on the image and the seed alone, so that no row of the table depends on the other
+estimators. Where no estimator was trained on an image of this size, all pixels judge.
 
 `error_curve` does the same for many n: use it to see up to which size an estimator is worth it. The
 error of an estimator with a constant bias stops falling.
@@ -113,8 +113,8 @@ def compare(
         its pixels do not judge.
     denoise
         Judge every estimator with Open Image Denoise after it, too: with the image alone, with
-        first-hit features where there are any, and mixed with the estimate as far as it says how
-        certain it is.
+        first-hit features where there are any, and mixed with the estimate by its certainty where
+        it has one.
     labels
         What to break the measures down by: ``label`` of `chdstat.classify` or the dataset itself,
         codes of `chdstat.patterns.Label`, shape (y, x), or any map with the attributes
@@ -136,7 +136,7 @@ def compare(
     InputError
         If an estimator is unknown, named twice, or does not take n samples; if there are too few
         samples; if labels do not fit the image; if Open Image Denoise is wanted and missing; if
-        a model is given that nobody asked for; or if no pixel is left to judge by.
+        a model is given of an estimator that is not compared; or if no pixel is left to judge by.
 
     Examples
     --------
@@ -323,7 +323,7 @@ class Candidates:
     totals
         Sums over its samples, which references are made of.
     entries
-        By name, in the order asked for.
+        By name, in the order given.
     models
         Those that were trained, by name; entries that share a training share a model.
     at_home
@@ -419,7 +419,7 @@ def _trained(
     for name, entry in list(learned.items()):
         if entry.train in trained:
             continue
-        # What takes any number of samples is trained for those that it is judged at.
+        # An estimator that takes any number of samples is trained for the sizes it is judged at.
         options = {} if entry.inputs else {"sizes": tuple(sizes)}
         pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=seed)
         try:

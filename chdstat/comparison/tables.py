@@ -190,7 +190,7 @@ def notes(
     uses_neighbours: npt.ArrayLike = (),
     left_out: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
-    """Return what a reader of a table of estimators has to know beside it.
+    """Return notes for a reader of a table of estimators.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ class Breakdown(Shown):
         measure
             "mse" or "relmse".
         neighbours
-            Whether those that look at the pixels around take part.
+            Whether estimators that look at the pixels around take part.
 
         Raises
         ------
@@ -358,7 +358,7 @@ class Comparison(Shown):
     Attributes
     ----------
     estimators
-        Names, in the order asked for.
+        Names, in the order given.
     uses_neighbours
         Which of them look at the pixels around, shape (estimator,): a class of their own, as they
         see more than n samples.
@@ -418,7 +418,7 @@ class Comparison(Shown):
 
     @property
     def notes(self) -> dict[str, str]:
-        """What a reader of the table has to know beside it, in words.
+        """Notes for a reader of the table.
 
         What the default estimate is; which estimators use neighbours; which were left out of
         `chdstat.comparison.DEFAULT_ESTIMATORS`, and why.
@@ -428,9 +428,9 @@ class Comparison(Shown):
 
     @property
     def reusable_models(self) -> dict[str, Model]:
-        """Those of `models` that take only n samples, and so serve wherever they serve at all.
+        """Those of `models` that take exactly n samples, and so can be used again.
 
-        Those that take any number were trained for n, and are better trained anew for others.
+        Models that take any number of samples were trained for n; train them anew for others.
         """
         return {
             name: model
@@ -491,7 +491,7 @@ class Comparison(Shown):
         return latex(_titled(self.table()))
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
-        """Draw pixels at random from those that judge, with what was estimated for each.
+        """Draw pixels at random from those that judge, with the estimates of each.
 
         Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte Carlo
         variance reduction", show 25 of them.

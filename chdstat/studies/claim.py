@@ -11,11 +11,14 @@ from chdstat.rendering.recipes import remake_of
 from chdstat.studies.outcomes import Finding, MissingDataError, Outcome, require
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["IMAGES", "TWO_RENDERS", "Claim"]
+__all__ = ["Claim", "claim"]
 
-_IMAGE = "this image: other views of the scene, or other scenes, may differ"
-TWO_RENDERS = "this view, rendered twice: other views of the scene, or other scenes, may differ"
-IMAGES = "these images, one of each scene: other views of the scenes may differ"
+_ABOUT = {
+    "image": "this image: other views of the scene, or other scenes, may differ",
+    "paired": "this view, rendered twice: other views of the scene, or other scenes, may differ",
+    "across": "these images, one of each scene: other views of the scenes may differ",
+}
+Measure = Callable[[SceneData], Outcome] | Callable[[Sequence[SceneData]], Outcome]
 
 
 @dataclass(frozen=True)
@@ -37,18 +40,24 @@ class Claim:
         Whether it compares scenes.
     paired
         Whether it compares renders of one scene.
-    about
-        What a verdict is about: its intervals say how the numbers vary over parts of the image.
+    subject
+        What a verdict is about where that is neither the image nor two renders nor scenes.
     """
 
     number: int
     name: str
     claim: str
-    measure: Callable[[SceneData], Outcome] | Callable[[Sequence[SceneData]], Outcome]
+    measure: Measure
     spp: int = 128
     across: bool = False
     paired: bool = False
-    about: str = _IMAGE
+    subject: str = ""
+
+    @property
+    def about(self) -> str:
+        """What a verdict is about: its intervals say how the numbers vary over parts of it."""
+        kind = "across" if self.across else "paired" if self.paired else "image"
+        return self.subject or _ABOUT[kind]
 
     @property
     def method(self) -> str:
@@ -98,3 +107,8 @@ class Claim:
                 for name, other in outcome.other_models.items()
             },
         )
+
+
+def claim(number: int, name: str, words: str, **options: Any) -> Callable[[Measure], Claim]:
+    """Return what makes a claim of the function that measures it; `options` as for `Claim`."""
+    return lambda measure: Claim(number, name, words, measure, **options)

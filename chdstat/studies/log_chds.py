@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, generator, spans
+from chdstat._core.arrays import Counts, Floats, Mask, generator, spans
 from chdstat._core.resampling import Interval
 from chdstat.studies.outcomes import ClaimTest, PlotData
 
@@ -27,6 +27,7 @@ __all__ = [
     "WIDTH",
     "LogChds",
     "aligned",
+    "counts_by_row",
     "of_histograms",
     "same_shape",
     "shape_plot",
@@ -47,8 +48,8 @@ which is usual. The paper says "the same" by eye; where the border lies is a cho
 """
 REACH = 1e5
 """Factor around its pixel's mean beyond which a sample is out of sight: the paper's log histograms
-reach from 1e-5 to 1e5. In the bathroom, one sample in a thousand has about 1e-17: the moments of
-logarithms would tell of nothing else."""
+reach from 1e-5 to 1e5. In the bathroom, one sample in a thousand has about 1e-17, and would decide
+the moments of logarithms."""
 LEAST = 16
 """Positive samples in each half that a distribution function needs."""
 _CHUNK = 2048
@@ -146,7 +147,7 @@ def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
 
 
 def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Floats:
-    """Return unbiased squared Cramér distances, in decades; below 0 where noise has it so.
+    """Return unbiased squared Cramér distances, in decades; noise may make them negative.
 
     With F and G of either half, ``sum((F1 - G1) (F2 - G2)) width``.
 
@@ -188,7 +189,11 @@ def _cumulative(rows: Floats) -> Floats:
     # A constant that is rounded to either side of an edge would be in two places.
     place = np.ceil(np.round((log - middle[:, np.newaxis] - EDGES[0]) / WIDTH, 6))
     bins = np.clip(place, 0, len(EDGES)).astype(np.intp)
-    row = np.arange(len(rows))[:, np.newaxis] * (len(EDGES) + 1)
-    counts = np.bincount((bins + row)[positive], minlength=len(rows) * (len(EDGES) + 1))
-    below = np.cumsum(counts.reshape(len(rows), len(EDGES) + 1)[:, :-1], axis=1)
+    below = np.cumsum(counts_by_row(bins, positive, len(EDGES) + 1)[:, :-1], axis=1)
     return np.where((n >= LEAST)[:, np.newaxis], below / np.maximum(n, 1)[:, np.newaxis], np.nan)
+
+
+def counts_by_row(bins: npt.NDArray[np.integer[Any]], counted: Mask, size: int) -> Counts:
+    """Return how many of the samples that are counted each bin of a row has, shape (row, size)."""
+    place = bins + np.arange(len(bins))[:, np.newaxis] * size
+    return np.bincount(place[counted], minlength=len(bins) * size).reshape(len(bins), size)

@@ -186,9 +186,9 @@ class Outcome(Shown):
     model
         Name of the model that was tested, where there are several: the reason names it.
     other_models
-        The same of other models, by name; the verdict does not rest on them.
+        Outcomes for other models, by name; the verdict does not depend on them.
     few
-        What there are too few of where an interval is wide, if it is not samples.
+        What would narrow a wide interval, if not more samples.
     """
 
     tests: tuple[ClaimTest, ...] = ()
@@ -252,7 +252,7 @@ class Outcome(Shown):
 
 @dataclass(frozen=True, repr=False)
 class Finding(Shown):
-    """What the samples say of one claim.
+    """The verdict on one claim, with its tests and the reason.
 
     Attributes
     ----------
@@ -280,8 +280,7 @@ class Finding(Shown):
     plot_data
         What its figure draws.
     other_models
-        The same claim tested for models that it is not about, by name; the verdict does not rest on
-        them.
+        Findings for other models, by name; the verdict does not depend on them.
     """
 
     number: int

@@ -254,10 +254,10 @@ def study(
         `Samples`, one or several; None takes every built-in scene that has a recipe. Stores and
         samples stand alone: nothing else is rendered for them.
     folder
-        Where renders, trained networks and all that was found are kept. What is there is taken up,
-        whole or half done, so that the same study once more takes seconds; a store with more
-        samples than asked for is used whole. None writes nothing, and keeps all in memory: all
-        built-in scenes at full size take several GB.
+        Keeps renders, trained networks and findings. A study continues from what is in the folder,
+        complete or not; repeated, it takes seconds. A store with more samples than asked for is
+        used whole. None writes nothing and keeps everything in memory: all built-in scenes at full
+        size take several GB.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
         edge, and seed 1. Stores and samples are taken as they are.

@@ -227,7 +227,7 @@ class PixelSet:
 
 @dataclass(frozen=True)
 class SceneData:
-    """One scene, as far as it is known.
+    """One scene: its samples, regions, and what they are compared with.
 
     Attributes
     ----------

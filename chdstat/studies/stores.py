@@ -62,7 +62,7 @@ _DIRECT = {"direct light, lights": (1, 0), "direct light, BSDFs": (0, 1), DIRECT
 _NEVER = 2**20
 _EARLY = "early roulette"
 _POINTS = ("point", "spot", "directional", "projector", "directionalarea", "sunsky")
-"""Lights that no ray meets by chance, or of which that is not known."""
+"""Lights that no ray is known to meet by chance."""
 _LEAST = 128
 """Samples of the renders to compare with, at least; else a half or a quarter of those of the image.
 """

@@ -26,12 +26,11 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
 
     A claim is *supported* where the whole interval of each of its tests lies within the range that
     the claim states, *not supported* where that of any lies wholly outside, and otherwise
-    undecided. Regions that show one phenomenon are taken together, each as a stratum of its own.
+    undecided. Regions that show one phenomenon are taken together, each as a stratum.
     Intervals are of a bootstrap over blocks of pixels; those of the tests of one claim
     hold together at 95 % (Bonferroni). A verdict is about the image at hand, or what was trained on
-    it; `Finding.about` says which, and whether the scene is a remake of the paper's. Each claim is
-    a question of its own, so that nothing is corrected between claims: each has its own chance of
-    5 % of a wrong verdict.
+    it; `Finding.about` says which, and whether the scene is a remake of the paper's. Nothing is
+    corrected between claims: each has a chance of 5 % of a wrong verdict.
 
     Parameters
     ----------

@@ -27,29 +27,28 @@ from chdstat.errors import ChdstatError
 from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
-from chdstat.studies.claim import Claim
+from chdstat.studies.claim import claim
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, required
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["measure", "measure_reduction"]
+__all__ = ["CLAIMS"]
 
 Estimate = Callable[[Array], Floats]
 
 PAPER = "elek2019"
 """Name of the estimator that the claims are about."""
-_MAJORITY = 0.5
-"""Share of estimates that a majority exceeds."""
-_SUPPRESSED = 0.5
-"""Fireflies left, below which a majority of them is suppressed, as the paper says."""
 _EARLY = 0.1
 """Share of the iterations that is early; the paper's curves are flat after the first records."""
-_GAINED = 0.5
-"""Share of the final gain that early training has to reach: most of it."""
-_RECORDS = 10
-"""Records of a training that say how far its losses scatter, at least."""
 
 
-def measure(data: SceneData) -> Outcome:
+@claim(
+    15,
+    "learned model",
+    "The learned model improves a majority of the estimates, suppresses fireflies, gains early "
+    "in training, and gives a denoiser a better start.",
+    subject="this training on this image, judged on its other pixels: other scenes may differ",
+)
+def learned_model(data: SceneData) -> Outcome:
     """Read majority, fireflies, training and denoising off a comparison."""
     comparison = required(data.comparison, "a comparison of estimators")
     learned = [name for name in comparison.estimators if name in comparison.models]
@@ -67,8 +66,8 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     index, level = comparison.estimators.index(name), level_of(4)
     improved, left = (_read(comparison, m, index, level) for m in ("improved", "fireflies_left"))
     tests = [
-        ClaimTest("share of improved estimates", improved, least=_MAJORITY),
-        ClaimTest("share of fireflies left", left, most=_SUPPRESSED),
+        ClaimTest("share of improved estimates", improved, least=0.5),
+        ClaimTest("share of fireflies left", left, most=0.5),
     ]
     missing, plot_data = list[str](), PlotData()
     history: Any = getattr(comparison.models[name], "history", None)
@@ -76,7 +75,7 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
         missing.append("needs the history of a training")
     else:
         gain = f"share of the gain after {_EARLY:.0%} of the training"
-        tests.append(ClaimTest(gain, early_gain(history, level=level), least=_GAINED))
+        tests.append(ClaimTest(gain, early_gain(history, level=level), least=0.5))
         series = {
             "validation": (history.iteration, history.validation_loss),
             "sample mean": (history.iteration, history.validation_baseline),
@@ -84,9 +83,8 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
         plot_data = PlotData("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")
     try:
         start = _better_start(data, comparison, index)
-        tests.append(
-            ClaimTest("error of its denoised estimates over that of the mean's", start, most=1.0)
-        )
+        ratio = "error of its denoised estimates over that of the mean's"
+        tests.append(ClaimTest(ratio, start, most=1.0))
     except ChdstatError as error:
         missing.append(f"needs a denoiser: {error}")
     bias = float(comparison.measures["bias"].value[index, -1])
@@ -109,7 +107,8 @@ def early_gain(history: Any, *, level: float) -> Interval[float]:
     share is 0; where it may be better or worse, it is not known.
     """
     gain = np.asarray(history.validation_baseline - history.validation_loss, dtype=np.float64)
-    if len(gain) < _RECORDS or not np.isfinite(gain).all():
+    # Fewer than ten records do not say how far losses scatter.
+    if len(gain) < 10 or not np.isfinite(gain).all():
         return Interval.unknown(level=level)
     iterations = np.asarray(history.iteration, dtype=np.float64)
     last = max(len(gain) // 10, 2)
@@ -176,12 +175,17 @@ _EDGE, _EDGE_OF_CONSTANTS, _EDGE_TO_LEARN = 64, 16, 16
 """Edge in pixels of what is estimated, at most: of the image, of constant ones, and by those that
 learn anew with every call, which takes them minutes."""
 _FEWER_LEVELS = (LEVELS[0], 1.0, LEVELS[-1])
-_DARK = 0.01
-"""Share of the squared mean of the image that counts in the scale of a pixel, as in relMSE."""
-_LEAST_SHOWN = -8.0
 
 
-def measure_reduction(data: SceneData) -> Outcome:
+@claim(
+    16,
+    "reduction to the mean",
+    "Where samples show no pattern, the learned model gracefully reduces to their mean: equal "
+    "samples keep their value, neither the order of samples nor the unit of radiance matters.",
+    spp=32,
+    subject="this training on this image: the network itself, whatever the scene shows",
+)
+def reduction(data: SceneData) -> Outcome:
     """Give the model constant images, the samples in another order, and in another unit."""
     comparison = required(data.comparison, "a comparison of estimators")
     learned = [n for n in comparison.estimators if n in comparison.models or n in names("learned")]
@@ -222,25 +226,25 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     tiny, huge = np.finfo(np.float32).tiny, np.finfo(np.float32).max
     factors = [f for f in FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
     scaled = {f: changes(partial(np.multiply, np.float32(f)), f) for f in factors}
-    scale = _scale(x[good], first)
+    scale, change = _scale(x[good], first), "largest change of an estimate with the"
     largest = {
-        "deviation of the estimate of equal samples, over their value": list(constants.values()),
-        "change of an estimate with the order of its samples, over the pixel's scale": [
-            _largest(change, scale) for change in moved.values()
+        "largest deviation of the estimate of equal samples, over their value": constants.values(),
+        f"{change} order of its samples, over the pixel's scale": [
+            _largest(by, scale) for by in moved.values()
         ],
-        "change of an estimate with the unit of radiance, over the pixel's scale": [
-            _largest(change, scale) for change in scaled.values()
+        f"{change} unit of radiance, over the pixel's scale": [
+            _largest(by, scale) for by in scaled.values()
         ],
     }
     # These are known exactly: nothing is drawn in them.
-    exact = {
-        name: Interval(max(v), max(v), max(v), level_of(3)) for name, v in largest.items() if v
-    }
+    known = {name: max(values) for name, values in largest.items() if values}
+    level = level_of(3)
+    tests = (ClaimTest(n, Interval(v, v, v, level), most=ROUNDING) for n, v in known.items())
     step = first - x[good].mean(axis=-1, dtype=np.float64)
-    # What is exact lies at the lower border.
-    shown = np.log10(np.maximum(list(constants.values()), 10**_LEAST_SHOWN))
+    # Deviations of 0 are drawn at the lower border.
+    shown = np.log10(np.maximum(list(constants.values()), 1e-8))
     return Outcome(
-        tuple(ClaimTest(f"largest {n}", known, most=ROUNDING) for n, known in exact.items()),
+        tuple(tests),
         () if scaled else ("needs radiance that may be 1024 times as bright or dark",),
         details={
             "estimator": name,
@@ -271,10 +275,10 @@ def _function(
     model: Any = comparison.models.get(name)
 
     def estimate(x: Array) -> Floats:
-        # A model under a name of one's own is asked as it is.
+        # A model under a name that is not registered has no entry.
         if name not in names():
             return np.asarray(model.predict(x), dtype=np.float64)
-        # The network itself is asked, as at home.
+        # The network alone, without the mean that a model of another scene is mixed with.
         found = estimate_by(entry_of(name), x, features=features, model=model, at_home=True)
         return np.asarray(found, dtype=np.float64)
 
@@ -295,7 +299,7 @@ def _scale(x: Array, estimate: Floats) -> Floats:
     """
     size = np.maximum(np.abs(x).mean(axis=-1, dtype=np.float64), np.nan_to_num(np.abs(estimate)))
     bright = size.max(axis=-1, keepdims=True)
-    return np.asarray(np.sqrt(bright**2 + _DARK * bright.mean() ** 2))
+    return np.asarray(np.sqrt(bright**2 + 0.01 * bright.mean() ** 2))
 
 
 def _largest(change: Floats, scale: Floats) -> float:
@@ -311,22 +315,4 @@ def _over(change: Floats, step: Floats) -> float:
     return float(np.sqrt(np.mean(change**2))) / size if size > 0 else float("nan")
 
 
-CLAIMS = (
-    Claim(
-        15,
-        "learned model",
-        "The learned model improves a majority of the estimates, suppresses fireflies, gains early "
-        "in training, and gives a denoiser a better start.",
-        measure,
-        about="this training on this image, judged on its other pixels: other scenes may differ",
-    ),
-    Claim(
-        16,
-        "reduction to the mean",
-        "Where samples show no pattern, the learned model gracefully reduces to their mean: equal "
-        "samples keep their value, neither the order of samples nor the unit of radiance matters.",
-        measure_reduction,
-        spp=32,
-        about="this training on this image: the network itself, whatever the scene shows",
-    ),
-)
+CLAIMS = (learned_model, reduction)

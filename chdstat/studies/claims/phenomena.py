@@ -1,6 +1,6 @@
 """Claims on the regions of a scene: what the CHDs of a phenomenon look like.
 
-Most claims of the case study are rows of `STATEMENTS`: a statistic of the pixels of a region that
+Most claims of the case study are rows of `CASE_STUDY`: a statistic of the pixels of a region that
 shows a phenomenon, or its difference from another region or from the image, and the range that the
 paper's words mean. Where those name no number, a tail is long, and a spread wide, beyond the
 exponential distribution's; "more" and "less" are above and below 0.
@@ -23,7 +23,7 @@ from chdstat.fit import tail_index
 from chdstat.fit._gamma import gamma_shape
 from chdstat.inference import modality
 from chdstat.patterns import Thresholds
-from chdstat.studies.claim import Claim
+from chdstat.studies.claim import Claim, claim
 from chdstat.studies.claims.assumptions import growing, with_room
 from chdstat.studies.claims.shape_distances import (
     SHAPE_NEEDS,
@@ -34,7 +34,7 @@ from chdstat.studies.claims.shape_distances import (
     shape_spread,
     standard_logs,
 )
-from chdstat.studies.log_chds import aligned, same_shape, shape_plot, visible
+from chdstat.studies.log_chds import aligned, counts_by_row, same_shape, shape_plot, visible
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require, required
 from chdstat.studies.scene_data import (
     QUANTILES_NEED,
@@ -46,7 +46,7 @@ from chdstat.studies.scene_data import (
 )
 from chdstat.summary.bins import linear_support
 
-__all__ = ["CLAIMS", "STATEMENTS"]
+__all__ = ["CASE_STUDY", "CLAIMS"]
 
 _MAJORITY = 0.5
 _TAIL = float(np.log(100) / np.log(2))
@@ -95,7 +95,14 @@ _EXPECTED = {
 gallery, "low numbers" in the white room by day, for which the paper gives no figure."""
 
 
-def measure_nulls(data: SceneData) -> Outcome:
+@claim(
+    1,
+    "nulls",
+    "The share of null samples is near 60 % in indirect light, above half by night, and low "
+    "where large sources light the scene.",
+    spp=32,
+)
+def nulls(data: SceneData) -> Outcome:
     """Compare the share of nulls with what the paper reports of such a scene."""
     expected, where = _EXPECTED.get(data.name.removeprefix("real-")), "the image"
     if expected is None:
@@ -116,7 +123,13 @@ def measure_nulls(data: SceneData) -> Outcome:
     )
 
 
-def measure_indirect(data: SceneData) -> Outcome:
+@claim(
+    5,
+    "indirect light",
+    "CHDs of indirect light have long tails, high kurtosis, negative skew in the log domain, "
+    "and many nulls.",
+)
+def indirect(data: SceneData) -> Outcome:
     """Measure tail, kurtosis, skewness of logarithms and nulls in indirect light."""
     patch = data.patch("indirect", "of indirect light", tests=4)
     x = data.light(patch)
@@ -165,7 +178,13 @@ _RATIO = np.linspace(0, 8, 641)
 """Edges of bins of standardised logarithms, and of radiance over the mean of its pixel."""
 
 
-def measure_diffuse(data: SceneData) -> Outcome:
+@claim(
+    2,
+    "diffuse objects",
+    "CHDs of diffuse objects are symmetric and close to Gaussian in the log domain, and "
+    "gamma-like with a mode below the mean in the linear one.",
+)
+def diffuse(data: SceneData) -> Outcome:
     """Measure skewness and distance to Gaussian of logarithms, and likeness to gamma."""
     patch = data.patch("diffuse", "of diffuse objects", tests=4)
     x = visible(data.light(patch))
@@ -228,11 +247,8 @@ def _ratios(x: Floats) -> Floats:
 
 def _counts(values: Floats, edges: Floats) -> Floats:
     """Count values of each row in bins, shape (row, bin); what lies outside goes to the ends."""
-    known = np.isfinite(values)
-    bins = np.clip(np.searchsorted(edges, values[known], "right") - 1, 0, len(edges) - 2)
-    row = np.nonzero(known)[0] * (len(edges) - 1)
-    counts = np.bincount(row + bins, minlength=len(values) * (len(edges) - 1))
-    return np.asarray(counts.reshape(len(values), -1), dtype=np.float64)
+    bins = np.clip(np.searchsorted(edges, values, "right") - 1, 0, len(edges) - 2)
+    return counts_by_row(bins, np.isfinite(values), len(edges) - 1).astype(np.float64)
 
 
 def _distance(counts: Floats, distribution: Floats) -> Floats:
@@ -247,7 +263,13 @@ def _distance(counts: Floats, distribution: Floats) -> Floats:
 # --- glossy objects and noisy reflections ---------------------------------------------------------
 
 
-def measure_glossy(data: SceneData) -> Outcome:
+@claim(
+    3,
+    "glossy objects",
+    "CHDs of glossy objects have the shape of diffuse ones, with channels moved apart and a "
+    "spread that follows their radiance.",
+)
+def glossy(data: SceneData) -> Outcome:
     """Compare glossy with diffuse shapes, and the channels with each other."""
     which = "of glossy and one of diffuse objects"
     patches = {name: data.patch(name, which, tests=3) for name in ("glossy", "diffuse")}
@@ -292,7 +314,12 @@ def _spread_slope(x: Floats, pixels: PixelSet) -> Interval[float]:
     return pixels.ratio((s1 * m2 + s2 * m1).sum(axis=1), (2 * m1 * m2).sum(axis=1))
 
 
-def measure_reflections(data: SceneData) -> Outcome:
+@claim(
+    4,
+    "noisy reflections",
+    "All pixels of a noisy reflection share one shape of the CHD, though their estimates vary.",
+)
+def reflections(data: SceneData) -> Outcome:
     """Measure how far the shapes in a reflection differ, and how noisy it is."""
     patch = data.patch("noisy-reflection", "with a noisy reflection", tests=2)
     x = data.light(patch)
@@ -317,7 +344,12 @@ def measure_reflections(data: SceneData) -> Outcome:
 # --- penumbrae ------------------------------------------------------------------------------------
 
 
-def measure_penumbrae(data: SceneData) -> Outcome:
+@claim(
+    6,
+    "penumbrae",
+    "CHDs in a penumbra are bimodal, with weights of the modes that follow the position across it.",
+)
+def penumbrae(data: SceneData) -> Outcome:
     """Count bimodal pixels, and correlate the weight of the bright mode with the position.
 
     One half of the samples says where the border between the modes is and which way the penumbra
@@ -393,7 +425,13 @@ _CONTRAST = 0.1
 """Deviation of log10 albedo within a region, over pixels and channels, that a slope needs."""
 
 
-def measure_textures(data: SceneData) -> Outcome:
+@claim(
+    7,
+    "coloured textures",
+    "A coloured texture moves the log CHD but does not change its shape, and albedo does not "
+    "tell the relative variance.",
+)
+def textures(data: SceneData) -> Outcome:
     """Compare shapes of channels, of dark and pale surfaces, and relative variance with albedo."""
     needed = "first-hit albedo of each channel"
     albedo = required(data.feature("albedo"), needed)
@@ -545,9 +583,7 @@ def _log_bins(x: Floats) -> tuple[Counts, Mask]:
 
 def _halves(bins: Counts, counted: Mask) -> list[Counts]:
     """Return the histograms of both halves of the samples, each of shape (pixel, bin)."""
-    place, size = bins + np.arange(len(bins))[:, np.newaxis] * _BINS, len(bins) * _BINS
-    halves = (place[:, i::2][counted[:, i::2]] for i in (0, 1))
-    return [np.bincount(half, minlength=size).reshape(-1, _BINS) for half in halves]
+    return [counts_by_row(bins[:, i::2], counted[:, i::2], _BINS) for i in (0, 1)]
 
 
 def _fullest(bins: Counts, counted: Mask) -> Floats:
@@ -567,7 +603,7 @@ def _fullest(bins: Counts, counted: Mask) -> Floats:
 
 @dataclass(frozen=True)
 class Statement:
-    """One thing that the paper says of the pixels of a phenomenon.
+    """A statement of the paper about the pixels of a phenomenon.
 
     Attributes
     ----------
@@ -594,12 +630,20 @@ class Statement:
     unit: str = "1"
 
 
-STATEMENTS: dict[str, tuple[Statement, ...]] = {
-    "direct light": (
-        Statement("share of multimodal pixels", _several, "direct", least=_MAJORITY),
-        Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
-    ),
-    "resolved direct light": (
+def _claim(number: int, name: str, words: str, *statements: Statement) -> Claim:
+    """Return the claim that all statements hold."""
+
+    def measure(data: SceneData) -> Outcome:
+        return _tested(data, statements)
+
+    # Reports print the first line as the method.
+    measure.__doc__ = f"Measure over the pixels: {'; '.join(s.name for s in statements)}."
+    return Claim(number, name, words, measure)
+
+
+CASE_STUDY = (
+    _claim(19, "resolved direct light",
+        "CHDs of directly lit surfaces are well resolved in spite of their spread and long tail.",
         Statement(
             "noise of the log histogram less that of the image", _jagged, "direct", "image",
             most=0.0,
@@ -610,7 +654,9 @@ STATEMENTS: dict[str, tuple[Statement, ...]] = {
         ),
         Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
     ),
-    "direct and diffuse": (
+    _claim(20, "direct and diffuse",
+        "CHDs of diffuse objects that get more indirect light are less spiky in the log domain "
+        "than those of directly lit surfaces, and have longer tails in the linear one.",
         Statement(
             "fullest tenth of a decade, diffuse less direct", _spike, "diffuse", "direct", most=0.0
         ),
@@ -619,7 +665,9 @@ STATEMENTS: dict[str, tuple[Statement, ...]] = {
             least=0.0, unit="decade",
         ),
     ),
-    "shadows": (
+    _claim(22, "shadows",
+        "CHDs in a shadow are skewed further to the dark in the log domain than in direct light, "
+        "and vary more.",
         Statement(
             "skewness of log radiance, shadow less direct", log_skewness, "shadow", "direct",
             most=0.0,
@@ -629,7 +677,8 @@ STATEMENTS: dict[str, tuple[Statement, ...]] = {
             unit="decade",
         ),
     ),
-    "virtual sources": (
+    _claim(24, "virtual sources",
+        "CHDs of translucent lamp shades have a very long, faint tail, and yet a low variance.",
         Statement(
             "decades of the longer tail beyond an exponential's", _reach, "virtual-source",
             least=0.0, unit="decade",
@@ -639,35 +688,38 @@ STATEMENTS: dict[str, tuple[Statement, ...]] = {
             most=0.0, unit="decade",
         ),
     ),
-    "hidden modes": (
+    _claim(25, "fireplace",
+        "The fireplace looks dull, but its CHD is wild in the log domain.",
+        Statement("modes less those of the image", _modes, "fireplace", "image", least=0.0),
+        Statement("share of multimodal pixels", _several, "fireplace", least=_MAJORITY),
+    ),
+    _claim(26, "hidden modes",
+        "Most of a CHD of indirect light is one spike of the linear histogram; the log histogram "
+        "shows several modes.",
         Statement(
             "share of samples in the fullest linear bin", _linear_spike, "indirect",
             least=_MAJORITY,
         ),
         Statement("share of multimodal pixels", _several, "indirect", least=_MAJORITY),
     ),
-    "fireplace": (
-        Statement("modes less those of the image", _modes, "fireplace", "image", least=0.0),
-        Statement("share of multimodal pixels", _several, "fireplace", least=_MAJORITY),
-    ),
-}  # fmt: skip
-"""What the paper says, by name of the claim, which is supported where all of it is."""
+)  # fmt: skip
+"""Claims on single regions; each is supported where all its statements are."""
 
 
-def statement(name: str) -> Callable[[SceneData], Outcome]:
-    """Return what measures the statements of that name."""
-
-    def measure(data: SceneData) -> Outcome:
-        return _tested(data, STATEMENTS[name])
-
-    # Reports print the first line as the method.
-    measure.__doc__ = f"Measure over the pixels: {'; '.join(s.name for s in STATEMENTS[name])}."
-    return measure
+_DIRECT_LIGHT = (
+    Statement("share of multimodal pixels", _several, "direct", least=_MAJORITY),
+    Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
+)
 
 
-def measure_direct(data: SceneData) -> Outcome:
+@claim(
+    18,
+    "direct light",
+    "CHDs of directly lit surfaces have several modes, a colour cast, and long tails.",
+)
+def direct(data: SceneData) -> Outcome:
     """Count modes in direct light, and measure its tail and its colour cast."""
-    return _tested(data, STATEMENTS["direct light"], cast="direct")
+    return _tested(data, _DIRECT_LIGHT, cast="direct")
 
 
 def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str = "") -> Outcome:
@@ -729,7 +781,13 @@ def _difference(values: Sequence[Floats], sets: Sequence[PixelSet]) -> Interval[
     return interval_of(difference, joined, level=level)
 
 
-def measure_similarity(data: SceneData) -> Outcome:
+@claim(
+    21,
+    "distant indirect light",
+    "CHDs of indirect light have one shape all over a room, and vary more than those of "
+    "direct light.",
+)
+def similarity(data: SceneData) -> Outcome:
     """Compare the shapes of indirect regions with each other, and their noise with direct light."""
     needed = "two regions of indirect light, far from each other"
     indirect, direct = data.patch("indirect", needed, tests=2), _pixels(data, "direct", 2)
@@ -767,7 +825,13 @@ def measure_similarity(data: SceneData) -> Outcome:
     )
 
 
-def measure_bounces(data: SceneData) -> Outcome:
+@claim(
+    23,
+    "several bounces",
+    "CHDs of light that comes by several bounces have several modes and one shape in all "
+    "channels, in spite of a colour cast.",
+)
+def bounces(data: SceneData) -> Outcome:
     """Count modes where light comes by several bounces, and compare the channels' shapes."""
     patch = data.patch("multi-bounce", "lit by several bounces", tests=3)
     require(data.samples.shape[2] > 1, "several channels")
@@ -787,112 +851,15 @@ def measure_bounces(data: SceneData) -> Outcome:
 
 
 CLAIMS = (
-    Claim(
-        1,
-        "nulls",
-        "The share of null samples is near 60 % in indirect light, above half by night, and low "
-        "where large sources light the scene.",
-        measure_nulls,
-        spp=32,
-    ),
-    Claim(
-        2,
-        "diffuse objects",
-        "CHDs of diffuse objects are symmetric and close to Gaussian in the log domain, and "
-        "gamma-like with a mode below the mean in the linear one.",
-        measure_diffuse,
-    ),
-    Claim(
-        3,
-        "glossy objects",
-        "CHDs of glossy objects have the shape of diffuse ones, with channels moved apart and a "
-        "spread that follows their radiance.",
-        measure_glossy,
-    ),
-    Claim(
-        4,
-        "noisy reflections",
-        "All pixels of a noisy reflection share one shape of the CHD, though their estimates vary.",
-        measure_reflections,
-    ),
-    Claim(
-        5,
-        "indirect light",
-        "CHDs of indirect light have long tails, high kurtosis, negative skew in the log domain, "
-        "and many nulls.",
-        measure_indirect,
-    ),
-    Claim(
-        6,
-        "penumbrae",
-        "CHDs in a penumbra are bimodal, with weights of the modes that follow the position "
-        "across it.",
-        measure_penumbrae,
-    ),
-    Claim(
-        7,
-        "coloured textures",
-        "A coloured texture moves the log CHD but does not change its shape, and albedo does not "
-        "tell the relative variance.",
-        measure_textures,
-    ),
-    Claim(
-        18,
-        "direct light",
-        "CHDs of directly lit surfaces have several modes, a colour cast, and long tails.",
-        measure_direct,
-    ),
-    Claim(
-        19,
-        "resolved direct light",
-        "CHDs of directly lit surfaces are well resolved in spite of their spread and long tail.",
-        statement("resolved direct light"),
-    ),
-    Claim(
-        20,
-        "direct and diffuse",
-        "CHDs of diffuse objects that get more indirect light are less spiky in the log domain "
-        "than those of directly lit surfaces, and have longer tails in the linear one.",
-        statement("direct and diffuse"),
-    ),
-    Claim(
-        21,
-        "distant indirect light",
-        "CHDs of indirect light have one shape all over a room, and vary more than those of "
-        "direct light.",
-        measure_similarity,
-    ),
-    Claim(
-        22,
-        "shadows",
-        "CHDs in a shadow are skewed further to the dark in the log domain than in direct light, "
-        "and vary more.",
-        statement("shadows"),
-    ),
-    Claim(
-        23,
-        "several bounces",
-        "CHDs of light that comes by several bounces have several modes and one shape in all "
-        "channels, in spite of a colour cast.",
-        measure_bounces,
-    ),
-    Claim(
-        24,
-        "virtual sources",
-        "CHDs of translucent lamp shades have a very long, faint tail, and yet a low variance.",
-        statement("virtual sources"),
-    ),
-    Claim(
-        25,
-        "fireplace",
-        "The fireplace looks dull, but its CHD is wild in the log domain.",
-        statement("fireplace"),
-    ),
-    Claim(
-        26,
-        "hidden modes",
-        "Most of a CHD of indirect light is one spike of the linear histogram; the log histogram "
-        "shows several modes.",
-        statement("hidden modes"),
-    ),
+    nulls,
+    diffuse,
+    glossy,
+    reflections,
+    indirect,
+    penumbrae,
+    textures,
+    direct,
+    similarity,
+    bounces,
+    *CASE_STUDY,
 )

@@ -28,7 +28,7 @@ from chdstat.patterns import Label
 from chdstat.samples import Samples
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.tiles import tiles
-from chdstat.studies.claim import IMAGES, TWO_RENDERS, Claim
+from chdstat.studies.claim import claim
 from chdstat.studies.claims.shape_distances import (
     SHAPE_NEEDS,
     common_count,
@@ -67,7 +67,13 @@ of each of five scenes, on a machine that did other things, too, differed by up 
 _NO_TIMES = "needs times of the renders, by the scalar backend"
 
 
-def measure_lengths(data: SceneData) -> Outcome:
+@claim(
+    9,
+    "path lengths",
+    "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
+    paired=True,
+)
+def lengths(data: SceneData) -> Outcome:
     """Compare pixel by pixel with an image of the same view with shorter paths."""
     (shorter, short), long = _shorter(data), data.summary
     whole, changes = data.whole(tests=4), _changes(long, short)
@@ -152,8 +158,8 @@ def _seconds_per_sample(samples: Samples) -> float | None:
     """Return the time to render and store one sample, in s, all cores together.
 
     The time of a render has no loading of the scene in it. Backends that compile for each render do
-    that within it, and seconds of compiling cannot be told from those of rendering: None for them,
-    that is, for all but the scalar one.
+    that within it, and the seconds of compiling cannot be separated: None for all but the
+    scalar backend.
     """
     seconds: Any = samples.attrs.get("render_seconds")
     if not seconds or samples.attrs.get("backend") != "scalar":
@@ -162,14 +168,21 @@ def _seconds_per_sample(samples: Samples) -> float | None:
     return float(seconds) / (height * width * spp)
 
 
-def measure_cost(data: SceneData) -> Outcome:
+@claim(
+    28,
+    "cost of longer paths",
+    "Images of longer paths are visibly brighter, and take longer to render.",
+    spp=32,
+    paired=True,
+)
+def cost(data: SceneData) -> Outcome:
     """Compare mean radiance and time with those of the same view with shorter paths."""
     (shorter, short), long = _shorter(data), data.summary
     whole = data.whole(tests=2)
     means = (s["mean"].to_numpy().astype(np.float64)[..., np.newaxis] for s in (long, short))
     after, before = (np.asarray(luminance(mean)).ravel() for mean in means)
     ratio = whole.ratio(after, before)
-    # What is visible, after Weber's law.
+    # Visible, after Weber's law.
     tests = [ClaimTest("mean radiance over that of shorter paths", ratio, least=1.02)]
     seconds = [_seconds_per_sample(samples) for samples in (data.samples, shorter)]
     timed = seconds[0] and seconds[1]
@@ -194,13 +207,19 @@ _DIFFERENT = 0.02
 """Cramér distance, root of its mean square over pixels, from which shapes are different.
 
 As of two log-normal CHDs of which one has a spread a tenth larger, at a third of a decade: that
-takes a fifth more samples for the same error in the logarithm. What is smaller may be there, and a
-test with samples enough would find it, but it changes nothing in practice. `SAME_SHAPE`, up to
-which CHDs look the same, is no border here: a difference need not be seen to be one.
+takes a fifth more samples for the same error in the logarithm. Smaller differences may
+exist, and a test with enough samples would find them, but they change nothing in practice.
 """
 
 
-def measure_integrators(data: SceneData) -> Outcome:
+@claim(
+    29,
+    "integrators",
+    "CHDs depend on how paths are sampled; where lights are sampled, too, averages are "
+    "Gaussian sooner, at equal time, than where surfaces alone are.",
+    paired=True,
+)
+def integrators(data: SceneData) -> Outcome:
     """Compare the shapes of integrators, and the time until their averages are Gaussian."""
     require(
         data.integrators,
@@ -272,7 +291,15 @@ _SEQUENCES = 8
 _SHUFFLES = 999
 
 
-def measure_correlated(data: SceneData) -> Outcome:
+@claim(
+    17,
+    "correlated samples",
+    "The average of samples that a sampler spreads over the pixel varies no more than that of "
+    "as many independent samples.",
+    spp=32,
+    paired=True,
+)
+def correlated(data: SceneData) -> Outcome:
     """Compare the variance of averages of spread samples with that of as many independent ones."""
     spread = required(
         data.spread,
@@ -463,7 +490,13 @@ _TURN, _STEP, _PAINT = 0.9, 0.1, 0.1
 """Cosine between normals, difference of log depth, and of albedo, from which surfaces differ."""
 
 
-def measure_complexity(scenes: Sequence[SceneData]) -> Outcome:
+@claim(
+    11,
+    "complexity",
+    "CHDs have more modes in more complex scenes.",
+    across=True,
+)
+def complexity(scenes: Sequence[SceneData]) -> Outcome:
     """Correlate the mean number of modes of the scenes with their complexity."""
     require(len(scenes) >= _SCENES, f"{_SCENES} scenes to rank, there are {len(scenes)}")
     complexity = np.array([scene_complexity(data) for data in scenes])
@@ -553,7 +586,13 @@ _ACROSS = 4
 _LEAST = 64
 
 
-def measure_scenes(scenes: Sequence[SceneData]) -> Outcome:
+@claim(
+    12,
+    "scene-specific shapes",
+    "Shapes of CHDs are specific to the scene, and depend on the integrator.",
+    across=True,
+)
+def scenes(scenes: Sequence[SceneData]) -> Outcome:
     """Classify scenes by shapes, and compare shapes of integrators pixel by pixel."""
     level, tests, missing = level_of(2), list[ClaimTest](), list[str]()
     details: dict[str, Any] = {"scenes": [data.name for data in scenes]}
@@ -609,18 +648,14 @@ def _scene_accuracy(
     Half-way between chance and certainty, the claim's border, is a choice of ours.
     """
     from sklearn.ensemble import ExtraTreesClassifier
+    from sklearn.model_selection import PredefinedSplit, cross_val_predict
 
     shapes, blocks = zip(*scenes, strict=True)
     x = np.concatenate(shapes)
     scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
     fold = np.concatenate([fold_of(b, across=_ACROSS, folds=_FOLDS) for b in blocks])
-    predicted = np.full(len(x), -1)
-    for k in range(_FOLDS):
-        if (held := fold == k).any():
-            model = ExtraTreesClassifier(
-                30, min_samples_leaf=3, class_weight="balanced", random_state=0
-            )
-            predicted[held] = model.fit(x[~held], scene[~held]).predict(x[held])
+    trees = ExtraTreesClassifier(30, min_samples_leaf=3, class_weight="balanced", random_state=0)
+    predicted = cross_val_predict(trees, x, scene, cv=PredefinedSplit(fold))
     joined = Blocks.join([b[:] for b in blocks])  # without blocks that have no pixel
     hits = means_by_region((predicted == scene).astype(float), joined)
     confusion = [
@@ -652,57 +687,4 @@ def _squares(data: SceneData) -> Floats | None:
     return squares(data.summary, theirs)
 
 
-CLAIMS = (
-    Claim(
-        9,
-        "path lengths",
-        "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
-        measure_lengths,
-        paired=True,
-        about=TWO_RENDERS,
-    ),
-    Claim(
-        11,
-        "complexity",
-        "CHDs have more modes in more complex scenes.",
-        measure_complexity,
-        across=True,
-        about=IMAGES,
-    ),
-    Claim(
-        12,
-        "scene-specific shapes",
-        "Shapes of CHDs are specific to the scene, and depend on the integrator.",
-        measure_scenes,
-        across=True,
-        about=IMAGES,
-    ),
-    Claim(
-        17,
-        "correlated samples",
-        "The average of samples that a sampler spreads over the pixel varies no more than that of "
-        "as many independent samples.",
-        measure_correlated,
-        spp=32,
-        paired=True,
-        about=TWO_RENDERS,
-    ),
-    Claim(
-        28,
-        "cost of longer paths",
-        "Images of longer paths are visibly brighter, and take longer to render.",
-        measure_cost,
-        spp=32,
-        paired=True,
-        about=TWO_RENDERS,
-    ),
-    Claim(
-        29,
-        "integrators",
-        "CHDs depend on how paths are sampled; where lights are sampled, too, averages are "
-        "Gaussian sooner, at equal time, than where surfaces alone are.",
-        measure_integrators,
-        paired=True,
-        about=TWO_RENDERS,
-    ),
-)
+CLAIMS = (lengths, complexity, scenes, correlated, cost, integrators)

@@ -10,7 +10,7 @@ import numpy as np
 from chdstat._core.arrays import Counts, Floats, generator
 from chdstat._core.resampling import LEVEL, Interval, largest_of
 from chdstat.rendering.recipes import Region
-from chdstat.studies.claim import Claim
+from chdstat.studies.claim import claim
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, require, required
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
@@ -31,12 +31,17 @@ _LEAST = 12
 _FOLDS = 4
 
 
-def measure_fireflies(data: SceneData) -> Outcome:
+@claim(
+    8,
+    "fireflies",
+    "A firefly and the pixel next to it have nearly the same CHD, though their estimates differ.",
+)
+def fireflies(data: SceneData) -> Outcome:
     """Compare CHDs of pixels with a firefly with those next to them: distances, and true means.
 
-    A distance of distribution functions hardly sees rare bright samples, though these make a
-    firefly: the means tell of them. A firefly is chosen by one batch of samples, and half of those
-    of its neighbour; the means are of all other batches, and so tell nothing of the choice.
+    Rare bright samples make a firefly, and hardly change a distance of distribution functions; they
+    do change the means. One batch of samples chooses a firefly, with some of those of its
+    neighbour; the means are of all other batches, and so do not depend on the choice.
     """
     partner = _partners(data).ravel()
     batches = data.batch_light.reshape(-1, data.batch_light.shape[-1])
@@ -161,7 +166,12 @@ _ON_EDGES = 30
 """Pixels on edges that are needed."""
 
 
-def measure_neighbours(data: SceneData) -> Outcome:
+@claim(
+    10,
+    "neighbours",
+    "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
+)
+def neighbours(data: SceneData) -> Outcome:
     """Compare neighbours with other pixels, and pixels on edges with blends of both sides."""
     chds, whole = data.chds, data.whole(tests=2)
     near = _near(chds)
@@ -232,7 +242,13 @@ _CELLS = (4, 2)
 """Parts of half of an image, down and across."""
 
 
-def measure_symmetry(data: SceneData) -> Outcome:
+@claim(
+    27,
+    "symmetry",
+    "In a scene of symmetric geometry, CHDs are not symmetric everywhere.",
+    spp=32,
+)
+def symmetry(data: SceneData) -> Outcome:
     """Compare CHDs of pixels with those of their mirror images, where geometry is symmetric."""
     depth, albedo = (
         required(data.feature(n), "first-hit depth, albedo") for n in ("depth", "albedo")
@@ -277,7 +293,12 @@ def measure_symmetry(data: SceneData) -> Outcome:
 # --- families -------------------------------------------------------------------------------------
 
 
-def measure_families(data: SceneData) -> Outcome:
+@claim(
+    14,
+    "families",
+    "The most frequent elementary distribution is the gamma distribution.",
+)
+def families(data: SceneData) -> Outcome:
     """Compare the share of gamma among the best families with that of the next frequent one.
 
     The details have other readings of "gamma-like": gamma and Weibull together are the generalised
@@ -329,31 +350,4 @@ def measure_families(data: SceneData) -> Outcome:
     )
 
 
-CLAIMS = (
-    Claim(
-        8,
-        "fireflies",
-        "A firefly and the pixel next to it have nearly the same CHD, though their estimates "
-        "differ.",
-        measure_fireflies,
-    ),
-    Claim(
-        10,
-        "neighbours",
-        "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
-        measure_neighbours,
-    ),
-    Claim(
-        14,
-        "families",
-        "The most frequent elementary distribution is the gamma distribution.",
-        measure_families,
-    ),
-    Claim(
-        27,
-        "symmetry",
-        "In a scene of symmetric geometry, CHDs are not symmetric everywhere.",
-        measure_symmetry,
-        spp=32,
-    ),
-)
+CLAIMS = (fireflies, neighbours, families, symmetry)
