@@ -47,25 +47,25 @@ def test_the_mean_comes_first():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("factor", [1e-290, 2.0**-100, 0.3, 1e4, 2.0**90, 1e290])
+@pytest.mark.parametrize("factor", [1e-290, 0.3, 2.0**90])
 def test_scaling_the_radiance_scales_the_estimate(name, factor):
     x = images()
     assert ENTRIES[name](factor * x) == pytest.approx(factor * ENTRIES[name](x), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("value", [1e-45, 1e-30, 0.1, 7.0, 3e38])
+@pytest.mark.parametrize("value", [1e-45, 7.0, 3e38])
 def test_equal_samples_give_their_value(name, value):
     x = np.full((3, 3, 3, 32), value, np.float32)
     assert ENTRIES[name](x) == pytest.approx(x[..., 0], rel=1e-6)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_null_samples_give_zero(name, dtype):
-    estimate = ENTRIES[name](np.zeros((3, 3, 3, 32), dtype))
-    assert estimate.dtype == dtype
-    assert not estimate.any()
+def test_null_samples_give_zero_in_their_dtype(name):
+    for dtype in (np.float32, np.float64):
+        estimate = ENTRIES[name](np.zeros((3, 3, 3, 32), dtype))
+        assert estimate.dtype == dtype
+        assert not estimate.any()
 
 
 @pytest.mark.parametrize("name", ORDER_FREE)

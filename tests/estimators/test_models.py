@@ -98,14 +98,8 @@ def test_what_cannot_be_trained_is_refused(name, options, match):
         train_model(image(), name, **options)
 
 
-def test_foreign_and_damaged_files_are_refused(tmp_path):
+def test_files_of_another_kind_are_refused(tmp_path):
     path = tmp_path / "a.safetensors"
-    train_model(image(), "elek2019", iterations=2, progress=False).save(path)
-    whole = path.read_bytes()
-    for content in (whole[:-50], b"", b"not a model" * 9):
-        path.write_bytes(content)
-        with pytest.raises(StoreError, match="damaged or not a chdstat model"):
-            load_model(path)
     for about, kind in (
         ({"kind": "other"}, "'other'"),
         ([], "None"),

@@ -28,19 +28,15 @@ def smooth(image):
     return image(24, 32, seed=1, smooth=True)
 
 
-@pytest.mark.parametrize("factor", [2.0**-40, 0.125, 2.0**60])
-@pytest.mark.parametrize("loss_weight", BALANCES)
-def test_powers_of_two_scale_the_estimate_to_the_bit(trained, fresh, factor, loss_weight):
-    found, scaled = (
-        trained.estimate(x, loss_weight=loss_weight)
-        for x in (fresh.x, fresh.x * np.float32(factor))
-    )
+@pytest.mark.parametrize("factor", [2.0**-40, 2.0**60])
+def test_powers_of_two_scale_the_estimate_to_the_bit(trained, fresh, factor):
+    found, scaled = (trained.estimate(x) for x in (fresh.x, fresh.x * np.float32(factor)))
     assert (scaled.radiance == found.radiance * np.float32(factor)).all()
     assert (scaled.certainty == found.certainty).all()
     assert (scaled.high == found.high * np.float32(factor)).all()
 
 
-@pytest.mark.parametrize("factor", [1e-6, 0.3, 7e5])
+@pytest.mark.parametrize("factor", [1e-6, 7e5])
 def test_any_factor_scales_the_estimate(trained, fresh, factor):
     scaled = trained.predict(fresh.x * np.float32(factor)) / np.float32(factor)
     assert scaled == pytest.approx(trained.predict(fresh.x), rel=1e-5, abs=1e-7)
@@ -66,7 +62,7 @@ def test_pixels_are_on_their_own_within_an_image(trained, fresh):
     assert trained.predict(np.empty((0, 3, 8)), unit=1.0).shape == (0, 3)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 7, 100, 1000, 4096])
+@pytest.mark.parametrize("n", [1, 2, 7, 4096])
 def test_any_number_of_samples(trained, n):
     x = np.random.default_rng(n).gamma(0.5, size=(4, 5, 3, n))
     found = trained.estimate(x)
@@ -128,9 +124,10 @@ def wild(x):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize("unit", [None, 1.0, 1e-30])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("loss_weight", BALANCES)
+@pytest.mark.parametrize(
+    ("unit", "dtype", "loss_weight"),
+    [(None, np.float32, 0.0), (1.0, np.float64, 0.5), (1e-30, np.float32, 1.0)],
+)
 def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype, loss_weight):
     x = wild(fresh.x).astype(dtype)
     found = trained.estimate(x, loss_weight=loss_weight, unit=unit)
