@@ -12,6 +12,12 @@ Poisson", 1952, doi:10.2307/3001863).
 
 `split` takes the samples of atoms out, and spreads those that rounding made equal over what was
 rounded to their value, never further than to the nearest values. What is left is continuous.
+
+Renderers clamp radiance against fireflies. A law that is cut off is no longer of its family: the
+rest looks like several components. So `before_clamps` lets the clamped samples, which are an atom
+at the top of the row, take part in a fit as the tail that the law leaves above the clamp (the EM
+algorithm for censored samples: Dempster, Laird and Rubin, "Maximum likelihood from incomplete data
+via the EM algorithm", 1977, section 4.2, doi:10.1111/j.2517-6161.1977.tb01600.x).
 """
 
 from __future__ import annotations
@@ -26,9 +32,11 @@ from scipy import special
 from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.positive import Part, PositivePart
 from chdstat.errors import Reason
+from chdstat.fit.families import estimate_part, get_family
+from chdstat.fit.family import take_part
 from chdstat.fit.groups import cumulative
 
-__all__ = ["MOST_ATOMS", "Atoms", "split"]
+__all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "split"]
 
 MOST_ATOMS = 8
 """Most atoms of a row: one with more has no continuous part to speak of."""
@@ -332,3 +340,55 @@ def _is_discrete(log: Floats, kept: Counts) -> Mask:
     most = 2 * np.where(kept >= _HEAVY, kept, 0).sum(axis=-1) > kept.sum(axis=-1)
     several = _IRREGULAR * np.count_nonzero(heavy, axis=-1)
     return np.asarray(few | most & (np.count_nonzero(heavy & uneven, axis=-1) > several))
+
+
+_IMPUTATIONS, _LAMP = 12, 0.1
+"""How often clamped samples are drawn anew; and the share of an atom at the top that one law leaves
+to its tail, below which the atom is a lamp, not a clamp."""
+
+
+def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
+    """Return the continuous rest with the samples of an atom at its top as they may have been.
+
+    They become the quantiles of the tail that one component leaves above the clamp, which is fitted
+    to all of them in turn. Rows without a clamp stay as they are.
+    """
+    if not isinstance(part, PositivePart) or not isinstance(atoms.rest, PositivePart):
+        return atoms.rest
+    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
+    top = np.take_along_axis(part.sorted, last, axis=-1).astype(np.float64)
+    held = np.where(atoms.values == top, atoms.counts, 0).sum(axis=-1)
+    rows = np.flatnonzero((held > 0) & ~atoms.discrete)
+    if not rows.size:
+        return atoms.rest
+    described, rest, whole = get_family(family), take_part(atoms.rest, rows), take_part(part, rows)
+    top, held = top.reshape(-1)[rows], held.reshape(-1)[rows]
+    clamped = whole.positive & ~rest.positive & (whole.x == top[:, np.newaxis])
+    parameters = estimate_part(rest, described)[0].parameters
+    with np.errstate(invalid="ignore"):
+        clamped &= (described.distribution(parameters).sf(top) * rest.n > _LAMP * held)[:, None]
+    row, at = np.nonzero(clamped)
+    share = (np.cumsum(clamped, axis=-1)[row, at] - 0.5) / held[row]
+    filled = replace(
+        rest,
+        x=rest.x.copy(),
+        positive=rest.positive | clamped,
+        n=rest.n + np.count_nonzero(clamped, axis=-1),
+    )
+    for _ in range(_IMPUTATIONS):
+        law = described.distribution({name: value[row] for name, value in parameters.items()})
+        filled.x[row, at] = law.isf(share * law.sf(top[row]))
+        filled = replace(filled)
+        parameters = estimate_part(filled, described)[0].parameters
+    samples = part.x.shape[-1]
+    x, positive = (np.array(v).reshape(-1, samples) for v in (atoms.rest.x, atoms.rest.positive))
+    x[rows], positive[rows] = filled.x, filled.positive
+    n = atoms.rest.n.reshape(-1).copy()
+    n[rows] = filled.n
+    shape = part.x.shape
+    return PositivePart(
+        np.asarray(x.reshape(shape), dtype=np.float64),
+        np.asarray(positive.reshape(shape), dtype=bool),
+        n.reshape(part.n.shape),
+        *(part.n_null, part.n_zero, part.n_negative, part.n_bad),
+    )

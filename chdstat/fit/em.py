@@ -23,14 +23,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat.fit._gamma import gap_of_shape
-from chdstat.fit.groups import SPREAD_FLOOR, Summaries
+from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups
 
 __all__ = [
     "COMPONENTS",
@@ -90,7 +90,7 @@ class ComponentFamily:
         shape (component, row).
     scores
         Derivatives of the log density by these parameters, or their logarithms, at the groups, of a
-        state of shape (3, component, row, 1).
+        state of shape (3, component, 1, row).
     logarithmic
         Of which parameters the scores take the logarithm.
     directions
@@ -98,7 +98,7 @@ class ComponentFamily:
     """
 
     name: MixtureFamily
-    statistic: Callable[[Summaries], Floats]
+    statistic: Callable[[SampleGroups], Floats]
     transform: Callable[[Floats], Floats]
     location: Callable[[Floats, Floats], Floats]
     variance: Callable[[Floats, Floats], Floats]
@@ -110,7 +110,7 @@ class ComponentFamily:
     moments: Callable[[Floats], tuple[Floats, Floats]]
     median: Callable[[Floats], Floats]
     parameters: Callable[[Floats, Floats], tuple[Floats, Floats]]
-    scores: Callable[[Summaries, Floats], tuple[Floats, Floats]]
+    scores: Callable[[SampleGroups, Floats], tuple[Floats, Floats]]
     logarithmic: tuple[bool, bool]
     directions: tuple[tuple[int, int], tuple[int, int]]
 
@@ -140,11 +140,11 @@ def _lognormal_log_density(log_deviation: Floats, variance: Floats) -> Floats:
     return np.asarray(-log_deviation - _LOG_ROOT_TAU - 0.5 * variance * precision)
 
 
-def _lognormal_scores(summaries: Summaries, state: Floats) -> tuple[Floats, Floats]:
+def _lognormal_scores(groups: SampleGroups, state: Floats) -> tuple[Floats, Floats]:
     _, mean, log_deviation = state
     precision = np.exp(-2 * log_deviation)
-    square = summaries.square - 2 * mean * summaries.log + mean**2
-    return (summaries.log - mean) * precision, square * precision - 1
+    square = groups.square - 2 * mean * groups.log + mean**2
+    return (groups.log - mean) * precision, square * precision - 1
 
 
 def _gamma_location(_log: Floats, ratio: Floats) -> Floats:
@@ -175,11 +175,11 @@ def _gamma_median(state: Floats) -> Floats:
         return np.asarray(state[1] + np.log(special.gammaincinv(shape, 0.5) / shape))
 
 
-def _gamma_scores(summaries: Summaries, state: Floats) -> tuple[Floats, Floats]:
+def _gamma_scores(groups: SampleGroups, state: Floats) -> tuple[Floats, Floats]:
     _, log_mean, log_shape = state
     shape, log_scale = np.exp(log_shape), log_mean - log_shape
-    by_log_shape = shape * (summaries.log - log_scale - special.digamma(shape))
-    return by_log_shape, summaries.ratio * np.exp(-log_scale) - shape
+    by_log_shape = shape * (groups.log - log_scale - special.digamma(shape))
+    return by_log_shape, groups.ratio * np.exp(-log_scale) - shape
 
 
 def _log_shape(gap: Floats) -> Floats:
@@ -198,7 +198,7 @@ COMPONENTS = {
     for family in (
         ComponentFamily(
             name="lognormal",
-            statistic=lambda summaries: summaries.square,
+            statistic=lambda groups: groups.square,
             transform=np.square,
             location=lambda log, _square: log,
             variance=lambda log, square: square - log * log,
@@ -216,7 +216,7 @@ COMPONENTS = {
         ),
         ComponentFamily(
             name="gamma",
-            statistic=lambda summaries: summaries.ratio,
+            statistic=lambda groups: groups.ratio,
             transform=np.exp,
             location=_gamma_location,
             # The variance is near 1 / shape, and the gap near 1 / (2 shape), where both are small.
@@ -290,97 +290,71 @@ class Solution:
         )
 
 
-class _Data(NamedTuple):
-    """What a step needs of groups, shape (group, row), and of rows: as `Summaries`.
-
-    There are many more rows than groups: with rows last, loops are long, and take half the time.
-    """
-
-    samples: Floats
-    log: Floats
-    statistic: Floats
-    floor: Floats
-    spacing: Floats
-    n: Floats
-
-    @classmethod
-    def of(cls, summaries: Summaries, family: ComponentFamily) -> _Data:
-        by_group = (summaries.count, summaries.log, family.statistic(summaries))
-        samples, log, statistic = (np.ascontiguousarray(values.T) for values in by_group)
-        return cls(samples, log, statistic, summaries.floor, summaries.spacing, summaries.n)
-
-    def take(self, rows: Mask) -> _Data:
-        """Return some of the rows."""
-        return _Data(*(values[..., rows] for values in self))
-
-
 def run(
-    summaries: Summaries, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
+    groups: SampleGroups, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
 ) -> Solution:
     """Raise the bound until a cycle of three steps gains less than `tolerance` per sample.
 
     One component is at its maximum at once.
     """
     if state.shape[1] == 1:
-        value, there = bound_at(summaries, family, state), np.ones(state.shape[-1], dtype=bool)
-        return Solution(family, state, summaries.origin, value, there)
+        value, there = bound_at(groups, family, state), np.ones(state.shape[-1], dtype=bool)
+        return Solution(family, state, groups.origin, value, there)
     state = state.copy()
     bound = np.full(state.shape[-1], -np.inf)
     converged = np.zeros(state.shape[-1], dtype=bool)
-    active = np.arange(state.shape[-1])
-    data = _Data.of(summaries, family)
+    active, here = np.arange(state.shape[-1]), groups
     for _ in range(cycles):
         # Extrapolation may leave the numbers; what it reached is then not taken.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            state[..., active], value = _cycle(data, family, state[..., active])
-        done = value - bound[active] < tolerance * data.n
+            state[..., active], value = _cycle(here, family, state[..., active])
+        done = value - bound[active] < tolerance * here.n
         bound[active], converged[active] = value, done
         if done.all():
             break
         # Leaving out rows costs a copy: it pays only for many of them.
         if 8 * np.count_nonzero(done) > done.size:
             active = active[~done]
-            data = data.take(~done)
-    return Solution(family, state, summaries.origin, bound, converged)
+            here = here.take(~done)
+    return Solution(family, state, groups.origin, bound, converged)
 
 
-def responsibilities(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
-    """Return how many samples of each group belong to each component, (component, row, group)."""
-    return _expect(_Data.of(summaries, family), family.coefficients(state))[0].transpose(0, 2, 1)
+def responsibilities(groups: SampleGroups, family: ComponentFamily, state: Floats) -> Floats:
+    """Return how many samples of each group belong to each component, (component, group, row)."""
+    return _expect(groups, family, state)[0]
 
 
-def bound_at(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
+def bound_at(groups: SampleGroups, family: ComponentFamily, state: Floats) -> Floats:
     """Return the bound at a state: the log-likelihood of y, if each group is one sample."""
-    return _expect(_Data.of(summaries, family), family.coefficients(state))[1]
+    return _expect(groups, family, state)[1]
 
 
 def refit(
-    summaries: Summaries, solution: Solution, onto: Summaries, family: ComponentFamily
+    groups: SampleGroups, solution: Solution, onto: SampleGroups, family: ComponentFamily
 ) -> Floats:
     """Return the state of maximum likelihood of other groups or components.
 
     They are given the responsibilities that the groups have under a solution.
     """
-    coefficients = solution.family.coefficients(solution.state)
-    shares, _ = _expect(_Data.of(summaries, solution.family), coefficients)
-    return _maximise(_Data.of(onto, family), family, shares)
+    shares, _ = _expect(groups, solution.family, solution.state)
+    return _maximise(onto, family, shares)
 
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
-    """Return the log density of y at groups or samples, shape (row, group)."""
+    """Return the log density of y, from y, t(y), and coefficients (3, component, ...) of them."""
     with np.errstate(over="ignore", invalid="ignore"):
-        exponent, top = _exponents(log, statistic, coefficients[..., np.newaxis])
+        exponent, top = _exponents(log, statistic, coefficients)
         total = np.log(np.exp(exponent, out=exponent).sum(axis=0))
         # Far beyond every component, all terms are minus infinity, and so is their sum.
         return np.where(top == -np.inf, -np.inf, total + top)
 
 
-def _cycle(data: _Data, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
+def _cycle(groups: SampleGroups, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
     """Take two steps, extrapolate them, and take a third one from there."""
-    one, _ = _step(data, family, state)
-    two, before = _step(data, family, one)
+    one, _ = _step(groups, family, state)
+    two, before = _step(groups, family, one)
     far = _extrapolate(state, one, two)
-    three, bound = _step(data, family, family.bounded(far, data.floor))
+    three, bound = _step(groups, family, family.bounded(far, groups.floor))
     fell = ~(bound >= before)
     three[..., fell] = two[..., fell]
     return three, np.where(fell, before, bound)
@@ -397,21 +371,22 @@ def _extrapolate(state: Floats, one: Floats, two: Floats) -> Floats:
     return far
 
 
-def _step(data: _Data, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
+def _step(groups: SampleGroups, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
     """Return the next state, and the penalised bound at this one."""
-    shares, bound = _expect(data, family.coefficients(state))
-    return _maximise(data, family, shares), bound + penalty(family, state, data.spacing)
+    shares, bound = _expect(groups, family, state)
+    return _maximise(groups, family, shares), bound + penalty(family, state, groups.spacing)
 
 
-def _expect(data: _Data, coefficients: Floats) -> tuple[Floats, Floats]:
+def _expect(groups: SampleGroups, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
     """Return responsibilities, shape (component, group, row), and the bound."""
-    exponent, top = _exponents(data.log, data.statistic, coefficients[:, :, np.newaxis])
+    coefficients = family.coefficients(state)[:, :, np.newaxis]
+    exponent, top = _exponents(groups.log, family.statistic(groups), coefficients)
     shares = np.exp(exponent, out=exponent)
     total = shares.sum(axis=0)
-    shares *= data.samples / total
+    shares *= groups.count / total
     np.log(total, out=total)
     total += top
-    total *= data.samples
+    total *= groups.count
     return shares, total.sum(axis=0)
 
 
@@ -429,11 +404,11 @@ def _exponents(log: Floats, statistic: Floats, coefficients: Floats) -> tuple[Fl
     return exponent, top
 
 
-def _maximise(data: _Data, family: ComponentFamily, shares: Floats) -> Floats:
+def _maximise(groups: SampleGroups, family: ComponentFamily, shares: Floats) -> Floats:
     sizes = np.maximum(shares.sum(axis=1), _LEAST_SIZE)
-    log = np.einsum("kcr,cr->kr", shares, data.log) / sizes
-    statistic = np.einsum("kcr,cr->kr", shares, data.statistic) / sizes
-    return state_of(family, sizes, log, statistic, data.floor, data.spacing)
+    log = np.einsum("kcr,cr->kr", shares, groups.log) / sizes
+    statistic = np.einsum("kcr,cr->kr", shares, family.statistic(groups)) / sizes
+    return state_of(family, sizes, log, statistic, groups.floor, groups.spacing)
 
 
 def state_of(
@@ -453,7 +428,7 @@ def state_of(
     sizes, log, statistic
         Samples, mean y and mean t(y) of each, shape (component, row).
     floor, spacing
-        As of `Summaries`.
+        As of `SampleGroups`.
     """
     variance = family.variance(log, statistic)
     if len(sizes) > 1:  # One component has a maximum of its own.

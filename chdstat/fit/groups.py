@@ -1,22 +1,23 @@
-"""Groups of neighbouring samples, which mixtures are fitted to, of samples or of bins.
+"""SampleGroups of neighbouring samples, which mixtures are fitted to, of samples or of bins.
 
 What an exponential family needs of a group is its size and the means of its sufficient statistics.
 With a bounded number of groups per pixel, the cost of a fit does not depend on spp; with groups as
 narrow as the samples are dense, hardly anything is lost. The bins of a log histogram are groups,
-too.
+too. Rows come last: there are many more of them than groups, and long loops take half the time.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, spans, take_rows
+from chdstat._core.arrays import Counts, Floats, spans
 
-__all__ = ["Summaries", "summaries_of_bins", "summaries_of_each", "summaries_of_samples"]
+__all__ = ["SampleGroups", "groups_of_bins", "groups_of_each", "groups_of_samples"]
 
 _CHUNK = 2**17
 
@@ -29,15 +30,15 @@ _SPIKE_EDGES = 4
 
 
 @dataclass(frozen=True)
-class Summaries:
+class SampleGroups:
     """Rows of groups, each in ascending order.
 
     Attributes
     ----------
     count
-        Samples per group, shape (row, group); 0 for a group that is not used.
+        Samples per group, shape (group, row); 0 for a group that is not used.
     log, square, ratio
-        Means of y, y^2 and exp(y) within the group, shape (row, group), where y = log x - origin.
+        Means of y, y^2 and exp(y) within the group, shape (group, row), where y = log x - origin.
     origin
         Shape (row,): log of the largest sample, so that exp(y) cannot overflow.
     floor
@@ -54,17 +55,17 @@ class Summaries:
     floor: Floats
     spacing: Floats
 
-    def take(self, rows: Counts) -> Summaries:
-        """Return some of the rows."""
-        return take_rows(self, rows, axis=0)
+    def take(self, rows: npt.NDArray[Any]) -> SampleGroups:
+        """Select some of the rows."""
+        return SampleGroups(*(getattr(self, field.name)[..., rows] for field in fields(self)))
 
-    @property
+    @cached_property
     def n(self) -> Floats:
         """Samples per row."""
-        return np.asarray(self.count.sum(axis=-1))
+        return np.asarray(self.count.sum(axis=0))
 
 
-def summaries_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Summaries:
+def groups_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> SampleGroups:
     """Group samples, their logarithms in ascending order, shape (row, sample), `n` of which count.
 
     There are up to `most` groups of equally many samples; those at both ends are divided. Edges lie
@@ -79,21 +80,23 @@ def summaries_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Summa
         below = (np.take_along_axis(cumulative(v), edges, axis=-1) for v in (y, y * y, np.exp(y)))
         means = (np.diff(sums, axis=-1) / np.maximum(count, 1) for sums in below)
         pieces.append((count, *means, origin, _spacing(y, n[part])))
-    count, log, square, ratio, origin, spacing = map(np.concatenate, zip(*pieces, strict=True))
-    return Summaries(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR), spacing)
+    count, log, square, ratio, origin, spacing = (
+        np.ascontiguousarray(np.concatenate(v).T) for v in zip(*pieces, strict=True)
+    )
+    return SampleGroups(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR), spacing)
 
 
-def summaries_of_each(log_sorted: Floats, n: Counts) -> Summaries:
-    """Make each sample a group, which loses nothing; arguments as of `summaries_of_samples`."""
+def groups_of_each(log_sorted: Floats, n: Counts) -> SampleGroups:
+    """Make each sample a group, which loses nothing; arguments as of `groups_of_samples`."""
     y, origin = _relative(log_sorted, n)
-    count = (np.arange(log_sorted.shape[-1]) < n[:, np.newaxis]).astype(np.float64)
-    floor, spacing = np.full(len(n), SPREAD_FLOOR), _spacing(y, n)
-    return Summaries(count, y, y * y, np.exp(y), origin, floor, spacing)
+    count = (np.arange(log_sorted.shape[-1])[:, np.newaxis] < n).astype(np.float64)
+    floor, spacing, log = np.full(len(n), SPREAD_FLOOR), _spacing(y, n), np.ascontiguousarray(y.T)
+    return SampleGroups(count, log, log * log, np.exp(log), origin, floor, spacing)
 
 
-def summaries_of_bins(
+def groups_of_bins(
     counts: Floats, log_centers: Floats, width: Floats
-) -> tuple[Summaries, Summaries]:
+) -> tuple[SampleGroups, SampleGroups]:
     """Take over the bins of log histograms, shape (row, bin), of width h, shape (row,).
 
     The first have all samples at the centres of the bins. No component may be denser than the
@@ -104,23 +107,22 @@ def summaries_of_bins(
     """
     # Filled bins come first: the width is that of the row that has most of them.
     filled = counts > 0
-    most = int(np.count_nonzero(filled, axis=-1).max())
-    order = np.argsort(~filled, axis=-1, kind="stable")[:, :most]
-    count, centers = (np.take_along_axis(v, order, axis=-1) for v in (counts, log_centers))
     last = np.count_nonzero(filled, axis=-1) - 1
+    order = np.argsort(~filled, axis=-1, kind="stable")[:, : int(last.max()) + 1]
+    count, centers = (np.take_along_axis(v, order, axis=-1) for v in (counts, log_centers))
     origin = np.take_along_axis(centers, last[:, np.newaxis], axis=-1)
-    y, h = np.minimum(centers - origin, 0.0), width[:, np.newaxis]
-    square, ratio = y * y, np.exp(y)
-    least = np.maximum(width / np.sqrt(2 * np.pi), SPREAD_FLOOR)
-    corrected = np.maximum(width * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
     # Half of the samples lie in bins that hold as many as this one, or more.
     fullest = -np.sort(-count, axis=-1)
     half = 2 * np.cumsum(fullest, axis=-1) < count.sum(axis=-1, keepdims=True)
     typical = np.take_along_axis(fullest, half.sum(axis=-1, keepdims=True), axis=-1)[:, 0]
-    spacing = width / typical
-    as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least, spacing)
-    ratio, square = ratio * (h / 2) / np.sinh(h / 2), square - h * h / 12
-    return as_they_are, Summaries(count, y, square, ratio, origin[:, 0], corrected, spacing)
+    count, y, h = (
+        np.ascontiguousarray(v.T) for v in (count, np.minimum(centers - origin, 0), width)
+    )
+    least = np.maximum(h / np.sqrt(2 * np.pi), SPREAD_FLOOR)
+    corrected = np.maximum(h * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
+    as_they_are = SampleGroups(count, y, y * y, np.exp(y), origin[:, 0], least, h / typical)
+    square, ratio = y * y - h * h / 12, np.exp(y) * (h / 2) / np.sinh(h / 2)
+    return as_they_are, SampleGroups(count, y, square, ratio, origin[:, 0], corrected, h / typical)
 
 
 def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
@@ -182,8 +184,7 @@ def _spikes(gaps: Floats) -> Counts:
     return np.argpartition(contrast, -kept, axis=-1)[:, -kept:]
 
 
-def cumulative(values: npt.NDArray[Any]) -> Floats:
-    """Return sums of the values before each, and of all of them, shape (row, value + 1)."""
-    sums = np.zeros((values.shape[0], values.shape[1] + 1))
-    np.cumsum(values, axis=-1, out=sums[:, 1:])
-    return sums
+def cumulative(values: npt.NDArray[Any], axis: int = -1) -> Floats:
+    """Return sums of the values before each along an axis, and of all of them."""
+    none = np.zeros_like(np.take(values, [0], axis=axis), dtype=np.float64)
+    return np.concatenate([none, np.cumsum(values, axis=axis, dtype=np.float64)], axis=axis)

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
+from chdstat._core.arrays import Floats, Mask, Seed, generator
 from chdstat._core.display import Card
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.statistic import result, variable
 from chdstat.errors import InputError, Reason, check_option
-from chdstat.fit.atoms import Atoms, split
-from chdstat.fit.clamps import before_clamps
-from chdstat.fit.em import COMPONENTS, MixtureFamily
+from chdstat.fit import em
+from chdstat.fit.atoms import Atoms, before_clamps, split
+from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
 from chdstat.fit.families import (
     Fit,
     ParametricFit,
@@ -29,8 +29,8 @@ from chdstat.fit.families import (
     zero_log_likelihood,
 )
 from chdstat.fit.family import halves_of
-from chdstat.fit.mixture_errors import standard_errors
-from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
+from chdstat.fit.groups import SampleGroups
+from chdstat.fit.search import EFFORTS, Effort, Piece, log_likelihood, log_samples, score, search
 from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
@@ -274,30 +274,28 @@ class ChosenMixtures:
         self._likelihoods = np.full((rows, largest), np.nan)
         self._converged = np.zeros(rows, dtype=bool)
 
-    def enter(self, found: Found) -> None:
+    def enter(self, piece: Piece, solutions: list[Solution]) -> None:
         """Take over what was found of some rows."""
-        solutions, allowed = found.solutions, self._allowed[found.rows]
+        allowed = self._allowed[piece.rows]
         values = np.stack([s.log_likelihood for s in solutions], axis=-1)
         # Minus infinity stands for what the search did not try.
-        self._likelihoods[found.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
-        log_n = log_samples(found.summaries.n)
+        self._likelihoods[piece.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
+        log_n = log_samples(piece.corrected.n)
         scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
+        compared = scores if self._held_out is None else self._held_out[piece.rows]
+        compared = np.where(allowed & ~np.isnan(compared), compared, -np.inf)
+        best = compared.argmax(axis=-1)
         if self._chosen is not None:
-            best = np.full(len(found.rows), self._chosen - 1)
-        elif self._held_out is not None:
-            best = _highest(self._held_out[found.rows], allowed)
-        else:
-            best = _highest(scores, allowed)
+            best[:] = self._chosen - 1
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
-            rows, solution = found.rows[at], solutions[k].take(at)
+            rows, solution = piece.rows[at], solutions[k].take(at)
             weight, family = np.exp(solution.state[0]), solution.family
             parameters = family.parameters(solution.state, solution.origin)
             estimates = np.stack([weight / weight.sum(axis=0), *parameters])
             gain = scores[at, k] - scores[at, :k].max(axis=-1, initial=-np.inf)
-            errors, self._error_reason[rows] = standard_errors(
-                solution, found.summaries.take(at), gain
-            )
+            groups = piece.corrected.take(at)
+            errors, self._error_reason[rows] = _standard_errors(solution, groups, gain)
             order = np.argsort(family.median(solution.state), axis=0)[np.newaxis, np.newaxis]
             ordered = np.take_along_axis(np.stack([estimates, errors]), order, axis=2)
             self._table[:, :, rows, : k + 1] = np.moveaxis(ordered, -1, 2)
@@ -360,11 +358,6 @@ def _allowed_components(part: Part, largest: int) -> Mask:
     return np.asarray(enough & (np.count_nonzero(part.counts > 0, axis=-1)[..., np.newaxis] >= k))
 
 
-def _highest(score: Floats, allowed: Mask) -> Counts:
-    """Return the index of the highest score of those that are allowed and known, shape (row,)."""
-    return np.asarray(np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1))
-
-
 _LARGEST_K = 8
 
 
@@ -421,7 +414,7 @@ class MixtureFit(ParametricFit[Mixture]):
         atoms = replace(atoms, rest=before_clamps(part, atoms, family))
         chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
         for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
-            chosen.enter(found)
+            chosen.enter(*found)
         return chosen.result(family)
 
 
@@ -516,12 +509,147 @@ def _held_out(
     total = np.full((rows, largest), np.nan)
     total[both] = 0.0
     n, ascending = halves.n.reshape(-1), halves.log_sorted.reshape(2 * rows, -1)
-    for found in search(halves, np.tile(both, 2), family, largest, effort=effort):
-        other = (found.rows + rows) % (2 * rows)
-        for i, solution in enumerate(found.solutions):
+    for piece, solutions in search(halves, np.tile(both, 2), family, largest, effort=effort):
+        other = (piece.rows + rows) % (2 * rows)
+        for i, solution in enumerate(solutions):
             value = log_likelihood(ascending[other], n[other], solution)
-            np.add.at(total[:, i], found.rows % rows, value)
+            np.add.at(total[:, i], piece.rows % rows, value)
     enough = halves.n.min(axis=0)[:, np.newaxis] >= 3 * np.arange(1, largest + 1) - 1
     with np.errstate(invalid="ignore", divide="ignore"):
         per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
     return np.where(enough, per_sample, np.nan)
+
+
+_SMALLEST = 1e-150
+_WORST = 1e-12
+"""Reciprocal condition at or below which an information matrix counts as singular."""
+_FEWEST, _TIMES, _CLEAR = 30, 10, 18.0
+"""Least samples of each of several components; how many times those that the family asks for there
+must be of all; and least score by which there are that many components."""
+_FALL, _FLATTER, _STEEPER = 0.5 * 1.96**2, 0.7, 2.0
+"""Fall of the log-likelihood at either end of an interval of 95 %, and how much of it there must be
+at least and at most."""
+_WIDER = 1.1
+"""Of errors of several components, for what is left of all this."""
+
+
+def _standard_errors(
+    solution: Solution, groups: SampleGroups, gain: Floats
+) -> tuple[Floats, npt.NDArray[np.int8]]:
+    """Return standard errors of weights and both parameters, and why some are missing.
+
+    They are those of maximum likelihood for many samples, and of the number of components that
+    there are. Few samples in a component, components that overlap, and a number of components that
+    the samples barely ask for make them too small; then there are none. What is asked for was
+    measured: `tests/benchmarks/test_mixture.py` prints how often 1.96 errors hold the truth.
+
+    Inverse of the empirical information, the sum of the outer products of the scores of the samples
+    (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
+    with the mean scores of the groups. Of several components, there are errors where the likelihood
+    falls along every one of them about as a parabola does, as it should for them to mean anything
+    (Meeker and Escobar, "Teaching about approximate confidence regions based on maximum likelihood
+    estimation", 1995, doi:10.1080/00031305.1995.10476112).
+
+    Parameters
+    ----------
+    solution, groups
+        The mixtures, and groups of the samples.
+    gain
+        By how much their score is above those of fewer components, shape (row,).
+
+    Returns
+    -------
+    ndarray
+        Errors, shape (3, component, row).
+    ndarray
+        `Reason` codes, shape (row,).
+    """
+    family, k = solution.family, solution.state.shape[1]
+    found = covariance(solution, groups)
+    with np.errstate(invalid="ignore", over="ignore"):
+        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1)).T
+        last = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
+    described = get_family(family.name)
+    errors = [np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)])]
+    size, few = np.exp(solution.state[0]) * groups.n, np.zeros(len(gain), dtype=bool)
+    for name, error, parameter, logarithmic in zip(
+        described.units,
+        own[k - 1 :].reshape(2, k, -1),
+        family.parameters(solution.state, solution.origin),
+        family.logarithmic,
+        strict=True,
+    ):
+        least = described.errors_from.get(name, 0)
+        enough = (size >= least) & ((k == 1) | (groups.n >= _TIMES * least))
+        few |= ~enough.all(axis=0)
+        error = error * parameter if logarithmic else error
+        errors.append(np.where(enough, error, np.nan))
+    reason = np.where(few, Reason.TOO_FEW, Reason.OK)
+    table = np.stack(errors)
+    if k > 1:
+        reason[(size < _FEWEST).any(axis=0)] = Reason.TOO_FEW
+        irregular = (gain < _CLEAR) | ~_is_parabolic(solution, groups, found)
+        reason[(reason == Reason.OK) & irregular] = Reason.NOT_REGULAR
+        table[..., irregular | (size < _FEWEST).any(axis=0)] = np.nan
+        table *= _WIDER
+    reason[(reason == Reason.OK) & np.isnan(table).any(axis=(0, 1))] = Reason.NOT_REGULAR
+    return table, reason.astype(np.int8)
+
+
+def _is_parabolic(solution: Solution, groups: SampleGroups, found: Floats) -> Mask:
+    """Say where the log-likelihood falls as errors say, along the profile of each parameter."""
+    family, k = solution.family, solution.state.shape[1]
+    moves = directions(family, k)
+    top = em.bound_at(groups, family, solution.state)
+    state = np.stack([np.exp(solution.state[0]), *solution.state[1:]])
+    good = np.ones(len(top), dtype=bool)
+    with np.errstate(all="ignore"):
+        for parameter in range(3 * k - 1):
+            along = found[:, parameter] / np.sqrt(found[:, parameter, parameter])[:, np.newaxis]
+            step = 1.96 * np.einsum("rp,pik->ikr", along, moves)
+            for end in (state + step, state - step):
+                there = np.stack([np.log(end[0]), *end[1:]])
+                fall = (top - em.bound_at(groups, family, there)) / _FALL
+                good &= (fall > _FLATTER) & (fall < _STEEPER)
+    return good
+
+
+def directions(family: ComponentFamily, k: int) -> Floats:
+    """Return how weight, location and log scale move with each parameter of `covariance`.
+
+    The result has shape (parameter, 3, component).
+    """
+    moves, one = np.zeros((3 * k - 1, 3, k)), np.eye(k)
+    moves[: k - 1, 0] = one[:-1] - one[-1]
+    both = np.reshape(family.directions, (2, 1, 2, 1)) * one[:, np.newaxis]
+    moves[k - 1 :, 1:] = both.reshape(2 * k, 2, k)
+    return moves
+
+
+def covariance(solution: Solution, groups: SampleGroups) -> Floats:
+    """Return the covariance that the information gives, shape (row, parameter, parameter).
+
+    Parameters are all weights but the last; then what the family's scores are by: the first of
+    each component, then the second.
+    """
+    shares = em.responsibilities(groups, solution.family, solution.state)
+    share = shares / np.maximum(groups.count, 1)
+    weight = np.exp(solution.state[0])[:, np.newaxis]
+    of_weights = share[:-1] / weight[:-1] - share[-1] / weight[-1]
+    first, second = solution.family.scores(groups, solution.state[:, :, np.newaxis])
+    scores = np.concatenate([of_weights, share * first, share * second])
+    information = np.einsum("icr,jcr,cr->rij", scores, scores, groups.count, optimize=True)
+    return _inverse(information)
+
+
+def _inverse(information: Floats) -> Floats:
+    """Invert symmetric matrices, scaled to a unit diagonal; NaN where they are singular."""
+    size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    size = np.where(size > _SMALLEST, size, 1.0)
+    scaled = information / (size[:, :, np.newaxis] * size[:, np.newaxis, :])
+    values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
+    singular = values[:, :1] <= _WORST * values[:, -1:]
+    inverse = np.where(singular, np.nan, 1 / np.where(singular, 1.0, values))
+    unscaled = (vectors * inverse[:, np.newaxis, :]) @ vectors.transpose(0, 2, 1)
+    with np.errstate(over="ignore"):
+        return np.asarray(unscaled / size[:, :, np.newaxis] / size[:, np.newaxis, :])

@@ -5,27 +5,39 @@ every higher mode, the density falls below `_DEPTH` of its height; otherwise it 
 that it is least separated from. The covariance of the parameters gives the separation's error.
 
 The peaks of a row are those of the mixture of 2 or more log-normal or gamma components that has the
-smallest BIC, unless a single family describes it better.
+smallest BIC, unless a distribution of one mode describes it better. Scores are log-likelihoods of
+log radiance less half of log n for each parameter, n being the positive samples: BIC over -2, of
+what the fits describe. Nulls are no part of a shape, and do not make modes harder to find. The
+share of zeros counts as a parameter of every fit.
+
+A hard edge is not a mode: families that begin at zero radiance cannot follow one, and mixtures of
+them imitate it with a narrow component. So the distributions of `_edge_scores` have free ends:
+gamma above a floor, and all that are log-concave in log radiance, or in the logarithm of the
+distance from either end. The likelihood of an end is not a regular one (Cheng and Traylor,
+"Non-regular maximum likelihood problems", 1995, doi:10.1111/j.2517-6161.1995.tb02012.x), and a
+log-concave density has no fixed number of parameters. What they count as here was measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat._core.positive import PositivePart
 from chdstat.fit import em
-from chdstat.fit.em import Solution
-from chdstat.fit.groups import Summaries
-from chdstat.fit.mixture_errors import covariance, directions
-from chdstat.fit.search import Found, log_samples, score, search
-from chdstat.fit.unimodal_bic import edge_scores
+from chdstat.fit.em import COMPONENTS, Solution
+from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, Fit, zero_log_likelihood
+from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups
+from chdstat.fit.log_concave import log_concave_likelihood
+from chdstat.fit.mixtures import covariance, directions
+from chdstat.fit.search import Piece, log_samples, score, search
 
-__all__ = ["LEAST_WEIGHT", "best_peaks"]
+__all__ = ["LEAST_WEIGHT", "Peaks", "best_peaks", "unimodal_scores"]
 
 _DEPTH = 0.98
 """A valley is a valley where the density falls below this share of the lower peak."""
@@ -46,7 +58,7 @@ _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
 
 
-def _peaks_of(solution: Solution, summaries: Summaries) -> tuple[Counts, Floats]:
+def _peaks_of(solution: Solution, groups: SampleGroups) -> tuple[Counts, Floats]:
     """Count the modes of mixtures, and measure their separation.
 
     Returns
@@ -60,7 +72,7 @@ def _peaks_of(solution: Solution, summaries: Summaries) -> tuple[Counts, Floats]
     owner = _owners(solution)
     modes = np.count_nonzero(owner == np.arange(len(owner))[:, np.newaxis], axis=0)
     several = np.flatnonzero(modes > 1)
-    some = summaries.take(several)
+    some = groups.take(several)
     if several.size:
         # A few steps count modes, but their places and widths would still move.
         state, family = solution.state.copy(), solution.family
@@ -87,10 +99,9 @@ def _peaks_of(solution: Solution, summaries: Summaries) -> tuple[Counts, Floats]
 
 def _density(solution: Solution, y: Floats) -> Floats:
     """Return the log density of the mixtures at y, shape (point, row)."""
+    coefficients = solution.family.coefficients(solution.state)[:, :, np.newaxis]
     with np.errstate(over="ignore"):
-        statistic = solution.family.transform(y.T)
-        coefficients = solution.family.coefficients(solution.state)
-        return em.log_density(y.T, statistic, coefficients).T
+        return em.log_density(y, solution.family.transform(y), coefficients)
 
 
 def _valleys(solution: Solution, spread: Floats) -> Floats:
@@ -145,7 +156,7 @@ def _ashman(mean: Floats, variance: Floats) -> Floats:
     return np.asarray(np.sqrt(2) * np.abs(np.diff(mean, axis=0)) / np.sqrt(both))
 
 
-def _errors(solution: Solution, summaries: Summaries, owner: Counts, order: Counts) -> Floats:
+def _errors(solution: Solution, groups: SampleGroups, owner: Counts, order: Counts) -> Floats:
     """Return standard errors of Ashman's D by the delta method, shape (pair, row).
 
     From the information of the mixture, to which samples that may be of either mode add little.
@@ -165,9 +176,9 @@ def _errors(solution: Solution, summaries: Summaries, owner: Counts, order: Coun
         rise = separation(state + step * move) - separation(state - step * move)
         slopes.append(rise / (2 * step))
     with np.errstate(invalid="ignore"):
-        gradient, found = np.stack(slopes), covariance(solution, summaries)
+        gradient, found = np.stack(slopes), covariance(solution, groups)
         error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
-    return np.asarray(error * (1 + (_FEW / summaries.n) ** 2))
+    return np.asarray(error * (1 + (_FEW / groups.n) ** 2))
 
 
 _FIELDS = 4
@@ -208,76 +219,189 @@ def best_peaks(
     max_k: int,
     *,
     doubtful: Mask,
-    also: Callable[[Found], None] = lambda _: None,
+    also: Callable[[Piece, list[Solution]], None] = lambda *_: None,
 ) -> Peaks:
     """Find the peaks of the usable rows.
 
     `unimodal` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
     Where one mode is not out of the question, `doubtful`, a mixture of more has to beat those of
-    `edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
+    `_edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
     """
     shape, size = part.n.shape, part.n.size
     log_n, one_mode = log_samples(part.n).reshape(-1), unimodal.reshape(-1)
     count, delta = np.zeros(size, dtype=np.int8), np.full(size, np.nan)
     table = np.full((_FIELDS, size, max_k), np.nan)
-    for found in search(part, usable, "lognormal", max_k, effort="fast", unimodal=unimodal):
-        rows = found.rows
+    for piece, solutions in search(
+        part, usable, "lognormal", max_k, effort="fast", unimodal=unimodal
+    ):
+        rows = piece.rows
         count[rows], table[:, rows], gain = _of_piece(
-            found, one_mode[rows], log_n[rows], max_k, doubtful.reshape(-1)[rows]
+            piece, solutions, one_mode[rows], log_n[rows], doubtful.reshape(-1)[rows]
         )
         delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
-        also(found)
+        also(piece, solutions)
     place, weight, ashman_d, error = table.reshape(_FIELDS, *shape, max_k)
     return Peaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
 
 
 def _of_piece(
-    found: Found, unimodal: Floats, log_n: Floats, max_k: int, doubtful: Mask
+    piece: Piece, solutions: list[Solution], unimodal: Floats, log_n: Floats, doubtful: Mask
 ) -> tuple[Counts, Floats, Floats]:
     """Return modes, the fields of their peaks (4, row, mode), and the gain over one mode.
 
     Log-normal components come first. Where they make more than one mode, gamma components get the
     chance to make fewer, and distributions of one mode with hard edges that to make one.
     """
-    one = np.full((_FIELDS, len(unimodal), max_k), np.nan)
-    one[0, :, 0] = found.solutions[0].state[1, 0] + found.summaries.origin
+    one = np.full((_FIELDS, len(unimodal), len(solutions)), np.nan)
+    one[0, :, 0] = solutions[0].state[1, 0] + piece.groups.origin
     one[1, :, 0] = 1.0
     count, table = np.ones(len(unimodal), dtype=np.int64), one.copy()
-    best = unimodal.copy()
-    everyone = np.arange(len(unimodal))
-    gain = _enter(found.solutions, found.summaries, everyone, log_n, best, count, table) - unimodal
+    best, everyone = unimodal.copy(), np.arange(len(unimodal))
+
+    def enter(solutions: list[Solution], rows: Counts) -> Floats:
+        """Enter the peaks of rows whose best mixture is the best so far; return its gain."""
+        scores = np.stack([score(solution, log_n[rows]) for solution in solutions[1:]])
+        which, highest = scores.argmax(axis=0), scores.max(axis=0)
+        for i, solution in enumerate(solutions[1:]):
+            at = np.flatnonzero((which == i) & (highest > best[rows]))
+            groups = piece.corrected.take(rows[at])
+            count[rows[at]], fields = _peaks_of(solution.take(at), groups)
+            table[:, rows[at]] = np.nan
+            table[:, rows[at], : fields.shape[-1]] = fields
+        best[rows] = np.maximum(best[rows], highest)
+        return np.asarray(highest - unimodal[rows])
+
+    gain = enter(solutions, everyone)
     several = np.flatnonzero(count > 1)
-    of_gamma = found.also("gamma", several)
-    also = _enter(of_gamma, found.summaries, several, log_n, best, count, table) - unimodal[several]
-    gain[several] = np.maximum(gain[several], also)
+    some = [solution.take(several) for solution in solutions]
+    of_gamma = piece.take(several).refit("gamma", some)
+    gain[several] = np.maximum(gain[several], enter(of_gamma, several))
     several = several[doubtful[several] & (count[several] > 1)]
-    samples, n = found.objective.samples, found.objective.n
+    samples, n = piece.samples, piece.n
     assert samples is not None
     assert n is not None
-    edge = edge_scores(samples[several], n[several], best[several])
+    edge = _edge_scores(samples[several], n[several], best[several])
     gain[several] -= np.maximum(edge - unimodal[several], 0)
     beaten = several[edge >= best[several]]
     count[beaten], table[:, beaten] = 1, one[:, beaten]
     return count, table, gain
 
 
-def _enter(
-    solutions: list[Solution],
-    summaries: Summaries,
-    rows: Counts,
-    log_n: Floats,
-    best: Floats,
-    count: Counts,
-    table: Floats,
+_BOUNDED = 5
+"""Of a distribution between two ends: the estimate of an end converges like 1/n, not 1/sqrt(n),
+so that it costs log n in the expansion that BIC is from: as much as two regular parameters."""
+_ABOVE_FLOOR, _BELOW_CEILING, _LOG_CONCAVE = 3.5, 5.0, 9.2
+"""Parameters that the distributions of `_edge_scores` count as: with these, more than one mode is
+found in at most 5 % of the samples of hard-edged distributions, and nearly all that are there are
+(``tests/benchmarks/test_modes.py``)."""
+_FLOORS = (0.03, 0.12, 0.4, 1.5)
+"""Distances of a floor from the smallest sample, in ranges of the samples."""
+_NEXT = 3
+"""Samples from which the density at an end is estimated."""
+_LEAST_ABOVE = 1e-12
+
+
+def unimodal_scores(
+    part: PositivePart, usable: Mask, bounded: Mask, *, fits: Iterable[Fit] | None = None
 ) -> Floats:
-    """Enter the peaks of those of the rows whose best mixture raises `best`; return its score."""
-    mixed = solutions[1:]
-    scores = np.stack([score(solution, log_n[rows]) for solution in mixed])
-    which, highest = scores.argmax(axis=0), scores.max(axis=0)
-    for i, solution in enumerate(mixed):
-        at = np.flatnonzero((which == i) & (highest > best[rows]))
-        count[rows[at]], fields = _peaks_of(solution.take(at), summaries.take(rows[at]))
-        table[:, rows[at]] = np.nan
-        table[:, rows[at], : fields.shape[-1]] = fields
-    best[rows] = np.maximum(best[rows], highest)
-    return np.asarray(highest)
+    """Return the largest score of distributions of one mode, shape (...); NaN where not usable.
+
+    They are `fits`, or else those of the families that `select` compares by default; Pareto
+    distributions above a floor, and the like below a ceiling; and, for the rows that may be
+    `bounded`, the uniform and the log-uniform distribution.
+    """
+    # What likelihoods of radiance have beside those of log radiance of positive samples.
+    rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
+    log_n = log_samples(part.n)
+    fits = (part.measured(FamilyFit(FAMILIES[name])) for name in SELECTED) if fits is None else fits
+    scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
+    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
+    high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]
+    low, high = np.where(usable, part.log_sorted[..., 0], 0.0), np.where(usable, high, 1.0)
+    mean, n = part.log_statistics.log_mean, part.n.astype(np.float64)
+    # Between the extremes a and b, log-uniform and uniform: -n log(log b - log a), and
+    # sum(log x) - n log(b - a), without b or a, which may be as large as there are numbers.
+    log_range = high + np.log(-np.expm1(low - high))
+    scores += [
+        np.where(bounded, value - 0.5 * _BOUNDED * log_n, -np.inf)
+        for value in (-n * np.log(high - low), n * (mean - log_range))
+    ]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Exponential above the smallest, or below the largest.
+        scores += [
+            -part.n * (np.log(distance) + 1) - 0.5 * (_BOUNDED - 1) * log_n
+            for distance in (mean - low, high - mean)
+        ]
+    return np.where(usable, np.fmax.reduce(scores), np.nan)
+
+
+def _edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
+    """Return the largest score of distributions of one mode with free ends, shape (row,).
+
+    Where gamma distributions reach the `bar`, the rest is not computed.
+
+    Parameters
+    ----------
+    ascending
+        Log radiance in ascending order, shape (row, sample), not all equal.
+    n
+        How many of them count, shape (row,), at least 20.
+    bar
+        Score to be beaten, shape (row,).
+    """
+    log_n = log_samples(n)
+    # Log 1/x, in ascending order.
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    mirrored = np.sort(np.where(valid, -ascending, np.inf), axis=-1)
+    best = np.fmax(
+        _gamma_above_a_floor(ascending, n) - 0.5 * _ABOVE_FLOOR * log_n,
+        _gamma_above_a_floor(mirrored, n) - 0.5 * _BELOW_CEILING * log_n,
+    )
+    for likelihood, values in (
+        (log_concave_likelihood, ascending),
+        (_log_concave_above_a_floor, ascending),
+        (_log_concave_above_a_floor, mirrored),
+    ):
+        rows = np.flatnonzero(best < bar)
+        value = likelihood(values[rows], n[rows]) - 0.5 * _LOG_CONCAVE * log_n[rows]
+        best[rows] = np.fmax(best[rows], value)
+    return best
+
+
+def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:
+    """Return the log-likelihood of log x where x less a floor has a gamma distribution.
+
+    Of floors at a few distances below the smallest sample, the nearest at half the mean distance
+    between samples: the likelihood rises without bound towards the sample itself.
+    """
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    last = np.take_along_axis(ascending, n[:, np.newaxis] - 1, axis=-1)
+    log = np.where(valid, ascending - last, 0.0)
+    x = np.exp(log)
+    above = x - x[:, :1]
+    gamma = COMPONENTS["gamma"]
+    best = np.full(len(n), -np.inf)
+    for distance in (0.5 / n, *_FLOORS):
+        z = above + (distance * (1 - x[:, 0]))[:, np.newaxis]
+        mean = np.vecdot(z, valid) / n
+        z /= mean[:, np.newaxis]
+        log_z = np.vecdot(np.log(z, out=z), valid) / n
+        log_shape = gamma.log_scale(np.maximum(-2 * log_z, SPREAD_FLOOR**2))
+        k = np.exp(log_shape)
+        value = (k - 1) * log_z + k * (log_shape - 1) - special.gammaln(k) - np.log(mean)
+        best = np.fmax(best, n * value)
+    return np.asarray(best + log.sum(axis=-1))
+
+
+def _log_concave_above_a_floor(ascending: Floats, n: Counts) -> Floats:
+    """Return the log-likelihood of log x where log(x - a) is log-concave, a the smallest sample.
+
+    The density at that one follows from the distance to its neighbours.
+    """
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    above = np.where(valid, np.maximum(ascending - ascending[:, :1], _LEAST_ABOVE), 1.0)
+    log_share = np.log(-np.expm1(-above))
+    rest = np.where(valid, ascending + log_share, np.inf)[:, 1:]
+    jacobian = np.where(valid, log_share, 0.0)[:, 1:].sum(axis=-1)
+    first = np.log(_NEXT / n / np.expm1(above[:, _NEXT]))
+    return np.asarray(log_concave_likelihood(rest, n - 1) - jacobian + first)

@@ -19,27 +19,28 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations, pairwise
 from math import comb
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans, take_rows
+from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.positive import Part, PositiveHistogram
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
 from chdstat.fit.family import take_part
 from chdstat.fit.groups import (
-    Summaries,
+    SampleGroups,
     cumulative,
-    summaries_of_bins,
-    summaries_of_each,
-    summaries_of_samples,
+    groups_of_bins,
+    groups_of_each,
+    groups_of_samples,
 )
 
 __all__ = [
     "EFFORTS",
     "Effort",
-    "Found",
+    "Piece",
     "log_likelihood",
     "log_samples",
     "score",
@@ -67,7 +68,7 @@ class Plan:
     groups
         Most equally filled groups of a row.
     windows
-        Groups of window lengths, in groups, for inserted components.
+        SampleGroups of window lengths, in groups, for inserted components.
     rounds
         (cycles, starts kept after them) before the final run of EM.
     cycles, tolerance
@@ -109,18 +110,20 @@ EFFORTS: dict[Effort, Plan] = {
 
 
 @dataclass(frozen=True)
-class Objective:
-    """What a search maximises: the likelihood of samples, or of bins.
+class Piece:
+    """Rows of a part, and what a search maximises for them: the likelihood of samples, or of bins.
 
     Attributes
     ----------
+    rows
+        Which rows of the part, its batch flattened.
     plan
         How hard to search.
-    summaries
-        What EM works on: summaries of samples, or bins as they are. Their likelihood is one of
-        binned data: with corrected bins, EM would be rewarded for components that hide within one.
+    groups
+        What EM works on: groups of samples, or bins as they are. Their likelihood is one of binned
+        data: with corrected bins, EM would be rewarded for components that hide within one.
     corrected
-        Groups as close to the samples as there are: bins with Sheppard's corrections.
+        SampleGroups as close to the samples as there are: bins with Sheppard's corrections.
     samples, n
         Logarithms of samples in ascending order, shape (row, sample), of which `n` count; None
         where only bins are.
@@ -128,32 +131,42 @@ class Objective:
         That of the bins, shape (row,); None where samples are.
     """
 
+    rows: Counts
     plan: Plan
-    summaries: Summaries
-    corrected: Summaries
+    groups: SampleGroups
+    corrected: SampleGroups
     samples: Floats | None = None
     n: Counts | None = None
     width: Floats | None = None
 
-    def take(self, rows: Counts) -> Objective:
-        """Return some of the rows."""
-        return take_rows(self, rows, axis=0)
+    def take(self, at: npt.NDArray[Any]) -> Piece:
+        """Select some of the rows."""
+        samples, n, width = (v if v is None else v[at] for v in (self.samples, self.n, self.width))
+        groups, corrected = self.groups.take(at), self.corrected.take(at)
+        return Piece(self.rows[at], self.plan, groups, corrected, samples, n, width)
 
     def maximise(self, family: ComponentFamily, state: Floats) -> Solution:
         """Run EM to the end of the plan; the likelihood is the closest to that of the samples."""
         cycles, tolerance = self.plan.cycles, self.plan.tolerance
-        solution = em.run(self.summaries, family, state, cycles=cycles, tolerance=tolerance)
+        solution = em.run(self.groups, family, state, cycles=cycles, tolerance=tolerance)
         if state.shape[1] > 1:
-            taken = em.penalty(family, solution.state, self.summaries.spacing)
+            taken = em.penalty(family, solution.state, self.groups.spacing)
             solution = replace(solution, log_likelihood=solution.log_likelihood - taken)
         if self.width is not None:
             return self._of_bins(solution, self.width)
-        assert self.samples is not None
-        assert self.n is not None
-        if state.shape[1] == 1:
+        if self.samples is None or self.n is None or state.shape[1] == 1:
             # Sums over groups are those over samples.
             return solution
         return self._of_samples(solution, self.samples, self.n)
+
+    def refit(self, family: MixtureFamily, solutions: list[Solution]) -> list[Solution]:
+        """Fit another family, from where the solutions of one are."""
+        kind, refitted = COMPONENTS[family], []
+        for model in solutions:
+            solution = self.maximise(kind, em.refit(self.groups, model, self.groups, kind))
+            value = np.where(np.isinf(model.log_likelihood), -np.inf, solution.log_likelihood)
+            refitted.append(replace(solution, log_likelihood=value))
+        return refitted
 
     def _of_bins(self, solution: Solution, width: Floats) -> Solution:
         """Let the last maximisation take Sheppard's corrections into account.
@@ -161,12 +174,11 @@ class Objective:
         The likelihood is that of the bins, the mass in each over its width.
         """
         family = solution.family
-        state = em.refit(self.summaries, solution, self.corrected, family)
-        y, half = self.summaries.log, width[:, np.newaxis] / 2
-        each = state[..., np.newaxis]
-        mass = np.exp(each[0]) * (family.cdf(y + half, each) - family.cdf(y - half, each))
-        log = np.log(np.maximum(mass.sum(axis=0), _LEAST_MASS) / width[:, np.newaxis])
-        value = np.vecdot(self.summaries.count, log)
+        state = em.refit(self.groups, solution, self.corrected, family)
+        y, each = self.groups.log, state[:, :, np.newaxis]
+        mass = np.exp(each[0]) * (family.cdf(y + width / 2, each) - family.cdf(y - width / 2, each))
+        log = np.log(np.maximum(mass.sum(axis=0), _LEAST_MASS) / width)
+        value = (self.groups.count * log).sum(axis=0)
         return replace(solution, state=state, log_likelihood=value)
 
     def _of_samples(self, solution: Solution, samples: Floats, n: Counts) -> Solution:
@@ -175,9 +187,9 @@ class Objective:
         converged = solution.converged.copy()
         value = log_likelihood(samples, n, solution)
         blurred = np.flatnonzero(value - solution.log_likelihood > self.plan.loss * n)
-        for piece in spans(len(blurred), _rows(samples)):
+        for piece in spans(len(blurred), max(1, _CHUNK // samples.shape[-1])):
             rows = blurred[piece]
-            singles, start = summaries_of_each(samples[rows], n[rows]), state[..., rows]
+            singles, start = groups_of_each(samples[rows], n[rows]), state[..., rows]
             further = em.run(singles, family, start, cycles=_SAMPLE_CYCLES, tolerance=_TOLERANCE)
             state[..., rows], converged[rows] = further.state, further.converged
             value[rows] = em.bound_at(singles, family, further.state)
@@ -187,78 +199,14 @@ class Objective:
 def log_likelihood(log_sorted: Floats, n: Counts, solution: Solution) -> Floats:
     """Return the log-likelihood of log x of samples in ascending order, shape (row,)."""
     values, family = np.empty(len(n)), solution.family
-    coefficients = family.coefficients(solution.state)
-    for part in spans(len(n), _rows(log_sorted)):
+    coefficients = family.coefficients(solution.state)[..., np.newaxis]
+    for part in spans(len(n), max(1, _CHUNK // log_sorted.shape[-1])):
         valid = np.arange(log_sorted.shape[-1]) < n[part, np.newaxis]
         y = np.where(valid, log_sorted[part] - solution.origin[part, np.newaxis], 0.0)
         with np.errstate(over="ignore"):
-            density = em.log_density(y, family.transform(y), coefficients[..., part])
+            density = em.log_density(y, family.transform(y), coefficients[:, :, part])
         values[part] = np.vecdot(density, valid)
     return values
-
-
-def _rows(samples: Floats) -> int:
-    return max(1, _CHUNK // int(samples.shape[-1]))
-
-
-@dataclass(frozen=True)
-class Found:
-    """Some rows, and their mixtures of 1, 2, ... components.
-
-    Attributes
-    ----------
-    rows
-        Which rows of the part, its batch flattened.
-    solutions
-        From one component up.
-    objective
-        What was maximised.
-    """
-
-    rows: Counts
-    solutions: list[Solution]
-    objective: Objective
-
-    @property
-    def summaries(self) -> Summaries:
-        """Groups of the rows, as close to the samples as there are."""
-        return self.objective.corrected
-
-    def among(self, chosen: Mask) -> Found:
-        """Select rows of these."""
-        at = np.flatnonzero(chosen)
-        solutions = [solution.take(at) for solution in self.solutions]
-        return Found(self.rows[at], solutions, self.objective.take(at))
-
-    def also(self, family: MixtureFamily, rows: Counts) -> list[Solution]:
-        """Fit another family to some of the rows, from where the solutions of this one are."""
-        kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []
-        for model in (solution.take(rows) for solution in self.solutions):
-            start = em.refit(objective.summaries, model, objective.summaries, kind)
-            solution = objective.maximise(kind, start)
-            value = np.where(np.isinf(model.log_likelihood), -np.inf, solution.log_likelihood)
-            solutions.append(replace(solution, log_likelihood=value))
-        return solutions
-
-
-def search(
-    part: Part,
-    usable: Mask,
-    family: MixtureFamily,
-    max_k: int,
-    *,
-    effort: Effort = "thorough",
-    unimodal: Floats | None = None,
-) -> Iterator[Found]:
-    """Fit mixtures of 1 to `max_k` components to the usable rows, piece by piece.
-
-    `unimodal`, of the batch's shape, is the `score` of distributions of one mode. With it, rows
-    where k >= 2 components beat neither that nor fewer components are not tried with more; the
-    log-likelihood of what was not tried is minus infinity.
-    """
-    for rows, objective in _pieces(part, usable, EFFORTS[effort]):
-        bar = None if unimodal is None else unimodal.reshape(-1)[rows]
-        yield Found(rows, _fit(objective, COMPONENTS[family], max_k, bar), objective)
 
 
 _FEW = 160
@@ -275,68 +223,81 @@ def score(solution: Solution, log_n: Floats) -> Floats:
     return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)
 
 
-def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Objective]]:
-    """Yield pieces of rows of about the same length: little padding, the longest row last."""
-    chosen, n = np.flatnonzero(usable.reshape(-1)), part.n.reshape(-1)
-    lengths = n
+def search(
+    part: Part,
+    usable: Mask,
+    family: MixtureFamily,
+    max_k: int,
+    *,
+    effort: Effort = "thorough",
+    unimodal: Floats | None = None,
+) -> Iterator[tuple[Piece, list[Solution]]]:
+    """Fit mixtures of 1 to `max_k` components to the usable rows, piece by piece.
+
+    `unimodal`, of the batch's shape, is the `score` of distributions of one mode. With it, rows
+    where k >= 2 components beat neither that nor fewer components are not tried with more; the
+    log-likelihood of what was not tried is minus infinity.
+    """
+    plan, chosen = EFFORTS[effort], np.flatnonzero(usable.reshape(-1))
+    lengths = part.n
     if isinstance(part, PositiveHistogram):
-        lengths = np.count_nonzero(part.counts, axis=-1).reshape(-1)
-    ordered = chosen[np.argsort(lengths[chosen], kind="stable")]
-    for piece in spans(len(ordered), plan.rows):
-        rows = ordered[piece]
+        lengths = np.asarray(np.count_nonzero(part.counts, axis=-1))
+    # Pieces of rows of about the same length: little padding, the longest row last.
+    ordered = chosen[np.argsort(lengths.reshape(-1)[chosen], kind="stable")]
+    for span in spans(len(ordered), plan.rows):
+        rows = ordered[span]
         if isinstance(part, PositiveHistogram):
             some = take_part(part, rows)
-            bins = summaries_of_bins(some.counts, some.log_centers, some.width)
-            width = np.broadcast_to(some.width, some.n.shape)
-            yield rows, Objective(plan, *bins, width=width)
+            bins = groups_of_bins(some.counts, some.log_centers, some.width)
+            piece = Piece(rows, plan, *bins, width=some.width)
         else:
-            samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : n[rows[-1]]]
-            summaries = summaries_of_samples(samples, n[rows], plan.groups)
-            yield rows, Objective(plan, summaries, summaries, samples, n[rows])
+            n = part.n.reshape(-1)[rows]
+            samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : n[-1]]
+            groups = groups_of_samples(samples, n, plan.groups)
+            piece = Piece(rows, plan, groups, groups, samples, n)
+        bar = None if unimodal is None else unimodal.reshape(-1)[rows]
+        yield piece, _solutions(piece, COMPONENTS[family], max_k, bar)
 
 
-def _fit(
-    objective: Objective, family: ComponentFamily, max_k: int, unimodal: Floats | None
+def _solutions(
+    piece: Piece, family: ComponentFamily, max_k: int, unimodal: Floats | None
 ) -> list[Solution]:
-    summaries, windows = objective.summaries, objective.plan.windows
-    solutions = [objective.maximise(family, _single(summaries, family))]
-    rows, log_n = np.arange(len(summaries.n)), log_samples(summaries.n)
+    """Return the mixtures of 1, 2, ... components; those not tried are infinitely unlikely."""
+    groups, windows, rows = piece.groups, piece.plan.windows, np.arange(len(piece.rows))
+    # One component is a single segment.
+    below = _sums_below(groups, family)
+    solutions = [piece.maximise(family, _state(groups, family, below[:, -1:]))]
+    log_n = log_samples(groups.n)
     for k in range(2, max_k + 1):
         if unimodal is not None and k > 2:
             # One component more may pay where the last one did.
             scores = [score(solution, log_n) for solution in solutions]
             rows = np.flatnonzero(scores[-1] > np.maximum(unimodal, np.max(scores[:-1], axis=0)))
-        here = objective if rows.size == len(summaries.n) else objective.take(rows)
+        here = piece if rows.size == len(piece.rows) else piece.take(rows)
         last = solutions[-1].state[..., rows]
         starts = [
-            *segmentations(here.summaries, family, k),
-            *_insertions(here.summaries, family, last, windows),
-            _split(here.summaries, family, last),
+            *segmentations(here.groups, family, k),
+            *_insertions(here.groups, family, last, windows),
+            _split(here.groups, family, last),
         ]
-        solution = here.maximise(family, _best_start(here, family, starts))
-        solutions.append(_put_back(solution, rows, summaries.origin))
+        found = here.maximise(family, _best_start(here, family, starts))
+        if here is not piece:
+            state = np.zeros((3, k, len(piece.rows)))
+            value, converged = np.full(state.shape[-1], -np.inf), np.zeros(state.shape[-1], bool)
+            state[..., rows] = found.state
+            value[rows], converged[rows] = found.log_likelihood, found.converged
+            found = Solution(family, state, groups.origin, value, converged)
+        solutions.append(found)
     return solutions
 
 
-def _put_back(solution: Solution, rows: Counts, origin: Floats) -> Solution:
-    """Return a solution with its rows where they belong, and none in the others."""
-    if len(rows) == len(origin):
-        return solution
-    state = np.zeros((*solution.state.shape[:2], len(origin)))
-    value = np.full(len(origin), -np.inf)
-    converged = np.zeros(len(origin), dtype=bool)
-    state[..., rows] = solution.state
-    value[rows], converged[rows] = solution.log_likelihood, solution.converged
-    return Solution(solution.family, state, origin, value, converged)
-
-
-def _best_start(objective: Objective, family: ComponentFamily, states: list[Floats]) -> Floats:
+def _best_start(piece: Piece, family: ComponentFamily, states: list[Floats]) -> Floats:
     """Return the state that EM raises highest in a few cycles, row by row."""
-    summaries, tolerance = objective.summaries, objective.plan.tolerance
-    for cycles, kept in objective.plan.rounds:
+    groups, tolerance = piece.groups, piece.plan.tolerance
+    for cycles, kept in piece.plan.rounds:
         if len(states) == 1:
             break
-        ends = [em.run(summaries, family, s, cycles=cycles, tolerance=tolerance) for s in states]
+        ends = [em.run(groups, family, s, cycles=cycles, tolerance=tolerance) for s in states]
         ranked = np.argsort([-end.log_likelihood for end in ends], axis=0, kind="stable")[:kept]
         reached = np.stack([end.state for end in ends])
         states = [np.take_along_axis(reached, r.reshape(1, 1, 1, -1), axis=0)[0] for r in ranked]
@@ -354,37 +315,29 @@ _LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
 """Mean log density of a Gaussian sample of variance 1, at maximum likelihood."""
 
 
-def _single(summaries: Summaries, family: ComponentFamily) -> Floats:
-    """Return the state of one component, which is its fit."""
-    below = _sums_below(summaries, family)
-    return _state(summaries, family, below[:, :, -1:].transpose(0, 2, 1))
-
-
-def segmentations(summaries: Summaries, family: ComponentFamily, k: int) -> Iterator[Floats]:
+def segmentations(groups: SampleGroups, family: ComponentFamily, k: int) -> Iterator[Floats]:
     """Yield the best cut of each row into k segments, by two criteria.
 
     The likelihood of a Gaussian for each segment, and the sum of squares within them (k-means):
     the first favours narrow segments.
     """
-    if summaries.count.shape[-1] < k:
+    if len(groups.count) < k:
         return
-    below = _sums_below(summaries, family)
-    edges = _cuts(summaries.count.shape[-1], k)
-    sizes = [below[0][:, b] - below[0][:, a] for a, b in pairwise(edges)]
-    spread = [_variance(below, summaries.floor, a, b) for a, b in pairwise(edges)]
+    below = _sums_below(groups, family)
+    edges = _cuts(len(groups.count), k)
+    sizes = [below[0, b] - below[0, a] for a, b in pairwise(edges)]
+    spread = [_variance(below, groups.floor, a, b) for a, b in pairwise(edges)]
     pairs = list(zip(sizes, spread, strict=True))
     possible = np.where(np.min(sizes, axis=0) >= 1, 0.0, -np.inf)
     likelihood = sum((n * (np.log(n + _LEAST) - 0.5 * np.log(v)) for n, v in pairs), possible)
     compactness = sum((-n * v for n, v in pairs), possible)
-    rows = np.arange(len(summaries.floor))
-    for score in (likelihood, compactness):
-        chosen = edges[:, score.argmax(axis=-1)]
-        ends = below[:, rows, chosen]
-        yield _state(summaries, family, np.diff(ends, axis=1))
+    for value in (likelihood, compactness):
+        ends = below[:, edges[:, value.argmax(axis=0)], np.arange(len(groups.floor))]
+        yield _state(groups, family, np.diff(ends, axis=1))
 
 
 def _insertions(
-    summaries: Summaries,
+    groups: SampleGroups,
     family: ComponentFamily,
     state: Floats,
     windows: tuple[tuple[int, ...], ...],
@@ -393,22 +346,23 @@ def _insertions(
 
     It is that of the window, in groups, whose samples gain most from a Gaussian of their own.
     """
-    below = _sums_below(summaries, family)
-    old = em.log_density(summaries.log, family.statistic(summaries), family.coefficients(state))
-    old_below = cumulative(summaries.count * old)
+    below = _sums_below(groups, family)
+    coefficients = family.coefficients(state)[:, :, np.newaxis]
+    old = em.log_density(groups.log, family.statistic(groups), coefficients)
+    old_below = cumulative(groups.count * old, axis=0)
     for lengths in windows:
-        start, stop = _best_window(below, old_below, summaries.floor, lengths)
-        ends = np.stack([start, stop])
-        sums = np.diff(below[:, np.arange(len(start)), ends], axis=1)
-        share = np.clip(sums[0] / summaries.n, _LEAST, _LARGEST)
-        new = _state(summaries, family, sums)
+        start, stop = _best_window(below, old_below, groups.floor, lengths)
+        ends = below[:, np.stack([start, stop]), np.arange(len(start))]
+        sums = np.diff(ends, axis=1)
+        share = np.clip(sums[0] / groups.n, _LEAST, _LARGEST)
+        new = _state(groups, family, sums)
         new[0] = np.log(share)
         shrunk = state.copy()
         shrunk[0] += np.log1p(-share)
         yield np.concatenate([shrunk, new], axis=1)
 
 
-def _split(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
+def _split(groups: SampleGroups, family: ComponentFamily, state: Floats) -> Floats:
     """Return the state with its broadest component, by weight times spread, split into two.
 
     The halves lie 0.8 spreads to either side and have 0.6 of the spread, so that mean and variance
@@ -423,50 +377,47 @@ def _split(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floa
     shift[1] = _APART * spread[broadest, rows]
     whole = np.concatenate([state, (half + shift)[:, np.newaxis]], axis=1)
     whole[:, broadest, rows] = half - shift
-    return family.bounded(whole, summaries.floor)
+    return family.bounded(whole, groups.floor)
 
 
 def _best_window(
     below: Floats, old_below: Floats, floor: Floats, lengths: tuple[int, ...]
 ) -> tuple[Counts, Counts]:
-    groups = below.shape[-1] - 1
+    last = below.shape[1] - 1
     best = np.full(len(floor), -np.inf)
     start, stop = np.zeros((2, len(floor)), dtype=np.int64)
-    for length in lengths:
-        if length > groups:
-            continue
-        a, b = np.arange(groups - length + 1), np.arange(length, groups + 1)
-        n = below[0][:, b] - below[0][:, a]
+    for length in (length for length in lengths if length <= last):
+        a, b = np.arange(last - length + 1), np.arange(length, last + 1)
+        n = below[0, b] - below[0, a]
         peak = _LOG_PEAK - 0.5 * np.log(_variance(below, floor, a, b))
-        share = np.maximum(n, _LEAST) / below[0][:, -1:]
-        gain = n * (np.log(share) + peak) - (old_below[:, b] - old_below[:, a])
+        gain = n * (np.log(np.maximum(n, _LEAST) / below[0, -1]) + peak)
+        gain -= old_below[b] - old_below[a]
         gain[n == 0] = -np.inf
-        place = gain.argmax(axis=-1)
-        value = np.take_along_axis(gain, place[:, np.newaxis], axis=-1)[:, 0]
+        place, value = gain.argmax(axis=0), gain.max(axis=0)
         start, stop = (np.where(value > best, p, q) for p, q in ((place, start), (b[place], stop)))
         best = np.maximum(best, value)
     return start, stop
 
 
-def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Floats:
+def _state(groups: SampleGroups, family: ComponentFamily, sums: Floats) -> Floats:
     """Return the state of components whose counts, sums of y and of t(y) are given."""
     n = np.maximum(sums[0], _LEAST)
-    return em.state_of(family, n, sums[1] / n, sums[2] / n, summaries.floor, summaries.spacing)
+    return em.state_of(family, n, sums[1] / n, sums[2] / n, groups.floor, groups.spacing)
 
 
-def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:
-    """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, row, edge)."""
-    means = (1.0, summaries.log, family.statistic(summaries), summaries.square)
-    return np.stack([cumulative(summaries.count * mean) for mean in means])
+def _sums_below(groups: SampleGroups, family: ComponentFamily) -> Floats:
+    """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, edge, row)."""
+    means = (1.0, groups.log, family.statistic(groups), groups.square)
+    return np.stack([cumulative(groups.count * mean, axis=0) for mean in means])
 
 
 def _variance(below: Floats, floor: Floats, start: Counts, stop: Counts) -> Floats:
-    n, log, square = (below[i][:, stop] - below[i][:, start] for i in (0, 1, 3))
+    n, log, square = (below[i, stop] - below[i, start] for i in (0, 1, 3))
     np.maximum(n, _LEAST, out=n)
     square /= n
     log /= n
     square -= log * log
-    return np.asarray(np.maximum(square, (floor * floor)[:, np.newaxis]))
+    return np.asarray(np.maximum(square, floor * floor))
 
 
 @cache

@@ -28,13 +28,12 @@ from chdstat._core.arrays import Counts, Floats, Mask, spans
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import Reason
-from chdstat.fit.atoms import split
-from chdstat.fit.clamps import before_clamps
+from chdstat.fit.atoms import before_clamps, split
+from chdstat.fit.em import Solution
 from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
-from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
-from chdstat.fit.search import Found, search
+from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
+from chdstat.fit.search import Piece, search
 from chdstat.fit.selection import FamilySelection
-from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
 from chdstat.summary.runner import Source, of_source, run
@@ -149,13 +148,16 @@ class ModalMixture(MixtureFit):
         reason = atoms.reason(part, _MINIMUM)
         atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
         chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
-        part.found[Modes()] = _modality(
-            part, also=lambda found: chosen.enter(found.among(~apart[found.rows]))
-        )
+
+        def enter(piece: Piece, solutions: list[Solution]) -> None:
+            at = np.flatnonzero(~apart[piece.rows])
+            chosen.enter(piece.take(at), [solution.take(at) for solution in solutions])
+
+        part.found[Modes()] = _modality(part, also=enter)
         # Where samples are equal, mixtures are searched for once more, without the atoms.
         tied = atoms.tied & (reason == Reason.OK)
-        for found in search(atoms.rest, tied, "lognormal", MODES, effort="fast"):
-            chosen.enter(found)
+        for piece, solutions in search(atoms.rest, tied, "lognormal", MODES, effort="fast"):
+            chosen.enter(piece, solutions)
         return chosen.result("lognormal")
 
 
@@ -197,7 +199,9 @@ def modality(
     return run(Modes(), x, null=null, progress=progress)
 
 
-def _modality(part: PositivePart, *, also: Callable[[Found], None] = lambda _: None) -> Modality:
+def _modality(
+    part: PositivePart, *, also: Callable[[Piece, list[Solution]], None] = lambda *_: None
+) -> Modality:
     """Look for modes of each row; `also` gets the mixtures."""
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from chdstat.fit.unimodal_bic import log_concave_likelihood
+from chdstat.fit.log_concave import log_concave_likelihood
 
 
 def likelihood(x):

@@ -11,7 +11,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.fit import mixture
 from chdstat.fit.atoms import split
 from chdstat.fit.em import COMPONENTS, bound_at, penalty, run
-from chdstat.fit.groups import summaries_of_each, summaries_of_samples
+from chdstat.fit.groups import groups_of_each, groups_of_samples
 from chdstat.fit.search import segmentations
 
 FAMILIES = ("lognormal", "gamma")
@@ -213,16 +213,16 @@ def test_more_components_are_never_less_likely(family):
 def test_every_cycle_raises_the_penalised_bound(family):
     ascending = logarithms(renders(np.random.default_rng(10), 40, 300))
     kind = COMPONENTS[family]
-    for summaries in (summaries_of_samples(*ascending), summaries_of_each(*ascending)):
-        state = next(segmentations(summaries, kind, 3))
+    for groups in (groups_of_samples(*ascending), groups_of_each(*ascending)):
+        state = next(segmentations(groups, kind, 3))
 
-        def penalised(state, summaries=summaries):
-            bound = bound_at(summaries, kind, state)
-            return bound + penalty(kind, state, summaries.spacing)
+        def penalised(state, groups=groups):
+            bound = bound_at(groups, kind, state)
+            return bound + penalty(kind, state, groups.spacing)
 
         before = penalised(state)
         for _ in range(10):
-            state = run(summaries, kind, state, cycles=1, tolerance=0.0).state
+            state = run(groups, kind, state, cycles=1, tolerance=0.0).state
             after = penalised(state)
             assert (after >= before - 1e-7 * np.abs(before)).all()
             before = after
@@ -232,15 +232,17 @@ def test_cells_bound_the_likelihood_from_below_and_keep_every_sample():
     x = two_lights(np.random.default_rng(11), (30, 2000))
     ascending, n = logarithms(x)
     kind = COMPONENTS["lognormal"]
-    summaries, singles = summaries_of_samples(ascending, n), summaries_of_each(ascending, n)
-    np.testing.assert_allclose(summaries.n, n)
-    np.testing.assert_allclose((summaries.count * summaries.log).sum(-1), singles.log.sum(-1))
-    np.testing.assert_allclose((summaries.count * summaries.square).sum(-1), singles.square.sum(-1))
-    state = next(segmentations(summaries, kind, 2))
-    loss = (bound_at(singles, kind, state) - bound_at(summaries, kind, state)) / n
+    groups, singles = groups_of_samples(ascending, n), groups_of_each(ascending, n)
+    np.testing.assert_allclose(groups.n, n)
+    np.testing.assert_allclose((groups.count * groups.log).sum(axis=0), singles.log.sum(axis=0))
+    np.testing.assert_allclose(
+        (groups.count * groups.square).sum(axis=0), singles.square.sum(axis=0)
+    )
+    state = next(segmentations(groups, kind, 2))
+    loss = (bound_at(singles, kind, state) - bound_at(groups, kind, state)) / n
     assert (loss > 0).all()
     assert loss.max() < 5e-3
-    assert summaries.count.shape[-1] < 80
+    assert len(groups.count) < 80
 
 
 @pytest.mark.parametrize("family", FAMILIES)
