@@ -17,11 +17,6 @@ BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by
 FAMILY_NAMES = sorted(FAMILIES)
 
 
-def assert_equals_scipy(family, x, tolerance):
-    ours = BY_SCIPY.in_scipys_words(family, chd.fit.fit(x, family).parameters)
-    assert BY_SCIPY.difference(family, BY_SCIPY.scipy_fit(family, x), ours) < tolerance
-
-
 def scipy_log_density(family, x, p):
     return BY_SCIPY.log_density(family, x, p)
 
@@ -39,13 +34,8 @@ def sparse(rng, shape, nulls=0.4):
 @pytest.mark.parametrize("shape", [0.05, 0.3, 0.9, 2.0, 7.0, 60.0, 3000.0])
 def test_gamma_equals_scipy(shape):
     x = np.random.default_rng(int(100 * shape)).gamma(shape, 2.5, size=400)
-    assert_equals_scipy("gamma", x, 1e-6)
-
-
-@pytest.mark.parametrize("sigma", [0.05, 1.0, 4.0])
-def test_lognormal_equals_scipy(sigma):
-    x = np.random.default_rng(3).lognormal(-2, sigma, size=400)
-    assert_equals_scipy("lognormal", x, 1e-9)
+    ours = BY_SCIPY.in_scipys_words("gamma", chd.fit.gamma(x).parameters)
+    assert BY_SCIPY.difference("gamma", BY_SCIPY.scipy_fit("gamma", x), ours) < 1e-6
 
 
 @pytest.mark.parametrize("k", [0.01, 0.1, 1.0, 30.0, 990.0, 1010.0, 1e4])

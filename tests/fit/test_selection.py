@@ -6,7 +6,7 @@ from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 
 ROWS = 400
 
@@ -60,18 +60,7 @@ def test_a_black_pixel_has_no_family():
     np.testing.assert_array_equal(selection.held_out.best, -1)
 
 
-def held_out_by_hand(x, family):
-    """Return the log densities of all samples, each under the fit to the other half."""
-    density = np.empty(len(x))
-    for scored, fitted in (
-        (slice(0, None, 2), slice(1, None, 2)),
-        (slice(1, None, 2), slice(0, None, 2)),
-    ):
-        density[scored] = np.log(chd.fit.fit(x[fitted], family).pdf(x[scored]))
-    return density
-
-
-def _crosswise_log_density(row, family):
+def held_out_by_hand(row, family):
     """Return log densities of positive samples at even and odd places, each by the other's fit."""
     halves = row[::2], row[1::2]
     fits = [chd.fit.fit(half, family) for half in halves]
@@ -106,7 +95,7 @@ def test_halves_differ_from_tight_fits_by_less_than_they_tell():
     ):
         for family, value in zip(selection.families, loss, strict=True):
             if np.isfinite(value):
-                other = np.nansum(_crosswise_log_density(row, family)) / -(row > 0).sum()
+                other = np.nansum(held_out_by_hand(row, family)) / -(row > 0).sum()
                 assert value == pytest.approx(other, abs=0.02 * error)
 
 
@@ -116,6 +105,13 @@ def test_no_loss_without_a_fit_to_all_samples():
     unfit = np.isnan(selection.fits["burr"].parameters["d"])
     assert 20 < unfit.sum() < 80
     assert np.isnan(selection.held_out.loss[unfit, 3]).all()
+    # Of the generalised Pareto, which is no candidate either, the loss was infinite once.
+    bounded = np.random.default_rng(24).beta(2.0, 0.2, size=(20, 200))
+    selection = chd.fit.select(bounded, ("gamma", "pareto"), "held_out")
+    at_limit = selection.fits["pareto"].reason == Reason.AT_LIMIT
+    assert at_limit.mean() > 0.5
+    assert np.isnan(selection.values[at_limit, 1]).all()
+    assert (selection.best[at_limit] == 0).all()
 
 
 def test_two_standard_errors_decide():
