@@ -9,11 +9,23 @@ import typer
 
 from chdstat._core.files import place_of
 from chdstat.cli import output
-from chdstat.cli import program as cli
+from chdstat.cli.program import (
+    OUTPUT,
+    VIEW,
+    CommonOptions,
+    SceneOrStore,
+    StorePath,
+    command,
+    flag,
+    option,
+    pairs_of,
+)
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
     from chdstat.comparison import Comparison, ErrorCurve
+    from chdstat.rendering import Rendering
+    from chdstat.samples import Samples
 
 __all__ = ["bench", "compare", "contrast", "estimate", "train"]
 
@@ -30,114 +42,84 @@ _COMPARED = {
 """Columns of the tables of estimators."""
 
 
-@cli.app.command(epilog="Example: chdstat train bathroom.zarr -o bathroom.safetensors")
+@command(
+    "train bathroom.zarr -o bathroom.safetensors",
+    "iterations",
+    *VIEW,
+    "store",
+    "overwrite",
+    *OUTPUT,
+)
 def train(
-    source: cli.SceneOrStore,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The model to write, .safetensors.")],
+    source: SceneOrStore,
+    out: Annotated[Path, option("The model to write, .safetensors.", "--out", "-o")],
+    asked: CommonOptions,
     estimator: Annotated[
-        str,
-        typer.Option("-e", "--estimator", metavar="NAME", help="The learned estimator to train."),
+        str, option("The learned estimator to train.", "-e", "--estimator", metavar="NAME")
     ] = "progressive",
-    features: Annotated[
-        bool, typer.Option("--features", help="Use first-hit features as inputs.")
-    ] = False,
-    iterations: cli.Iterations = None,
-    spp: cli.Spp = None,
-    size: cli.Size = None,
-    seed: cli.Seed = 0,
-    max_depth: cli.Depth = None,
-    backend: cli.BackendName = "auto",
-    define: cli.Defines = None,
-    plugin: cli.Plugins = None,
-    store: cli.StoreKept = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
+    features: Annotated[bool, flag("--features", "Use first-hit features as inputs.")] = False,
 ) -> None:
     """Train an estimator on a scene and write it to a file."""
-    from chdstat._core.files import checked_target
     from chdstat.estimators.training import check_choice, train_model
 
-    cli.load_plugins(plugin)
-    target = checked_target(out, ".safetensors")  # refused before the work, not after
+    target = asked.target(out, ".safetensors")  # refused before the work, not after
     check_choice(estimator, with_features=features)
-    samples = cli.samples_of(
-        source,
-        spp=spp,
-        size=size,
-        seed=seed,
-        max_depth=max_depth,
-        backend=backend,
-        define=define,
-        store=store,
-        quiet=quiet,
-    )
     trained = train_model(
-        samples,
+        asked.samples(source),
         estimator,
         with_features=features,
-        spp=spp,
-        seed=seed,
-        iterations=iterations,
-        progress=not quiet,
+        spp=asked.spp,
+        seed=asked.seed or 0,
+        iterations=asked.iterations,
+        progress=asked.progress,
     )
     trained.save(target)
     about = {"estimator": estimator, "iterations": int(trained.history.iteration[-1])}
-    output.say_written(target, as_json=as_json, **(about if as_json else {}))
+    output.say_written(target, as_json=asked.as_json, **(about if asked.as_json else {}))
     image = target.with_suffix(".exr")
-    output.say_next(quiet, f"chdstat estimate {source} --model {target} -o {image}")
+    output.say_next(asked.quiet, f"chdstat estimate {source} --model {target} -o {image}")
 
 
-@cli.app.command(epilog="Example: chdstat estimate bathroom.zarr -o bathroom.exr --denoise")
+@command(
+    "estimate bathroom.zarr -o bathroom.exr --denoise",
+    *VIEW,
+    *("store", "scheduler", "workers", "overwrite"),
+    *OUTPUT,
+)
 def estimate(
-    source: cli.SceneOrStore,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The image to write, .exr.")],
+    source: SceneOrStore,
+    out: Annotated[Path, option("The image to write, .exr.", "--out", "-o")],
+    asked: CommonOptions,
     model: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            "A trained model, as 'train' writes it.",
             metavar="FILE",
-            help="A trained model, as 'train' writes it.",
-            show_default="candidates are combined",
+            unset="candidates are combined",
         ),
     ] = None,
     loss_weight: Annotated[
-        float, typer.Option(help="Of a model: from 0, least MSE, to 1, least relMSE.")
+        float, option("Of a model: from 0, least MSE, to 1, least relMSE.")
     ] = 0.5,
-    level: Annotated[float, typer.Option(help="Probability of the interval.")] = 0.9,
+    level: Annotated[float, option("Probability of the interval.")] = 0.9,
     denoise: Annotated[
-        bool, typer.Option("--denoise", help="Denoise the estimate with Open Image Denoise.")
+        bool, flag("--denoise", "Denoise the estimate with Open Image Denoise.")
     ] = False,
     while_rendering: Annotated[
-        bool,
-        typer.Option("--while-rendering", help="Estimate from a render; keep no samples."),
+        bool, flag("--while-rendering", "Estimate from a render; keep no samples.")
     ] = False,
     seconds: Annotated[
         float | None,
-        typer.Option(
-            "--time",
-            help="While rendering: stop after so many seconds.",
-            show_default="all samples",
-        ),
+        option("While rendering: stop after so many seconds.", "--time", unset="all samples"),
     ] = None,
     relative_error: Annotated[
         float | None,
-        typer.Option(
+        option(
+            "While rendering: stop at this estimated relative error.",
             "--error",
-            help="While rendering: stop at this estimated relative error.",
-            show_default="all samples",
+            unset="all samples",
         ),
     ] = None,
-    spp: cli.Spp = None,
-    size: cli.Size = None,
-    seed: cli.Seed = 0,
-    max_depth: cli.Depth = None,
-    backend: cli.BackendName = "auto",
-    define: cli.Defines = None,
-    plugin: cli.Plugins = None,
-    store: cli.StoreKept = None,
-    scheduler: cli.Scheduler = None,
-    workers: cli.Workers = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
@@ -146,167 +128,125 @@ def estimate(
     ends of its interval, and the mean of the samples. With --while-rendering it is written whenever
     the number of samples has doubled.
     """
-    from chdstat._core.files import checked_target
-    from chdstat._core.work import client_of, kept_until_written
+    from chdstat._core.work import kept_until_written
     from chdstat.estimators.estimates import write_estimates
     from chdstat.estimators.training import load_model
-    from chdstat.rendering import Rendering, render_batches
-    from chdstat.samples import Samples, is_store
 
-    cli.load_plugins(plugin)
-    target = checked_target(out, ".exr")  # refused before the work, not after
+    target = asked.target(out, ".exr")  # refused before the work, not after
     trained = None if model is None else load_model(model)
-    samples: Samples | Rendering
-    if while_rendering and (is_store(source) or store is not None):
-        message = (
-            "--while-rendering keeps no samples: it takes a scene, not a store such as "
-            f"{source if store is None else store}"
-        )
-        raise InputError(message)
-    if while_rendering:
-        endless = (seconds, relative_error) != (None, None)
-        samples = render_batches(
-            cli.scene_of(source, define),
-            spp=spp or (_ENDLESS if endless else cli.SPP),
-            size=cli.size_of(size),
-            seed=seed,
-            max_depth=max_depth,
-            backend=backend,
-            progress=not quiet,
-        )
-    else:
-        samples = cli.samples_of(
-            source,
-            spp=spp,
-            size=size,
-            seed=seed,
-            max_depth=max_depth,
-            backend=backend,
-            define=define,
-            store=store,
-            quiet=quiet,
-        )
-    with client_of(scheduler, workers) as client, kept_until_written(out) as checkpoint:
+    endless = (seconds, relative_error) != (None, None)
+    samples = _drawn(source, asked, endless=endless) if while_rendering else asked.samples(source)
+    with asked.client() as client, kept_until_written(out) as checkpoint:
         path = write_estimates(
             target,
             samples,
             trained,
-            spp=None if while_rendering else spp,
+            spp=None if while_rendering else asked.spp,
             loss_weight=loss_weight,
             level=level,
             denoise=denoise,
-            progress=not quiet,
+            progress=asked.progress,
             client=client,
             checkpoint=checkpoint,
             seconds=seconds,
             relative_error=relative_error,
         )
-    output.say_written(path, as_json=as_json)
-    output.say_next(quiet, f"open {path} in an EXR viewer; certainty, low, high, mean are layers")
+    output.say_written(path, as_json=asked.as_json)
+    about = f"open {path} in an EXR viewer; certainty, low, high, mean are layers"
+    output.say_next(asked.quiet, about)
 
 
-@cli.app.command(
-    epilog="Example: chdstat compare bathroom.zarr -e mean -e catoni --patterns -o found"
+def _drawn(source: str, asked: CommonOptions, *, endless: bool) -> Samples | Rendering:
+    """Return a rendering of a scene, of which no samples are kept."""
+    from chdstat.rendering import render_batches
+    from chdstat.samples import is_store
+
+    if is_store(source) or asked.store is not None:
+        message = (
+            "--while-rendering keeps no samples: it takes a scene, not a store such as "
+            f"{source if asked.store is None else asked.store}"
+        )
+        raise InputError(message)
+    settings = asked.settings
+    if endless:
+        settings.setdefault("spp", _ENDLESS)
+    return render_batches(asked.scene(source), progress=asked.progress, **settings)
+
+
+@command(
+    "compare bathroom.zarr -e mean -e catoni --patterns -o found",
+    *("estimator", "seed", "plugin", "scheduler", "workers", "overwrite"),
+    *OUTPUT,
 )
 def compare(
-    store: cli.StorePath,
-    estimator: cli.Compared = None,
-    n: Annotated[int, typer.Option("--n", help="Number of samples per estimate.")] = 32,
-    seed: cli.Seed = 0,
+    store: StorePath,
+    asked: CommonOptions,
+    n: Annotated[int, option("Number of samples per estimate.", "--n")] = 32,
     max_batches: Annotated[
-        int, typer.Option(help="Largest number of batches per pixel that are estimated from.")
+        int, option("Largest number of batches per pixel that are estimated from.")
     ] = 16,
     patterns: Annotated[
-        bool, typer.Option("--patterns", help="Also compare for each pattern of pixels.")
+        bool, flag("--patterns", "Also compare for each pattern of pixels.")
     ] = False,
-    denoise: Annotated[
-        bool, typer.Option("--denoise", help="Also compare after Open Image Denoise.")
-    ] = False,
+    denoise: Annotated[bool, flag("--denoise", "Also compare after Open Image Denoise.")] = False,
     curve: Annotated[
-        bool, typer.Option("--curve", help="Also measure errors against the number of samples.")
+        bool, flag("--curve", "Also measure errors against the number of samples.")
     ] = False,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", help="New folder for figures and numbers.", show_default="none"
-        ),
+        Path | None, option("New folder for figures and numbers.", "--out", "-o", unset="none")
     ] = None,
-    plugin: cli.Plugins = None,
-    scheduler: cli.Scheduler = None,
-    workers: cli.Workers = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
-    from chdstat._core.files import unused
-    from chdstat._core.work import client_of
     from chdstat.reporting.figures import save_comparison
 
-    cli.load_plugins(plugin)
-    if out is not None:
-        unused(out)  # refused before the work, not after
-    samples = chdstat.open(store)
-    sizes = chdstat.comparison.curve_sizes(samples, estimator or None) if curve else None
+    target = None if out is None else asked.target(out)  # refused before the work, not after
+    samples, estimators = chdstat.open(store), asked.estimator or None
+    sizes = chdstat.comparison.curve_sizes(samples, estimators) if curve else None
     errors = None
-    with client_of(scheduler, workers) as client:
-        found = chdstat.compare(
-            samples,
-            estimator or None,
-            n=n,
-            seed=seed,
-            max_batches=max_batches,
-            denoise=denoise,
-            labels="classify" if patterns else None,
-            progress=not quiet,
-            client=client,
-        )
+    with asked.client() as client:
+        common: dict[str, Any] = {
+            **asked.settings,
+            "max_batches": max_batches,
+            "progress": asked.progress,
+            "client": client,
+        }
+        labels = "classify" if patterns else None
+        found = chdstat.compare(samples, estimators, n=n, denoise=denoise, labels=labels, **common)
         if curve:
             errors = chdstat.comparison.error_curve(
-                samples,
-                estimator or None,
-                sizes=sizes,
-                seed=seed,
-                max_batches=max_batches,
-                model=found.reusable_models,
-                progress=not quiet,
-                client=client,
+                samples, estimators, sizes=sizes, model=found.reusable_models, **common
             )
-    if out is not None:
-        save_comparison(found, out, curve=errors)
-    if as_json:
+    if target is not None:
+        save_comparison(found, asked.replaced(target), curve=errors)
+    if asked.as_json:
         curves = {} if errors is None else {"curve": errors.to_dict()}
         output.print_json(found.to_dict() | curves)
     else:
         _print_comparison(found, errors)
-    output.say_next(quiet, f"chdstat estimate {store} -o {store.with_suffix('.exr')}")
+    output.say_next(asked.quiet, f"chdstat estimate {store} -o {store.with_suffix('.exr')}")
 
 
-@cli.app.command(epilog="Example: chdstat contrast path.zarr changed.zarr -o contrast.pdf")
+@command("contrast path.zarr changed.zarr -o contrast.pdf", "seed", "overwrite", *OUTPUT)
 def contrast(
     a: Annotated[Path, typer.Argument(metavar="A", help="A finished store.", parser=place_of)],
     b: Annotated[
         Path,
         typer.Argument(metavar="B", help="Another store, or a converged EXR.", parser=place_of),
     ],
+    asked: CommonOptions,
     alpha: Annotated[
-        float, typer.Option(help="Probability of a difference found where there is none.")
+        float, option("Probability of a difference found where there is none.")
     ] = 0.05,
     seconds: Annotated[
-        float | None,
-        typer.Option(help="Compare what each renders in this time.", show_default="all samples"),
+        float | None, option("Compare what each renders in this time.", unset="all samples")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="A page with maps to write, .pdf.", show_default="none"),
+        Path | None, option("A page with maps to write, .pdf.", "--out", "-o", unset="none")
     ] = None,
     distributions: Annotated[
-        bool,
-        typer.Option("--distributions", help="Test variances and distributions of pixels, too."),
+        bool, flag("--distributions", "Test variances and distributions of pixels, too.")
     ] = False,
-    seed: cli.Seed = 0,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Test whether two renders have the same mean, and which is more efficient.
 
@@ -314,105 +254,95 @@ def contrast(
     as with too few samples. Errors end with 1 or 2.
     """
     import chdstat
-    from chdstat._core.files import checked_target
     from chdstat.reporting.figures import save_figure
 
-    target = None if out is None else checked_target(out, ".pdf")  # refused before the work
+    target = None if out is None else asked.target(out, ".pdf")  # refused before the work
     found = chdstat.contrast(
-        a, b, alpha=alpha, seconds=seconds, distributions=distributions, seed=seed
+        a, b, alpha=alpha, seconds=seconds, distributions=distributions, seed=asked.seed or 0
     )
     if target is not None:
         save_figure(chdstat.viz.contrast(found), target)
-    if as_json:
+    if asked.as_json:
         output.print_json(found.to_dict())
     else:
         output.print_sentences([found.verdict])
         typer.echo()
         output.print_table(found.table())
-    output.say_next(quiet, f"chdstat explore {a} --other {b}")
+    output.say_next(asked.quiet, f"chdstat explore {a} --other {b}")
     if code := _CODES[found.outcome]:
         raise typer.Exit(code)
 
 
-@cli.app.command(epilog="Example: chdstat bench cornell-box bathroom --spp 16 -o table.tex")
+@command(
+    "bench cornell-box bathroom --spp 16 -o table.tex",
+    *("estimator", "seed", "size", "plugin", "overwrite"),
+    *OUTPUT,
+)
 def bench(
     scenes: Annotated[
         list[str],
         typer.Argument(metavar="SCENE|STORE...", help="Built-in names, Mitsuba XML files, stores."),
     ],
-    estimator: cli.Compared = None,
+    asked: CommonOptions,
     spp: Annotated[
         list[int] | None,
-        typer.Option(help="Samples per pixel to estimate from; repeat.", show_default="16 and 64"),
+        option("Samples per pixel to estimate from; repeat.", unset="16 and 64"),
     ] = None,
-    seeds: Annotated[int, typer.Option(help="Renders of each scene, averaged over.")] = 1,
-    seed: cli.Seed = 0,
-    size: cli.Size = None,
+    seeds: Annotated[int, option("Renders of each scene, averaged over.")] = 1,
     reference: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "A converged EXR file, or a store of other samples; can be repeated.",
             metavar="SCENE=FILE",
-            help="A converged EXR file, or a store of other samples; can be repeated.",
-            show_default="rendered with another seed",
+            unset="rendered with another seed",
         ),
     ] = None,
-    reference_spp: Annotated[
-        int, typer.Option(help="Samples per pixel of a rendered reference.")
-    ] = 2048,
+    reference_spp: Annotated[int, option("Samples per pixel of a rendered reference.")] = 2048,
     image: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "A finished image of another program, EXR; can be repeated.",
             metavar="NAME@SCENE=FILE",
-            help="A finished image of another program, EXR; can be repeated.",
-            show_default="none",
+            unset="none",
         ),
     ] = None,
     folder: Annotated[
-        Path | None,
-        typer.Option(help="Where renders and references are kept.", show_default="none"),
+        Path | None, option("Where renders and references are kept.", unset="none")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", help="Table to write: .csv, .tex, .json, .pdf.", show_default="none"
-        ),
+        Path | None, option("Table to write: .csv, .tex, .json, .pdf.", "--out", "-o", unset="none")
     ] = None,
-    plugin: cli.Plugins = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Compare estimators on several scenes against converged references, as a paper would."""
     import chdstat
-    from chdstat._core.files import checked_target
     from chdstat.comparison.benchmark import FORMATS
 
     if out is not None:
-        checked_target(out, *FORMATS)  # refused before the work
-    cli.load_plugins(plugin)
+        asked.target(out, *FORMATS)  # refused before the work
     images: dict[str, dict[str, str]] = {}
-    for key, file in cli.pairs_of("--image", image).items():
+    for key, file in pairs_of("--image", image).items():
         name, _, scene = key.partition("@")
         images.setdefault(name, {})[scene] = file
+    settings: dict[str, Any] = {**asked.settings}
     found = chdstat.bench(
         scenes,
-        estimator or None,
+        asked.estimator or None,
         spp=spp or (16, 64),
         seeds=seeds,
-        seed=seed,
-        size=cli.size_of(size),
-        references=cli.pairs_of("--reference", reference),
+        references=pairs_of("--reference", reference),
         reference_spp=reference_spp,
         images=images,
         folder=folder,
-        progress=not quiet,
+        progress=asked.progress,
+        **settings,
     )
     if out is not None:
         found.save(out)
-    if as_json:
+    if asked.as_json:
         output.print_json(found.to_dict())
     else:
         typer.echo(found)
-    output.say_next(quiet, f"chdstat compare STORE -e {found.estimators[-1]} --patterns")
+    output.say_next(asked.quiet, f"chdstat compare STORE -e {found.estimators[-1]} --patterns")
 
 
 _CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}

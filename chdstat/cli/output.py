@@ -40,8 +40,9 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         print_json({**samples.attrs, "path": str(path), "spp": samples.spp})
     else:
-        height, width, _, spp = samples.shape
-        typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {spp} samples per pixel")
+        height, width = samples.shape[:2]
+        what = f"{width} x {height} pixels, {samples.spp} samples per pixel"
+        typer.echo(f"{path}: {samples.name}, {what}")
     say_next(quiet, *after_render(samples.attrs, path))
 
 

@@ -1,78 +1,79 @@
-"""Program: the application, options that several commands take, and how it ends."""
+"""Program: the application, the options that commands share, and how it ends."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import json
 import logging
 import re
 import reprlib
 import sys
 import warnings
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Iterator
+from copy import copy
+from dataclasses import dataclass
+from inspect import Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, cast, get_args
 
 import typer
 
 from chdstat import __version__
-from chdstat._core.files import is_path, place_of
+from chdstat._core.files import checked_target, is_path, local, place_of, remove
 from chdstat.errors import (
     ChdstatError,
     InputError,
     InputWarning,
     LeftOutWarning,
     OtherSceneWarning,
+    StoreError,
 )
+from chdstat.rendering import RenderOptions
+from chdstat.rendering.backend import Color
+from chdstat.rendering.options import RenderSettings
+from chdstat.rendering.seeds import SamplerName
 
 if TYPE_CHECKING:
-    from chdstat.patterns import Thresholds
-    from chdstat.rendering.backend import Backend
+    from distributed import Client
+
     from chdstat.samples import Samples
     from chdstat.scenes import Scene
-else:
-    Backend = str  # the library knows which there are; it is imported when a command runs
 
 __all__ = [
-    "SEED",
-    "SPP",
-    "BackendName",
-    "Compared",
-    "Defines",
-    "Depth",
-    "Iterations",
-    "Json",
-    "Plugins",
-    "Quiet",
-    "RecipeSize",
+    "OUTPUT",
+    "VIEW",
+    "CommonOptions",
     "SceneName",
     "SceneOrStore",
-    "Scheduler",
-    "Seed",
-    "Size",
-    "Spp",
-    "StoreKept",
     "StorePath",
-    "Workers",
     "app",
-    "crop_of",
-    "integrator_of",
-    "load_plugins",
+    "command",
+    "flag",
     "main",
-    "samples_of",
-    "scene_of",
-    "size_of",
-    "source_of",
-    "thresholds_of",
+    "option",
+    "pairs_of",
 ]
 
-SPP = 256
-"""Samples per pixel of a render where none are asked for, as in `chdstat.render`."""
 _INTERRUPTED = 130
+app = typer.Typer(
+    help="Look at the sample distributions behind a Monte Carlo image.",
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 
 # --- options ------------------------------------------------------------------------------------
 
-SEED = "Random seed, a non-negative integer."
+
+def option(about: str, *names: str, unset: str | None = None, **more: Any) -> Any:
+    """Return an option of a command; `unset` says what holds where it is not given."""
+    return typer.Option(*names, help=about, show_default=unset or True, **more)
+
+
+def flag(name: str, about: str) -> Any:
+    """Return an option of a command that is given or not."""
+    return typer.Option(name, help=about)
 
 
 def _scene_names(begun: str) -> list[tuple[str, str]]:
@@ -106,178 +107,264 @@ SceneOrStore = Annotated[
 StorePath = Annotated[
     Path, typer.Argument(metavar="STORE", help="A finished store, or its URL.", parser=place_of)
 ]
-Spp = Annotated[
-    int | None,
-    typer.Option(
-        "--spp",
-        help="Number of samples per pixel; of a store, the first ones.",
-        show_default=f"{SPP} of a scene, all of a store",
-    ),
-]
-Compared = Annotated[
-    list[str] | None,
-    typer.Option(
-        "-e",
-        "--estimator",
-        metavar="NAME",
-        help="An estimator to compare, trained here if it learns; can be repeated. "
-        '" + OIDN" behind a name denoises its estimate.',
-        show_default="the default estimate, the mean and a few more",
-        autocompletion=_estimator_names,
-    ),
-]
-Size = Annotated[
-    str | None,
-    typer.Option(
-        "--size", metavar="WxH", help="Image size in pixels.", show_default="the scene's own"
-    ),
-]
-RecipeSize = Annotated[
-    str | None,
-    typer.Option(
-        "--size",
-        metavar="WxH",
-        help="Image size in pixels.",
-        show_default="the recipe's, or 128 along the longer edge",
-    ),
-]
-Seed = Annotated[int, typer.Option("--seed", help=SEED)]
-Depth = Annotated[
-    int | None,
-    typer.Option(
-        "--max-depth", help="Maximum path length in segments.", show_default="the scene's own"
-    ),
-]
-BackendName = Annotated[
-    Backend,
-    typer.Option("--backend", help="auto, scalar, llvm or cuda.", metavar="NAME", parser=str),
-]
-Defines = Annotated[
-    list[str] | None,
-    typer.Option("-D", metavar="KEY=VALUE", help="Parameter of an XML scene; can be repeated."),
-]
-Plugins = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--plugin",
-        metavar="FILE",
-        help="Python file that registers integrators or materials with Mitsuba, or estimators; can "
-        "be repeated.",
-        show_default="none",
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show no progress, and not what to do next.")
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers do the work.",
-        show_default="none: this process",
-    ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Worker processes of this machine that do the work.",
-        show_default="none: threads",
-    ),
-]
-Iterations = Annotated[
-    int | None, typer.Option(help="Number of training minibatches.", show_default="as many as pay")
-]
-StoreKept = Annotated[
-    Path | None,
-    typer.Option(
-        "--store",
-        metavar="PATH",
-        parser=place_of,
-        help="Store in which the samples are kept, and resumed from.",
-        show_default="none: in memory",
-    ),
-]
+
+VIEW = ("spp", "size", "seed", "max_depth", "backend", "define", "plugin")
+"""Those of commands that render a scene."""
+OUTPUT = ("quiet", "as_json")
+"""Those of commands that print."""
 
 
-def load_plugins(files: list[Path] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions:
+    """Options that several commands take, and what was given of them; None where nothing was.
+
+    Each command names those that it takes; these are the fields of `RenderOptions`, and others.
+    """
+
+    estimator: Annotated[
+        list[str] | None,
+        option(
+            "An estimator to compare, trained here if it learns; can be repeated. "
+            '" + OIDN" behind a name denoises its estimate.',
+            "-e",
+            "--estimator",
+            metavar="NAME",
+            unset="the default estimate, the mean and a few more",
+            autocompletion=_estimator_names,
+        ),
+    ] = None
+    iterations: Annotated[
+        int | None, option("Number of training minibatches.", unset="as many as pay")
+    ] = None
+    # The fields of `RenderOptions`.
+    spp: Annotated[
+        int | None,
+        option(
+            "Number of samples per pixel; of a store, the first ones.",
+            "--spp",
+            unset=f"{RenderOptions.spp} of a scene, all of a store",
+        ),
+    ] = None
+    size: Annotated[
+        str | None, option("Image size in pixels.", metavar="WxH", unset="the scene's own")
+    ] = None
+    seed: Annotated[
+        int | None, option("Random seed, a non-negative integer.", unset=f"{RenderOptions.seed}")
+    ] = None
+    max_depth: Annotated[
+        int | None, option("Maximum path length in segments.", unset="the scene's own")
+    ] = None
+    sensor: Annotated[
+        int | None,
+        option("Number of the scene's sensor, from 0.", unset=f"{RenderOptions.sensor}"),
+    ] = None
+    integrator: Annotated[
+        str | None,
+        option(
+            "Integrator in place of the scene's: its name, or JSON with its settings, such as "
+            '{"type": "path", "rr_depth": 100}.',
+            metavar="NAME|JSON",
+            unset="the scene's own",
+        ),
+    ] = None
+    crop: Annotated[
+        str | None,
+        option("Part of the image to render, in pixels.", metavar="X,Y,WxH", unset="all of it"),
+    ] = None
+    color: Annotated[
+        Color | None,
+        option("What light is transported as; samples are linear sRGB.", unset=RenderOptions.color),
+    ] = None
+    sampler: Annotated[
+        SamplerName | None,
+        option(
+            "Mitsuba's sampler. Of all but independent, samples of a sequence depend on each "
+            "other: only averages of sequences have standard errors.",
+            unset=RenderOptions.sampler,
+        ),
+    ] = None
+    sequence: Annotated[
+        int | None,
+        option(
+            "Samples that such a sampler spreads together, of which --spp is a multiple.",
+            metavar="N",
+            unset="16",
+        ),
+    ] = None
+    backend: Annotated[
+        str | None,
+        option("auto, scalar, llvm or cuda.", metavar="NAME", unset=RenderOptions.backend),
+    ] = None
+    # Scenes, stores, workers and output.
+    define: Annotated[
+        list[str] | None,
+        option("Parameter of an XML scene; can be repeated.", "-D", metavar="KEY=VALUE"),
+    ] = None
+    plugin: Annotated[
+        list[Path] | None,
+        option(
+            "Python file that registers integrators or materials with Mitsuba, or estimators; can "
+            "be repeated.",
+            "--plugin",
+            metavar="FILE",
+            unset="none",
+        ),
+    ] = None
+    store: Annotated[
+        Path | None,
+        option(
+            "Store in which the samples are kept, and resumed from.",
+            "--store",
+            metavar="PATH",
+            parser=place_of,
+            unset="none: in memory",
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        option(
+            "Dask scheduler whose workers do the work.",
+            metavar="ADDRESS",
+            unset="none: this process",
+        ),
+    ] = None
+    workers: Annotated[
+        int | None,
+        option(
+            "Worker processes of this machine that do the work.",
+            min=1,
+            metavar="N",
+            unset="none: threads",
+        ),
+    ] = None
+    overwrite: Annotated[bool, flag("--overwrite", "Replace an output that is there already.")] = (
+        False
+    )
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show no progress, and not what to do next.")
+    ] = False
+    as_json: Annotated[bool, flag("--json", "Print JSON for scripts.")] = False
+
+    @property
+    def settings(self) -> RenderSettings:
+        """Those settings of a render that were given."""
+        parsed = {
+            "size": _numbers_in("--size", self.size, "WxH", "128x128"),
+            "crop": _numbers_in("--crop", self.crop, "X,Y,WxH", "16,8,64x32"),
+            "integrator": _integrator_of(self.integrator),
+        }
+        fields = vars(self) | parsed
+        given = {n: fields[n] for n in RenderSettings.__annotations__ if fields[n] is not None}
+        return cast("RenderSettings", given)
+
+    @property
+    def progress(self) -> bool:
+        """Whether to show progress bars."""
+        return not self.quiet
+
+    def scene(self, name: str) -> Scene:
+        """Return a scene by name or file, with its parameters."""
+        from chdstat.scenes import load_scene
+
+        return load_scene(name, **pairs_of("-D", self.define))
+
+    def source(self, name: str) -> Path | Scene:
+        """Return the path of a finished store, or a scene by name or file."""
+        from chdstat.rendering import refuse_render
+        from chdstat.samples import is_store
+
+        if not is_store(name):
+            return self.scene(name)
+        refuse_render(name, {"-D": self.define or None})
+        return place_of(name)
+
+    def samples(self, name: str) -> Samples:
+        """Return the samples of a finished store, or render those of a scene."""
+        from chdstat.rendering import refuse_render, render
+        from chdstat.samples import open as open_store
+
+        found = self.source(name)
+        if is_path(found):
+            # A seed may be that of a training, and spp the number of first samples.
+            settings = {**self.settings, "spp": None, "seed": None, "store": self.store}
+            refuse_render(name, settings)
+            return open_store(found)
+        return render(found, **self.settings, out=self.store, progress=self.progress)
+
+    def target(self, out: Path, *suffixes: str) -> Path:
+        """Return a file to write, with one of some suffixes, or without any a folder.
+
+        Raises
+        ------
+        InputError, StoreError
+            If it cannot be written, or is there and may not be replaced.
+        """
+        path = checked_target(out, *suffixes) if suffixes else local(out)
+        if not path.exists():
+            return path
+        if not self.overwrite:
+            message = f"{path} exists; nothing was overwritten. Give another path, or --overwrite"
+            raise StoreError(message)
+        written = any((path / name).exists() for name in ("zarr.json", "comparison.json"))
+        if path.is_dir() and (not written or (path / "radiance").exists()):  # others', or samples
+            message = f"{path} is no output of this command; remove it yourself, or give another"
+            raise StoreError(message)
+        return path
+
+    def replaced(self, folder: Path) -> Path:
+        """Return a folder that `target` allows to write, after removing what is there."""
+        if self.overwrite:
+            remove(folder)
+        return folder
+
+    @contextlib.contextmanager
+    def client(self) -> Iterator[Client | None]:
+        """Yield a client of the workers that are asked for, None for threads."""
+        from chdstat._core.work import client_of
+
+        with client_of(self.scheduler, self.workers) as client:
+            yield client
+
+
+def command(
+    example: str, *shared: str, name: str | None = None, **unset: str
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Enter a function as a command of the application.
+
+    The command takes the parameters of the function, and in the place of `asked` the options that
+    are named. `unset` says by name what holds where one of these is not given.
+    """
+
+    def enter(function: Callable[..., None]) -> Callable[..., None]:
+        own = signature(function, eval_str=True).parameters
+        known = signature(CommonOptions, eval_str=True).parameters
+        options = [known[key] for key in shared]
+        for i, key in enumerate(shared):
+            if key in unset:
+                kind, how = get_args(known[key].annotation)
+                how = copy(how)
+                how.show_default = unset[key]
+                options[i] = known[key].replace(annotation=Annotated[kind, how])
+
+        @functools.wraps(function)
+        def run(**given: Any) -> None:
+            asked = CommonOptions(**{key: given.pop(key) for key in shared})
+            _load_plugins(asked.plugin)
+            function(**given, asked=asked)
+
+        options += [p.replace(kind=p.KEYWORD_ONLY) for p in own.values() if p.name != "asked"]
+        run.__signature__ = Signature(options)  # type: ignore[attr-defined]
+        return app.command(name, epilog=f"Example: chdstat {example}")(run)
+
+    return enter
+
+
+def _load_plugins(files: list[Path] | None) -> None:
     """Load plugins, so that scenes and options may name what they register."""
     from chdstat.scenes import load_plugin
 
     for file in files or ():
         load_plugin(file)
-
-
-def scene_of(name: str, define: list[str] | None) -> Scene:
-    """Return a scene by name or file, with its parameters."""
-    from chdstat.scenes import load_scene
-
-    return load_scene(name, **pairs_of("-D", define))
-
-
-def source_of(source: str, define: list[str] | None) -> Path | Scene:
-    """Return the path of a finished store, or a scene by name or file, with its parameters."""
-    from chdstat.rendering import refuse_render
-    from chdstat.samples import is_store
-
-    if not is_store(source):
-        return scene_of(source, define)
-    refuse_render(source, {"-D": define or None})
-    return place_of(source)
-
-
-def samples_of(
-    source: str,
-    *,
-    spp: int | None,
-    size: str | None,
-    seed: int,
-    max_depth: int | None,
-    backend: Backend,
-    define: list[str] | None,
-    store: Path | None,
-    quiet: bool,
-) -> Samples:
-    """Return the samples of a finished store, or render those of a scene."""
-    from chdstat.rendering import refuse_render, render
-    from chdstat.samples import open as open_store
-
-    found = source_of(source, define)
-    if is_path(found):
-        # A seed may be that of a training, and spp the number of first samples.
-        asked = {"size": size, "store": store, "max_depth": max_depth, "backend": backend}
-        refuse_render(source, asked)
-        return open_store(found)
-    return render(
-        found,
-        spp=SPP if spp is None else spp,
-        size=size_of(size),
-        seed=seed,
-        max_depth=max_depth,
-        out=store,
-        backend=backend,
-        progress=not quiet,
-    )
-
-
-def thresholds_of(given: list[str] | None) -> Thresholds:
-    """Return thresholds of patterns from ``NAME=VALUE``."""
-    from chdstat.patterns import Thresholds
-
-    known = [field.name for field in fields(Thresholds)]
-    values = {}
-    for name, value in pairs_of("--threshold", given).items():
-        if name not in known:
-            message = f"--threshold takes one of {', '.join(known)}, got {name!r}"
-            raise InputError(message)
-        try:
-            values[name] = float(value)
-        except ValueError:
-            message = f"--threshold {name} takes a number, got {value!r}"
-            raise InputError(message) from None
-    return Thresholds(**values)
 
 
 def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
@@ -292,30 +379,19 @@ def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
     return pairs
 
 
-def size_of(text: str | None) -> tuple[int, int] | None:
-    """Return width and height from ``WxH``."""
+def _numbers_in(option: str, text: str | None, form: str, example: str) -> tuple[int, ...] | None:
+    """Return the numbers of a text in which each capital letter of a form stands for one."""
     if text is None:
         return None
-    size = re.fullmatch("([0-9]{1,9})x([0-9]{1,9})", text.lower())
-    if size is None:
-        message = f"--size takes WIDTHxHEIGHT such as 128x128, got {reprlib.repr(text)}"
+    found = re.fullmatch(re.sub("[A-Z]", "([0-9]{1,9})", form), text.lower())
+    if found is None:
+        named = form.replace("WxH", "WIDTHxHEIGHT")
+        message = f"{option} takes {named} such as {example}, got {reprlib.repr(text)}"
         raise InputError(message)
-    return int(size[1]), int(size[2])
+    return tuple(map(int, found.groups()))
 
 
-def crop_of(text: str | None) -> tuple[int, int, int, int] | None:
-    """Return x, y, width and height from ``X,Y,WxH``."""
-    if text is None:
-        return None
-    crop = re.fullmatch("([0-9]{1,9}),([0-9]{1,9}),([0-9]{1,9})x([0-9]{1,9})", text.lower())
-    if crop is None:
-        message = f"--crop takes X,Y,WIDTHxHEIGHT such as 16,8,64x32, got {reprlib.repr(text)}"
-        raise InputError(message)
-    x, y, width, height = map(int, crop.groups())
-    return x, y, width, height
-
-
-def integrator_of(text: str | None) -> str | dict[str, Any] | None:
+def _integrator_of(text: str | None) -> str | dict[str, Any] | None:
     """Return an integrator by name, or its settings from JSON."""
     if text is None or not text.lstrip().startswith("{"):
         return text
@@ -327,13 +403,6 @@ def integrator_of(text: str | None) -> str | dict[str, Any] | None:
 
 
 # --- the application ----------------------------------------------------------------------------
-
-app = typer.Typer(
-    help="Look at the sample distributions behind a Monte Carlo image.",
-    rich_markup_mode="rich",
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
 
 
 def _say_version(wanted: bool) -> None:

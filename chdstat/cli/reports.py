@@ -2,62 +2,75 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from chdstat.cli import output
-from chdstat.cli import program as cli
+from chdstat.cli.program import (
+    OUTPUT,
+    VIEW,
+    CommonOptions,
+    SceneOrStore,
+    StorePath,
+    command,
+    flag,
+    option,
+    pairs_of,
+)
+from chdstat.errors import InputError
 from chdstat.rendering.seeds import SamplerName
+
+if TYPE_CHECKING:
+    from chdstat.patterns import Thresholds
 
 __all__ = ["analyze", "doctor", "explore", "list_names", "report", "study"]
 
+_RECIPE_SIZE = "the recipe's, or 128 along the longer edge"
 
-@cli.app.command(epilog="Example: chdstat analyze bathroom.zarr -o bathroom-maps.zarr")
+
+@command(
+    "analyze bathroom.zarr -o bathroom-maps.zarr", "scheduler", "workers", "overwrite", *OUTPUT
+)
 def analyze(
-    store: cli.StorePath,
+    store: StorePath,
+    asked: CommonOptions,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="New zarr store for all maps.", show_default="none"),
+        Path | None, option("New zarr store for all maps.", "--out", "-o", unset="none")
     ] = None,
     threshold: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "Threshold of a pattern, such as tail_index=0.3; can be repeated.",
             metavar="NAME=VALUE",
-            help="Threshold of a pattern, such as tail_index=0.3; can be repeated.",
         ),
     ] = None,
     resamples: Annotated[
-        int,
-        typer.Option(min=0, help="Bootstrap replicates of goodness of fit: minutes for an image."),
+        int, option("Bootstrap replicates of goodness of fit: minutes for an image.", min=0)
     ] = 0,
-    scheduler: cli.Scheduler = None,
-    workers: cli.Workers = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat._core.files import unused
-    from chdstat._core.work import client_of, kept_until_written
+    from chdstat._core.work import kept_until_written
     from chdstat.analysis import overview, save
 
     if out is not None:
-        unused(out)  # refused before the work, not after
-    thresholds, samples = cli.thresholds_of(threshold), chdstat.open(store)
-    with client_of(scheduler, workers) as client, kept_until_written(out) as checkpoint:
+        asked.target(out)  # refused before the work, not after
+    thresholds, samples = _thresholds_of(threshold), chdstat.open(store)
+    with asked.client() as client, kept_until_written(out) as checkpoint:
         dataset = chdstat.analyze(
             samples,
             thresholds=thresholds,
             resamples=resamples,
-            progress=not quiet,
+            progress=asked.progress,
             client=client,
             checkpoint=checkpoint,
         )
         if out is not None:
-            save(dataset, out)
-    if as_json:
+            save(dataset, asked.replaced(out))
+    if asked.as_json:
         output.print_json(overview(dataset).to_dict())
     else:
         from chdstat.reporting.content import analysis_content
@@ -72,61 +85,62 @@ def analyze(
         typer.echo()
         columns = {"name": "best family", "bic": "by BIC", "held_out": "by held-out likelihood"}
         output.print_rows(found["families"], columns)
-    output.say_next(quiet, f"chdstat explore {store}", f"chdstat compare {store}")
+    output.say_next(asked.quiet, f"chdstat explore {store}", f"chdstat compare {store}")
 
 
-@cli.app.command(epilog="Example: chdstat report bathroom -o report.pdf")
+def _thresholds_of(given: list[str] | None) -> Thresholds:
+    """Return thresholds of patterns from ``NAME=VALUE``."""
+    from chdstat.patterns import Thresholds
+
+    known = [field.name for field in fields(Thresholds)]
+    values = {}
+    for name, value in pairs_of("--threshold", given).items():
+        if name not in known:
+            message = f"--threshold takes one of {', '.join(known)}, got {name!r}"
+            raise InputError(message)
+        try:
+            values[name] = float(value)
+        except ValueError:
+            message = f"--threshold {name} takes a number, got {value!r}"
+            raise InputError(message) from None
+    return Thresholds(**values)
+
+
+@command(
+    "report bathroom -o report.pdf",
+    *("estimator", "iterations", *VIEW, "store", "overwrite", *OUTPUT),
+    spp="the recipe's, or 512; all of a store",
+    size=_RECIPE_SIZE,
+    seed="the recipe's, or 0",
+)
 def report(
-    source: cli.SceneOrStore,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The PDF to write.")],
-    estimator: cli.Compared = None,
-    iterations: cli.Iterations = None,
-    spp: Annotated[
-        int | None,
-        typer.Option(
-            "--spp",
-            help="Number of samples per pixel; of a store, the first ones.",
-            show_default="the recipe's, or 512; all of a store",
-        ),
-    ] = None,
-    size: cli.RecipeSize = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            help="Random seed, a non-negative integer.", show_default="the recipe's, or 0"
-        ),
-    ] = None,
-    max_depth: cli.Depth = None,
-    backend: cli.BackendName = "auto",
-    define: cli.Defines = None,
-    plugin: cli.Plugins = None,
+    source: SceneOrStore,
+    out: Annotated[Path, option("The PDF to write.", "--out", "-o")],
+    asked: CommonOptions,
     recipe: Annotated[
-        Path | None,
-        typer.Option(help="Recipe with the regions to show.", show_default="the scene's own"),
+        Path | None, option("Recipe with the regions to show.", unset="the scene's own")
     ] = None,
-    store: cli.StoreKept = None,
     as_published: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--as-published",
-            help="Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours.",
+            "Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours.",
         ),
     ] = False,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Render, analyse, train, compare and typeset: a PDF on the sample distributions of a scene."""
     import chdstat
     from chdstat.reporting.typst import pages_of
     from chdstat.scenes import Scene
 
-    cli.load_plugins(plugin)
-    given = cli.source_of(source, define)
+    asked.target(out, ".pdf")
+    given, settings = asked.source(source), dict[str, Any](**asked.settings)
     if as_published and isinstance(given, Scene):
         from chdstat.reporting.scene_report import published_seconds
 
+        backend = settings.get("backend", "auto")
         hours = published_seconds(given, recipe, backend=backend) / 3600
-        kept = store or out.with_suffix(".zarr")
+        kept = asked.store or out.with_suffix(".zarr")
         typer.echo(
             f"rendering as published takes about {hours:.1f} h here, the rest about as long; "
             f"samples are kept in {kept}, and the same command resumes",
@@ -135,24 +149,28 @@ def report(
     path = chdstat.report(
         given,
         out,
-        spp=spp,
-        size=cli.size_of(size),
-        seed=seed,
-        max_depth=max_depth,
         recipe=recipe,
-        store=store,
-        estimators=estimator or None,
-        iterations=iterations,
+        store=asked.store,
+        estimators=asked.estimator or None,
+        iterations=asked.iterations,
         as_published=as_published,
-        backend=backend,
-        progress=not quiet,
+        progress=asked.progress,
+        **settings,
     )
-    output.say_written(path, as_json=as_json, pages=pages_of(path))
-    output.say_next(quiet, f"chdstat explore {store or source}")
+    output.say_written(path, as_json=asked.as_json, pages=pages_of(path))
+    output.say_next(asked.quiet, f"chdstat explore {asked.store or source}")
 
 
-@cli.app.command(epilog="Example: chdstat study bathroom fog -o study.pdf")
+@command(
+    "study bathroom fog -o study.pdf",
+    *("estimator", "spp", "size", "seed", "max_depth", "backend", "plugin"),
+    *("overwrite", *OUTPUT),
+    spp="the recipe's, or 1024",
+    size=_RECIPE_SIZE,
+    seed="the recipe's, or 1",
+)
 def study(
+    asked: CommonOptions,
     scenes: Annotated[
         list[str] | None,
         typer.Argument(
@@ -161,64 +179,38 @@ def study(
             "all study scenes without any.",
         ),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The PDF to write.", show_default="none")
-    ] = None,
+    out: Annotated[Path | None, option("The PDF to write.", "--out", "-o", unset="none")] = None,
     store: Annotated[
-        Path,
-        typer.Option(metavar="FOLDER", help="Folder of stores that are kept, and resumed from."),
+        Path, option("Folder of stores that are kept, and resumed from.", metavar="FOLDER")
     ] = Path("renders/out"),
-    spp: Annotated[
-        int | None,
-        typer.Option(help="Number of samples per pixel.", show_default="the recipe's, or 1024"),
-    ] = None,
-    size: cli.RecipeSize = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            help="Random seed, a non-negative integer.", show_default="the recipe's, or 1"
-        ),
-    ] = None,
-    max_depth: cli.Depth = None,
     sampler: Annotated[
         SamplerName,
-        typer.Option(
-            help="Sampler of one more render of each scene, for the claim on correlated samples; "
-            "of independent ones, there is none."
+        option(
+            "Sampler of one more render of each scene, for the claim on correlated samples; of "
+            "independent ones, there is none."
         ),
     ] = "independent",
     integrators: Annotated[
-        bool,
-        typer.Option("--integrators", help="Render built-in scenes by five more integrators, too."),
+        bool, flag("--integrators", "Render built-in scenes by five more integrators, too.")
     ] = False,
-    backend: cli.BackendName = "auto",
-    estimator: cli.Compared = None,
-    plugin: cli.Plugins = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Test the claims of the paper on scenes: verdicts, figures, a PDF."""
     import chdstat
-    from chdstat._core.files import checked_target
     from chdstat.reporting.typst import pages_of
 
-    cli.load_plugins(plugin)
     if out:
-        checked_target(out, ".pdf")  # refused before the work, not after
+        asked.target(out, ".pdf")  # refused before the work, not after
+    settings: dict[str, Any] = {**asked.settings}
     found = chdstat.study(
         scenes or None,
         folder=store,
-        spp=spp,
-        size=cli.size_of(size),
-        seed=seed,
-        max_depth=max_depth,
-        estimators=estimator or None,
+        estimators=asked.estimator or None,
         sampler=sampler,
         integrators=integrators,
-        backend=backend,
-        progress=not quiet,
+        progress=asked.progress,
+        **settings,
     )
-    if as_json:
+    if asked.as_json:
         output.print_json(found.to_dict())
     else:
         rows = found.table()
@@ -226,67 +218,56 @@ def study(
         output.print_rows(rows, columns, text=["claim"])
     if out:
         found.save_pdf(out)
-        typer.echo(f"wrote {out}, {pages_of(out)} pages", err=as_json)
+        typer.echo(f"wrote {out}, {pages_of(out)} pages", err=asked.as_json)
     first = found.scenes[0].name
-    output.say_next(quiet, f"chdstat report {first} -o {first}.pdf")
+    output.say_next(asked.quiet, f"chdstat report {first} -o {first}.pdf")
 
 
-@cli.app.command(epilog="Example: chdstat explore bathroom.zarr")
+@command("explore bathroom.zarr", "size", "seed", "max_depth", "define", "plugin")
 def explore(
-    source: cli.SceneOrStore,
-    other: Annotated[
-        Path | None, typer.Option(help="A second store to compare with.", show_default="none")
-    ] = None,
+    source: SceneOrStore,
+    asked: CommonOptions,
+    other: Annotated[Path | None, option("A second store to compare with.", unset="none")] = None,
     reference: Annotated[
         Path | None,
-        typer.Option(
-            help="Store that errors are measured against.", show_default="the source's own samples"
-        ),
+        option("Store that errors are measured against.", unset="the source's own samples"),
     ] = None,
     model: Annotated[
-        list[Path] | None, typer.Option(help="A trained estimator to show; can be repeated.")
+        list[Path] | None, option("A trained estimator to show; can be repeated.")
     ] = None,
     maps: Annotated[
-        Path | None,
-        typer.Option(help="Maps that 'chdstat analyze -o' wrote, to show.", show_default="none"),
+        Path | None, option("Maps that 'chdstat analyze -o' wrote, to show.", unset="none")
     ] = None,
-    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 5006,
+    port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 5006,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+        bool, flag("--browser/--no-browser", "Open the page in the browser.")
     ] = True,
-    size: cli.Size = None,
-    seed: cli.Seed = 0,
-    max_depth: cli.Depth = None,
-    define: cli.Defines = None,
-    plugin: cli.Plugins = None,
 ) -> None:
     """Show the distribution of any pixel on a page in the browser, served on localhost only."""
     import chdstat
 
-    cli.load_plugins(plugin)
+    settings: dict[str, Any] = {**asked.settings}
     explorer = chdstat.explore(
-        cli.source_of(source, define),
+        asked.source(source),
         other=other,
         reference=reference,
         models=model or (),
         maps=maps,
         port=port,
         browser=browser,
-        size=cli.size_of(size),
-        seed=seed,
-        max_depth=max_depth,
+        **settings,
     )
     typer.echo(f"{explorer.url} (Ctrl-C stops)")
     explorer.wait()
 
 
-@cli.app.command("list", epilog="Example: chdstat list estimators")
+@command("list estimators", "as_json", name="list")
 def list_names(
+    asked: CommonOptions,
     kind: Annotated[
         Literal["scenes", "estimators", "families", "patterns", "formats"] | None,
         typer.Argument(help="What to list.", show_default="all five"),
     ] = None,
-    as_json: cli.Json = False,
 ) -> None:
     """List scenes, estimators, families, patterns and formats to import, a sentence for each."""
     from chdstat.estimators import lookup, names
@@ -307,7 +288,7 @@ def list_names(
         "formats": formats,
     }
     shown = found if kind is None else {kind: found[kind]}
-    if as_json:
+    if asked.as_json:
         output.print_json(found if kind is None else found[kind])
         return
     for number, (title, rows) in enumerate(shown.items()):
@@ -317,19 +298,19 @@ def list_names(
     output.say_next(False, "chdstat render SCENE -o s.zarr", "chdstat compare s.zarr -e ESTIMATOR")
 
 
-@cli.app.command(epilog="Example: chdstat doctor")
+@command("doctor", "as_json")
 def doctor(
+    asked: CommonOptions,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Ignore cached results and test the backends again.")
+        bool, flag("--fresh", "Ignore cached results and test the backends again.")
     ] = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions."""
     from chdstat.io import denoiser
     from chdstat.rendering.backend import examine
 
     found = examine(fresh=fresh) | {"denoiser": denoiser.library()}
-    if as_json:
+    if asked.as_json:
         output.print_json(found)
     else:
         memory = found.pop("memory_gib")

@@ -10,103 +10,67 @@ import typer
 
 from chdstat._core.files import is_remote, place_of
 from chdstat.cli import output
-from chdstat.cli import program as cli
+from chdstat.cli.program import (
+    OUTPUT,
+    VIEW,
+    CommonOptions,
+    SceneName,
+    StorePath,
+    command,
+    flag,
+    option,
+)
 from chdstat.errors import ChdstatError, InputError
-from chdstat.rendering.backend import Color
-from chdstat.rendering.seeds import SamplerName
 
 __all__ = ["export", "import_samples", "include", "info", "render"]
 
+_OF_RENDER = ("sensor", "integrator", "crop", "color", "sampler", "sequence")
 
-@cli.app.command(
-    epilog="Example: chdstat render bathroom -o bathroom.zarr --spp 512 --size 128x128"
+
+@command(
+    "render bathroom -o bathroom.zarr --spp 512 --size 128x128",
+    *VIEW,
+    *_OF_RENDER,
+    *("scheduler", "workers", "overwrite"),
+    *OUTPUT,
+    spp="256",
 )
 def render(
-    scene: cli.SceneName,
+    scene: SceneName,
     out: Annotated[
         Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="PATH",
-            parser=place_of,
-            help="Store to write, resume or append to.",
+        option(
+            "Store to write, resume or append to.", "--out", "-o", metavar="PATH", parser=place_of
         ),
     ],
-    spp: Annotated[int, typer.Option("--spp", help="Number of samples per pixel.")] = cli.SPP,
-    size: cli.Size = None,
-    seed: cli.Seed = 0,
-    max_depth: cli.Depth = None,
-    sensor: Annotated[int, typer.Option(help="Number of the scene's sensor, from 0.")] = 0,
-    integrator: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|JSON",
-            help="Integrator in place of the scene's: its name, or JSON with its settings, such as "
-            '{"type": "path", "rr_depth": 100}.',
-            show_default="the scene's own",
-        ),
-    ] = None,
-    crop: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,WxH",
-            help="Part of the image to render, in pixels.",
-            show_default="all of it",
-        ),
-    ] = None,
-    color: Annotated[
-        Color, typer.Option(help="What light is transported as; samples are linear sRGB.")
-    ] = "rgb",
-    sampler: Annotated[
-        SamplerName,
-        typer.Option(
-            help="Mitsuba's sampler. Of all but independent, samples of a sequence depend on each "
-            "other: only averages of sequences have standard errors."
-        ),
-    ] = "independent",
-    sequence: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Samples that such a sampler spreads together, of which --spp is a multiple.",
-            show_default="16",
-        ),
-    ] = None,
+    asked: CommonOptions,
     direct: Annotated[
-        bool, typer.Option("--direct", help="Also store the direct light of each sample.")
+        bool, flag("--direct", "Also store the direct light of each sample.")
     ] = False,
     light: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "Also store what each sample has by this light alone; a pattern such as 'lamp-*' is a "
+            "group of them. Repeat it for several.",
             metavar="NAME",
-            help="Also store what each sample has by this light alone; a pattern such as 'lamp-*' "
-            "is a group of them. Repeat it for several.",
-            show_default="none",
+            unset="none",
         ),
     ] = None,
     by_depth: Annotated[
         int | None,
-        typer.Option(
+        option(
+            "Also store the light of each sample by the length of its path, up to this.",
             metavar="SEGMENTS",
-            help="Also store the light of each sample by the length of its path, up to this.",
-            show_default="none",
+            unset="none",
         ),
     ] = None,
     summary_only: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--summary-only",
-            help="Keep no samples: write maps of statistics, histograms and families instead.",
+            "Keep no samples: write maps of statistics, histograms and families instead.",
         ),
     ] = False,
-    backend: cli.BackendName = "auto",
-    define: cli.Defines = None,
-    plugin: cli.Plugins = None,
-    scheduler: cli.Scheduler = None,
-    workers: cli.Workers = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
 ) -> None:
     """Render a scene and keep every sample.
 
@@ -114,40 +78,29 @@ def render(
     nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
     """
     import chdstat
-    from chdstat._core.files import unused
-    from chdstat._core.work import client_of, kept_until_written
+    from chdstat._core.work import kept_until_written
     from chdstat.analysis import save
     from chdstat.rendering import render_batches
 
-    cli.load_plugins(plugin)
     if not is_remote(out) and not out.parent.exists():
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
-    settings: dict[str, Any] = {
-        "spp": spp,
-        "size": cli.size_of(size),
-        "seed": seed,
-        "max_depth": max_depth,
-        "sensor": sensor,
-        "integrator": cli.integrator_of(integrator),
-        "crop": cli.crop_of(crop),
-        "color": color,
-        "sampler": sampler,
-        "sequence": sequence,
-        "backend": backend,
-    }
-    described = cli.scene_of(scene, define)
+    settings, described = asked.settings, asked.scene(scene)
     if summary_only:
         if direct or by_depth or light:
             message = "--summary-only keeps no samples, which --direct, --by-depth and --light need"
             raise InputError(message)
-        unused(out)
-        with client_of(scheduler, workers) as client, kept_until_written(out) as checkpoint:
+        asked.target(out)
+        with asked.client() as client, kept_until_written(out) as checkpoint:
             rendering = render_batches(described, progress=False, **settings)
-            work: dict[str, Any] = {"client": client, "progress": not quiet}
-            save(chdstat.analyze(rendering, checkpoint=checkpoint, **work), out)
-        output.say_written(out, as_json=as_json)
+            work: dict[str, Any] = {"client": client, "progress": asked.progress}
+            maps = chdstat.analyze(rendering, checkpoint=checkpoint, **work)
+            save(maps, asked.replaced(out))
+        output.say_written(out, as_json=asked.as_json)
         return
-    with client_of(scheduler, workers) as client:
+    if asked.overwrite:
+        message = "--overwrite is for --summary-only: a store of samples is resumed or appended to"
+        raise InputError(message)
+    with asked.client() as client:
         samples = chdstat.render(
             described,
             direct=direct,
@@ -155,50 +108,41 @@ def render(
             by_light=light or (),
             out=out,
             client=client,
-            progress=not quiet,
+            progress=asked.progress,
             **settings,
         )
-    output.say_samples(samples, as_json=as_json, quiet=quiet)
+    output.say_samples(samples, as_json=asked.as_json, quiet=asked.quiet)
 
 
 def _feature(name: str) -> Any:
     what = f"First-hit {name}: a layer of the files, or a file of it."
-    return typer.Option(metavar="NAME|FILE", help=what, show_default="none")
+    return option(what, metavar="NAME|FILE", unset="none")
 
 
-@cli.app.command(
-    "import", epilog="Example: chdstat import frames/*.exr -o own.zarr --scene kitchen"
-)
+@command("import frames/*.exr -o own.zarr --scene kitchen", *OUTPUT, name="import")
 def import_samples(
     sources: Annotated[
         list[str],
         typer.Argument(metavar="SOURCE...", help="Files of samples in their order, or a folder."),
     ],
     out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="PATH", parser=place_of, help="Store to write or append to."
-        ),
+        Path, option("Store to write or append to.", "--out", "-o", metavar="PATH", parser=place_of)
     ],
+    asked: CommonOptions,
     format: Annotated[  # noqa: A002 - what users call it
-        str | None,
-        typer.Option(metavar="NAME", help="Format.", show_default="by the names of the files"),
+        str | None, option("Format.", metavar="NAME", unset="by the names of the files")
     ] = None,
     axes: Annotated[
         str | None,
-        typer.Option(
+        option(
+            "Order of the axes of arrays: y, x, c (channel) and s (sample), such as syxc.",
             metavar="LETTERS",
-            help="Order of the axes of arrays: y, x, c (channel) and s (sample), such as syxc.",
-            show_default="yxcs, or by name",
+            unset="yxcs, or by name",
         ),
     ] = None,
     variable: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Array or layer of the samples.",
-            show_default="the largest; R, G, B",
-        ),
+        option("Array or layer of the samples.", metavar="NAME", unset="the largest; R, G, B"),
     ] = None,
     albedo: Annotated[str | None, _feature("albedo")] = None,
     normal: Annotated[str | None, _feature("normal")] = None,
@@ -206,44 +150,30 @@ def import_samples(
     position: Annotated[str | None, _feature("position")] = None,
     counts: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Samples of each pixel, where they differ: .npy.",
-            show_default="all of each",
+        option(
+            "Samples of each pixel, where they differ: .npy.", metavar="FILE", unset="all of each"
         ),
     ] = None,
     averaged: Annotated[
         int | None,
-        typer.Option(
-            min=1, help="Samples that each value is the average of.", show_default="the files' own"
-        ),
+        option("Samples that each value is the average of.", min=1, unset="the files' own"),
     ] = None,
     sequence: Annotated[
         int | None,
-        typer.Option(
+        option(
+            "Samples of a pixel that depend on each other, as stratified ones do.",
             metavar="N",
             min=1,
-            help="Samples of a pixel that depend on each other, as stratified ones do.",
-            show_default="none: independent",
+            unset="none: independent",
         ),
     ] = None,
     scene: Annotated[
-        str | None, typer.Option(help="Name of the scene.", show_default="that of the first file")
+        str | None, option("Name of the scene.", unset="that of the first file")
     ] = None,
-    renderer: Annotated[
-        str | None, typer.Option(help="What rendered it.", show_default="unknown")
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed that it was rendered with.", show_default="unknown")
-    ] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="Unit of radiance.", show_default="W sr-1 m-2")
-    ] = None,
-    append: Annotated[
-        bool, typer.Option("--append", help="Add the samples to those of the store.")
-    ] = False,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
+    renderer: Annotated[str | None, option("What rendered it.", unset="unknown")] = None,
+    seed: Annotated[int | None, option("Seed that it was rendered with.", unset="unknown")] = None,
+    unit: Annotated[str | None, option("Unit of radiance.", unset="W sr-1 m-2")] = None,
+    append: Annotated[bool, flag("--append", "Add the samples to those of the store.")] = False,
 ) -> None:
     """Write samples of another renderer to a store, which every command takes.
 
@@ -269,12 +199,12 @@ def import_samples(
         counts=counts,
         **{name: value for name, value in about.items() if value is not None},
     )
-    saved = samples.save(out, append=append, progress=not quiet)
-    output.say_samples(saved, as_json=as_json, quiet=quiet)
+    saved = samples.save(out, append=append, progress=asked.progress)
+    output.say_samples(saved, as_json=asked.as_json, quiet=asked.quiet)
 
 
-@cli.app.command(epilog="Example: chdstat include")
-def include(as_json: cli.Json = False) -> None:
+@command("include", "as_json")
+def include(asked: CommonOptions) -> None:
     """Print the folder of chdstat_writer.h, with which a C++ renderer writes its samples.
 
     A compiler is told it as -I$(chdstat include); 'chdstat import' reads what is written.
@@ -282,53 +212,49 @@ def include(as_json: cli.Json = False) -> None:
     import chdstat
 
     folder = str(chdstat.io.get_include())
-    if as_json:
+    if asked.as_json:
         output.print_json({"include": folder})
     else:
         typer.echo(folder)
 
 
-@cli.app.command(epilog="Example: chdstat export maps.zarr --as exr -o maps.exr")
+@command("export maps.zarr --as exr -o maps.exr", "overwrite", *OUTPUT)
 def export(
     source: Annotated[
         Path,
         typer.Argument(metavar="MAPS", parser=place_of, help="What 'chdstat analyze -o' wrote."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    out: Annotated[Path, option("File to write.", "--out", "-o")],
     kind: Annotated[
-        Literal["exr", "netcdf"],
-        typer.Option("--as", help="Layers of an EXR file (.exr), or netCDF (.nc)."),
+        Literal["exr", "netcdf"], option("Layers of an EXR file (.exr), or netCDF (.nc).", "--as")
     ],
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
+    asked: CommonOptions,
 ) -> None:
     """Write maps in the formats of other programs."""
     import chdstat
     from chdstat.io.writing import open_maps
 
     write = chdstat.io.write_maps if kind == "exr" else chdstat.io.write_netcdf
-    file = write(open_maps(source), out)
-    if as_json:
+    target = asked.target(out, ".exr" if kind == "exr" else ".nc")
+    file = write(open_maps(source), target)
+    if asked.as_json:
         output.print_json({"files": [str(file)]})
-    elif not quiet:
+    elif not asked.quiet:
         output.say_written(file, as_json=False)
 
 
-@cli.app.command(epilog="Example: chdstat info bathroom.zarr")
+@command("info bathroom.zarr", *OUTPUT)
 def info(
-    store: cli.StorePath,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Read everything and list damaged files.")
-    ] = False,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
+    store: StorePath,
+    asked: CommonOptions,
+    verify: Annotated[bool, flag("--verify", "Read everything and list damaged files.")] = False,
 ) -> None:
     """Describe a store, and say whether it is complete and sound."""
     from chdstat.samples import inspect
     from chdstat.samples.samples import provenance
 
     found = inspect(store, verify=verify)
-    if as_json:
+    if asked.as_json:
         output.print_json(found)
     else:
         output.print_table({**provenance(found, [*found["shape"].values()]), **_state(found)})
@@ -339,9 +265,9 @@ def info(
         )
         raise ChdstatError(message)
     if found["pending_chunks"]:
-        output.say_next(quiet, "the same 'chdstat render' again, which resumes")
+        output.say_next(asked.quiet, "the same 'chdstat render' again, which resumes")
     else:
-        output.say_next(quiet, *output.after_render(found, store))
+        output.say_next(asked.quiet, *output.after_render(found, store))
 
 
 def _state(found: Mapping[str, Any]) -> dict[str, str]:

@@ -20,6 +20,7 @@ from chdstat.patterns.classification import Agreement, Label, Patterns, agreemen
 from chdstat.patterns.known_chds import CHD, CHDS, Component
 from chdstat.patterns.pixel import Pixel
 from chdstat.patterns.pixel_statistics import Thresholds
+from chdstat.patterns.regions import choose_regions
 from chdstat.patterns.simulation import (
     FIREFLY_ZONE,
     INDISTINCT_SPREAD,
@@ -58,6 +59,7 @@ __all__ = [
     "agreement",
     "atlas",
     "attribute",
+    "choose_regions",
     "classify",
     "flag_scores",
     "random_chds",

@@ -28,7 +28,7 @@ from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model
 from chdstat.estimators.training import check_iterations, first_samples
 from chdstat.estimators.validation import draw_pixels
-from chdstat.patterns import atlas
+from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
@@ -36,7 +36,6 @@ from chdstat.rendering.recipes import (
     Recipe,
     Region,
     check_integrator,
-    choose_regions,
     load_recipe,
     recipe_of,
     regions_of,

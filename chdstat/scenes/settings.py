@@ -204,12 +204,23 @@ def _sensors(parsed: ParsedScene) -> list[int]:
 
 
 def _integrators(parsed: ParsedScene) -> list[int]:
-    """Return the integrators of a scene, also those that Mitsuba has in other variants only."""
-    return [
-        index
-        for index in parsed.held(0)
-        if parsed.node(index).type.name == "Integrator" or _in_python(parsed.plugin(index))
-    ]
+    """Return the integrators of a scene, also those that Mitsuba has in other variants only.
+
+    Of a class that was registered in another variant than a scalar one first, Mitsuba does not know
+    the kind before it makes an object.
+    """
+    import mitsuba as mi
+
+    found = []
+    for index in parsed.held(0):
+        kind = parsed.node(index).type.name
+        if kind == "Unknown" and not _in_python(parsed.plugin(index)):
+            is_integrator = isinstance(parsed.branch(index).make(), mi.Integrator)
+        else:
+            is_integrator = kind == "Integrator" or _in_python(parsed.plugin(index))
+        if is_integrator:
+            found.append(index)
+    return found
 
 
 def _in_python(plugin: str) -> bool:

@@ -23,10 +23,9 @@ from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import Entry, entry_of
 from chdstat.errors import InputError, StoreError
-from chdstat.patterns import Atlas, atlas
+from chdstat.patterns import Atlas, atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.recipes import choose_regions
 from chdstat.rendering.seeds import SamplerName, Sequences
 from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import FINDINGS, Finding, SceneData

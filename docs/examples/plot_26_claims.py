@@ -9,7 +9,7 @@ show the same?
 # %%
 # `chdstat.studies.claims` turns each of the paper's observations into tests with intervals.
 # Built-in scenes have named regions, each inside one phenomenon;
-# `chdstat.rendering.recipes.choose_regions` finds some in yours.
+# `chdstat.patterns.choose_regions` finds some in yours.
 
 # sphinx_gallery_panel = 1, 3
 import chdstat as chd

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
+import shutil
 import sys
 from inspect import signature
 from pathlib import Path
@@ -17,8 +17,8 @@ from typer.main import get_command
 
 import chdstat as chd
 import chdstat.samples
-from chdstat.cli import estimation, main, program, reports, samples
-from chdstat.rendering import render_batches
+from chdstat.cli import main, program
+from chdstat.rendering import RenderOptions
 
 ROOT = Path(chd.__file__).parent
 
@@ -120,33 +120,35 @@ def test_the_shell_completes_scenes(run, monkeypatch):
 
 
 LIBRARY = {
-    "render": (chd.render,),
-    "train": (chd.estimators.train_model,),
-    "estimate": (chd.estimate, chd.render, render_batches),
-    "compare": (chd.compare,),
-    "report": (chd.report,),
-    "study": (chd.study,),
-    "explore": (chd.explore,),
+    "train": chd.estimators.train_model,
+    "estimate": chd.estimate,
+    "compare": chd.compare,
+    "study": chd.study,
 }
+
+
+def test_options_of_a_render_are_the_fields_of_its_options():
+    """An option that is not given is no argument: the library knows what holds then."""
+    fields = signature(RenderOptions).parameters
+    assert fields.keys() < signature(program.CommonOptions).parameters.keys()
+    assert program.CommonOptions().settings == {}
+    asked = program.CommonOptions(size="12x8", crop="1,2,3x4", integrator='{"type": "path"}', spp=3)
+    settings = {"spp": 3, "size": (12, 8), "integrator": {"type": "path"}, "crop": (1, 2, 3, 4)}
+    assert asked.settings == settings
+    for option in COMMANDS["render"].params:
+        default = fields[option.name].default if option.name in fields else None
+        if default is not None:
+            assert option.show_default == str(default), option.name
 
 
 @pytest.mark.parametrize("command", LIBRARY)
 def test_options_that_are_not_given_are_as_in_the_library(command):
-    """But for those that a user of a terminal wants otherwise, or that a store has."""
-    others = {"source", "out", "store", "port", "browser", "folder"}
-    others |= {"spp"} if command == "estimate" else set()  # of a store, all there are
-    commands = {**vars(samples), **vars(estimation), **vars(reports)}
-    ours = signature(commands[command]).parameters
-    for function in LIBRARY[command]:
-        for name, option in signature(function).parameters.items():
-            if name in ours.keys() - others:
-                assert ours[name].default == option.default, name
-    for function in (chd.render, render_batches):
-        assert signature(function).parameters["spp"].default == program.SPP
-    for judge in (chd.compare, chd.bench, chd.report, chd.study):
-        command = commands[judge.__name__]
-        assert signature(judge).parameters["estimators"].default is None
-        assert signature(command).parameters["estimator"].default is None
+    """But for those that a store has, or that are the library's where they are not given."""
+    taken = {option.name: option for option in COMMANDS[command].params}
+    others = {"source", "out", "store", "scenes", "estimators", "folder"}
+    for name, option in signature(LIBRARY[command]).parameters.items():
+        if name in taken.keys() - others and taken[name].default is not None:
+            assert taken[name].default == option.default, name
 
 
 def test_a_reader_finds_spp_in_few_files(run, tmp_path):
@@ -165,34 +167,21 @@ def test_a_reader_finds_spp_in_few_files(run, tmp_path):
     finally:
         sys.setprofile(None)
     assert (code, err) == (0, "")
+    code, out, _ = run(
+        "render", "cornell-box", "-o", tmp_path / "a.zarr", "--spp", 5, "--json", "-q"
+    )
+    said = json.loads(out)
+    assert (code, said["spp"], said["size"], said["scene"]) == (0, 5, [4, 4], "cornell-box")
     told = "\n".join(f"{file}: {', '.join(sorted(names))}" for file, names in files.items())
     print(f"{len(files)} files take spp on its way to the store:\n{told}")
-    assert {"cli/samples.py", "rendering/capture.py", "samples/store.py"} <= files.keys()
-    assert len(files) <= 8, told
+    assert {"rendering/capture.py", "samples/store.py"} <= files.keys()
+    assert len(files) <= 6, told
 
 
 def test_version(run):
     import chdstat
 
     assert run("--version")[:2] == (0, f"chdstat {chdstat.__version__}\n")
-
-
-def test_python_runs_it_as_a_module():
-    import chdstat
-
-    command = [sys.executable, "-m", "chdstat", "--version"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout == f"chdstat {chdstat.__version__}\n"
-
-
-def test_render_resumes_appends_and_speaks_json(run, tmp_path):
-    path = tmp_path / "a.zarr"
-    arguments = ("render", "cornell-box", "-o", path, "--size", "8x6", "--backend", "scalar", "-q")
-    assert run(*arguments, "--spp", 2)[0] == 0
-    code, out, _ = run(*arguments, "--spp", 5, "--json")
-    assert code == 0
-    said = json.loads(out)
-    assert (said["spp"], said["size"], said["scene"]) == (5, [8, 6], "cornell-box")
 
 
 def test_info_says_what_is_stored(run, store):
@@ -217,36 +206,39 @@ def test_info_says_that_a_render_was_stopped(run, store, monkeypatch):
     assert err == "next: the same 'chdstat render' again, which resumes\n"
 
 
-def test_analyze_speaks_in_sentences(run, store):
-    code, out, err = run("analyze", store)
-    numbers = json.loads(run("analyze", store, "--json", "-q")[1])
-    assert code == 0
-    assert "12 × 10 pixels with 16 samples each." in out
-    assert f"{100 * numbers['null_share']:.0f}\xa0% of all samples find no light." in out
-    share = f"{100 * numbers['patterns']['null_heavy']:.1f}\xa0%"
-    assert re.search(rf"^null-heavy +{share}  most paths find no light", out, re.MULTILINE)
-    assert err.splitlines()[-1].startswith("next: chdstat explore")
-
-
-def test_lines_are_as_long_as_is_asked_for(run, store, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "70")
-    lines = run("analyze", store, "-q")[1].splitlines()
-    assert max(map(len, lines)) <= 70
-    monkeypatch.delenv("COLUMNS")
-    whole = run("analyze", store, "-q")[1].splitlines()
-    assert len(whole) < len(lines)
-    assert "".join(whole).replace(" ", "")[:200] == "".join(lines).replace(" ", "")[:200]
-
-
-def test_analyze_prints_numbers_and_writes_maps(run, store, tmp_path):
+def test_analyze_speaks_in_sentences_and_writes_maps(run, store, tmp_path, monkeypatch):
     target = tmp_path / "maps.zarr"
-    code, out, _ = run("analyze", store, "-o", target, "--json", "-q")
+    code, numbers, _ = run("analyze", store, "-o", target, "--json", "-q")
+    numbers = json.loads(numbers)
     assert code == 0
-    assert 0 < json.loads(out)["null_share"] < 1
     assert (target / "zarr.json").exists()
     code, _, err = run("analyze", store, "-o", target, "-q")
     assert code == 1
     assert "nothing was overwritten" in err
+    code, whole, err = run("analyze", store, "-o", target, "--overwrite")
+    assert code == 0
+    assert "12 × 10 pixels with 16 samples each." in whole
+    assert f"{100 * numbers['null_share']:.0f}\xa0% of all samples find no light." in whole
+    share = f"{100 * numbers['patterns']['null_heavy']:.1f}\xa0%"
+    assert re.search(rf"^null-heavy +{share}  most paths find no light", whole, re.MULTILINE)
+    assert err.splitlines()[-1].startswith("next: chdstat explore")
+    monkeypatch.setenv("COLUMNS", "70")
+    lines = run("analyze", store, "-q")[1].splitlines()
+    assert max(map(len, lines)) <= 70
+    assert "".join(whole.split())[:200] == "".join("".join(lines).split())[:200]
+
+
+def test_nothing_but_an_output_is_overwritten(run, store, tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis/text.tex").write_text("years of work")
+    for target in (tmp_path / "thesis", store):
+        code, _, err = run("analyze", store, "-o", target, "--overwrite", "-q")
+        assert code == 1
+        assert "is no output of this command; remove it yourself" in err
+    assert (tmp_path / "thesis/text.tex").exists()
+    code, _, err = run("render", "cornell-box", "-o", store, "--overwrite")
+    assert code == 1
+    assert "a store of samples is resumed or appended to" in err
 
 
 def test_contrast_has_a_verdict_an_exit_code_and_a_page(run, store, tmp_path):
@@ -284,13 +276,6 @@ def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
     assert "nothing was overwritten" in err
 
 
-def test_compare_speaks_json(run, store):
-    code, out, _ = run("compare", store, "-e", "mean", "--n", 4, "-q", "--json")
-    said = json.loads(out)
-    assert code == 0
-    assert (said["n"], said["table"][0]["mse_ratio"]) == (4, 1)
-
-
 def test_compare_judges_with_a_denoiser_too(run, store, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyoidn", SimpleNamespace(denoise=lambda colour, **_: colour))
     asked = ("compare", store, "-e", "mean", "--n", 4, "-q", "--denoise")
@@ -311,7 +296,10 @@ def test_a_model_is_trained_and_estimates(run, store, tmp_path):
     model, image = tmp_path / "box.safetensors", tmp_path / "box.exr"
     asked = ("train", store, "-o", model, "--iterations", 3, "-q")
     assert run(*asked)[:2] == (0, f"wrote {model}\n")
-    asked = (*asked[:-1], "--json")
+    code, _, err = run(*asked)
+    assert code == 1
+    assert "exists; nothing was overwritten. Give another path, or --overwrite" in err
+    asked = (*asked[:-1], "--json", "--overwrite")
     code, out, err = run(*asked)
     said = {"path": str(model), "estimator": "progressive", "iterations": 3}
     assert (code, json.loads(out)) == (0, said)
@@ -398,13 +386,6 @@ def test_what_cannot_be_estimated_ends_with_a_message_and_no_file(
     assert {path.suffix for path in tmp_path.iterdir()} == {".safetensors"}
 
 
-def test_report_writes_a_pdf(run, store, tmp_path):
-    target = tmp_path / "box.pdf"
-    code, out, _ = run("report", store, "-o", target, "-q")
-    assert (code, out) == (0, f"wrote {target}, {len(PdfDocument(target))} pages\n")
-    assert target.read_bytes().startswith(b"%PDF")
-
-
 def test_a_report_of_chosen_estimators_says_its_pages_and_what_next(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     asked = ("report", store, "-o", target, "-e", "mean", "--json")
@@ -466,19 +447,9 @@ def test_bad_input_ends_with_a_message_and_no_traceback(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_debug_shows_the_traceback(monkeypatch):
-    from chdstat.errors import StoreError
-
-    monkeypatch.setattr("sys.argv", ["chdstat", "--debug", "info", "nowhere.zarr"])
-    with pytest.raises(StoreError):
-        main()
-
-
-def test_damage_is_found_and_named(run, tmp_path):
-    import chdstat
-
+def test_damage_is_found_and_named(run, store, tmp_path):
     path = tmp_path / "box.zarr"
-    chdstat.render("cornell-box", spp=4, size=(8, 8), out=path, backend="scalar")
+    shutil.copytree(store, path)
     shard = path / "radiance/c/0/0/0/0"
     shard.write_bytes(shard.read_bytes()[:-40])
     code, out, err = run("info", path, "--verify", "--json")
@@ -486,6 +457,14 @@ def test_damage_is_found_and_named(run, tmp_path):
     assert json.loads(out)["damaged"] == [str(shard)]
     assert "1 damaged file(s)" in err
     assert run("analyze", path, "-q")[0] == 1
+
+
+def test_debug_shows_the_traceback(monkeypatch):
+    from chdstat.errors import StoreError
+
+    monkeypatch.setattr("sys.argv", ["chdstat", "--debug", "info", "nowhere.zarr"])
+    with pytest.raises(StoreError):
+        main()
 
 
 def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
@@ -515,10 +494,3 @@ def test_settings_of_a_render_are_refused_where_samples_are_there(run, tmp_path,
         assert code == 1
         assert "a setting of a render, but" in err
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
-
-
-def test_a_curve_that_cannot_be_measured_is_refused_before_the_comparison(run, tmp_path):
-    chd.render("cornell-box", spp=48, size=(6, 5), backend="scalar", out=tmp_path / "s.zarr")
-    code, out, err = run("compare", tmp_path / "s.zarr", "-e", "elek2019", "--curve", "-q")
-    assert (code, out) == (1, "")
-    assert "elek2019 takes exactly 32 samples" in err

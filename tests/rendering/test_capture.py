@@ -535,15 +535,6 @@ def test_a_light_that_cannot_be_switched_off_is_refused_before_work(tmp_path):
 # --- Dask ---------------------------------------------------------------------------------------
 
 
-def test_workers_of_a_cluster_render_the_same_bits(tmp_path, whole):
-    from distributed import Client, LocalCluster
-
-    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False}
-    with LocalCluster(dashboard_address=":0", **local) as cluster, Client(cluster) as client:
-        samples = render(size=SIZE, spp=130, out=tmp_path / "s.zarr", client=client)
-    assert np.array_equal(samples.read(), whole[..., :130])
-
-
 @pytest.mark.slow
 def test_worker_processes_render_the_same_bits(whole):
     from distributed import Client, LocalCluster

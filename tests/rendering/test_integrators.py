@@ -116,24 +116,6 @@ def test_a_crop_outside_of_the_image_is_refused(crop):
         render(crop=crop)
 
 
-def test_the_command_takes_both(tmp_path, monkeypatch):
-    from chdstat.cli import main
-
-    out = tmp_path / "a.zarr"
-    settings = ("--spp", "4", "--size", "12x8", "--backend", "scalar", "-q")
-    asked = ("--integrator", '{"type": "path", "max_depth": 3}', "--crop", "2,1,8x6")
-    monkeypatch.setattr(
-        "sys.argv", ["chdstat", "render", "cornell-box", "-o", str(out), *settings, *asked]
-    )
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    found = chd.open(out)
-    assert found.shape == (6, 8, 3, 4)
-    direct = render(integrator={"type": "path", "max_depth": 3}, crop=(2, 1, 8, 6))
-    assert np.array_equal(found.read(), direct.read())
-
-
 @pytest.mark.parametrize(
     ("raised", "told"),
     [
@@ -228,6 +210,22 @@ def test_an_object_renders_in_a_wavefront():
     assert samples.attrs["backend"] == "llvm"
     assert (samples.read() == 2).all()
     assert samples.attrs["integrator"]["value"] == [2.0]
+
+
+def test_an_integrator_that_a_wavefront_knows_alone_takes_its_place_in_a_scene():
+    """Mitsuba says "Unknown" of its kind, and "path" would take its place."""
+    if not probe("llvm").works:
+        pytest.skip("no LLVM")
+    with activate(probe("llvm")) as mi:
+
+        class Two(mi.SamplingIntegrator):
+            def sample(self, scene, sampler, ray, medium=None, active=True):
+                return mi.Color3f(2.0), True, []
+
+        mi.register_integrator("two_in_a_wavefront", Two)
+    source = chd.load_scene("cornell-box").source
+    scene = {**source, "integrator": {"type": "two_in_a_wavefront"}}
+    assert (chd.render(scene, **{**VIEW, "backend": "llvm"}).read() == 2).all()
 
 
 def test_what_an_object_cannot_do_is_told(mi):

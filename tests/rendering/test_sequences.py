@@ -6,6 +6,7 @@ known. As in `test_renderer`, seeds are fixed, and each statistical test has a n
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -56,6 +57,24 @@ def render(backend: str, scene: Any = NUMBERS, **options: Any) -> chd.Samples:
     return chd.render(scene, **{"backend": backend, "size": SIZE, **options})
 
 
+@functools.cache
+def spread(
+    backend: str, sampler: str, length: int, integrator: str = "three_random_numbers"
+) -> Any:
+    """Return samples of 64 sequences; of 16 where the direction of rays is looked at."""
+    scene = {**NUMBERS, "integrator": {"type": integrator}}
+    sequences = 64 if integrator == "three_random_numbers" else 16
+    options = {"sampler": sampler, "sequence": length, "spp": sequences * length}
+    return render(backend, scene, **options).read()
+
+
+@functools.cache
+def independent(backend: str, integrator: str = "three_random_numbers") -> Any:
+    """Return independent samples, as many as of 32 sequences of 25."""
+    scene = {**NUMBERS, "integrator": {"type": integrator}}
+    return render(backend, scene, spp=800).read()
+
+
 def by_sequence(x: np.ndarray, length: int) -> np.ndarray:
     """Return samples as (y, x, channel, sequence, sample), in double precision."""
     return x.reshape(*x.shape[:-1], -1, length).astype(np.float64)
@@ -78,7 +97,7 @@ def p_of_variance(z: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
 def test_each_stratum_holds_one_sample_of_a_sequence(backend, sampler, length):
-    x = render(backend, sampler=sampler, sequence=length, spp=8 * length).read()
+    x = spread(backend, sampler, length)[..., : 8 * length]
     strata = np.sort(np.floor(by_sequence(x, length) * length).astype(int), axis=-1)
     assert (strata == np.arange(length)).all()
     # They do not come in the order of the strata, nor in one order.
@@ -87,7 +106,7 @@ def test_each_stratum_holds_one_sample_of_a_sequence(backend, sampler, length):
 
 
 def test_of_independent_samples_strata_hold_what_chance_gives(backend):
-    x = render(backend, spp=256).read()
+    x = independent(backend)[..., :256]
     strata = np.sort(np.floor(by_sequence(x, 16) * 16).astype(int), axis=-1)
     assert (strata == np.arange(16)).all(axis=-1).mean() < 0.01
 
@@ -101,27 +120,25 @@ def test_means_of_sequences_vary_far_less_than_means_of_independent_samples(
     Those of the low-discrepancy sampler lie at one place within all strata: 1/n.
     """
     expected = length ** (-1 if sampler == "ldsampler" else -2)
-    x = render(backend, sampler=sampler, sequence=length, spp=32 * length).read()
+    x = spread(backend, sampler, length)[..., : 32 * length]
     assert variance_ratio(x, length) == pytest.approx(expected, rel=0.06)
-    independent = render(backend, spp=32 * length).read()
-    means = by_sequence(independent, length).mean(axis=-1)
+    means = by_sequence(independent(backend)[..., : 32 * length], length).mean(axis=-1)
     assert p_of_variance((means - 0.5) * np.sqrt(12 * length)) > ALPHA
 
 
 @pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
 def test_positions_on_the_film_are_spread(backend, sampler, length):
     """Radiance is linear across a pixel: strata of a fourth leave a sixteenth of the variance."""
-    scene = {**NUMBERS, "integrator": {"type": "directions"}}
-    x = render(backend, scene, sampler=sampler, sequence=length, spp=16 * length).read()[:, :, :2]
+    x = spread(backend, sampler, length, "directions")[:, :, :2]
     assert variance_ratio(x, length) < 0.12
-    independent = render(backend, scene, spp=16 * length).read()[:, :, :2]
-    assert abs(variance_ratio(independent, length) - 1) < 0.1
+    other = independent(backend, "directions")[:, :, :2, : 16 * length]
+    assert abs(variance_ratio(other, length) - 1) < 0.1
 
 
 @pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
 def test_samples_have_the_distribution_of_independent_ones(backend, sampler, length):
     """Each number is uniform; those of one sample correlate as Mitsuba's shuffling lets them."""
-    x = render(backend, sampler=sampler, sequence=length, spp=16 * length).read()
+    x = spread(backend, sampler, length)[..., : 16 * length]
     flat = np.moveaxis(x, 2, 0).reshape(3, -1).astype(np.float64)
     assert abs(flat.mean(axis=1) - 0.5).max() < 1e-3
     assert abs(12 * flat.var(axis=1) - 1).max() < 0.01
@@ -134,7 +151,7 @@ def test_samples_have_the_distribution_of_independent_ones(backend, sampler, len
 
 @pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
 def test_sequences_are_independent_of_each_other(backend, sampler, length):
-    x = render(backend, sampler=sampler, sequence=length, spp=64 * length).read()
+    x = spread(backend, sampler, length)
     means = by_sequence(x, length).mean(axis=-1) - 0.5
     z = means / means.std()  # (y, x, channel, sequence)
 
@@ -168,7 +185,7 @@ def test_no_sequence_comes_twice(backend, sampler):
 
 
 def test_a_sequence_shares_no_numbers_with_independent_samples(backend):
-    one = render(backend, spp=16).read()
+    one = independent(backend)[..., :16]
     other = render(backend, spp=16, sampler="multijitter", sequence=16).read()
     a, b = (np.moveaxis(x, 2, 0).reshape(3, -1) for x in (one, other))
     score = ((a - 0.5) * (b - 0.5)).mean(axis=1) * 12 * np.sqrt(a.shape[1])
