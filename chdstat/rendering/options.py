@@ -59,7 +59,12 @@ class RenderSettings(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """All that samples depend on but the scene, as `chdstat.render` takes it.
+    """All that samples depend on but the scene.
+
+    Parameters
+    ----------
+    spp, size, seed, max_depth, sensor, integrator, crop, color, sampler, sequence, backend
+        As for `chdstat.render`.
 
     Raises
     ------
