@@ -1,4 +1,11 @@
-"""Files: written whole or not at all, by one process at a time, in a folder or behind a URL."""
+"""Files: written whole or not at all, by one process at a time, in a folder or behind a URL.
+
+A file or folder is written beside its place, under a name that ends in ``.partial`` but for its
+suffix, and moved there when it is complete. Its writer holds a lock on it (``flock``), which the
+system releases when the process ends in whatever way. So a locked file belongs to a living process.
+One that is not locked was left by a process that was killed; the next process that writes to the
+same place removes it. A URL names a place that fsspec reaches, where nothing is locked.
+"""
 
 from __future__ import annotations
 

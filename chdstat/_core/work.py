@@ -26,7 +26,6 @@ import sys
 import threading
 import time
 import warnings
-import zipfile
 from asyncio import CancelledError as AsyncCancelledError
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -42,6 +41,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path, PurePath
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar, get_origin
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -509,8 +509,6 @@ def _rate_column(unit: str) -> ProgressColumn:
     return Rate()
 
 
-T = TypeVar("T")
-
 _ARRAY = "array number"
 
 
@@ -557,11 +555,7 @@ def write_record(path: Path, value: Any) -> Path:
     return path
 
 
-_DAMAGED = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
-"""What reading arrays raises where a file is damaged."""
-
-
-def read_record(path: Path, kind: type[T]) -> T:
+def read_record(path: Path, kind: type[Result]) -> Result:
     """Read results of a kind, such as ``tuple[Finding, ...]``.
 
     Raises
@@ -579,7 +573,7 @@ def read_record(path: Path, kind: type[T]) -> T:
 
             tree = json.loads(str(file["tree"]), object_hook=found)
         return _converter().structure(tree, kind)
-    except (*_DAMAGED, BaseValidationError) as error:
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile, BaseValidationError) as error:
         message = f"{path} is no record of {kind}: {error}"
         raise StoreError(message) from error
 
@@ -592,7 +586,8 @@ def _converter() -> Converter:
     converter = Converter(structure_fallback_factory=lambda _: _refused)
     # Arrays are found while the tree is read.
     converter.register_structure_hook_func(
-        _is_array, lambda item, kind: item if isinstance(item, np.ndarray) else _refused(item, kind)
+        _is_array,
+        lambda item, kind: item if isinstance(item, np.ndarray) else _refused(item, kind),
     )
     return converter
 
@@ -742,12 +737,12 @@ class Cache:
     def record(
         self,
         name: str,
-        kind: type[T],
-        compute: Callable[[], T],
+        kind: type[Result],
+        compute: Callable[[], Result],
         *,
         inputs: object = (),
         again: bool = False,
-    ) -> T:
+    ) -> Result:
         """Return a result of a kind that `write_record` takes, computed where it is not there.
 
         Parameters
@@ -771,7 +766,7 @@ class Cache:
         back = self.read(name, lambda path: read_record(path, kind))
         return value if back is None else back
 
-    def read(self, name: str, read: Callable[[Path], T]) -> T | None:
+    def read(self, name: str, read: Callable[[Path], Result]) -> Result | None:
         """Read a result by its name with a suffix; None where it is not there, or damaged."""
         path = self._path(name)
         if path is None:
