@@ -253,8 +253,12 @@ class Renderer:
         """Turn what Mitsuba and classes in Python raise into an error that names why."""
         try:
             yield
-        except (ChdstatError, Interrupted, MemoryError):
+        except (Interrupted, MemoryError):
             raise
+        except ChdstatError as error:  # of Mitsuba's loader, it may quote the line of a plugin
+            if failure(self.job.plugins, error) is error:
+                raise
+            raise failure(self.job.plugins, error) from error
         except Exception as error:
             # No variable holds the new error: its traceback would hold the scene, in a circle.
             raise self._told(error) from error

@@ -247,7 +247,7 @@ def test_a_mistake_in_a_class_is_told_by_its_line(write, old, new, line, backend
 
 
 @pytest.mark.parametrize(
-    "command", ["render", "report", "study", "explore", "train", "estimate", "compare", "convert"]
+    "command", ["render", "report", "study", "explore", "train", "estimate", "compare"]
 )
 def test_every_command_that_renders_takes_plugins(command):
     from typer.main import get_command
