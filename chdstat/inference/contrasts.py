@@ -245,14 +245,14 @@ def contrast(
     nulls, whether or not the renders share random numbers; if they do, the terms are smaller, and
     smaller differences are found. Of renders that agree in their means only, flips of signs are
     right for many samples; where rare bright paths decide, the neighbours of a pixel show what it
-    may have missed (`chdstat.inference.sign_flips`).
+    may have missed (`chdstat.inference.windows`).
 
     If one render has more samples, such as a reference has, a term is one sample of the shorter
     render less the average of many, and flips of its sign are not exact. Then any division of the
     samples into A's and B's is as likely as the real one, and p-values are at least those that all
-    divisions give (`chdstat.inference.permutation`). Where the longer render has light that the
-    shorter one is likely to have missed, more than the differences that would have been found, one
-    cannot tell, and `Contrast.spp_needed` says how many samples would.
+    divisions give. Where the longer render has light that the shorter one is likely to have missed,
+    more than the differences that would have been found, one cannot tell, and `Contrast.spp_needed`
+    says how many samples would.
 
     Small differences show in sums over windows of all sizes up to the whole image, compared with
     the largest that flips of signs give anywhere. The verdict is by these, with four fifths of

@@ -139,7 +139,7 @@ def difference(
     Hanika and Dachsbacher, "Detecting bias in Monte Carlo renderers using Welch's t-test", 2020,
     Journal of Computer Graphics Techniques 9(2); by divisions: Pitman, "Significance tests which
     may be applied to samples from any populations", 1937, doi:10.2307/2984124
-    (`chdstat.inference.permutation`).
+    (`chdstat._core.resampling.p_of_means`).
 
     Examples
     --------

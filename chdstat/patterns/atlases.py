@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import (
+    Array,
     Counts,
     Floats,
     Mask,
@@ -317,15 +318,17 @@ def _of_samples(
     def of_tile(tile: Samples, blocks: SampleBlocks) -> Mapped:
         log, n_good, n_null = _log_moments(blocks)
         center = np.where(log.count > 0, log.mean, np.nan)
-        again = (tile.read(ss=ss) for ss in spans(tile.spp, _BATCH))
-        counts = _count(again, center)
+        counts = _count((tile.read(ss=ss) for ss in spans(tile.spp, _BATCH)), center)
         log_variance = log.m2 / np.maximum(log.count, 1) * np.log(10) ** 2
         reason = _reason(log.count, n_good, n_null, log_variance)
-        grid = _Grid(*(np.full(center.shape, v) for v in (-WIDTH * _BINS / 2, WIDTH / _FINE)))
-        parts = _moved(counts, n_null, grid, np.zeros(center.shape), reason == Reason.OK, rng)
+        # Counts are around the centre already.
+        grid = _Grid(
+            np.full(center.shape, -WIDTH * _BINS / 2), np.full(center.shape, WIDTH / _FINE)
+        )
+        shapes = _moved(counts, n_null, grid, np.zeros(center.shape), reason, rng)
         return {
-            "cumulative": (("part", "edge"), parts[0]),
-            "null_share": (("part",), parts[1]),
+            "cumulative": (("part", "edge"), shapes.cumulative),
+            "null_share": (("part",), shapes.null_share),
             "log_scale": ((), center),
             "reason": ((), reason),
         }
@@ -352,9 +355,7 @@ def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
     grid = _Grid(*(np.broadcast_to(v, n.shape) for v in (first - width / 2, width)))
     n_dark = part.n_null[:, :, 0] + part.n_zero[:, :, 0]
     reason = _reason(n, part.n_good[:, :, 0], n_dark, part.log_statistics.log_variance[:, :, 0])
-    center = grid.mean(counts)
-    parts = _moved(counts, n_null, grid, center, reason == Reason.OK, rng)
-    return Shapes(*parts, center, reason)
+    return _moved(counts, n_null, grid, grid.mean(counts), reason, rng)
 
 
 @dataclass(frozen=True)
@@ -420,14 +421,14 @@ def _count(blocks: SampleBlocks, center: Floats) -> Counts:
 
 
 def _moved(
-    counts: npt.NDArray[Any],
+    counts: Array,
     n_null: Counts,
     grid: _Grid,
     center: Floats,
-    ok: Mask,
+    reason: npt.NDArray[np.int8],
     rng: np.random.Generator,
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return shares below edges and of nulls: around `center`, and of halves around their means."""
+) -> Shapes:
+    """Return shapes around `center`, and of random halves of the samples around their means."""
     # Samples are exchangeable: halving the counts at random is halving the samples at random.
     half, null = rng.binomial(counts.astype(np.int64), 0.5), rng.binomial(n_null, 0.5)
     rest = counts - half
@@ -438,8 +439,9 @@ def _moved(
     )
     below = np.stack([grid.below(some, place) for some, _, place in parts], axis=-2)
     null_share = [ratio(nulls, nulls + some.sum(axis=-1)) for some, nulls, _ in parts]
-    cumulative = np.where(ok[..., np.newaxis, np.newaxis], below, np.float32(np.nan))
-    return cumulative, np.stack(null_share, axis=-1).astype(np.float32)
+    ok = (reason == Reason.OK)[..., np.newaxis, np.newaxis]
+    cumulative = np.where(ok, below, np.float32(np.nan))
+    return Shapes(cumulative, np.stack(null_share, axis=-1).astype(np.float32), center, reason)
 
 
 def _reason(

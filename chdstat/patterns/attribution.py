@@ -103,7 +103,24 @@ def attribute(
     def of_tile(tile: Samples, _: object) -> Mapped:
         of_parts = tile.depths if by == "depth" else tile.lights
         read = [part.read(ss=slice(spp)) for part in (*of_parts.values(), tile)]
-        return _variables(by_part(read, by=by), dim)
+        light = by_part(read, by=by)
+        total = light.sum(axis=0)
+        good = np.isfinite(total)
+        highest = np.where(good, total, -np.inf).max(axis=-1)
+        lowest = np.where(good, total, np.inf).min(axis=-1)
+        reason = first_of(
+            {
+                Reason.ALL_BAD: ~good.any(axis=-1),
+                Reason.ALL_NULL: highest <= 0,
+                Reason.CONSTANT: highest <= lowest,
+            }
+        )
+        usable = (reason == Reason.OK)[..., np.newaxis]
+        found: Mapped = {
+            name: ((dim,), np.where(usable, share, np.nan).astype(np.float32))
+            for name, share in zip(_SAID, shares(light), strict=False)
+        }
+        return {**found, "reason": ((), reason)}
 
     found = over_tiles(
         image, of_tile, tiles(image.shape), description="attributing light", progress=progress
@@ -222,25 +239,3 @@ def by_part(
         # Less than rounding leaves is none: where all lights are named, nothing remains.
         found[-1] = np.where(np.abs(rest) > _ROUNDING * np.abs(found[-1]), rest, 0)
     return np.where(bad, np.nan, found)
-
-
-def _variables(light: npt.NDArray[np.float64], dim: str) -> Mapped:
-    total = light.sum(axis=0)
-    good = np.isfinite(total)
-    mean, variance, brightest = shares(light)
-    highest = np.where(good, total, -np.inf).max(axis=-1)
-    lowest = np.where(good, total, np.inf).min(axis=-1)
-    reason = first_of(
-        {
-            Reason.ALL_BAD: ~good.any(axis=-1),
-            Reason.ALL_NULL: highest <= 0,
-            Reason.CONSTANT: highest <= lowest,
-        }
-    )
-    usable = (reason == Reason.OK)[..., np.newaxis]
-    named = {"mean_share": mean, "variance_share": variance, "brightest_share": brightest}
-    found = {name: np.where(usable, value, np.nan) for name, value in named.items()}
-    return {
-        **{name: ((dim,), value.astype(np.float32)) for name, value in found.items()},
-        "reason": ((), reason),
-    }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -65,8 +65,7 @@ class Groups:
     stability: float
 
 
-@dataclass(frozen=True)
-class _Candidate:
+class _Candidate(NamedTuple):
     """One number of groups: labels from all samples, and what the halves predict.
 
     `errors` are the squared errors, by point, of predicting a half from the other half's centres.
@@ -126,8 +125,21 @@ def find_groups(
     repeated = alone - noise
     sure = len(alone) > 0 and repeated.mean() > _SURE * _standard_error(repeated)
     variation = float(repeated.sum()) if sure else 0.0
+    labels, distance = np.empty(0, dtype=np.intp), np.empty(0)
+    if chosen is not None:
+        from sklearn.metrics import pairwise_distances_argmin_min
+
+        centers = _means(whole[learnt], chosen.labels)
+        labels, distance = pairwise_distances_argmin_min(whole, centers)
+    found, labels, count = np.unique(labels, return_inverse=True, return_counts=True)
+    order = np.argsort(-count, kind="stable")
+    labels = np.argsort(order)[labels]
+    nearest = [np.where(labels == k, distance, np.inf).argmin() for k in range(len(found))]
     return Groups(
-        **_assign(whole, whole[:0] if chosen is None else _means(whole[learnt], chosen.labels)),
+        number=len(found),
+        labels=labels,
+        distance=distance.astype(np.float64),
+        medoids=np.array(nearest, dtype=np.intp),
         candidates=np.array([c.number for c in tried], dtype=np.int64),
         explained=np.array([ratio((alone - c.errors).sum(), variation) for c in tried]),
         silhouettes=np.array([c.silhouette for c in tried]),
@@ -152,33 +164,29 @@ def _rotated(*parts: Points) -> list[Points]:
 
 
 def _try(points: Points, one: Points, two: Points, number: int, seed: int) -> _Candidate:
-    labels = _k_means(points, number, seed, starts=_STARTS)
-    of_one, errors_two = _best_prediction(one, two, number, seed)
-    of_two, errors_one = _best_prediction(two, one, number, seed)
-    from sklearn.metrics import adjusted_rand_score
+    from sklearn.metrics import adjusted_rand_score, silhouette_score
 
-    count = np.bincount(labels, minlength=number)
+    labels = _k_means(points, number, seed, starts=_STARTS)
+    # To choose from a few starts by what they predict favours no number of groups by as much as
+    # groups of noise lose.
+    predicted = []
+    for here, there in ((one, two), (two, one)):
+        starts = range(seed, seed + (_STARTS if number > 1 else 1))
+        runs = [_k_means(here, number, start, starts=1) for start in starts]
+        errors = [_prediction_errors(here, there, run) for run in runs]
+        best = int(np.argmin([error.sum() for error in errors]))
+        predicted.append((runs[best], errors[best]))
+    (of_one, errors_two), (of_two, errors_one) = predicted
+    some = labels[:_SILHOUETTE]
+    several = 1 < len(np.unique(some)) < len(some)
     return _Candidate(
         number=number,
         labels=labels,
         errors=(errors_one + errors_two) / 2,
-        silhouette=_silhouette(points[:_SILHOUETTE], labels[:_SILHOUETTE]),
+        silhouette=float(silhouette_score(points[:_SILHOUETTE], some)) if several else np.nan,
         stability=float(adjusted_rand_score(of_one, of_two)),
-        smallest=float(count.min() / len(points)),
+        smallest=float(np.bincount(labels, minlength=number).min() / len(points)),
     )
-
-
-def _best_prediction(here: Points, there: Points, number: int, seed: int) -> tuple[Labels, Floats]:
-    """Return the labels of one half that predict the other best, and their errors.
-
-    To choose from a few starts by what they predict favours no number of groups by as much as
-    groups of noise lose.
-    """
-    starts = _STARTS if number > 1 else 1
-    runs = [_k_means(here, number, seed + start, starts=1) for start in range(starts)]
-    errors = [_prediction_errors(here, there, labels) for labels in runs]
-    best = int(np.argmin([error.sum() for error in errors]))
-    return runs[best], errors[best]
 
 
 def _k_means(points: Points, number: int, seed: int, *, starts: int) -> Labels:
@@ -205,14 +213,6 @@ def _means(points: Points, labels: Labels) -> Points:
     return np.array(means, dtype=np.float32).reshape(-1, points.shape[-1])
 
 
-def _silhouette(points: Points, labels: Labels) -> float:
-    if not 1 < len(np.unique(labels)) < len(points):
-        return np.nan
-    from sklearn.metrics import silhouette_score
-
-    return float(silhouette_score(points, labels))
-
-
 def _choose(tried: list[_Candidate], noise: Floats, min_share: float) -> _Candidate | None:
     """Return the largest number of groups that are worth it, the first if no other is."""
     if not tried:
@@ -230,26 +230,6 @@ def _choose(tried: list[_Candidate], noise: Floats, min_share: float) -> _Candid
 
 def _standard_error(values: Floats) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.inf
-
-
-def _assign(whole: Points, centers: Points) -> dict[str, Any]:
-    """Give each point the nearest centre, and number the groups by size."""
-    if not len(centers):
-        nothing = np.empty(0, dtype=np.intp)
-        return {"number": 0, "labels": nothing, "distance": np.empty(0), "medoids": nothing}
-    from sklearn.metrics import pairwise_distances_argmin_min
-
-    labels, distance = pairwise_distances_argmin_min(whole, centers)
-    found, labels, count = np.unique(labels, return_inverse=True, return_counts=True)
-    order = np.argsort(-count, kind="stable")
-    labels = np.argsort(order)[labels]
-    nearest = [np.where(labels == k, distance, np.inf).argmin() for k in range(len(found))]
-    return {
-        "number": len(found),
-        "labels": labels,
-        "distance": distance.astype(np.float64),
-        "medoids": np.array(nearest, dtype=np.intp),
-    }
 
 
 def ratio(part: npt.ArrayLike, whole: npt.ArrayLike) -> Floats:

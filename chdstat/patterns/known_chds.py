@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -216,7 +216,7 @@ class CHD:
         """Radiance above which the tail is grafted, infinite without one."""
         if self.tail_index is None:
             return np.inf
-        return float(_quantile(self._body_cdf, np.asarray(1 - self.tail_share)))
+        return float(_quantile(partial(self._of_body, "cdf"), np.asarray(1 - self.tail_share)))
 
     @cached_property
     def tail_scale(self) -> float:
@@ -260,8 +260,11 @@ class CHD:
     def draw(self, shape: int | tuple[int, ...] = (), *, samples: int, seed: Seed = None) -> Floats:
         """Draw radiance, shape ``(*shape, samples)``, nulls among them."""
         rng = generator(seed)
-        whole = (*(shape if isinstance(shape, tuple) else (shape,)), samples)
-        x = self._draw_body(whole, rng)
+        x = np.empty((*(shape if isinstance(shape, tuple) else (shape,)), samples))
+        which = np.searchsorted(np.cumsum(self._weights)[:-1], rng.random(x.shape))
+        for index, component in enumerate(self.body):
+            here = which == index
+            x[here] = component.draw(int(np.count_nonzero(here)), rng)
         if self.tail_index is not None:
             above = x > self.threshold
             # The quantile function of the generalised Pareto, at an exponential variate -log U.
@@ -269,8 +272,14 @@ class CHD:
             if self.tail_index > 0:
                 rise = np.expm1(self.tail_index * rise) / self.tail_index
             x[above] = self.threshold + self.tail_scale * rise
-        x[rng.random(whole) < self.null_share] = 0
-        return _plant(x, self.firefly_share, rng) if self.firefly_share else x
+        x[rng.random(x.shape) < self.null_share] = 0
+        if self.firefly_share:
+            place = rng.integers(samples, size=x.shape[:-1])[..., np.newaxis]
+            np.put_along_axis(x, place, 0, axis=-1)
+            others = x.sum(axis=-1, keepdims=True)
+            firefly = others * self.firefly_share / (1 - self.firefly_share)
+            np.put_along_axis(x, place, firefly, axis=-1)
+        return x
 
     def separations(self) -> Floats:
         """Return Ashman's D of neighbouring components in the domain of logarithms."""
@@ -304,18 +313,15 @@ class CHD:
             return np.nan
         if self.tail_index is not None and share <= self.tail_share:
             return self.tail_index
-        u = _quantile(self._body_cdf, np.asarray(1 - share))
+        u = _quantile(partial(self._of_body, "cdf"), np.asarray(1 - share))
         return float(-1 - share * self._of_body("slope", u) / self._of_body("pdf", u) ** 2)
 
     def _of_body(self, what: Literal["pdf", "cdf", "slope"], x: Floats) -> Floats:
         parts = [getattr(component, what)(x) for component in self.body]
         return np.tensordot(self._weights, parts, axes=1)
 
-    def _body_cdf(self, x: Floats) -> Floats:
-        return self._of_body("cdf", x)
-
     def _positive_cdf(self, x: Floats) -> Floats:
-        body = self._body_cdf(np.minimum(x, self.threshold))
+        body = self._of_body("cdf", np.minimum(x, self.threshold))
         if self.tail_index is None:
             return body
         above = 1 - self.tail_share * np.exp(-self._log_survival(x))
@@ -326,23 +332,6 @@ class CHD:
         xi = self.tail_index or 0.0
         z = np.maximum(x - self.threshold, 0) / self.tail_scale
         return np.asarray(np.log1p(xi * z) / xi if xi > 0 else z)
-
-    def _draw_body(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-        which = np.searchsorted(np.cumsum(self._weights)[:-1], rng.random(shape))
-        x = np.empty(shape)
-        for index, component in enumerate(self.body):
-            here = which == index
-            x[here] = component.draw(int(np.count_nonzero(here)), rng)
-        return x
-
-
-def _plant(x: Floats, share: float, rng: np.random.Generator) -> Floats:
-    """Replace one sample of each row by one that carries `share` of the sum."""
-    place = rng.integers(x.shape[-1], size=x.shape[:-1])[..., np.newaxis]
-    np.put_along_axis(x, place, 0, axis=-1)
-    others = x.sum(axis=-1, keepdims=True)
-    np.put_along_axis(x, place, others * share / (1 - share), axis=-1)
-    return x
 
 
 def _quantile(cdf: Callable[[Floats], Floats], q: Floats) -> Floats:
@@ -392,8 +381,12 @@ def random_chd(rng: np.random.Generator) -> CHD:
 def _random_body(number: int, brightness: float, rng: np.random.Generator) -> tuple[Component, ...]:
     """Draw components, the darkest first, whose neighbours have a drawn separation."""
     family: Kind = "gamma" if rng.random() < 0.5 else "lognormal"
+    weights = np.ones(1)
+    if number > 1:
+        least = 0.25 if number == 2 else 0.2
+        weights = least + (1 - number * least) * rng.dirichlet(np.ones(number))
     body: list[Component] = []
-    for weight in _random_weights(number, rng):
+    for weight in weights:
         if family == "gamma":
             shape = math.exp(rng.uniform(math.log(0.5 if number == 1 else 1.0), math.log(6)))
         else:
@@ -402,13 +395,6 @@ def _random_body(number: int, brightness: float, rng: np.random.Generator) -> tu
         if body:
             spread = math.hypot(body[-1].log_deviation, new.log_deviation) / math.sqrt(2)
             place = body[-1].log_mean + rng.uniform(2.5, 6) * spread
-            new = Component(family, shape, brightness * math.exp(place - new.log_mean), weight)
+            new = replace(new, median=brightness * math.exp(place - new.log_mean))
         body.append(new)
     return tuple(body)
-
-
-def _random_weights(number: int, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-    if number == 1:
-        return np.ones(1)
-    least = 0.25 if number == 2 else 0.2
-    return np.asarray(least + (1 - number * least) * rng.dirichlet(np.ones(number)))

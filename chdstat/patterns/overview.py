@@ -101,54 +101,51 @@ def overview(found: xr.Dataset) -> Overview:
     """Return the numbers of the whole scene from the dataset of `analyze`."""
     log = found[["normality_p_value", "normality_rejected", "normality_skewness"]].sel(_TEST)
     distance = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov")
-    null = found["null_share"].values
     known = found["tail_index"].notnull()
-    averages, skewness, predicted = _averages(found)
+    sizes = [found.isel(size=i) for i in range(found.sizes.get("size", 0))]
+    families, held_out = (
+        {name: pooled.share for name, pooled in pooled_shares(found, variable).items()}
+        if variable in found
+        else {}
+        for variable in ("best_family", "held_out_best_family")
+    )
+    needed: dict[int | str, float] = {}
+    if "averages_n_needed" in found:
+        counted = _counted(found["averages_n_needed"].values, missing=UNTESTED)
+        named = {"more" if n == MORE_THAN_TESTED else n: share for n, share in counted.items()}
+        needed = dict(sorted(named.items(), key=lambda item: item[0] == "more"))
     return Overview(
         pixels=int(found.sizes["y"] * found.sizes["x"]),
         spp=int((found["count"] + found["bad_count"]).max()),
         null_share=_share(found["null_count"], found["count"]),
-        null_pixels=float((null > 0.5).mean()),
+        null_pixels=float((found["null_share"].values > 0.5).mean()),
         bad_samples=int(found["bad_count"].sum()),
-        variation=_quartiles(found["coefficient_of_variation"].values),
-        families=_family_shares(found, "best_family"),
-        families_held_out=_family_shares(found, "held_out_best_family"),
+        variation=_quartiles(found["coefficient_of_variation"]),
+        families=families,
+        families_held_out=held_out,
         decided=_share(found["margin"] > 10, found["margin"].notnull()),
-        misfit=_quartiles(distance.values),
+        misfit=_quartiles(distance),
         log_rejected=_share(log["normality_rejected"] == 1, log["normality_p_value"].notnull()),
-        log_skewness=_quartiles(log["normality_skewness"].values),
+        log_skewness=_quartiles(log["normality_skewness"]),
         patterns={p.name: float(found[p.name].mean()) for p in PATTERNS},
         label_agreement=float(found["label_agreement"].attrs["kappa"]),
         doubtful_variance=_share(found["tail_variance_suspect"], known),
         unidentified_variance=_share(found["tail_variance_unidentified"], known),
         modes=_counted(found["modality_modes"].values, missing=0),
-        n_needed=_n_needed(found),
-        averages=averages,
-        skewness=skewness,
-        predicted_skewness=predicted,
+        n_needed=needed,
+        averages={
+            int(part["size"]): _share(
+                part["averages_rejected"] == 1, part["averages_p_value"].notnull()
+            )
+            for part in sizes
+        },
+        skewness=np.array([_quartiles(part["averages_skewness"]) for part in sizes])
+        .reshape(-1, 3)
+        .T,
+        predicted_skewness=np.array(
+            [_quartiles(part["averages_predicted_skewness"])[1] for part in sizes]
+        ),
     )
-
-
-def _averages(
-    found: xr.Dataset,
-) -> tuple[dict[int, float], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return rejected shares by N, quartiles of skewness, and its median prediction."""
-    if "averages_rejected" not in found:
-        return {}, np.empty((3, 0)), np.empty(0)
-    sizes = found["size"].values
-    shares = {
-        int(n): _share(
-            found["averages_rejected"].isel(size=i) == 1,
-            found["averages_p_value"].isel(size=i).notnull(),
-        )
-        for i, n in enumerate(sizes)
-    }
-    measured = [
-        _quartiles(found["averages_skewness"].isel(size=i).values) for i in range(len(sizes))
-    ]
-    predicted = found["averages_predicted_skewness"]
-    medians = [_quartiles(predicted.isel(size=i).values)[1] for i in range(len(sizes))]
-    return shares, np.array(measured).T, np.array(medians)
 
 
 class Share(NamedTuple):
@@ -173,20 +170,6 @@ def pooled_shares(found: xr.Dataset, variable: str = "best_family") -> dict[str,
     }
 
 
-def _family_shares(found: xr.Dataset, variable: str) -> dict[str, float]:
-    if variable not in found:
-        return {}
-    return {name: pooled.share for name, pooled in pooled_shares(found, variable).items()}
-
-
-def _n_needed(found: xr.Dataset) -> dict[int | str, float]:
-    if "averages_n_needed" not in found:
-        return {}
-    counted = _counted(found["averages_n_needed"].values, missing=UNTESTED)
-    named = {"more" if n == MORE_THAN_TESTED else n: share for n, share in counted.items()}
-    return dict(sorted(named.items(), key=lambda item: item[0] == "more"))
-
-
 def _counted(codes: npt.NDArray[np.integer], *, missing: int) -> dict[int, float]:
     """Return the share of each code among those that are not missing."""
     values, counts = np.unique(codes[codes != missing], return_counts=True)
@@ -198,8 +181,8 @@ def _share(part: Any, whole: Any) -> float:
     return float(np.asarray(part).sum()) / total if total else float("nan")
 
 
-def _quartiles(values: npt.NDArray[Any]) -> tuple[float, float, float]:
-    finite = values[np.isfinite(values)]
+def _quartiles(of: xr.DataArray) -> tuple[float, float, float]:
+    finite = of.values[np.isfinite(of.values)]
     if not finite.size:
         return (np.nan, np.nan, np.nan)
     low, middle, high = np.percentile(finite, (25, 50, 75))

@@ -21,7 +21,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
-from chdstat.patterns.classification import Classification, Label, Patterns
+from chdstat.patterns.classification import Classification, Label
 from chdstat.patterns.known_chds import CHD, CHDS, Component, Kind, random_chd
 from chdstat.patterns.pixel_statistics import Thresholds, firefly_limit
 from chdstat.patterns.table import PATTERNS
@@ -134,41 +134,35 @@ def truth(chd: CHD) -> Truth:
 def _flags(chd: CHD, tail_index: float) -> dict[str, bool | None]:
     if chd.null_share == 1:
         return {pattern.name: pattern.name == "null_heavy" for pattern in PATTERNS}
-    several = _has_modes(chd)
+    first, count = chd.body[0], len(chd.body)
+    modes: bool | None = count > 1
+    if modes and (chd.separations().min() < SEPARATION_ZONE[1] or chd.maxima() != count):
+        modes = None
     exponential = chd.tail_index is None and all(c.family == "gamma" for c in chd.body)
     long_tail = False if chd.is_constant or exponential else _above(tail_index, TAIL_ZONE)
+    plain = count == 1 and not chd.is_constant and not long_tail
+    either = long_tail is None or first.log_deviation < INDISTINCT_SPREAD
+
+    def is_like(family: Kind) -> bool | None:
+        if plain and (either or chd.tail_index is not None):
+            return None
+        return plain and first.family == family
+
     return {
         "null_heavy": _above(chd.null_share, NULL_ZONE),
         "constant": chd.is_constant and not chd.firefly_share,
         "firefly_dominated": chd.firefly_share > 0 and _above(chd.firefly_share, FIREFLY_ZONE),
         "long_tail": long_tail,
-        "bimodal": several and len(chd.body) == 2,
-        "multimodal": several and len(chd.body) > 2,
-        "gamma_like": _is_like(chd, "gamma", long_tail),
-        "lognormal_like": _is_like(chd, "lognormal", long_tail),
+        "bimodal": modes and count == 2,
+        "multimodal": modes and count > 2,
+        "gamma_like": is_like("gamma"),
+        "lognormal_like": is_like("lognormal"),
     }
 
 
 def _above(value: float, zone: tuple[float, float]) -> bool | None:
     """Say whether a value is above a zone; None inside."""
     return None if zone[0] < value < zone[1] else value >= zone[1]
-
-
-def _has_modes(chd: CHD) -> bool | None:
-    """Say whether every component shows as a mode; None where it is hard to decide."""
-    if len(chd.body) == 1:
-        return False
-    separated = chd.separations().min() >= SEPARATION_ZONE[1]
-    return True if separated and chd.maxima() == len(chd.body) else None
-
-
-def _is_like(chd: CHD, family: Kind, long_tail: bool | None) -> bool | None:
-    if len(chd.body) > 1 or chd.is_constant or long_tail:
-        return False
-    either = chd.body[0].log_deviation < INDISTINCT_SPREAD
-    if long_tail is None or chd.tail_index is not None or either:
-        return None
-    return chd.body[0].family == family
 
 
 def _label(flags: Mapping[str, bool | None]) -> Label:
@@ -418,29 +412,20 @@ def flag_scores(
     thresholds = thresholds or Thresholds()
     rng = generator(seed)
     totals = {pattern.name: np.zeros(3, dtype=int) for pattern in PATTERNS}
+    limit = firefly_limit(np.array(samples), thresholds)
     for some in spans(len(chds), _ROWS):
-        part = _draw(chds[some], samples, rng)
+        these = chds[some]
+        draws = [replace(chd, null_share=0.0).draw(samples=samples, seed=rng) for chd in these]
+        x = np.stack(draws)
+        nulls = rng.negative_binomial(samples, [1 - chd.null_share for chd in these])
+        none = np.zeros_like(nulls)
+        part = PositivePart(x, np.asarray(x > 0), none + samples, nulls, none, none, none)
         patterns = Classification(thresholds).measure(part)
-        for name, wanted in _truths(chds[some], patterns, samples, thresholds).items():
+        wanted = _codes([truth(chd) for chd in these])
+        ratio = patterns.statistics["firefly_dominated"] / limit
+        wanted["firefly_dominated"] = np.select([ratio >= 2, ratio <= 0.5], [1, 0], -1)
+        for name, code in wanted.items():
             flag = patterns.flags[name]
-            cases = flag & (wanted == 1), flag & (wanted == 0), ~flag & (wanted == 1)
+            cases = flag & (code == 1), flag & (code == 0), ~flag & (code == 1)
             totals[name] += [np.count_nonzero(case) for case in cases]
     return {name: FlagScore(*(int(count) for count in counts)) for name, counts in totals.items()}
-
-
-def _draw(chds: Sequence[CHD], samples: int, rng: np.random.Generator) -> PositivePart:
-    x = np.stack([replace(chd, null_share=0.0).draw(samples=samples, seed=rng) for chd in chds])
-    nulls = rng.negative_binomial(samples, [1 - chd.null_share for chd in chds])
-    none = np.zeros_like(nulls)
-    return PositivePart(x, np.asarray(x > 0), none + samples, nulls, none, none, none)
-
-
-def _truths(
-    chds: Sequence[CHD], patterns: Patterns, samples: int, thresholds: Thresholds
-) -> dict[str, npt.NDArray[np.int8]]:
-    """Return 1 where a flag should be set, 0 where it should not, -1 where either is fine."""
-    wanted = _codes([truth(chd) for chd in chds])
-    limit = firefly_limit(np.array(samples), thresholds)
-    ratio = patterns.statistics["firefly_dominated"] / limit
-    wanted["firefly_dominated"] = np.select([ratio >= 2, ratio <= 0.5], [1, 0], -1).astype(np.int8)
-    return wanted
