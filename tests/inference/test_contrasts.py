@@ -378,16 +378,21 @@ def test_equal_time_cuts_both_to_what_they_render_in_it():
     b = chd.Samples.from_array(small(2, 96), render_seconds=4.8)
     assert contrast(a, b, seconds=1.2).spp == (12, 24)
     assert contrast(a.isel(sample=slice(24)), b, seconds=1.2).spp == (12, 24)
-    with pytest.raises(
-        InputError, match="in 9.00 s, A renders 90 samples per pixel, and it has 48"
+
+
+def test_what_cannot_be_compared_is_refused():
+    a, b = (chd.Samples.from_array(small(s, 48), render_seconds=4.8) for s in (1, 2))
+    for message, other, options in (
+        ("A has 16 x 16 pixels and B 12 x 12: render both at one", small(edge=12), {}),
+        ("as many channels", small()[:, :, :1], {}),
+        ("alpha must lie between 0 and 1", b, {"alpha": 1.5}),
+        ("in 9.00 s, A renders 90 samples per pixel, and it has 48", b, {"seconds": 9}),
+        ("give more seconds", b, {"seconds": 0.01}),
+        ("B does not say how long", small(2), {"seconds": 1}),
+        ("seconds must be above 0", b, {"seconds": -1}),
     ):
-        contrast(a, b, seconds=9)
-    with pytest.raises(InputError, match="give more seconds"):
-        contrast(a, b, seconds=0.01)
-    with pytest.raises(InputError, match="B does not say how long"):
-        contrast(a, chd.Samples.from_array(small(2)), seconds=1)
-    with pytest.raises(InputError, match="seconds must be above 0"):
-        contrast(a, b, seconds=-1)
+        with pytest.raises(InputError, match=message):
+            contrast(a, other, **options)
 
 
 def test_renders_of_one_seed_are_paired():
@@ -462,14 +467,11 @@ def test_bad_samples_leave_with_their_pair():
         )
 
 
-def test_one_render_given_twice_is_no_test():
-    found = contrast(small(), small())
-    assert found.outcome == "cannot tell"
-    assert "one render given twice" in found.verdict
-    assert np.isnan(found.p_value).all()
-
-
-def test_too_few_samples_are_said():
+def test_what_is_no_test_is_said():
+    twice = contrast(small(), small())
+    assert twice.outcome == "cannot tell"
+    assert "one render given twice" in twice.verdict
+    assert np.isnan(twice.p_value).all()
     assert "5 samples per pixel are too few" in contrast(small(1, 5), small(2, 9)).verdict
     one, other = (chd.Samples.from_array(small(s, 1, 4), axes="yxcs") for s in (1, 2))
     assert contrast(one, other).outcome == "cannot tell"
@@ -494,26 +496,14 @@ def test_samples_of_any_size_are_compared():
         assert scaled.p_image == found.p_image
 
 
-def test_what_cannot_be_compared_is_refused():
-    with pytest.raises(InputError, match="A has 16 x 16 pixels and B 12 x 12: render both at one"):
-        contrast(small(), small(edge=12))
-    with pytest.raises(InputError, match="as many channels"):
-        contrast(small(), small()[:, :, :1])
-    with pytest.raises(InputError, match="alpha must lie between 0 and 1"):
-        contrast(small(), small(2), alpha=1.5)
-
-
-def test_numbers_go_into_json():
-    found = contrast(small(1), small(2)).to_dict()
-    assert found["outcome"] == "no difference found"
-    assert found["efficiency_ratio"] == {"value": None, "low": None, "high": None}
-    assert set(found["detectable"]) == {"image", "tenth"}
-
-
-def test_it_shows_itself():
+def test_it_shows_itself_and_its_numbers_go_into_json():
     found = contrast(small(1), small(2))
     assert found._repr_html_().count("<img") == 2
     assert len(repr(found).splitlines()) <= 10
+    numbers = found.to_dict()
+    assert numbers["outcome"] == "no difference found"
+    assert numbers["efficiency_ratio"] == {"value": None, "low": None, "high": None}
+    assert set(numbers["detectable"]) == {"image", "tenth"}
 
 
 @pytest.mark.parametrize("paired", [False, True])
