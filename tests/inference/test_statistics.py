@@ -32,7 +32,7 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.parametrize("n", [20, 21, 100, 1999, 5000])
+@pytest.mark.parametrize("n", [20, 21, 5000])
 @pytest.mark.parametrize("test", ALL)
 def test_statistics_are_those_of_scipy_and_statsmodels(test, n):
     rng = np.random.default_rng(n)
@@ -42,7 +42,7 @@ def test_statistics_are_those_of_scipy_and_statsmodels(test, n):
     np.testing.assert_allclose(found, [function(row) for row in x], rtol=tolerance)
 
 
-@pytest.mark.parametrize("n", [30, 32, 100, 500, 2000])
+@pytest.mark.parametrize("n", [30, 100, 2000])
 def test_shapiro_wilk_p_values_are_those_of_royston(n):
     x = np.random.default_rng(n).gamma([[50.0], [2.0]], size=(2, n))
     statistic, p_value = run(x, ["shapiro-wilk"])
@@ -65,15 +65,6 @@ def test_anderson_darling_table_has_its_published_quantiles():
     for n in (20, 100, 5000):
         p = simulated_p("anderson_darling", quantiles / (1 + 0.75 / n + 2.25 / n**2), np.full(5, n))
         np.testing.assert_allclose(p, [0.1, 0.05, 0.025, 0.01, 0.005], rtol=0.05)
-
-
-def test_anderson_darling_has_its_published_quantiles():
-    # Both parameters fitted, quantiles of 10 000 samples; 20 000 rows leave errors below 2 %.
-    x = np.random.default_rng(3).normal(size=(20_000, 200))
-    statistic = run(x, ["anderson-darling"])[0][:, 0] * (1 + 0.75 / 200 + 2.25 / 200**2)
-    quantiles = np.quantile(statistic, [0.5, 0.75, 0.85, 0.9, 0.95, 0.975, 0.99])
-    expected = [0.339, 0.467, 0.564, 0.633, 0.736, 0.858, 1.036]
-    np.testing.assert_allclose(quantiles, expected, rtol=0.04)
 
 
 def test_anderson_darling_p_values_are_close_to_statsmodels():

@@ -89,9 +89,6 @@ def test_the_mean_is_that_of_the_density(chd):
     )
     assert (1 - chd.null_share) * below == pytest.approx(chd.mean(), rel=0.01)
     assert chd.mean() > (1 - chd.null_share) * below
-
-
-def test_a_tail_without_a_mean_says_so():
     assert CHD((Component("gamma"),), tail_index=1.0).mean() == np.inf
 
 
@@ -115,22 +112,10 @@ def test_a_firefly_carries_its_share():
     np.testing.assert_allclose(x.max(axis=-1) / x.sum(axis=-1), 0.3)
 
 
-@pytest.mark.parametrize(
-    ("name", "label"),
-    {
-        "gamma": Label.GAMMA_LIKE,
-        "lognormal": Label.LOGNORMAL_LIKE,
-        "null-heavy": Label.NULL_HEAVY,
-        "bimodal": Label.BIMODAL,
-        "multimodal": Label.MULTIMODAL,
-        "long-tail": Label.LONG_TAIL,
-        "firefly": Label.FIREFLY_DOMINATED,
-        "constant": Label.CONSTANT,
-        "black": Label.BLACK,
-    }.items(),
-)
-def test_truth_of_named_chds(name, label):
-    assert truth(CHDS[name]).label == label
+def test_truth_of_named_chds():
+    labels = {name: truth(chd).label.name.lower() for name, chd in CHDS.items()}
+    like = {"gamma": "gamma_like", "lognormal": "lognormal_like", "firefly": "firefly_dominated"}
+    assert labels == {name: like.get(name, name.replace("-", "_")) for name in CHDS}
 
 
 def test_truth_is_open_inside_the_zones():
@@ -205,26 +190,20 @@ def test_scores_count_what_they_say():
 
 def test_wrong_input_is_refused():
     gamma = Component("gamma")
-    with pytest.raises(InputError, match="family"):
-        Component("weibull")
-    with pytest.raises(InputError, match="above 0"):
-        Component("gamma", -1.0)
-    with pytest.raises(InputError, match="stands alone"):
-        CHD((gamma, Component("constant")))
-    with pytest.raises(InputError, match="null_share"):
-        CHD((gamma,), null_share=1.5)
-    with pytest.raises(InputError, match="color"):
-        CHD((gamma,), color=(0.0, 0.0, 0.0))
-    with pytest.raises(InputError, match="one of"):
-        patterns.simulate("caustic")
-    with pytest.raises(InputError, match="regions"):
-        patterns.simulate(["gamma"] * 9, shape=(2, 2))
-    with pytest.raises(InputError, match="a shape"):
-        patterns.simulate("gamma", shape=(0, 2))
-    with pytest.raises(InputError, match="made by chdstat.simulate"):
-        truth_of(Samples.from_array(np.ones((2, 2, 3, 4))))
-    with pytest.raises(InputError, match="black"):
-        flag_scores([CHDS["black"]], 64)
+    for message, call in (
+        ("family", lambda: Component("weibull")),
+        ("above 0", lambda: Component("gamma", -1.0)),
+        ("stands alone", lambda: CHD((gamma, Component("constant")))),
+        ("null_share", lambda: CHD((gamma,), null_share=1.5)),
+        ("color", lambda: CHD((gamma,), color=(0.0, 0.0, 0.0))),
+        ("one of", lambda: patterns.simulate("caustic")),
+        ("regions", lambda: patterns.simulate(["gamma"] * 9, shape=(2, 2))),
+        ("a shape", lambda: patterns.simulate("gamma", shape=(0, 2))),
+        ("made by chdstat.simulate", lambda: truth_of(Samples.from_array(np.ones((2, 2, 3, 4))))),
+        ("black", lambda: flag_scores([CHDS["black"]], 64)),
+    ):
+        with pytest.raises(InputError, match=message):
+            call()
 
 
 def test_the_label_is_the_first_flag_that_holds_or_is_open():
