@@ -420,7 +420,7 @@ _FLIP_STEPS, _DIVISION_STEPS, _HALVINGS, _TOLERANCE = 40, 60, 30, 1e-6
 
 
 def _by_rows(test: Callable[..., Floats], step: int, *arrays: Array) -> Floats:
-    """Return what a test says of the rows of arrays, `step` of them at a time."""
+    """Apply a test to the rows of arrays, `step` of them at a time, and return its p-values."""
     parts = spans(len(arrays[0]), max(1, step))
     return np.concatenate([np.zeros(0), *(test(*(x[rows] for x in arrays)) for rows in parts)])
 

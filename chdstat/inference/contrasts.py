@@ -44,7 +44,7 @@ _TENTH = 0.1
 
 @dataclass(frozen=True, repr=False)
 class Contrast(Shown):
-    """What two renders of a view, A and B, have in common and what not.
+    """How two renders of a view, A and B, differ, and how sure that is.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Contrast(Shown):
     correlation
         Of the samples of A with those of B, in the median pixel.
     paired
-        Whether A and B were rendered with the same random numbers.
+        Whether A and B share random numbers.
     alpha
         Level of the test.
     """

@@ -116,10 +116,10 @@ class FlipMoments:
     def nearby(self, edge: int, *, relative: bool, against: bool) -> Floats:
         """Return the mean square of a term that counts for each place, of terms over `scale`.
 
-        It is the mean over a neighbourhood, 0 where that does not count: with `against`, where
-        the neighbourhood's skewness has the sign of the sum, and so does not explain it.
-
-        `relative` is over the mean radiance, as bright pixels vary more.
+        It is the mean over a neighbourhood. With `against`, the neighbourhood counts only where its
+        skewness is against the sum of the place, and so explains it, or where nearly all terms of
+        the place have one sign; it is 0 elsewhere. With `relative`, terms are over the mean
+        radiance, as bright pixels vary more.
         """
         unit = np.ones_like(self.scale)
         if relative:
@@ -157,12 +157,12 @@ class FlipMoments:
 
 
 def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
-    """Return p-values of a map (y, x) that rare samples which a pixel missed do not make small.
+    """Raise the p-values of a map (y, x) where a pixel may have missed rare samples.
 
-    Where the skewness of the neighbours' differences is against that of a pixel, or where nearly
-    all its terms have one sign, its standard error is at least theirs; and so it is for any pixel
+    The standard error of a pixel is at least that of its neighbours where their differences are
+    skewed against its own, or where nearly all its terms have one sign. So it is for any pixel
     before p falls below 3/1000. Neighbours are compared in radiance and relative to their means.
-    Not so where both renders are constant, as lamps are, which is `exact`.
+    Where both renders are constant, as lamps are (`exact`), p-values stay as they are.
     """
     by_neighbours = np.maximum(
         moments.p_value(_NEAR, against=True),
@@ -199,7 +199,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class WindowTest:
-    """Whether any square window of an image has a sum of terms that chance does not explain.
+    """Result of `scan_windows`: whether a square window has a sum of terms beyond chance.
 
     Attributes
     ----------
