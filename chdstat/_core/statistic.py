@@ -85,6 +85,12 @@ def result(kind: type[Kind]) -> type[Kind]:
 class Result(Shown):
     """What a statistic returns for an array: see `result` and `variable`."""
 
+    @classmethod
+    def declared(cls) -> dict[str, Variable]:
+        """Return what is declared of the fields that are variables, by their names."""
+        own: Any = fields(cls)  # type: ignore[arg-type]
+        return {f.name: f.metadata["variable"] for f in own if "variable" in f.metadata}
+
 
 class Statistic(Generic[Found]):
     """A statistic of rows of samples: a frozen dataclass of its options.
@@ -170,7 +176,6 @@ class Statistic(Generic[Found]):
 
     def _declared(self) -> dict[str, tuple[str, Variable]]:
         """Return the variables by their names in a dataset, each with the name of its field."""
-        own: Any = fields(self.result)  # type: ignore[arg-type]
-        known = [(f.name, f.metadata["variable"]) for f in own if "variable" in f.metadata]
+        known = self.result.declared().items()
         prefix = self.prefix.format(self.subject)
         return {about.name or f"{prefix}{name}": (name, about) for name, about in known}

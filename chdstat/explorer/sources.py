@@ -22,7 +22,7 @@ from chdstat.samples import open as open_store
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.layout import BLOCK
 from chdstat.samples.tiles import TILE, Chunk
-from chdstat.summary.bins import sample_masks
+from chdstat.summary.histograms import sample_masks
 
 __all__ = [
     "FIRST_SPP",

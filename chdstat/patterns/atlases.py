@@ -35,8 +35,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.patterns.clusters import Groups, find_groups, ratio
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of
 from chdstat.samples.tiles import Work
-from chdstat.summary.bins import Support
-from chdstat.summary.histograms import Histogram, StreamingHistogram
+from chdstat.summary.histograms import Histogram, StreamingHistogram, Support
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -25,8 +25,7 @@ from chdstat.patterns.table import PATTERNS
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import LightPart
-from chdstat.summary.bins import Scale
-from chdstat.summary.histograms import Histogram, histogram
+from chdstat.summary.histograms import Histogram, Scale, histogram
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:

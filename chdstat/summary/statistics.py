@@ -7,53 +7,41 @@ once, up to rounding.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, as_pixels, is_bad
-from chdstat._core.display import Shown
+from chdstat._core.arrays import Array, Counts, Floats, as_pixels, is_bad
 from chdstat._core.moments import Batches, PixelMoments
 from chdstat._core.reasons import label_variables
+from chdstat._core.statistic import RADIANCE, Result, result, variable
 from chdstat.errors import InputError
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.tiles import Work
-from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
-from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
+from chdstat.summary.histograms import (
+    SCALES,
+    GivenSupport,
+    Histogram,
+    StreamingHistogram,
+    label_histogram,
+    sample_masks,
+    tile_support,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["Statistics", "Summary", "summarize"]
 
-_RADIANCE = "W sr-1 m-2"
-_PER_PIXEL = {
-    "count": "good samples, null ones included",
-    "null_count": "null samples: all channels are 0",
-    "null_share": "share of null samples among the good ones",
-    "bad_count": "samples left out: a channel is NaN or infinite",
-    "nan_count": "samples with a NaN channel",
-    "inf_count": "samples with an infinite channel",
-    "negative_count": "good samples with a negative channel",
-}
-_PER_CHANNEL: dict[str, str | tuple[str, str]] = {
-    "mean": ("sample mean", _RADIANCE),
-    "variance": ("unbiased sample variance", f"({_RADIANCE})2"),
-    "skewness": "skewness",
-    "kurtosis": "excess kurtosis",
-    "minimum": ("smallest sample", _RADIANCE),
-    "maximum": ("largest sample", _RADIANCE),
-    "standard_error": ("standard error of the sample mean", _RADIANCE),
-}
 _SEQUENCES = 256
 """Means of sequences of dependent samples that are kept: of more, neighbours become one."""
 
 
-@dataclass(frozen=True, repr=False)
-class Statistics(Shown):
+@result
+class Statistics(Result):
     """Statistics of samples, as `Summary.read` returns them.
 
     A sample with a bad channel is bad as a whole: counted, and left out of everything else.
@@ -80,24 +68,29 @@ class Statistics(Shown):
     """
 
     draws: int
-    count: Counts
-    null_count: Counts
-    bad_count: Counts
-    nan_count: Counts
-    inf_count: Counts
-    negative_count: Counts
-    null_share: Floats
-    mean: Floats
-    variance: Floats
-    skewness: Floats
-    kurtosis: Floats
-    minimum: Floats
-    maximum: Floats
-    standard_error: Floats
-    batch_means: Floats
+    count: Counts = variable("good samples, null ones included")
+    null_count: Counts = variable("null samples: all channels are 0")
+    bad_count: Counts = variable("samples left out: a channel is NaN or infinite")
+    nan_count: Counts = variable("samples with a NaN channel")
+    inf_count: Counts = variable("samples with an infinite channel")
+    negative_count: Counts = variable("good samples with a negative channel")
+    null_share: Floats = variable("share of null samples among the good ones")
+    mean: Floats = variable("sample mean", "channel", unit=RADIANCE)
+    variance: Floats = variable("unbiased sample variance", "channel", unit=f"({RADIANCE})2")
+    skewness: Floats = variable("skewness", "channel")
+    kurtosis: Floats = variable("excess kurtosis", "channel")
+    minimum: Floats = variable("smallest sample", "channel", unit=RADIANCE)
+    maximum: Floats = variable("largest sample", "channel", unit=RADIANCE)
+    standard_error: Floats = variable("standard error of the sample mean", "channel", unit=RADIANCE)
+    batch_means: Floats = variable(
+        "means of consecutive batches of samples", "channel", "batch", unit=RADIANCE
+    )
     batch_spp: Counts
     linear: Histogram
     log: Histogram
+
+
+_MOMENTS = [name for name, about in Statistics.declared().items() if about.dims == ("channel",)]
 
 
 class Summary:
@@ -221,7 +214,7 @@ class Summary:
         if moments is None:
             message = "the summary has seen no samples; call update first"
             raise InputError(message)
-        of_channels = {name: moments.seen(getattr(moments, name)) for name in _PER_CHANNEL}
+        of_channels = {name: moments.seen(getattr(moments, name)) for name in _MOMENTS}
         known: dict[str, Any] = {**self._pixels.counts, **of_channels}
         means, spp = self._batches.read()
         count = moments.count[..., 0]
@@ -332,25 +325,19 @@ def _error_of_sequences(sequences: Batches, found: Statistics) -> Floats:
 
 
 def _variables(statistics: Statistics) -> Mapped:
-    counts = {
-        name: ((), np.asarray(getattr(statistics, name)).astype(np.int32))
-        for name in _PER_PIXEL
-        if name != "null_share"
-    }
-    moments = {name: (("channel",), getattr(statistics, name)) for name in _PER_CHANNEL}
-    return {
-        **counts,
-        "null_share": ((), statistics.null_share),
-        **moments,
-        "batch_means": (("channel", "batch"), statistics.batch_means.astype(np.float32)),
-        **statistics.linear.variables(),
-        **statistics.log.variables(),
-    }
+    variables: dict[str, tuple[tuple[str, ...], Array]] = {}
+    for name, about in Statistics.declared().items():
+        value = np.asarray(getattr(statistics, name))
+        # Counts of one image fit into 32 bits.
+        variables[name] = about.dims, value.astype(np.int32) if value.dtype.kind == "i" else value
+    dims, means = variables["batch_means"]
+    variables["batch_means"] = dims, means.astype(np.float32)
+    return {**variables, **statistics.linear.variables(), **statistics.log.variables()}
 
 
 def _label(dataset: xr.Dataset, batches: Batches) -> xr.Dataset:
-    means = ("means of consecutive batches of samples", _RADIANCE)
-    label_variables(dataset, {**_PER_PIXEL, **_PER_CHANNEL, "batch_means": means})
+    declared = Statistics.declared().items()
+    label_variables(dataset, {name: (about.label, about.unit) for name, about in declared})
     spp = ("batch", batches.read()[1], {"long_name": "draws of the batch", "units": "1"})
     for scale in SCALES:
         dataset = label_histogram(dataset, scale)

@@ -44,7 +44,7 @@ from chdstat.studies.scene_data import (
     logs,
     positive_quantiles,
 )
-from chdstat.summary.bins import linear_support
+from chdstat.summary.histograms import linear_support
 
 __all__ = ["CASE_STUDY", "CLAIMS"]
 
