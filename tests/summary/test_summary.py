@@ -137,17 +137,6 @@ def test_rounded_nist_data_lose_nothing_more_at_once(name):
     assert math.sqrt(variance) == pytest.approx(expected, rel=1e-14)
 
 
-@pytest.mark.parametrize("name", ["NumAcc2", "NumAcc3", "NumAcc4"])
-def test_a_summary_has_the_digits_of_its_moments(name):
-    x = nist_data(NIST[name])[np.newaxis]
-    summary = seen(x[:, :100])
-    for start in range(100, x.shape[-1], 100):
-        summary.update(x[:, start : start + 100])
-    deviation = np.sqrt(summary.read().variance)
-    digits = {"NumAcc3": 1e-9, "NumAcc4": 2e-8}.get(name, 1e-12)
-    np.testing.assert_allclose(deviation, NIST[name]["standard_deviation"], rtol=digits)
-
-
 def test_the_one_pass_textbook_formula_would_fail_nist():
     case = NIST["NumAcc4"]
     x = np.concatenate([[case["first"]], np.resize(case["cycle"], 1000)])
@@ -173,7 +162,7 @@ def test_merge_equals_concatenation_in_any_order(cuts, bad):
     assert_same(stream.read(), whole)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_random_trees_of_merges_are_one_summary(seed):
     rng = np.random.default_rng(seed)
     x = radiance((3, 3, 400), seed=seed)
