@@ -8,13 +8,14 @@ rendered with ``by_light`` are known by some lights alone, and by all others as 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.reasons import first_of, label_variables
+from chdstat._core.resampling import Blocks, Interval, mean_of
 from chdstat.errors import InputError, Reason
 from chdstat.samples import ImageLike, Mapped, Samples, samples_of
 from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, over_tiles, tiles
@@ -22,7 +23,7 @@ from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, over_tiles, tiles
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["By", "attribute", "by_part", "groups_of", "part_names", "shares"]
+__all__ = ["By", "attribute", "by_part", "groups_of", "largest_part", "part_names", "shares"]
 
 _BRIGHTEST = 0.01
 _ROUNDING = 1e-5
@@ -133,6 +134,34 @@ def attribute(
     return found.assign_coords(
         segments=("segments", longest, {"long_name": "longest path"}), paths=("segments", names)
     )
+
+
+class LargestPart(NamedTuple):
+    """The part of the light that makes most of the variance, over the pixels where that is known.
+
+    ``share`` of the variance with its interval, ``mean`` of the light; ``place`` among the parts,
+    -1 for the last.
+    """
+
+    name: str
+    place: int
+    share: Interval[float]
+    mean: float
+
+
+def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> LargestPart | None:
+    """Return which lengths of paths, or light, makes most of the variance; None where unknown."""
+    light = attribute(samples, by=by, progress=False)
+    held, mean = (light[f"{of}_share"].to_numpy() for of in ("variance", "mean"))
+    held, mean = (shares.reshape(-1, shares.shape[-1]) for shares in (held, mean))
+    known = np.isfinite(held[:, 0])
+    if not known.any():
+        return None
+    most = int(held[known].mean(axis=0).argmax())
+    share = mean_of(held[known, most].astype(np.float64), blocks[known])
+    name = str(light["paths" if by == "depth" else "light"].to_numpy()[most])
+    place = -1 if most == held.shape[1] - 1 else most
+    return LargestPart(name, place, share, float(mean[known, most].mean()))
 
 
 def part_names(parts: Sequence[LightPart]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import plain
-from chdstat._core.resampling import wilson
+from chdstat._core.resampling import Blocks, Interval, mean_of, median_of, wilson
 from chdstat.fit.selection import family_shares
 from chdstat.inference.averages import MORE_THAN_TESTED, UNTESTED
 from chdstat.patterns.table import PATTERNS
@@ -17,7 +17,7 @@ from chdstat.patterns.table import PATTERNS
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Overview", "Share", "overview", "pooled_shares"]
+__all__ = ["Noise", "Overview", "Share", "key_intervals", "noise_of", "overview", "pooled_shares"]
 
 _TEST = {"transform": "log", "test": "anderson-darling"}
 """Which of the tests of normality is in the overview."""
@@ -146,6 +146,65 @@ def overview(found: xr.Dataset) -> Overview:
             [_quartiles(part["averages_predicted_skewness"])[1] for part in sizes]
         ),
     )
+
+
+_NOISIEST = 0.1
+"""Share of the pixels that are called the noisiest."""
+_LIT = 0.01
+"""Part of the squared mean radiance of the image that keeps relative variances finite, as in the
+relative squared error of `chdstat.compare`."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Where the noise of an image is.
+
+    Attributes
+    ----------
+    noisiest
+        Share of the relative variance that the noisiest tenth of the pixels holds.
+    label
+        The primary pattern whose pixels hold most of it.
+    share, pixels
+        How much these hold, and what share of the image they are.
+    """
+
+    noisiest: float
+    label: str
+    share: float
+    pixels: float
+
+
+def noise_of(found: xr.Dataset) -> Noise:
+    """Return where the relative variance of luminance is, as relMSE weighs it."""
+    mean = found["luminance_mean"].values
+    spread = found["coefficient_of_variation"].values * mean
+    typical = float(mean[np.isfinite(mean)].mean()) if np.isfinite(mean).any() else np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = spread**2 / (mean**2 + _LIT * typical**2)
+    variance = np.where(np.isfinite(variance), variance, 0.0)
+    total = float(variance.sum()) or np.nan
+    count = max(1, round(_NOISIEST * variance.size))
+    labels, attrs = found["label"].values, found["label"].attrs
+    names = dict(zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True))
+    held = {code: float(variance[labels == code].sum()) for code in names}
+    most = max(held, key=lambda code: held[code])
+    return Noise(
+        noisiest=float(np.sort(variance, axis=None)[::-1][:count].sum()) / total,
+        label=names[most],
+        share=held[most] / total,
+        pixels=float((labels == most).mean()),
+    )
+
+
+def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float]]:
+    """Return the mean null share and share of long tails, and the median variation, over pixels."""
+    flat = {
+        name: found[name].values.reshape(-1).astype(float)
+        for name in ("null_share", "coefficient_of_variation", "long_tail")
+    }
+    averages = {"coefficient_of_variation": median_of}
+    return {name: averages.get(name, mean_of)(values, blocks) for name, values in flat.items()}
 
 
 class Share(NamedTuple):

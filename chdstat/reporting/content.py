@@ -1,39 +1,40 @@
-"""Content of the report on a scene: from results to words and tables, ready for JSON."""
+"""Content of reports: from results to words and tables, ready for JSON.
+
+First the report on a scene: `scene_content`, and of an analysis alone `analysis_content`. Then
+findings on claims, and the tables of regions, families, patterns and estimators.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from chdstat._core.display import number, percent
-from chdstat._core.resampling import Interval, mean_of, median_of
-from chdstat.analysis import Overview, overview
+from chdstat._core.display import between, number, percent, with_interval
+from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
-from chdstat.comparison.tables import shown_ratio
+from chdstat.comparison.tables import in_words, shown_ratio
 from chdstat.estimators import MLP
-from chdstat.patterns import PATTERNS
-from chdstat.patterns.attribution import By, attribute
-from chdstat.reporting.figures import Results
-from chdstat.reporting.result_tables import (
-    atlas_content,
-    estimator_table,
-    family_table,
-    finding_content,
-    fit_content,
-    label_of,
-    pattern_table,
-    region_table,
-    remake_note,
+from chdstat.patterns import PATTERNS, Atlas
+from chdstat.patterns.attribution import largest_part
+from chdstat.patterns.overview import (
+    Noise,
+    Overview,
+    key_intervals,
+    noise_of,
+    overview,
+    pooled_shares,
 )
+from chdstat.rendering.recipes import remake_of
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
-from chdstat.studies.claims import SceneData
+from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding, SceneData
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of
+from chdstat.viz.styling import qualitative
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,107 +42,128 @@ if TYPE_CHECKING:
 __all__ = [
     "PUBLISHED_SIZE",
     "PUBLISHED_SPP",
-    "abstract",
+    "Results",
     "analysis_content",
-    "headlines",
-    "key_figures",
+    "atlas_content",
+    "claim_content",
+    "finding_content",
+    "remake_note",
     "scene_content",
+    "with_others",
 ]
-
 
 PUBLISHED_SPP, PUBLISHED_SIZE = 2000, 800
 """Samples per pixel, and pixels along each edge, of the images of Elek et al. 2019."""
-
-
-# --- the first page -----------------------------------------------------------------------------
-
-_NOISIEST = 0.1
-"""Share of the pixels that are called the noisiest."""
-_LIT = 0.01
-"""Part of the squared mean radiance of the image that keeps relative variances finite, as in the
-relative squared error of `chdstat.compare`."""
-
-
-class KeyFigure(NamedTuple):
-    """A number of the first page, with its interval."""
-
-    value: str
-    label: str
-    interval: str
-
-
-class Headline(NamedTuple):
-    """A finding of the first page: one sentence, and what stands behind it."""
-
-    finding: str
-    because: str
+_TINY = 1e-4
+_MEANING = {p.name: p.meaning for p in PATTERNS}
 
 
 @dataclass(frozen=True)
-class _Noise:
-    """Where the noise of an image is.
+class Results:
+    """Everything that a report shows of a scene.
 
     Attributes
     ----------
-    noisiest
-        Share of the relative variance that the noisiest tenth of the pixels holds.
-    label
-        The primary pattern whose pixels hold most of it.
-    share, pixels
-        How much these hold, and what share of the image they are.
+    data
+        The scene, its regions and its analysis.
+    scene
+        Overview of the analysis.
+    atlas
+        Shapes that recur; None where there are none.
+    claims
+        Findings on those claims of the paper that one scene can support.
+    comparison
+        Estimators side by side; None where the samples are too few.
     """
 
-    noisiest: float
-    label: str
-    share: float
-    pixels: float
-
-    @classmethod
-    def of(cls, dataset: xr.Dataset) -> Self:
-        """Return where the relative variance of luminance is, as relMSE weighs it."""
-        mean = dataset["luminance_mean"].values
-        spread = dataset["coefficient_of_variation"].values * mean
-        typical = float(mean[np.isfinite(mean)].mean()) if np.isfinite(mean).any() else math.nan
-        with np.errstate(divide="ignore", invalid="ignore"):
-            variance = spread**2 / (mean**2 + _LIT * typical**2)
-        variance = np.where(np.isfinite(variance), variance, 0.0)
-        total = float(variance.sum()) or math.nan
-        ordered = np.sort(variance, axis=None)[::-1]
-        count = max(1, round(_NOISIEST * ordered.size))
-        labels, words = dataset["label"].values, names_of(dataset["label"])
-        held = {code: float(variance[labels == code].sum()) for code in words}
-        most = max(held, key=lambda code: held[code])
-        return cls(
-            noisiest=float(ordered[:count].sum()) / total,
-            label=words[most],
-            share=held[most] / total,
-            pixels=float((labels == most).mean()),
-        )
+    data: SceneData
+    scene: Overview
+    atlas: Atlas | None = None
+    claims: Sequence[Finding] = ()
+    comparison: Comparison | None = None
 
 
-def abstract(found: Results) -> list[str]:
+# --- the report on a scene ----------------------------------------------------------------------
+
+
+def scene_content(found: Results) -> dict[str, Any]:
+    """Return the entries of the report, by their names, ready for JSON."""
+    data, scene, dataset = found.data, found.scene, found.data.analysis
+    prefix = "threshold_"
+    noise = noise_of(dataset)
+    entries = {
+        "title": data.samples.name,
+        "remake": remake_note([data.samples]),
+        "spp": data.samples.spp,
+        "luminance": data.samples.shape[2] == 3,
+        "abstract": _abstract(found, noise),
+        "key_figures": _key_figures(found),
+        "findings": _headlines(found, noise),
+        "claims": [finding_content(finding) for finding in found.claims],
+        "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
+        "regions": _region_table(data),
+        "families": _family_table(dataset),
+        "fit": _fit_content(scene),
+        "patterns": _pattern_table(scene),
+        "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
+        "thresholds": {
+            str(name).removeprefix(prefix): number(float(value))
+            for name, value in dataset.attrs.items()
+            if str(name).startswith(prefix)
+        },
+        "n_means": int(dataset.attrs.get("n_means", 0)),
+        "agreement": number(scene.label_agreement),
+        "bad_samples": _bad_samples(scene),
+        "deviations": _deviations(found),
+    }
+    if found.atlas is not None:
+        entries["atlas"] = atlas_content(found.atlas)
+    if found.comparison is not None:
+        entries["estimators"] = _estimator_table(found.comparison)
+    return entries
+
+
+def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
+    """Return what a report says of an analysis: sentences, findings, families and patterns.
+
+    `dataset` is what `chdstat.analyze` returned for the samples.
+    """
+    scene, noise = overview(dataset), noise_of(dataset)
+    found = Results(SceneData(samples.name, samples, given=dataset), scene)
+    return {
+        "sentences": [
+            f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
+            "samples each.",
+            *_on_noise(scene, noise),
+            _bad_samples(scene),
+        ],
+        "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found, noise)],
+        "families": _family_table(dataset),
+        "patterns": _pattern_table(scene),
+    }
+
+
+def _abstract(found: Results, noise: Noise) -> list[str]:
     """Return the report in four sentences."""
     height, width, _, spp = found.data.samples.shape
     sentences = [
         f"This report looks at the {spp} samples of radiance that each of the {width} × {height} "
         f"pixels of {found.data.samples.name} received before they are averaged.",
-        *_on_noise(found),
+        *_on_noise(found.scene, noise),
     ]
     best = _best(found.comparison)
-    if best is not None and found.comparison is not None:
-        sentences.append(
-            f"From {found.comparison.n} samples, {label_of(best['estimator'])} estimates best, "
-            f"with {number(best['relmse_ratio'])} times the relative and "
-            f"{number(best['mse_ratio'])} times the squared error of the sample mean."
-        )
-    else:
-        sentences.append("There are too few samples to compare estimators.")
-    return sentences
+    if best is None or found.comparison is None:
+        return [*sentences, "There are too few samples to compare estimators."]
+    return [
+        *sentences,
+        f"From {found.comparison.n} samples, {called(best['estimator'])} estimates best, "
+        f"with {number(best['relmse_ratio'])} times the relative and "
+        f"{number(best['mse_ratio'])} times the squared error of the sample mean.",
+    ]
 
 
-def _on_noise(found: Results) -> list[str]:
+def _on_noise(scene: Overview, noise: Noise) -> list[str]:
     """Return two sentences on how much the samples vary, and where."""
-    scene, noise = found.scene, _Noise.of(found.data.analysis)
     where = (
         f"The noisiest tenth of the pixels holds {percent(noise.noisiest)} of the relative "
         f"variance; {_pixels(noise.label)} hold {percent(noise.share)} of it."
@@ -153,73 +175,46 @@ def _on_noise(found: Results) -> list[str]:
     ]
 
 
-def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
-    """Return what a report says of an analysis: sentences, findings, families and patterns.
-
-    `dataset` is what `chdstat.analyze` returned for the samples.
-    """
-    scene = overview(dataset)
-    data = SceneData(samples.name, samples, given=dataset)
-    found = Results(data, scene, None, (), None)
-    return {
-        "sentences": [
-            f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
-            "samples each.",
-            *_on_noise(found),
-            _bad_samples(scene),
-        ],
-        "findings": [f"{h.finding} {h.because}" for h in headlines(found)],
-        "families": family_table(dataset),
-        "patterns": pattern_table(scene),
-    }
-
-
-def key_figures(found: Results) -> list[KeyFigure]:
+def _key_figures(found: Results) -> list[dict[str, str]]:
     """Return four numbers with 95 % intervals, three of the samples and one of the estimators."""
-    dataset = found.data.analysis
-    blocks = found.data.whole().blocks
-    null = mean_of(dataset["null_share"].values.reshape(-1), blocks)
-    variation = median_of(dataset["coefficient_of_variation"].values.reshape(-1), blocks)
-    tails = mean_of(dataset["long_tail"].values.reshape(-1).astype(float), blocks)
+    of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
+    labels: dict[str, tuple[Callable[[float], str], str]] = {
+        "null_share": (percent, "of the samples are null"),
+        "coefficient_of_variation": (number, "standard deviation over mean, median pixel"),
+        "long_tail": (percent, "of the pixels have a long tail"),
+    }
     shown = [
-        KeyFigure(percent(null.value), "of the samples are null", _between(null, percent)),
-        KeyFigure(
-            number(variation.value),
-            "standard deviation over mean, median pixel",
-            _between(variation, number),
-        ),
-        KeyFigure(percent(tails.value), "of the pixels have a long tail", _between(tails, percent)),
+        (write(of_image[name].value), label, _between(of_image[name], write))
+        for name, (write, label) in labels.items()
     ]
     best = _best(found.comparison)
     if best is not None and found.comparison is not None:
-        name, n = label_of(best["estimator"]), found.comparison.n
-        low, high = number(best["relmse_ratio_low"]), number(best["relmse_ratio_high"])
-        shown.append(
-            KeyFigure(
-                f"{number(best['relmse_ratio'])}×",
-                f"relative squared error of {name} over that of the mean of {n} samples",
-                f"{low} to {high}",
-            )
-        )
-    return shown
+        name, n = called(best["estimator"]), found.comparison.n
+        low, high = (number(best[f"relmse_ratio_{end}"]) for end in ("low", "high"))
+        label = f"relative squared error of {name} over that of the mean of {n} samples"
+        shown.append((f"{number(best['relmse_ratio'])}×", label, f"{low} to {high}"))
+    return [dict(zip(("value", "label", "interval"), row, strict=True)) for row in shown]
 
 
-def headlines(found: Results) -> list[Headline]:
-    """Return at most six findings in plain words: what is noisy, why, what helps, by how much."""
-    scene, noise = found.scene, _Noise.of(found.data.analysis)
+def _headlines(found: Results, noise: Noise) -> list[dict[str, str]]:
+    """Return at most six findings in plain words, each with what stands behind it.
+
+    What is noisy, why, what helps, and by how much.
+    """
+    scene = found.scene
     rows = [
         *_where_noise_is(noise),
         *_which_paths(found.data),
-        Headline(
+        (
             f"{percent(scene.null_share)} of all samples find no light.",
             f"In {percent(scene.patterns['null_heavy'])} of the pixels null samples are "
             "significantly more than half: better light sampling would help there.",
         ),
         *_trust(scene),
     ]
-    if scene.patterns["firefly_dominated"] > 0 and noise.label != label_of("firefly_dominated"):
+    if scene.patterns["firefly_dominated"] > 0 and noise.label != "firefly_dominated":
         rows.append(
-            Headline(
+            (
                 f"One sample decides {percent(scene.patterns['firefly_dominated'])} of the pixels.",
                 f"There a single one of {scene.spp} samples carries so much of the mean that the "
                 "pixel is a firefly, or would be one without it.",
@@ -227,13 +222,13 @@ def headlines(found: Results) -> list[Headline]:
         )
     if found.comparison is not None:
         rows += _what_helps(found.comparison)
-    return rows[:6]
+    return [dict(zip(("finding", "because"), row, strict=True)) for row in rows[:6]]
 
 
-def _where_noise_is(noise: _Noise) -> Iterator[Headline]:
+def _where_noise_is(noise: Noise) -> Iterator[tuple[str, str]]:
     """Yield which pattern holds most of the noise; nothing where there is none."""
     if math.isfinite(noise.share):
-        yield Headline(
+        yield (
             f"The largest part of the noise is in {_pixels(noise.label)}.",
             f"By the first pattern of each, they are {percent(noise.pixels)} of the image and "
             f"hold {percent(noise.share)} of its relative variance: "
@@ -241,48 +236,37 @@ def _where_noise_is(noise: _Noise) -> Iterator[Headline]:
         )
 
 
-def _which_paths(data: SceneData) -> Iterator[Headline]:
+def _which_paths(data: SceneData) -> Iterator[tuple[str, str]]:
     """Yield which paths and lights make most of the variance, where samples are known by them."""
-    if data.samples.depths:
-        yield from _largest_part(data, "depth")
-    if data.samples.lights:
-        yield from _largest_part(data, "light")
-
-
-def _largest_part(data: SceneData, by: By) -> Iterator[Headline]:
-    light, blocks = attribute(data.samples, by=by, progress=False), data.whole().blocks
-    known = np.isfinite(light["variance_share"].to_numpy()[..., 0]).ravel()
-    if not known.any():
-        return
-    part = blocks[known]
-    held = light["variance_share"].to_numpy().reshape(len(known), -1)[known]
-    most = int(held.mean(axis=0).argmax())
-    share = mean_of(held[:, most].astype(np.float64), part)
-    mean = float(light["mean_share"].to_numpy().reshape(len(known), -1)[known, most].mean())
-    name = str(light["paths" if by == "depth" else "light"].to_numpy()[most])
-    if by == "light":
-        who = f"Light from {name} makes" if most < held.shape[1] - 1 else "Other light makes"
-    else:
-        who = "Emitted and direct light makes" if most == 0 else f"Paths of {name} make"
-    yield Headline(
-        f"{who} the largest part of the variance.",
-        f"In the average pixel that is {percent(share.value)} of it "
-        f"[{_between(share, percent)}], and {percent(mean)} of the light.",
-    )
+    samples = data.samples
+    known = {"depth": samples.depths, "light": samples.lights}
+    for by in ("depth", "light"):
+        part = largest_part(samples, data.whole().blocks, by=by) if known[by] else None
+        if part is None:
+            continue
+        if by == "light":
+            who = "Other light makes" if part.place < 0 else f"Light from {part.name} makes"
+        else:
+            who = f"Paths of {part.name} make" if part.place else "Emitted and direct light makes"
+        yield (
+            f"{who} the largest part of the variance.",
+            f"In the average pixel that is {percent(part.share.value)} of it "
+            f"[{_between(part.share, percent)}], and {percent(part.mean)} of the light.",
+        )
 
 
 def _pixels(label: str) -> str:
     """Return what to call the pixels of a primary label."""
-    return f"{label} pixels" if label in _MEANING else f"pixels labelled '{label}'"
+    return f"{called(label)} pixels" if label in _MEANING else f"pixels labelled '{called(label)}'"
 
 
-def _trust(scene: Overview) -> Iterator[Headline]:
+def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
     """Yield how far error bars can be trusted."""
     if not any(math.isfinite(share) for share in scene.averages.values()):
         return
     most = max(scene.averages)
     rejected = scene.averages[most]
-    yield Headline(
+    yield (
         f"Averages of {most} samples are not Gaussian in {percent(rejected)} of the channels.",
         "There, error bars that presume it mislead. In "
         f"{percent(scene.doubtful_variance)} the estimated tail index is at least 1/2: the "
@@ -290,19 +274,19 @@ def _trust(scene: Overview) -> Iterator[Headline]:
     )
 
 
-def _what_helps(comparison: Comparison) -> Iterator[Headline]:
+def _what_helps(comparison: Comparison) -> Iterator[tuple[str, str]]:
     best = _best(comparison)
     if best is None:
         return
-    name = label_of(best["estimator"])
+    name = called(best["estimator"])
     if not best["relmse_ratio_high"] < 1:
-        yield Headline(
+        yield (
             "No estimator is clearly better than the mean.",
             f"The best, {name}, has {shown_ratio(best, 'relmse_ratio')} times its relative "
             "squared error.",
         )
         return
-    yield Headline(
+    yield (
         f"{name[0].upper()}{name[1:]} helps most.",
         f"From {comparison.n} samples it has {shown_ratio(best, 'relmse_ratio')} times the "
         f"relative and {shown_ratio(best, 'mse_ratio')} times the squared error of the mean, "
@@ -325,48 +309,6 @@ def _best(comparison: Comparison | None) -> dict[str, Any] | None:
     rows = [row for row in rows if row["estimator"] != "mean"]
     rows = [row for row in rows if not row["mse_ratio_low"] > 1] or rows
     return min(rows, key=lambda row: row["relmse_ratio"], default=None)
-
-
-_MEANING = {called(p.name): p.meaning for p in PATTERNS}
-
-
-# --- tables -------------------------------------------------------------------------------------
-
-
-def scene_content(found: Results) -> dict[str, Any]:
-    """Return the entries of the report, by their names, ready for JSON."""
-    data, scene, dataset = found.data, found.scene, found.data.analysis
-    prefix = "threshold_"
-    entries = {
-        "title": data.samples.name,
-        "remake": remake_note([data.samples]),
-        "spp": data.samples.spp,
-        "luminance": data.samples.shape[2] == 3,
-        "abstract": abstract(found),
-        "key_figures": [figure._asdict() for figure in key_figures(found)],
-        "findings": [headline._asdict() for headline in headlines(found)],
-        "claims": [finding_content(finding) for finding in found.claims],
-        "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
-        "regions": region_table(data),
-        "families": family_table(dataset),
-        "fit": fit_content(scene),
-        "patterns": pattern_table(scene),
-        "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
-        "thresholds": {
-            str(name).removeprefix(prefix): number(float(value))
-            for name, value in dataset.attrs.items()
-            if str(name).startswith(prefix)
-        },
-        "n_means": int(dataset.attrs.get("n_means", 0)),
-        "agreement": number(scene.label_agreement),
-        "bad_samples": _bad_samples(scene),
-        "deviations": _deviations(found),
-    }
-    if found.atlas is not None:
-        entries["atlas"] = atlas_content(found.atlas)
-    if found.comparison is not None:
-        entries["estimators"] = estimator_table(found.comparison)
-    return entries
 
 
 def _bad_samples(scene: Overview) -> str:
@@ -393,3 +335,203 @@ def _deviations(found: Results) -> list[str]:
             if used < model.config.pixels:
                 there.append(f"{used} pixels train it in place of {model.config.pixels}")
     return there
+
+
+# --- claims -------------------------------------------------------------------------------------
+
+
+def remake_note(samples: Iterable[Samples]) -> str:
+    """Return a note on the scenes that are remakes of the paper's; "" where none is."""
+    found = {s.name: original for s in samples if (original := remake_of(s))}
+    if not found:
+        return ""
+    listed = ", ".join(f"{name} (of {original})" for name, original in found.items())
+    one = len(found) == 1
+    return (
+        f"{'A remake' if one else 'Remakes'} of the paper's scene{'s' * (not one)}: {listed}. "
+        f"{'It was' if one else 'They were'} made for this library after the paper's figures, with "
+        f"other geometry and materials: what holds here need not hold of the paper's own."
+    )
+
+
+def with_others(found: Mapping[str, Finding]) -> dict[str, Finding]:
+    """Return findings by scene, each followed by those on other estimators."""
+    rows = {}
+    for scene, finding in found.items():
+        rows[scene] = finding
+        rows |= {f"{scene}, {called(n)}": other for n, other in finding.other_models.items()}
+    return rows
+
+
+# --- claims ----------------------------------------------------------------------------
+
+
+def claim_content(claim: Claim, found: Mapping[str, Finding]) -> dict[str, Any]:
+    """Return a claim with its verdicts and reasons in several scenes, ready for JSON.
+
+    Scenes with the same verdict and reason share a row.
+
+    Parameters
+    ----------
+    claim
+        The claim.
+    found
+        Findings on it, by scene.
+    """
+    scenes_of: dict[tuple[str, str], list[str]] = {}
+    for name, finding in with_others(found).items():
+        reason = f"{finding.reason} {_p_value(finding)}".rstrip()
+        scenes_of.setdefault((finding.verdict, reason), []).append(name)
+    hypotheses = [finding.details.get("null_hypothesis", "") for finding in found.values()]
+    return {
+        "number": claim.number,
+        "name": claim.name,
+        "claim": claim.claim,
+        "about": f"About {claim.about}.",
+        "method": claim.method,
+        "rows": [
+            {"scenes": names, "verdict": verdict, "reason": reason}
+            for (verdict, reason), names in scenes_of.items()
+        ],
+        "null_hypothesis": next(filter(None, hypotheses), ""),
+    }
+
+
+def _p_value(finding: Finding) -> str:
+    p = finding.p_value
+    if p is None or not math.isfinite(p):
+        return ""
+    return f"p {f'= {number(p)}' if p >= _TINY else '< 0.0001'}."
+
+
+def finding_content(finding: Finding) -> dict[str, Any]:
+    """Return one finding with every test that was made, ready for JSON."""
+    hypothesis = finding.details.get("null_hypothesis", "")
+    return {
+        "number": finding.number,
+        "name": finding.name,
+        "claim": finding.claim,
+        "about": next(f"About {c.about}." for c in FINDINGS if c.number == finding.number),
+        "verdict": finding.verdict,
+        "parts": [_test_content(test) for test in finding.tests],
+        "needs": finding.reason if finding.verdict == "cannot tell" else "",
+        "p": f"{_p_value(finding)} Null hypothesis: {hypothesis}." if hypothesis else "",
+        "beside": [
+            {**finding_content(other), "name": called(name)}
+            for name, other in finding.other_models.items()
+        ],
+    }
+
+
+def _test_content(test: ClaimTest) -> dict[str, str]:
+    unit, least, most = test.unit, test.least, test.most
+    written = f"√{unit.removesuffix('^1/2')}" if unit.endswith("^1/2") else unit
+    claimed = f"{number(least)} to {number(most)}"
+    if math.isinf(least):
+        claimed = f"at most {number(most)}"
+    elif math.isinf(most):
+        claimed = f"at least {number(least)}"
+    return {
+        "name": test.name + ("" if unit == "1" else f" ({written})"),
+        "value": number(test.interval.value),
+        "interval": test.between(number) or "—",
+        "claimed": claimed,
+        "verdict": test.verdict,
+    }
+
+
+# --- tables -------------------------------------------------------------------------------------
+
+
+def _fit_content(scene: Overview) -> dict[str, str]:
+    """Return how well the families and the log-normal describe the pixels, in numbers."""
+    misfit, skewness = scene.misfit, scene.log_skewness
+    return {
+        "decided": percent(scene.decided),
+        "misfit": percent(misfit[1]),
+        "misfit_quartiles": f"{percent(misfit[0])} and {percent(misfit[2])}",
+        "log_rejected": percent(scene.log_rejected),
+        "log_skewness": number(skewness[1]),
+        "log_skewness_quartiles": f"{number(skewness[0])} and {number(skewness[2])}",
+        "doubtful": percent(scene.doubtful_variance),
+        "unidentified": percent(scene.unidentified_variance),
+    }
+
+
+def _region_table(data: SceneData) -> list[dict[str, Any]]:
+    """Return a row for each region, with the numbers of the pixel in its middle."""
+    rows = []
+    colors = qualitative(len(data.regions))
+    for region, color in zip(data.regions, colors, strict=True):
+        y, x = region.center(*data.samples.shape[:2])
+        found = data.analysis.isel(y=y, x=x)
+        family = names_of(found["luminance_family"])[int(found["luminance_family"])]
+        rows.append(
+            {
+                "name": region.name,
+                "pixel": f"({x}, {y})",
+                "note": region.note,
+                "color": color,
+                "radiance": [number(v) for v in np.atleast_1d(found["mean"].values)],
+                "nulls": percent(float(found["null_share"])),
+                "variation": number(float(found["coefficient_of_variation"])),
+                "tail": between(
+                    float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])
+                ),
+                "family": family,
+            }
+        )
+    return rows
+
+
+def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
+    """Return the share of each family by both criteria, over all channels."""
+    criteria = {"bic": "best_family", "held_out": "held_out_best_family"}
+    columns = {key: pooled_shares(found, name) for key, name in criteria.items() if name in found}
+    return [
+        {"name": called(name)}
+        | {
+            key: with_interval(shares[name].share, shares[name].low, shares[name].high, percent)
+            for key, shares in columns.items()
+        }
+        for name in columns["bic"]
+    ]
+
+
+def _pattern_table(scene: Overview) -> list[dict[str, str]]:
+    """Return the rows of the table of patterns, the most frequent first."""
+    return [
+        {
+            "name": called(p.name),
+            "share": percent(scene.patterns[p.name]),
+            "meaning": p.meaning,
+            "statistic": p.statistic,
+            "rule": p.rule,
+        }
+        for p in sorted(PATTERNS, key=lambda p: -scene.patterns[p.name])
+    ]
+
+
+def atlas_content(found: Atlas) -> dict[str, str]:
+    """Return how many shapes recur, and how far these can be trusted."""
+    return {
+        "count": str(len(found.share)),
+        "repeatable": percent(found.repeatable),
+        "stability": number(found.stability),
+    }
+
+
+def _estimator_table(comparison: Comparison) -> dict[str, Any]:
+    """Return the measures of each estimator, and the settings of the comparison."""
+    trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
+    return {
+        "rows": [in_words(row) for row in comparison.table()],
+        "notes": comparison.notes,
+        "n": comparison.n,
+        "batches": comparison.batches,
+        "excluded": comparison.excluded,
+        "test_pixels": int(comparison.test_pixels.sum()),
+        "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
+        "train_pixels": len(trained[0].train_pixels) if trained else 0,
+        "fewer_pixels": bool(trained) and len(trained[0].train_pixels) < trained[0].config.pixels,
+    }

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +27,7 @@ from chdstat.estimators import MLP, Progressive
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.reporting.result_tables import plot_findings
+from chdstat.reporting.content import Results, with_others
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
@@ -40,10 +39,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "Results",
     "analysis_figures",
+    "claim_figures",
     "of_comparison",
     "panels_of",
+    "plot_findings",
     "report_figures",
     "save_comparison",
     "save_figure",
@@ -56,31 +56,6 @@ _SHOWN = {14, 15}
 """Claims whose plots would repeat the table of families and the figure of the training."""
 _PIXELS = 5
 """Pixels whose batches are shown."""
-
-
-@dataclass(frozen=True)
-class Results:
-    """Everything that a report shows of a scene.
-
-    Attributes
-    ----------
-    data
-        The scene, its regions and its analysis.
-    scene
-        Overview of the analysis.
-    atlas
-        Shapes that recur; None where there are none.
-    claims
-        Findings on those claims of the paper that one scene can support.
-    comparison
-        Estimators side by side; None where the samples are too few.
-    """
-
-    data: SceneData
-    scene: Overview
-    atlas: Atlas | None
-    claims: Sequence[Finding]
-    comparison: Comparison | None
 
 
 # --- one scene ----------------------------------------------------------------------------------
@@ -218,6 +193,33 @@ def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
 def _depth(samples: Samples) -> str:
     depth = int(dict(samples.attrs["integrator"]).get("max_depth", -1))
     return "∞" if depth < 0 else str(depth)
+
+
+# --- claims -------------------------------------------------------------------------------------
+
+
+def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]:
+    """Draw findings on one claim, by scene: intervals, and what the findings show."""
+    drawn = {}
+    tests = {name: finding.tests for name, finding in with_others(found).items() if finding.tests}
+    if tests:
+        drawn[f"claim{claim}"] = viz.claim_intervals(tests)
+    # What is about all scenes, or the only one, needs no title.
+    titles = found if len(found) > 1 else [""] * len(found)
+    shown = plot_findings(dict(zip(titles, found.values(), strict=True)))
+    if shown is not None:
+        drawn[f"plots{claim}"] = shown
+    return drawn
+
+
+def plot_findings(found: Mapping[str, Finding]) -> Figure | None:
+    """Draw what findings show, each under its title; None where none has anything to show."""
+    shown = {
+        title: finding.plot_data
+        for title, finding in found.items()
+        if any(np.isfinite(np.asarray(y)).any() for _, y in finding.plot_data.series.values())
+    }
+    return viz.finding_plots(shown) if shown else None
 
 
 # --- the analysis of an image -------------------------------------------------------------------

@@ -241,7 +241,7 @@ def _document(
         comparison=comparison,
     )
     claims = [claim.find(data) for claim in FINDINGS if claim.alone]
-    found = figures.Results(
+    found = content.Results(
         data,
         overview(dataset),
         atlas=shapes if len(shapes.share) else None,

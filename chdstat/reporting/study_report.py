@@ -10,15 +10,15 @@ from chdstat import viz
 from chdstat._core.display import number, percent
 from chdstat._core.files import scratch
 from chdstat.rendering.recipes import remake_of
-from chdstat.reporting.figures import panels_of, scene_figures
-from chdstat.reporting.result_tables import atlas_content, claim_content, claim_figures, remake_note
+from chdstat.reporting.content import atlas_content, claim_content, remake_note
+from chdstat.reporting.figures import claim_figures, panels_of, scene_figures
 from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import FINDINGS
 from chdstat.studies.run import ACROSS, SceneStudy, Study
 from chdstat.studies.stores import ROULETTE
 from chdstat.viz import VERDICTS
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.estimators import called
 from chdstat.viz.styling import qualitative, verbatim
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
         "depth": _depth(integrator),
         "null_share": percent(seen.null_share),
         "variation": number(seen.variation[1]),
-        "family": f"{NAMES.get(family, family)} {percent(share)}" if share > 0 else "—",
+        "family": f"{called(family)} {percent(share)}" if share > 0 else "—",
         "time": f"{float(seconds):.0f} s" if seconds else "—",
         "chosen": scene.chosen,
         "regions": [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import shutil
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -13,11 +14,9 @@ import pytest
 
 import chdstat as chd
 from chdstat.analysis import save
-from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.explorer import explore
 from chdstat.explorer.maps import IMAGES
 from chdstat.samples.store import Store
-from chdstat.viz.estimators import called
 
 SIZE = 32
 
@@ -56,9 +55,17 @@ class Person:
         with self.answered():
             self.page.keyboard.press(key)
 
+    @contextmanager
     def answered(self):
         """Wait until what is done within is shown."""
-        return _Answered(self.page)
+        before = self.page.evaluate("window.chdstat.timings.length")
+        yield
+        shown = "t => window.chdstat.timings.length > t && window.chdstat.timings.at(-1).end"
+        self.page.wait_for_function(shown, arg=before, timeout=30000)
+
+    def waits_for(self, expression, **options):
+        """Wait until an expression is true on the page."""
+        self.page.wait_for_function(expression, **options)
 
     def text(self, query):
         return self.page.locator(query).inner_text()
@@ -77,23 +84,6 @@ class Person:
     def alert(self):
         self.page.wait_for_selector("#alert:not([hidden])", timeout=15000)
         return self.text("#alert span")
-
-
-class _Answered:
-    def __init__(self, page):
-        self.page = page
-
-    def __enter__(self):
-        self.before = self.page.evaluate("window.chdstat.timings.length")
-
-    def __exit__(self, kind, *_):
-        if kind is None:
-            self.page.wait_for_function(
-                "(before) => window.chdstat.timings.length > before"
-                " && window.chdstat.timings.at(-1).end",
-                arg=self.before,
-                timeout=30000,
-            )
 
 
 @pytest.fixture(scope="module")
@@ -186,20 +176,6 @@ def test_every_heading_says_what_is_shown(person, store_path):
         one.page.keyboard.press("Escape")
 
 
-def test_the_default_estimators_are_shown_first_and_then_the_best(person, store_path):
-    one = person(store_path).open("?p=20,10&n=8")
-    one.page.get_by_role("button", name="Show all").click()
-    rows = one.page.locator("#estimates tr:visible").all_inner_texts()[1:]
-    assert len(rows) > 7
-    default = {called(name).removesuffix(" features") for name in DEFAULT_ESTIMATORS}
-    cells = [row.split("\t") for row in rows]
-    first = [row[0].removesuffix(" features") in default for row in cells]
-    assert first == sorted(first, reverse=True)
-    others = cells[sum(first) :]
-    ratios = [float(row[1]) for row in others if "—" not in row[1]]
-    assert ratios == sorted(ratios)
-
-
 def test_selections_by_mouse_and_keys(person, store_path):
     one = person(store_path).open()
     one.click(5, 5)
@@ -229,7 +205,7 @@ def test_fast_clicks_are_all_clicks(person, store_path):
     one = person(store_path).open()
     for x in (3, 9, 15, 21):
         one.page.mouse.click(*one.place(12, x))
-    one.page.wait_for_function("document.querySelector('#chips').innerText.includes('x 21')")
+    one.waits_for("document.querySelector('#chips').innerText.includes('x 21')")
 
 
 def test_a_box_picks_a_region(person, store_path):
@@ -289,15 +265,13 @@ def test_maps_take_the_place_of_the_image(person, store_path):
         "error:huber": "log10 of MSE",
     }.items():
         one.page.locator("select[data-option=map]").select_option(name)
-        one.page.wait_for_function(
+        one.waits_for(
             "(words) => document.querySelector('#colorbar').innerText.includes(words)"
             " && document.querySelector('#working').innerText === ''",
             arg=expected,
         )
         # The address follows in an answer of its own.
-        one.page.wait_for_function(
-            "name => new URLSearchParams(location.search).get('map') === name", arg=name
-        )
+        one.waits_for("name => new URLSearchParams(location.search).get('map') === name", arg=name)
     one.point(20, 10)
     assert "Error of Huber" in one.text("#readout")
     one.page.locator("select[data-option=map]").select_option("image")
@@ -307,25 +281,21 @@ def test_maps_take_the_place_of_the_image(person, store_path):
 def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tmp_path):
     path = save(chd.analyze(chd.open(store_path), progress=False), tmp_path / "maps.zarr")
     one = person(store_path, maps=path).open("?p=20,10&map=file:null_share")
-    one.page.wait_for_function(
-        "document.querySelector('#colorbar').innerText.includes('Null share')"
-    )
+    one.waits_for("document.querySelector('#colorbar').innerText.includes('Null share')")
     one.page.locator("#limits input").first.fill("0.25")
     one.page.locator("#limits input").first.press("Enter")
-    one.page.wait_for_function("location.search.includes('lim=0.25')")
+    one.waits_for("location.search.includes('lim=0.25')")
     low = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.color_mapper.low"
     assert one.page.evaluate(low) == 0.25
     one.page.locator("#opacity").fill("0.5")
     alpha = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.global_alpha"
-    one.page.wait_for_function(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
-    one.page.wait_for_function("location.search.includes('o=0.5')")
+    one.waits_for(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
+    one.waits_for("location.search.includes('o=0.5')")
     again = person(store_path, maps=path).open(one.page.evaluate("location.search"))
-    again.page.wait_for_function(
-        f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()"
-    )
+    again.waits_for(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
     assert again.page.locator("#opacity").input_value() == "0.5"
     one.page.locator("select[data-option=map]").select_option("variance")
-    one.page.wait_for_function("!location.search.includes('lim=')")
+    one.waits_for("!location.search.includes('lim=')")
 
 
 def test_keys_change_exposure_channel_and_map(person, store_path):
@@ -335,11 +305,11 @@ def test_keys_change_exposure_channel_and_map(person, store_path):
         ("e", "ev", "1.5"), ("E", "ev", "1"), ("c", "c", "0"), ("i", "map", "null_share"),
     ):  # fmt: skip
         one.page.keyboard.press(key)
-        one.page.wait_for_function(
+        one.waits_for(
             "([n, v]) => new URLSearchParams(location.search).get(n) === v", arg=[name, value]
         )
     one.page.keyboard.press("r")
-    one.page.wait_for_function("!location.search.includes('ev=')")
+    one.waits_for("!location.search.includes('ev=')")
     one.page.keyboard.press("?")
     assert "next channel" in one.text("#help")
 
@@ -347,15 +317,15 @@ def test_keys_change_exposure_channel_and_map(person, store_path):
 def test_zoom_is_in_the_address_and_large_pixels_show_their_values(person, store_path):
     one = person(store_path).open("?p=20,10&z=8,18,14,24")
     values = "Bokeh.documents[0].get_model_by_name('image0').renderers.at(-1).data_source.data.text"
-    one.page.wait_for_function(f"{values}.length === 36")
+    one.waits_for(f"{values}.length === 36")
     pixel = chd.open(store_path)[18, 8].mean(axis=-1)
     shown = [float(v) for v in one.page.evaluate(values)[0].split("\n")]
     np.testing.assert_allclose(shown, pixel, rtol=1e-2)
     one.page.get_by_role("button", name="Fit", exact=True).click()
-    one.page.wait_for_function("!location.search.includes('z=')")
+    one.waits_for("!location.search.includes('z=')")
     assert one.page.evaluate(values) == []
     one.page.get_by_role("button", name="Zoom in").click()
-    one.page.wait_for_function("location.search.includes('z=')")
+    one.waits_for("location.search.includes('z=')")
 
 
 def test_the_theme_is_that_of_the_system_until_it_is_switched(browser, of_store):
@@ -376,57 +346,43 @@ def test_options_change_what_is_drawn(person, store_path):
     one = person(store_path).open("?p=20,10")
     for name in ("gamma", "mixture"):
         one.page.locator(f"[data-family={name}]").check()
-        one.page.wait_for_function(f"location.search.includes('{name}')")
+        one.waits_for(f"location.search.includes('{name}')")
     one.page.locator("[data-family=best]").uncheck()
     one.page.locator("select[data-option=batch]").select_option("8")
-    one.page.wait_for_function(
-        "document.querySelector('#estimates h2').innerText.includes('from 8')"
-    )
+    one.waits_for("document.querySelector('#estimates h2').innerText.includes('from 8')")
     one.page.locator("select[data-option=channel]").select_option("luminance")
-    one.page.wait_for_function("document.querySelector('#legend').innerText === 'luminance'")
+    one.waits_for("document.querySelector('#legend').innerText === 'luminance'")
     one.page.locator("select[data-option=tone]").select_option("filmic")
     one.page.locator("#exposure").fill("2.5")
-    one.page.wait_for_function("location.search.includes('ev=2.5')")
+    one.waits_for("location.search.includes('ev=2.5')")
     assert one.text("#stops") == "+2.50"
     assert one.query == {
         "p": ["20,10"], "c": ["luminance"], "f": ["gamma,mixture"], "n": ["8"], "ev": ["2.5"],
         "tone": ["filmic"],
     }  # fmt: skip
     one.page.get_by_role("button", name="Auto").click()
-    one.page.wait_for_function("!location.search.includes('ev=')")
+    one.waits_for("!location.search.includes('ev=')")
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "ticks"),
-    [
-        (0.03, 1.5, [0.05, 0.1, 0.2, 0.5, 1]),
-        (1, 128, [1, 2, 5, 10, 20, 50, 100]),
-        (1e-3, 0.9, [0.001, 0.003, 0.01, 0.03, 0.1, 0.3]),
-        (1e-5, 1e5, [1e-4, 1e-2, 1, 1e2, 1e4]),
-        (1e-30, 1e30, [1e-30, 1e-20, 1e-10, 1, 1e10, 1e20, 1e30]),
-        (0.29, 0.95, [0.4, 0.6, 0.8]),
-        (0, 1, []),
-    ],
-)
-def test_a_logarithmic_axis_has_round_labels_from_end_to_end(person, store_path, low, high, ticks):
+TICKS = {
+    (0.03, 1.5): [0.05, 0.1, 0.2, 0.5, 1],
+    (1, 128): [1, 2, 5, 10, 20, 50, 100],
+    (1e-3, 0.9): [0.001, 0.003, 0.01, 0.03, 0.1, 0.3],
+    (1e-5, 1e5): [1e-4, 1e-2, 1, 1e2, 1e4],
+    (1e-30, 1e30): [1e-30, 1e-20, 1e-10, 1, 1e10, 1e20, 1e30],
+    (0.29, 0.95): [0.4, 0.6, 0.8],
+    (0, 1): [],
+}
+
+
+def test_a_logarithmic_axis_has_round_labels_from_end_to_end(person, store_path):
     one = person(store_path).open("?p=20,10")
-    found = one.page.evaluate(
+    ticks = (
         "([low, high]) => Bokeh.documents[0].get_model_by_name('log').below[0].ticker"
-        ".get_ticks(low, high, null, 0).major",
-        [low, high],
+        ".get_ticks(low, high, null, 0).major"
     )
-    assert found == pytest.approx(ticks)
-
-
-def test_an_address_brings_the_view_back(person, store_path):
-    one = person(store_path).open("?p=20,10&p=5,6&a=0&map=null_share&f=gamma&n=16")
-    chips, query = one.chips, one.query
-    assert chips == ["1: y 20 x 10", "2: y 5 x 6"]
-    one.page.reload()
-    one.page.wait_for_selector("body[data-shown]")
-    assert (one.chips, one.query) == (chips, query)
-    assert one.page.locator("[data-family=gamma]").is_checked()
-    assert "Null share" in one.text("#colorbar")
+    for ends, expected in TICKS.items():
+        assert one.page.evaluate(ticks, list(ends)) == pytest.approx(expected)
 
 
 def test_an_address_that_is_wrong_is_explained(person, store_path):
@@ -454,9 +410,7 @@ def test_trained_estimators_are_among_the_others(person, store_path, tmp_path):
     model = chd.estimators.train_model(chd.open(store_path), spp=16, iterations=5, progress=False)
     path = model.save(tmp_path / "mine.safetensors") or tmp_path / "mine.safetensors"
     one = person(store_path, models=[path]).open("?p=20,10&n=16")
-    one.page.wait_for_function(
-        "document.querySelector('#estimates').innerText.includes('mine')", timeout=60000
-    )
+    one.waits_for("document.querySelector('#estimates').innerText.includes('mine')", timeout=60000)
     row = one.page.locator("#estimates tr", has_text="mine").inner_text()
     assert re.search(r"mine, \d+.% certain.*\[.+, .+\]", row.replace("\n", " "))
 
@@ -484,16 +438,6 @@ def test_exports_are_files(person, store_path):
         assert len(document) == 1
 
 
-def test_an_export_needs_a_selection(person, store_path):
-    one = person(store_path).open()
-    one.page.get_by_role("button", name="Drop pixel 1").click()
-    one.page.wait_for_selector("body.nothing")
-    assert one.text("#chips") == "Nothing is selected yet."
-    one.page.wait_for_timeout(300)  # until that is computed, the last selection would be exported
-    one.page.locator("[data-export=csv]").click()
-    assert "nothing is selected" in one.alert()
-
-
 def test_two_stores_are_compared(person, store_path, tmp_path):
     path = tmp_path / "other.zarr"
     chd.render("cornell-box", spp=64, size=(32, 32), max_depth=2, out=path, backend="scalar")
@@ -504,9 +448,7 @@ def test_two_stores_are_compared(person, store_path, tmp_path):
     assert "other.zarr against box.zarr" in one.text("#compared")
     assert "second:" in one.text("#note-log")
     one.page.locator("select[data-option=map]").select_option("diff:signed")
-    one.page.wait_for_function(
-        "document.querySelector('#colorbar').innerText.includes('second minus first')"
-    )
+    one.waits_for("document.querySelector('#colorbar').innerText.includes('second minus first')")
     clip = "document.querySelectorAll('figure')[1].style.clipPath"
     for expected in ("0%", "100%"):
         one.page.keyboard.press("x")
@@ -517,7 +459,7 @@ def test_a_scene_is_sampled_where_it_is_clicked(person):
     one = person("cornell-box", size=(32, 32)).open()
     one.click(20, 10)
     one.page.wait_for_selector("#live:not([hidden])")
-    one.page.wait_for_function(
+    one.waits_for(
         "parseInt(document.querySelector('#live span').innerText.replace(/\\s/g, '')) > 2048"
     )
     one.page.get_by_role("button", name="Pause").click()
@@ -525,18 +467,8 @@ def test_a_scene_is_sampled_where_it_is_clicked(person):
     maps = one.page.locator("select[data-option=map]")
     assert maps.locator("option").count() == 1 + len(IMAGES)  # what the image gives
     maps.select_option("relative_error")
-    one.page.wait_for_function(
-        "document.querySelector('#colorbar').innerText.includes('log10, luminance')"
-    )
+    one.waits_for("document.querySelector('#colorbar').innerText.includes('log10, luminance')")
     assert "sampled where you click" in one.text("#described")
-
-
-def test_a_dark_scene_says_so_and_the_page_lives(person):
-    dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
-    one = person(chd.load_scene(dark), size=(32, 32)).open()
-    assert "emitter" in one.alert()
-    one.click(3, 3)
-    assert "100 % null" in one.text("#note-log")
 
 
 def test_a_store_deleted_under_the_server_is_a_message(person, own_store):
@@ -558,10 +490,10 @@ def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
     one = person(path).open("?p=20,10")
     assert "64 of 128 (not finished) spp" in one.text("#described")
     chd.render("cornell-box", spp=128, **job)
-    one.page.wait_for_function(
+    one.waits_for(
         "document.querySelector('#described').innerText.includes('128 spp')", timeout=15000
     )
-    one.page.wait_for_function(
+    one.waits_for(
         "document.querySelector('#headline').innerText.includes('128 samples')", timeout=15000
     )
 
@@ -577,7 +509,7 @@ def test_a_server_that_stops_is_told(person, store_path, explored):
 
 def test_nothing_overlaps_or_sticks_out(person, store_path):
     one = person(store_path).open("?p=20,10&p=5,6&p=8,9&map=pattern")
-    one.page.wait_for_function("document.querySelector('#working').innerText === ''")
+    one.waits_for("document.querySelector('#working').innerText === ''")
     for width in (1280, 1920, 2560):
         one.page.set_viewport_size({"width": width, "height": 900})
         assert one.page.evaluate("document.documentElement.scrollWidth") <= width

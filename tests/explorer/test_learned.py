@@ -74,11 +74,6 @@ def test_one_for_another_number_of_samples_is_left_out(samples):
     assert np.isnan(found.certainty)
 
 
-def test_one_channel_is_not_for_a_model_of_three(samples, model):
-    grey = chd.Samples.from_array(samples.read()[:, :, :1])
-    assert scored(model, grey) is None
-
-
 def test_a_file_that_is_no_model_is_refused(samples, tmp_path):
     path = tmp_path / "none.safetensors"
     with pytest.raises(StoreError, match="no model at"):

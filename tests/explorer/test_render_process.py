@@ -90,17 +90,6 @@ def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
     assert abs(seen.mean() - better.mean()) < error
 
 
-def test_the_bands_of_a_preview_are_the_rows_of_the_image(job):
-    """An image of six rows in eight bands: two of them are empty."""
-    with activate(job.verdict):
-        renderer = Renderer(replace(job, size=(24, 6)))
-        bands = [renderer.preview(24, 1, band=(i, 8)) for i in range(8)]
-        whole, drawn = renderer.preview(24, 64), np.concatenate(bands)
-    assert sorted(len(band) for band in bands) == [0, 0, 1, 1, 1, 1, 1, 1]
-    assert drawn.shape == whole.shape == (6, 24, 3)
-    assert np.isfinite(drawn).all()
-
-
 def test_the_child_loads_the_renderer_and_little_else():
     code = "import sys, chdstat.explorer.render_process; print(*sys.modules)"
     loaded = subprocess.run(

@@ -17,7 +17,7 @@ from chdstat._core.arrays import luminance
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
-from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
+from chdstat.explorer.maps import MAPS, of_overall, walk
 from chdstat.explorer.page import rgba
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.sources import (
@@ -93,16 +93,6 @@ def test_a_pooled_region_is_never_too_much(size, spp):
     assert pixels * each <= 2**15
 
 
-def test_a_store_that_is_gone_is_an_error_not_bad_samples(own_store):
-    source = StoreSource(chd.open(own_store))
-    before = source.pixel(3, 3)
-    assert np.isfinite(before).all()
-    shutil.rmtree(own_store)
-    for y in (3, 20):  # remembered, and not
-        with pytest.raises(StoreError, match="is gone"):
-            source.pixel(y, 3)
-
-
 def test_a_store_that_grows_is_seen_to_grow(own_store):
     shutil.rmtree(own_store)
     chd.render("cornell-box", spp=64, size=(16, 16), out=own_store, backend="scalar")
@@ -140,12 +130,6 @@ def test_the_streamed_image_is_the_summary(flames):
     assert np.isnan(found.mean[0, 0]).all()
 
 
-def test_the_first_image_is_that_of_the_first_samples(flames):
-    first = chd.Samples.from_array(flames.read(ss=slice(0, 64)))
-    found, expected = stream(StoreSource(flames), spp=64), stream(StoreSource(first), ignore)
-    np.testing.assert_array_equal(found.mean, expected.mean)
-
-
 @pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"] + ["error:huber"])
 def test_every_map_covers_the_image(flames, name):
     source = StoreSource(flames)
@@ -156,13 +140,6 @@ def test_every_map_covers_the_image(flames, name):
     assert low < high
     if found.names:
         assert set(np.unique(found.values[np.isfinite(found.values)])) <= set(found.names)
-
-
-def test_pixels_without_noise_do_not_stretch_the_colours():
-    values = np.full((10, 10), -1.0, np.float32)
-    values[:2] = -17
-    values[2:4] = 1
-    assert replace(MAPS["variance"], values=values).limits == (-7, 1)
 
 
 def test_maps_say_what_the_library_says(flames):
@@ -176,12 +153,6 @@ def test_maps_say_what_the_library_says(flames):
     np.testing.assert_array_equal(finite == 2, tail.variance_trusted)
     np.testing.assert_array_equal(finite == 1, tail.variance_unidentified)
     np.testing.assert_array_equal(np.isnan(finite), tail.reason != 0)
-
-
-def test_an_unknown_map_is_refused():
-    for name in ("wave", "error:nobody", "error:decoro2010"):
-        with pytest.raises(InputError, match="no map is called"):
-            map_kind(name)
 
 
 def test_a_walk_can_be_stopped(flames):
@@ -220,14 +191,6 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
     assert len(calls) == 6
 
 
-def test_a_broken_cache_is_computed_anew(own_store):
-    samples = chd.open(own_store)
-    shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.zeros(2)})
-    for file in (work.user_cache() / "explorer").iterdir():
-        file.write_bytes(b"PK no archive")
-    assert shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
-
-
 @pytest.mark.parametrize("tone", ["srgb", "reinhard", "filmic"])
 def test_tones_rise_with_radiance_and_show_what_is_not_finite(tone):
     ramp = np.geomspace(1e-6, 1e30, 200, dtype=np.float32)
@@ -237,17 +200,6 @@ def test_tones_rise_with_radiance_and_show_what_is_not_finite(tone):
     assert red[-1] == 255
     broken = rgba(np.array([[[np.nan, 1, 1], [np.inf, 0, 0]]], np.float32), 0.0, tone)
     assert [hex(v) for v in broken[0]] == ["0xffff00ff"] * 2  # magenta
-
-
-def test_exposure_brings_an_image_near_white():
-    def exposure(value):
-        return replace(empty, mean=np.full((4, 4, 3), value, np.float32)).exposure
-
-    empty = Overall.empty(4, 4, 3)
-    image = np.full((4, 4, 3), 1e-3, np.float32)
-    assert (rgba(image, exposure(1e-3), "srgb")[0, 0] & 0xFF) > 200
-    assert exposure(0) == 0
-    assert empty.exposure == 0
 
 
 # --- scenes -------------------------------------------------------------------------------------
@@ -286,10 +238,6 @@ def test_the_image_of_a_scene_gets_better(scene):
     assert np.isfinite(scene.overall().mean).all()
 
 
-def test_a_region_of_a_scene_is_sampled(scene):
-    assert scene.region((2, 2, 4, 5)).shape == (3, 6 * 64)
-
-
 def test_a_scene_without_emitters_says_so():
     dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
     source = SceneSource(RenderProcess(Job.of(dark, RenderOptions(size=(8, 8), backend="scalar"))))
@@ -322,3 +270,20 @@ def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
     own = light[0], light[1, :16]
     expected = [y.std(ddof=1) / y.mean() / np.sqrt(len(y)) for y in own]
     assert whole.relative_error[0] == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_store_that_is_gone_is_an_error_not_bad_samples(own_store):
+    source = StoreSource(chd.open(own_store))
+    before = source.pixel(3, 3)
+    assert np.isfinite(before).all()
+    shutil.rmtree(own_store)
+    for y in (3, 20):  # remembered, and not
+        with pytest.raises(StoreError, match="is gone"):
+            source.pixel(y, 3)
+
+
+def test_pixels_without_noise_do_not_stretch_the_colours():
+    values = np.full((10, 10), -1.0, np.float32)
+    values[:2] = -17
+    values[2:4] = 1
+    assert replace(MAPS["variance"], values=values).limits == (-7, 1)

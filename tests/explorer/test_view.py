@@ -47,11 +47,6 @@ def test_an_address_gives_the_view_back(view):
     assert parse_view(parse_qs(view.query()), HEIGHT, WIDTH) == (view, [])
 
 
-def test_a_region_survives_its_address():
-    view = View().box((2, 3, 9, 30))
-    assert parse_view(parse_qs(view.query()), HEIGHT, WIDTH) == (view, [])
-
-
 @pytest.mark.parametrize(
     ("query", "said"),
     [
@@ -82,27 +77,17 @@ def test_what_an_address_cannot_ask_for_is_said_and_left_out(query, said):
     assert said in notes[0]
 
 
-def test_seven_pixels_are_too_many():
+def test_selections_replace_add_and_drop():
+    view = View().pick(1, 1).pick(2, 2, add=True).pick(1, 1, add=True)
+    assert (view.pixels, view.active) == (((2, 2),), 0)
+    view = View().box((0, 0, 4, 4)).pick(3, 3)
+    assert (view.pixels, view.region) == (((3, 3),), None)
+    assert View().box((4, 5, 5, 6)).pixels == ((4, 5),)
     view = View()
     for i in range(MOST_PIXELS):
         view = view.pick(0, i, add=True)
     with pytest.raises(InputError, match="at most 6"):
         view.pick(1, 1, add=True)
-
-
-def test_adding_a_selected_pixel_drops_it():
-    view = View().pick(1, 1).pick(2, 2, add=True).pick(1, 1, add=True)
-    assert view.pixels == ((2, 2),)
-    assert view.active == 0
-
-
-def test_a_pick_takes_the_place_of_everything():
-    view = View().box((0, 0, 4, 4)).pick(3, 3)
-    assert (view.pixels, view.region) == (((3, 3),), None)
-
-
-def test_a_box_of_one_pixel_is_a_pixel():
-    assert View().box((4, 5, 5, 6)).pixels == ((4, 5),)
 
 
 def test_moves_stay_inside_and_apart():
@@ -130,8 +115,3 @@ def test_a_drawn_box_has_whole_pixels_of_the_image_or_is_refused(corners):
     assert 0 <= top < bottom <= HEIGHT
     assert 0 <= left < right <= WIDTH
     assert box_between(other, one, HEIGHT, WIDTH) == (top, left, bottom, right)
-
-
-def test_a_box_beside_the_image_is_refused():
-    with pytest.raises(InputError, match="outside the image"):
-        box_between((-3, 0), (-1, 5), HEIGHT, WIDTH)

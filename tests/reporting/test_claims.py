@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from chdstat.comparison import Interval
-from chdstat.reporting.result_tables import (
-    claim_content,
-    claim_figures,
-    finding_content,
-    plot_findings,
-    with_others,
-)
+from chdstat.reporting.content import claim_content, finding_content, with_others
+from chdstat.reporting.figures import claim_figures, plot_findings
 from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, PlotData
 
 CLAIM = FINDINGS[14]

@@ -41,25 +41,6 @@ def test_tonemap_is_srgb():
     np.testing.assert_allclose(doubled, 0.735357, atol=1e-6)
 
 
-def test_pixels_that_are_no_radiance_are_seen(image):
-    image[3, 4, 1] = np.nan
-    np.testing.assert_array_equal(viz.tonemap(image)[3, 4], [1, 0, 1])
-    assert np.isfinite(viz.tonemap(image)).all()
-
-
-@pytest.mark.parametrize("shape", [(4, 4), (4, 4, 2), (4,)])
-def test_an_image_of_another_shape_is_refused(shape):
-    with pytest.raises(InputError, match=r"shape \(y, x, 1\) or \(y, x, 3\), got"):
-        viz.tonemap(np.zeros(shape))
-
-
-def test_marks_are_numbered_and_magnified(image):
-    marks = [viz.Mark(f"m{i}", slice(2, 5), slice(3 * i, 3 * i + 3), (3, 3 * i)) for i in range(8)]
-    figure = viz.with_marks(image, marks)
-    assert len(figure.axes) == 9
-    assert {f"{i + 1} m{i}" for i in range(8)} <= texts(figure)
-
-
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_chd_axes_draws_what_histogram_returns(scale):
     x = np.random.default_rng(1).gamma(1.0, size=(3, 64))
@@ -144,12 +125,6 @@ def test_renderings_stand_side_by_side_on_one_axis_of_radiance():
         viz.chd_grid({})
 
 
-def test_a_pixel_without_samples_says_so():
-    linear, log = (histogram(np.zeros((3, 8)), scale=scale) for scale in ("linear", "log"))
-    figure = viz.chd_grid([viz.Panel("dark", linear, log)])
-    assert "no positive samples" in texts(figure)
-
-
 def test_maps_have_scales_and_legends(image):
     codes = np.zeros((20, 30), int)
     codes[:, :6] = 2
@@ -213,34 +188,12 @@ def test_curves_of_several_panels_share_looks_and_one_legend():
     assert dark.get_ylim()[1] < bright.get_ylim()[0]
 
 
-@pytest.mark.parametrize("measured", [(0.5, 0.9), (0.02, 0.3), (np.nan, np.nan)])
-def test_images_and_coverage_stand_beside_maps(image, measured):
-    figure = viz.map_grid(2, columns=2)
-    shown, shares = figure.axes
-    viz.image_map(image, title="seen", exposure=0, ax=shown)
-    viz.coverage([0.5, 0.9], {"ours": measured}, title="contain", ax=shares)
-    assert {"seen", "contain", "ours", "stated", "measured"} <= texts(figure)
-    np.testing.assert_allclose(shown.images[0].get_array(), viz.tonemap(image, exposure=0))
-    assert shares.lines[1].get_ydata() == pytest.approx(measured, nan_ok=True)
-    assert shares.get_xlim()[0] == shares.get_ylim()[0] < 0.5
-
-
-@pytest.mark.parametrize("value", [np.nan, 3.0])
-def test_a_map_without_spread_is_drawn(value):
-    viz.value_map(np.full((4, 4), value)).figure.canvas.draw()
-
-
 def test_images_share_an_exposure_and_show_errors(image):
     error = np.abs(image - 0.5).mean(axis=-1)
     figure = viz.side_by_side({"a": image, "reference": image * 2}, errors={"a": error})
     assert {"a", "reference", "log10 squared error"} <= texts(figure)
     with pytest.raises(InputError, match="at least one image"):
         viz.side_by_side({})
-
-
-def test_curves_draw_what_they_are_given():
-    figure = viz.averages([1, 2], {"R": [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05)
-    assert {"R", "measured", r"CLT: $1/\sqrt{N}$"} <= texts(figure)
 
 
 def test_the_legend_of_a_training_is_beside_its_curves():
@@ -289,12 +242,6 @@ def test_fits_are_drawn_over_both_histograms():
         viz.fits(linear, histogram(np.ones((2, 4))), {})
 
 
-def test_fits_of_no_samples_are_drawn():
-    nothing = [histogram(np.zeros(9), scale=scale) for scale in ("linear", "log")]
-    nan = lambda x: np.full(x.shape, np.nan)  # noqa: E731
-    viz.fits(*nothing, {"gamma": nan}).canvas.draw()
-
-
 def test_the_map_of_n_needed_tells_more_than_tested_from_no_answer():
     needed = np.array([[1, 1, 4, -1], [0, 1, 1, 1]])
     found = texts(viz.n_needed(needed, [1, 2, 4]).figure)
@@ -329,5 +276,19 @@ def test_an_atlas_is_a_map_and_a_panel_for_each_shape(two_shapes, clusters):
         assert str(k + 1) in shown
 
 
-def test_an_atlas_of_nothing_is_drawn():
+@pytest.mark.parametrize("shape", [(4, 4), (4, 4, 2), (4,)])
+def test_an_image_of_another_shape_is_refused(shape):
+    with pytest.raises(InputError, match=r"shape \(y, x, 1\) or \(y, x, 3\), got"):
+        viz.tonemap(np.zeros(shape))
+
+
+def test_nothing_is_drawn_where_there_is_nothing():
+    dark = [histogram(np.zeros((3, 8)), scale=scale) for scale in ("linear", "log")]
+    assert "no positive samples" in texts(viz.chd_grid([viz.Panel("dark", *dark)]))
+    nothing = [histogram(np.zeros(9), scale=scale) for scale in ("linear", "log")]
+    viz.fits(*nothing, {"gamma": lambda x: np.full(x.shape, np.nan)}).canvas.draw()
     viz.atlas(atlas(Samples.from_array(np.zeros((4, 4, 1, 8))))).canvas.draw()
+    for value in (np.nan, 3.0):
+        viz.value_map(np.full((4, 4), value)).figure.canvas.draw()
+    unknown = viz.coverage([0.5, 0.9], {"ours": (np.nan, np.nan)})
+    assert unknown.get_xlim()[0] < 0.5
