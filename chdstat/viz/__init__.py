@@ -8,17 +8,18 @@ shows. One style holds for all (`style`); colours are distinct for colour-blind 
 
 from __future__ import annotations
 
-from chdstat.viz.chd import Panel, chd_grid, chd_pair
+from chdstat.viz.chd import Panel, batch_histograms, chd_axes, chd_grid, chd_pair, fits
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
-from chdstat.viz.curves import averages, curves, error_curves
 from chdstat.viz.estimators import (
+    averages,
     coverage,
+    curves,
+    error_curves,
     estimator_measures,
     pattern_breakdown,
     pixel_estimates,
     training,
 )
-from chdstat.viz.histograms import batch_histograms, chd_axes, fits
 from chdstat.viz.image import (
     Mark,
     firefly_pair,

@@ -20,9 +20,17 @@ from matplotlib.patches import Rectangle
 
 from chdstat.errors import InputError
 from chdstat.studies.outcomes import ClaimTest, PlotData
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.estimators import called
 from chdstat.viz.maps import value_map
-from chdstat.viz.styling import PALETTE, WIDTH, axes_in, grid, page, qualitative, style, verbatim
+from chdstat.viz.styling import (
+    PALETTE,
+    WIDTH,
+    axes_in,
+    panels_in,
+    qualitative,
+    style,
+    verbatim,
+)
 
 __all__ = ["VERDICTS", "claim_intervals", "finding_plots", "verdict_matrix"]
 
@@ -135,10 +143,9 @@ def claim_intervals(
     known = {scene: {(t.name, t.least, t.most): t for t in found} for scene, found in tests.items()}
     kinds = list(dict.fromkeys(kind for row in known.values() for kind in row))
     columns = min(2, len(kinds))
-    rows = -(-len(kinds) // 2)
+    height = -(-len(kinds) // 2) * (0.155 * len(tests) + 0.62)
     width = WIDTH if columns > 1 else 0.66 * WIDTH
-    figure = page(fig, rows * (0.155 * len(tests) + 0.62), width)
-    axes = grid(figure, len(kinds), max(1, columns), sharey=True)
+    figure, axes = panels_in(fig, len(kinds), max(1, columns), height, width, sharey=True)
     for i, (ax, kind) in enumerate(zip(axes, kinds, strict=True)):
         _draw_intervals(ax, [row.get(kind) for row in known.values()])
         ax.tick_params(axis="y", length=0, labelleft=i % columns == 0)
@@ -213,10 +220,9 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
     height = 1.45 if len(labels) == 1 else 1.6
     width = WIDTH if columns > 2 else WIDTH * (0.42 + 0.29 * (columns - 1))
     rows = -(-len(plots) // columns)
-    figure = page(fig, height * rows + 0.42, width)
-    axes = grid(figure, len(plots), columns)
+    figure, axes = panels_in(fig, len(plots), columns, height * rows + 0.42, width)
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
-        series = {verbatim(NAMES.get(name, name)): xy for name, xy in plot.series.items()}
+        series = {verbatim(called(name)): xy for name, xy in plot.series.items()}
         _DRAW[plot.kind](ax, replace(plot, series=series))
         ax.set_title(verbatim(title), loc="left")
         if len(labels) > 1:

@@ -1,8 +1,9 @@
-"""Estimators compared: their errors, training curves, intervals, and estimates of a few pixels.
+"""Estimators compared, and curves against the number of samples, on a logarithmic axis.
 
 `pattern_breakdown` draws a measure for each pattern, `estimator_measures` all measures side by
-side, `pixel_estimates` a few pixels one by one; `training` draws losses, `coverage` how often
-intervals contain the reference.
+side, `pixel_estimates` a few pixels one by one, `error_curves` how errors fall with the number of
+samples; `training` draws losses, `coverage` how often intervals contain the reference. `curves`
+draws any quantity against the number of samples, `averages` how averages become Gaussian.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from chdstat._core.arrays import Array, luminance
 from chdstat._core.resampling import Interval
-from chdstat.comparison import Breakdown, Comparison, PixelEstimates
+from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
 from chdstat.errors import InputError
 from chdstat.estimators.registry import LABELS
 from chdstat.estimators.training import History
 from chdstat.fit.families import FAMILIES
 from chdstat.viz.styling import (
+    CHANNELS,
     MISSING,
     PALETTE,
     UNIT,
     WIDTH,
     axes_in,
-    grid,
-    page,
+    panels_in,
     per_cent,
     plain_log,
     qualitative,
@@ -44,8 +45,11 @@ from chdstat.viz.styling import (
 
 __all__ = [
     "NAMES",
+    "averages",
     "called",
     "coverage",
+    "curves",
+    "error_curves",
     "estimator_measures",
     "pattern_breakdown",
     "pixel_estimates",
@@ -176,8 +180,7 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
         Where to draw; None makes a figure.
     """
     rows = np.arange(len(found.estimators))
-    figure = page(fig, 0.75 + 0.165 * len(rows))
-    axes = grid(figure, len(_TITLES), len(_TITLES), sharey=True)
+    figure, axes = panels_in(fig, len(_TITLES), len(_TITLES), 0.75 + 0.165 * len(rows), sharey=True)
     for ax, (measure, title) in zip(axes, _TITLES.items(), strict=True):
         ax.set_title(title)
         ax.set_axisbelow(True)
@@ -348,3 +351,194 @@ def coverage(
     ax.yaxis.set_major_formatter(per_cent)
     ax.legend()
     return ax
+
+
+# --- against the number of samples --------------------------------------------------------------
+
+_COLORS = [PALETTE[i] for i in (4, 5, 2, 3, 0, 1, 7)] + ["#222222"]
+_MARKERS = "osD^vP*X"
+
+
+def _by_number(ax: Axes, numbers: npt.ArrayLike) -> None:
+    """Make the x axis logarithmic, with a tick at each number of samples."""
+    ax.set_xscale("log", base=2)
+    ax.set_xticks(np.asarray(numbers), [str(n) for n in np.asarray(numbers).tolist()])
+    ax.minorticks_off()
+
+
+@style()
+def curves(
+    numbers: npt.ArrayLike,
+    panels: Mapping[str, Mapping[str, npt.ArrayLike]],
+    *,
+    ylabel: str = "",
+    level: float | None = None,
+    columns: int = 2,
+    log: bool = False,
+    fig: Figure | None = None,
+) -> Figure:
+    """Draw shares, or other quantities, against the number of samples.
+
+    Parameters
+    ----------
+    numbers
+        Numbers of samples, shape (number,).
+    panels
+        By title, what a panel shows: by name, a curve of shape (number,). A curve has the same
+        colour and mark in all panels.
+    ylabel
+        What is drawn.
+    level
+        Drawn as a dotted line.
+    columns
+        Panels side by side.
+    log
+        Give each panel a logarithmic axis of its own, as errors need; otherwise all share one from
+        0 to 1.
+    fig
+        Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If there is no panel.
+
+    Examples
+    --------
+    >>> figure = curves([8, 16], {"gamma": {"one test": [0.2, 0.4], "another": [0.3, 0.5]}})
+    >>> len(figure.axes)
+    1
+    """
+    names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
+    labels = [verbatim(called(name)) for name in names]
+    looks = [
+        {"color": _COLORS[i % len(_COLORS)], "marker": _MARKERS[i % len(_MARKERS)]}
+        for i in range(len(names))
+    ]
+    alone = len(panels) == 1
+    height = 2.8 if alone else 1.85 * -(-len(panels) // columns) + 0.4
+    across = 1 if alone else columns
+    figure, axes = panels_in(fig, len(panels), across, height, sharey=not log)
+    for ax, (title, panel) in zip(axes, panels.items(), strict=True):
+        for name, values in panel.items():
+            i = names.index(name)
+            look: dict[str, Any] = {**looks[i], "markersize": 3.5, "label": labels[i]}
+            ax.plot(np.asarray(numbers), np.asarray(values), **look)
+        if level is not None:
+            ax.axhline(level, color=_GREY, linewidth=0.8, linestyle=":")
+        ax.set_title(verbatim(title))
+        if log:
+            ax.set_yscale("log", nonpositive="mask")
+        else:
+            ax.set_ylim(0, 1.03)
+        _by_number(ax, numbers)
+    for ax in axes[-columns:]:
+        ax.set_xlabel("samples")
+    for ax in axes[::columns]:
+        ax.set_ylabel(ylabel)
+    lines = {str(line.get_label()): line for ax in axes for line in ax.lines}
+    handles = [lines[label] for label in labels]
+    if alone:
+        figure.legend(handles=handles, loc="outside right center")
+    else:
+        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
+@style()
+def averages(
+    sizes: npt.ArrayLike,
+    rejected: Mapping[str, npt.ArrayLike],
+    skewness: npt.ArrayLike,
+    predicted: npt.ArrayLike,
+    *,
+    alpha: float,
+    fig: Figure | None = None,
+) -> Figure:
+    """Draw how far averages of N samples are from Gaussian.
+
+    By the central limit theorem, skewness falls as 1 / sqrt(N): on a logarithmic scale this is a
+    straight line of slope -1/2, from which samples that depend on each other depart. Skewness that
+    is not positive is left out.
+
+    Parameters
+    ----------
+    sizes
+        N, shape (size,).
+    rejected
+        By name of the channel, the share of pixels for whose averages normality is rejected,
+        shape (size,).
+    skewness
+        Quartiles over the pixels of the skewness of averages, shape (3, size).
+    predicted
+        Median over the pixels of the skewness that the central limit theorem predicts, (size,).
+    alpha
+        The false-discovery rate, drawn as a dotted line.
+    fig
+        Where to draw; None makes a figure.
+    """
+    n = np.asarray(sizes)
+    low, middle, high = np.asarray(skewness, dtype=float)
+    figure, (left, right) = panels_in(fig, 2, 2, 2.3)
+    for i, (name, share) in enumerate(rejected.items()):
+        color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
+        label = verbatim(name)
+        left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=label)
+    left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
+    left.set(ylim=(0, 1.02), ylabel="normality rejected, share of pixels")
+    left.yaxis.set_major_formatter(per_cent)
+    left.legend(loc="best")
+    right.fill_between(n, low, high, color=PALETTE[1], alpha=0.35, linewidth=0)
+    right.plot(n, middle, marker="o", markersize=3.5, color=PALETTE[4], label="measured")
+    theorem = r"CLT: $1/\sqrt{N}$"
+    right.plot(n, np.asarray(predicted), color=PALETTE[5], linestyle="--", label=theorem)
+    right.set(ylabel="skewness of averages")
+    right.legend(loc="lower left")
+    right.set_yscale("log", nonpositive="mask")
+    plain_log(right.yaxis)
+    for ax in (left, right):
+        _by_number(ax, n)
+        ax.set_xlabel("samples in an average, N")
+    return figure
+
+
+@style()
+def error_curves(found: ErrorCurve, *, fig: Figure | None = None) -> Figure:
+    """Draw MSE and relMSE against the number of samples, on logarithmic scales.
+
+    Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
+    dotted line is the noise of the reference, below which no error can be seen.
+
+    Parameters
+    ----------
+    found
+        What `chdstat.comparison.error_curve` found.
+    fig
+        Where to draw; None makes a figure.
+    """
+    figure, axes = panels_in(fig, 2, 2, 2.3 + 0.17 * -(-len(found.estimators) // 4))
+    for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
+        _draw_error_curves(ax, found, measure, [called(name) for name in found.estimators])
+        ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
+        _by_number(ax, found.sizes)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _draw_error_curves(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]) -> None:
+    """Draw one measure of all estimators, the mean in black above the others."""
+    colors = iter(qualitative(len(names)))
+    for k, name in enumerate(found.estimators):
+        color = "#111111" if name == "mean" else next(colors)
+        values = found.measures[measure][:, k]
+        if not np.isfinite(values.value).any():
+            continue
+        band: dict[str, Any] = {"color": color, "alpha": 0.18, "linewidth": 0}
+        ax.fill_between(found.sizes, values.low, values.high, **band)
+        dashes = "--" if found.uses_neighbours[k] else "-"
+        look: dict[str, Any] = {"color": color, "marker": "o", "markersize": 2.5}
+        order = 2.5 if name == "mean" else 2
+        ax.plot(found.sizes, values.value, dashes, label=names[k], zorder=order, **look)
+    noise = found.reference_noise[measure]
+    ax.plot(found.sizes, noise, ":", color=_GREY, linewidth=1, label="noise of the reference")

@@ -23,10 +23,20 @@ from chdstat._core.arrays import Array
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram
-from chdstat.viz.chd import Panel
-from chdstat.viz.estimators import NAMES
-from chdstat.viz.histograms import by_channel, draw_histograms
-from chdstat.viz.styling import PALETTE, UNIT, WIDTH, bare, grid, page, qualitative, style, verbatim
+from chdstat.viz.chd import Panel, by_channel, draw_histograms
+from chdstat.viz.estimators import called
+from chdstat.viz.styling import (
+    PALETTE,
+    UNIT,
+    WIDTH,
+    bare,
+    grid,
+    page,
+    panels_in,
+    qualitative,
+    style,
+    verbatim,
+)
 
 __all__ = [
     "Mark",
@@ -271,11 +281,11 @@ def side_by_side(
     last = np.asarray(list(images.values())[-1])
     exposure = display_stops(last)
     count, rows = len(images), 2 if errors else 1
-    figure = page(fig, rows * 0.92 * WIDTH / count * last.shape[0] / last.shape[1] + 0.35)
-    axes = grid(figure, rows * count, count)
+    height = rows * 0.92 * WIDTH / count * last.shape[0] / last.shape[1] + 0.35
+    figure, axes = panels_in(fig, rows * count, count, height)
     for ax, (title, image) in zip(axes, images.items(), strict=False):
         ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
-        bare(ax, verbatim(NAMES.get(title, title)))
+        bare(ax, verbatim(called(title)))
     if errors:
         for ax in axes[count:]:
             bare(ax)
@@ -329,8 +339,7 @@ def firefly_pair(
     if len(pixels) != 2:
         message = f"expected a firefly and its neighbour, got {len(pixels)} pixels"
         raise InputError(message)
-    figure = page(fig, 1.6)
-    seen, left, right = grid(figure, 3, 3, width_ratios=[1, 1.6, 1.6])
+    figure, (seen, left, right) = panels_in(fig, 3, 3, 1.6, width_ratios=[1, 1.6, 1.6])
     _magnify(seen, tonemap(image), next(iter(pixels.values())), _MARGIN)
     for color, pixel in zip(_PAIR, pixels.values(), strict=True):
         _frame(seen, pixel, color, linewidth=1.5)

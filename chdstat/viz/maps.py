@@ -32,6 +32,7 @@ from chdstat.viz.styling import (
     bare,
     grid,
     page,
+    panels_in,
     per_cent,
     qualitative,
     sequential,
@@ -390,8 +391,7 @@ def contrast(found: Contrast, *, fig: Figure | None = None) -> Figure:
     bands = maps.sizes["channel"]
     shown = slice(1, None) if bands == 4 else slice(0, 1)
     height, width = maps["reason"].shape
-    figure = page(fig, WIDTH / 3 * (0.86 * height / width + 0.24) * 2 + 0.7)
-    axes = grid(figure, 6, 3)
+    figure, axes = panels_in(fig, 6, 3, WIDTH / 3 * (0.86 * height / width + 0.24) * 2 + 0.7)
     means = [maps[f"mean_{name}"].to_numpy()[..., shown] for name in ("a", "b")]
     exposure = display_stops(means[0])
     for ax, mean, letter, name in zip(axes, means, "AB", found.names, strict=False):

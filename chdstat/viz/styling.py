@@ -39,6 +39,7 @@ __all__ = [
     "families",
     "grid",
     "page",
+    "panels_in",
     "per_cent",
     "plain_log",
     "png_of",
@@ -85,15 +86,10 @@ _SETTINGS: dict[Any, Any] = {
     "savefig.dpi": 200,
     "svg.fonttype": "path",
     "svg.hashsalt": "chdstat",
-    "xtick.color": "#444444",
-    "xtick.labelsize": 8,
-    "xtick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.color": "#444444",
-    "ytick.labelsize": 8,
-    "ytick.major.width": 0.6,
-    "ytick.minor.width": 0.4,
 }
+for _axis in ("xtick", "ytick"):
+    _SETTINGS |= {f"{_axis}.color": "#444444", f"{_axis}.labelsize": 8}
+    _SETTINGS |= {f"{_axis}.major.width": 0.6, f"{_axis}.minor.width": 0.4}
 
 
 @contextlib.contextmanager
@@ -184,6 +180,21 @@ def grid(
     for empty in axes[number:]:
         empty.remove()
     return axes[:number]
+
+
+def panels_in(
+    fig: Figure | None,
+    number: int,
+    columns: int,
+    height: float,
+    width: float = WIDTH,
+    *,
+    sharey: bool = False,
+    width_ratios: Sequence[float] | None = None,
+) -> tuple[Figure, list[Axes]]:
+    """Return the figure to draw into and its axes; see `page` and `grid`."""
+    figure = page(fig, height, width)
+    return figure, grid(figure, number, columns, sharey=sharey, width_ratios=width_ratios)
 
 
 def per_cent(share: float, _tick: float = 0) -> str:
