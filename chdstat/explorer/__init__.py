@@ -3,16 +3,15 @@
 `explore` serves it. The modules, upstream first:
 
 - `view`: what a page shows, as a value that fits into an address;
-- `startup`: images as a browser shows them, and the notice until there is one;
 - `render_process`, `sources`: samples of a store or of a scene, and their image;
-- `estimators`, `statistics`, `tables`: what is computed of a pixel or a region, and how it is told;
-- `maps`: one number or label per pixel over the image;
-- `plots`, `panels`: the lines and areas that plots show of a selection, and their figures;
+- `estimators`, `place`, `tables`: what is computed of a pixel or a region, and its tables;
+- `maps`: the table of maps, one number or label per pixel over the image;
+- `panels`: the table of plots, what they draw of a selection, and their Bokeh figures;
 - `shared`: state that all pages have in common, with the threads;
-- `selection`: all that is shown of a selection, and its export as a file;
+- `selection`, `export`: all that is shown of a selection, and its files;
 - `page`: the Bokeh document of a page;
 - `session`: one page and its commands;
-- `server`: the server of all pages.
+- `server`: the server of all pages, and the notice until there is a page.
 """
 
 from __future__ import annotations
