@@ -28,6 +28,7 @@ __all__ = [
     "Floats",
     "Image",
     "LeftOut",
+    "Mapped",
     "Mask",
     "Reals",
     "Seed",
@@ -58,6 +59,8 @@ Reals: TypeAlias = npt.NDArray[np.floating[Any]]
 """Numbers of single or double precision, whichever the caller gave."""
 Image: TypeAlias = npt.NDArray[np.float32]
 """Radiance or features, shape (y, x, ...), in the single precision that samples are kept in."""
+Mapped: TypeAlias = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
+"""Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
 Counts: TypeAlias = npt.NDArray[np.int64]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, data
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Mapped
 from chdstat._core.display import Shown
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
@@ -29,9 +30,6 @@ __all__ = ["RADIANCE", "Mapped", "Result", "Statistic", "Variable", "result", "v
 
 RADIANCE = "W sr-1 m-2"
 """Unit of radiance."""
-
-Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
-"""Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
 
 Kind = TypeVar("Kind")
 Found = TypeVar("Found", covariant=True)

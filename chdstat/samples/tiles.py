@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
 
 import numpy as np
 
-from chdstat._core.arrays import Array, Image, LeftOut, spans
+from chdstat._core.arrays import Array, Image, LeftOut, Mapped, spans
 from chdstat._core.files import release, room
-from chdstat._core.statistic import Mapped
 from chdstat._core.work import Cache, in_order, track
 
 if TYPE_CHECKING:

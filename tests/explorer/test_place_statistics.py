@@ -127,7 +127,7 @@ def test_the_place_says_what_the_library_says():
     x = gamma()
     place = PlaceStatistics(x, RGB)
     null = np.broadcast_to((x == 0).all(axis=0), x.shape)
-    assert place.fits.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
+    assert place.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
     np.testing.assert_allclose(place.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
     np.testing.assert_allclose(place.moments.mean[:3], x.mean(axis=-1), rtol=1e-6)
     assert int(place.patterns.label) == int(chd.classify(x).label)
@@ -152,13 +152,13 @@ def test_averages_leave_bad_samples_out():
 def test_later_samples_keep_what_was_found_of_the_first():
     x = gamma(MOST_POOLED + 64)
     first, second = PlaceStatistics(x[:, :-32], RGB), PlaceStatistics(x, RGB)
-    selection = first.fits.selection
+    selection = first.selection
     second.take_over(first)
-    assert second.fits.selection is selection
+    assert second.selection is selection
     assert second.moments.count[0] == x.shape[1]
     grown = PlaceStatistics(x[:, :100], RGB)
     grown.take_over(first)
-    assert grown.fits.selection is not selection
+    assert grown.selection is not selection
 
 
 def test_quantiles_of_the_true_family_lie_on_the_diagonal():
