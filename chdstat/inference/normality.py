@@ -26,7 +26,7 @@ from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.inference import statistics
-from chdstat.inference.statistics import Rows, standardise
+from chdstat.inference.statistics import Standardised, standardise
 from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class NormalityTest:
 
     name: TestName
     minimum: int
-    statistic: Callable[[Rows], Floats]
+    statistic: Callable[[Standardised], Floats]
     p_value: Callable[[Floats, Counts], Floats]
 
 

@@ -1,6 +1,6 @@
 """Statistics of normality, and p-values of many rows, each with its own number of samples.
 
-`standardise` sorted rows once and share the `Rows` between the statistics.
+`standardise` sorted rows once; all statistics take the `Standardised` that it returns.
 
 P-values hold for estimated mean and variance. They are interpolated between simulated quantiles,
 since the published approximations are not uniform under the
@@ -32,7 +32,7 @@ __all__ = [
     "LEVELS",
     "QUANTILES",
     "SCALES",
-    "Rows",
+    "Standardised",
     "anderson_darling",
     "dagostino",
     "interpolated_p",
@@ -53,7 +53,7 @@ SCALES: Mapping[str, Callable[[Floats, Floats], Floats]] = {
 
 
 @dataclass(frozen=True)
-class Rows:
+class Standardised:
     """Samples in ascending order, shape (row, sample), of which the first `n` of each row count.
 
     ``z`` are the standardised samples (divisor n - 1), 0 behind the last; skewness and kurtosis are
@@ -68,7 +68,7 @@ class Rows:
     kurtosis: Floats
 
 
-def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Rows:
+def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Standardised:
     """Standardise ascending rows in place; what stands behind the samples must be finite."""
     if left_out is not None:
         np.copyto(y, 0, where=left_out)
@@ -79,7 +79,7 @@ def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Rows:
     y *= (1 / np.sqrt(np.vecdot(y, y) / (n - 1)))[:, np.newaxis]
     square = y * y
     variance = (n - 1) / n
-    return Rows(
+    return Standardised(
         z=y,
         n=n,
         left_out=left_out,
@@ -88,7 +88,7 @@ def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Rows:
     )
 
 
-def anderson_darling(rows: Rows) -> Floats:
+def anderson_darling(rows: Standardised) -> Floats:
     """Return A^2 (Anderson and Darling 1954, doi:10.1080/01621459.1954.10501232)."""
     n = rows.n[:, np.newaxis].astype(np.float64)
     # Of Phi(z) and 1 - Phi(z), the smaller carries the digits.
@@ -106,14 +106,14 @@ def anderson_darling(rows: Rows) -> Floats:
     return np.asarray(-rows.n - near.sum(axis=-1) / rows.n)
 
 
-def dagostino(rows: Rows) -> Floats:
+def dagostino(rows: Standardised) -> Floats:
     """Return K^2, the sum of two squared normal scores (D'Agostino and Pearson 1973)."""
     n = rows.n.astype(np.float64)
     scores = _skewness_score(rows.skewness, n), _kurtosis_score(rows.kurtosis + 3, n)
     return np.asarray(scores[0] ** 2 + scores[1] ** 2)
 
 
-def shapiro_wilk(rows: Rows) -> Floats:
+def shapiro_wilk(rows: Standardised) -> Floats:
     """Return W with the weights of Royston 1995, of rows in ascending order of `n`."""
     starts = np.flatnonzero(np.diff(rows.n, prepend=-1))
     statistic = np.empty(len(rows.n))
