@@ -106,6 +106,13 @@ class Family:
     error_formula: str = ""
     typical: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    def __eq__(self, other: object) -> bool:
+        """Compare by name: a family that was sent to a worker of a cluster is still the same."""
+        return isinstance(other, Family) and self.name == other.name
+
+    def __hash__(self) -> int:
+        return hash(self.name)
+
     @property
     def minimum(self) -> int:
         """Positive samples that a fit needs: as many as there are parameters."""
