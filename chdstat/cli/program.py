@@ -67,7 +67,7 @@ app = typer.Typer(
 
 
 def option(about: str, *names: str, unset: str | None = None, **more: Any) -> Any:
-    """Return an option of a command; `unset` says what holds where it is not given."""
+    """Return an option of a command; `unset` is its default, as the help shows it."""
     return typer.Option(*names, help=about, show_default=unset or True, **more)
 
 
@@ -116,7 +116,7 @@ OUTPUT = ("quiet", "as_json")
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
-    """Options that several commands take, and what was given of them; None where nothing was.
+    """Options that several commands share, with the values of this call; None if not given.
 
     Each command names those that it takes; these are the fields of `RenderOptions`, and others.
     """
@@ -326,25 +326,28 @@ class CommonOptions:
             yield client
 
 
+_SHARED = signature(CommonOptions, eval_str=True).parameters
+"""The shared options by name, with their annotations: evaluated once, not for each command."""
+
+
 def command(
     example: str, *shared: str, name: str | None = None, **unset: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Enter a function as a command of the application.
 
-    The command takes the parameters of the function, and in the place of `asked` the options that
-    are named. `unset` says by name what holds where one of these is not given.
+    The command takes the parameters of the function but `asked`, and the `shared` options, which
+    the function gets as `asked`. `unset` names what the help says of options that are not given.
     """
 
     def enter(function: Callable[..., None]) -> Callable[..., None]:
         own = signature(function, eval_str=True).parameters
-        known = signature(CommonOptions, eval_str=True).parameters
-        options = [known[key] for key in shared]
+        options = [_SHARED[key] for key in shared]
         for i, key in enumerate(shared):
             if key in unset:
-                kind, how = get_args(known[key].annotation)
+                kind, how = get_args(_SHARED[key].annotation)
                 how = copy(how)
                 how.show_default = unset[key]
-                options[i] = known[key].replace(annotation=Annotated[kind, how])
+                options[i] = _SHARED[key].replace(annotation=Annotated[kind, how])
 
         @functools.wraps(function)
         def run(**given: Any) -> None:
