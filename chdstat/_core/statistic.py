@@ -4,7 +4,7 @@ A statistic is declared once, in one file, as two frozen dataclasses. Its result
 `result`, has a field for each value; `variable` gives a field its label, unit and dims in the
 dataset of an image, and says which p-values are corrected for the number of pixels. The statistic
 itself, a `Statistic`, has its options as fields and computes a result in `Statistic.measure`.
-`chdstat.summary.runner.run` applies it to whatever a user has: an array, a pixel, a histogram, or
+`chdstat.summary.runner.run` applies it to any input: an array, a pixel, a histogram, or
 an image, tile by tile.
 """
 
@@ -129,7 +129,7 @@ class Statistic(Generic[Found]):
         raise NotImplementedError
 
     def coordinates(self) -> Mapping[str, Sequence[Any] | npt.NDArray[Any] | None]:
-        """Return the coordinates of further dims; None for a dim that this statistic has not."""
+        """Return the coordinates of further dims; None for a dim that is absent."""
         return {}
 
     def attrs(self) -> Mapping[str, Any]:

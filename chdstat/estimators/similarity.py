@@ -35,7 +35,6 @@ __all__ = [
     "root",
     "significance",
     "window_sum",
-    "without_largest",
 ]
 
 _BINS = 20
@@ -154,13 +153,6 @@ def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] 
             return mean + shift, second / (n * np.where(n > 1, n - 1, np.nan))
 
     return image.walk(work)
-
-
-def without_largest(rows: Floats) -> Floats:
-    """Set the largest sample of every row to 0."""
-    kept = rows.copy()
-    np.put_along_axis(kept, rows.argmax(axis=-1)[..., np.newaxis], 0, axis=-1)
-    return kept
 
 
 def histograms(image: ScaledSamples, unit: float) -> Floats:

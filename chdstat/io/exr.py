@@ -51,7 +51,7 @@ _CIE = ("x", "y", "z")
 _ORDERS = (*_COLOURS, _CIE, ("u", "v"), ("y",), ("z",))
 """Channels of a layer in their order, in capitals or not; files have them in the alphabet's."""
 _SPACES = ("colorinteropid", "colorspace")
-"""Names of attributes, in whatever namespace, that name a colour space."""
+"""Names of attributes, in any namespace, that name a colour space."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,7 +178,7 @@ class Planes:
     unread
         Why other channels cannot be read, by name.
     notes
-        What a user is to be told of the file, by kinds of which one is told once.
+        Warnings about the file by kind; of each kind, one is shown.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""Lazy sources: samples in files, read part by part, and how damage is told.
+"""Lazy sources: samples in files, read part by part, and how damage is reported.
 
 `ArraySource` reads an array that slices index; an array is never read whole. `Frames` reads files
 of one image each, decoded a batch at a time: what is decoded is kept in temporary files, so that
@@ -61,7 +61,7 @@ Frame = tuple[Image, Mapping[str, Image]]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a caller says of files.
+    """Options of a caller for reading files.
 
     Attributes
     ----------

@@ -456,7 +456,7 @@ def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Sto
 
 
 def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
-    """Return options with what a store that goes on settles, where nothing else is asked for."""
+    """Take options that were not given from the store that is continued."""
     if "scene_hash" not in store.attrs:
         message = (
             f"{store.path} holds samples that were saved or imported, to which no render can be "
@@ -511,7 +511,7 @@ def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
 
 
 _CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": "plugins"}
-"""Attributes of which the names that differ are told, and what they are the names of."""
+"""Attributes that hold names: a message lists the names that differ, and calls them this."""
 
 
 def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:

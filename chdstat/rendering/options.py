@@ -297,7 +297,7 @@ def _view_of(scene: SceneLike) -> tuple[tuple[int, int], str]:
 _UNLIMITED = 2**32 - 1
 """What Mitsuba's integrators print of a max_depth of -1."""
 _LONGEST = 16
-"""Numbers of an array that are told; of longer ones, a digest is."""
+"""Numbers of an array that are written out; a longer array is written as a digest."""
 
 
 @dataclass(frozen=True, eq=False)

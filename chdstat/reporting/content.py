@@ -124,7 +124,7 @@ def scene_content(found: Results) -> dict[str, Any]:
 
 
 def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
-    """Return what a report says of an analysis: sentences, findings, families and patterns.
+    """Return the text of a report on an analysis: sentences, findings, families and patterns.
 
     `dataset` is what `chdstat.analyze` returned for the samples.
     """

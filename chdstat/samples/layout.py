@@ -265,7 +265,7 @@ def array(store: Any, name: str, metadata: Any) -> Any:
 
 
 def identity(attrs: Mapping[str, Any], shape: Sequence[int]) -> str:
-    """Return the hash by which samples are known, whatever their number."""
+    """Return the hash that identifies samples of any number."""
     told = {k: v for k, v in attrs.items() if k not in _GROWING}
     return hashlib.blake2b(canonical([told, list(shape[:3])]), digest_size=8).hexdigest()
 
@@ -360,7 +360,7 @@ def incomplete(path: Path, why: str) -> StoreError:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what the system says of a disk into what a user can do."""
+    """Turn the system's error about a disk into advice for the user."""
     try:
         yield
     except OSError as error:

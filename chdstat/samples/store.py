@@ -713,7 +713,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
 
 
 def _described(samples: Samples) -> dict[str, Any]:
-    """Return what a store says of samples: where they come from, and which they are."""
+    """Return the attributes that a store keeps of samples: their origin and their identity."""
     check_sequences(samples)
     attrs = {k: v for k, v in samples.attrs.items() if k not in _OF_A_STORE}
     height, width, _, spp = samples.shape

@@ -1,4 +1,4 @@
-"""Runner: apply a statistic to whatever a user has, be it an array, a histogram or an image."""
+"""Runner: apply a statistic to an array, a histogram or an image."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Own = TypeVar("Own", covariant=True)
 _USERS = tuple(
     f"chdstat.{part}" for part in ("summary.runner", "fit", "inference", "patterns.classification")
 )
-"""What takes samples of a user."""
+"""Modules whose functions users call with samples; warnings point at the caller of these."""
 
 
 class OfSource(Protocol[Options, Own]):

@@ -33,7 +33,7 @@ _USUAL = 0.999
 _ABSURD = 1e5
 """Multiple of their mean from which a pixel is absurd."""
 _NEAR = 5
-"""Edge in pixels of what is around an absurd pixel."""
+"""Edge in pixels of the window around an absurd pixel."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Measured:
         ]
         errors = [np.empty(one.total.shape) for _ in range(3)]
         count, null = np.empty(one.total.shape), np.empty((height, width))
-        # Bands of rows keep what is computed of the sums small beside them.
+        # In bands of rows, temporary arrays stay small beside the sums.
         for rows in spans(height, max(1, _BAND // (width * channels))):
             around = slice(max(0, rows.start - RADIUS), rows.stop + RADIUS)
             inside = slice(rows.start - around.start, rows.stop - around.start)

@@ -1,13 +1,11 @@
 """Combination: the mean, an outlier-free mean and denoised images of both, weighted per pixel.
 
 No single estimate is the best everywhere: a denoiser loses what is small and bright, the mean is
-noisy, and which of them is nearer to the truth differs from pixel to pixel. `combine` weights
-the candidates by their error on held-out samples: they are made of one half of the samples and
-compared with the mean of the other half, whose noise is independent and unbiased (van
-der Laan, Polley and Hubbard 2007, "Super learner", doi:10.2202/1544-6115.1309). A small network
-turns these comparisons into weights and into the width of an interval. It was trained once, on
-built-in scenes against converged images (``tools/train_combination.py``), and sees ratios only:
-nothing of a scene but how its candidates compare.
+noisy, and which of them is nearer to the truth differs from pixel to pixel. `combine` weights the
+candidates by their error on held-out samples: they are made of one half of the samples and compared
+with the mean of the other half, whose noise is independent and unbiased (van der Laan, Polley and
+Hubbard 2007, "Super learner", doi:10.2202/1544-6115.1309). The network of `weights` turns these
+comparisons into weights and into the width of an interval.
 
 Weights per pixel for candidates follow Back et al. 2020, "Deep combiner for independent and
 correlated pixel estimates", doi:10.1145/3414685.3417847, and Firmino et al. 2022, "Progressive
@@ -46,7 +44,6 @@ __all__ = [
     "Combination",
     "combination",
     "combine",
-    "combine_measured",
 ]
 
 
@@ -103,8 +100,7 @@ class Combination(Estimates):
         """Mix a denoised image of these estimates with them, by the weights of denoised candidates.
 
         Candidates that are not denoised keep their weight: where denoising did not pay, it does
-        not pay afterwards. And no denoiser moves a pixel out of the
-        interval of its mean.
+        not pay afterwards. And no denoiser moves a pixel out of the interval of its mean.
         """
         unseen = [image for name, image in self.weights.items() if "denoised" not in name]
         kept = np.clip(np.sum(unseen, axis=0), 0, 1)[..., np.newaxis]
@@ -174,7 +170,7 @@ def combine(
     known = (image.features if features is None else features) or {}
     with checkpoints(checkpoint, functools.partial(checkpoint_key, image)) as kept:
         measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
-    return combine_measured(measured, known, level=level, client=client)
+    return _combine_measured(measured, known, level=level, client=client)
 
 
 class CombinationStream:
@@ -231,35 +227,17 @@ class CombinationStream:
         if self.spp < LEAST:
             message = f"expected at least {LEAST} samples of a pixel, got {self.spp}"
             raise InputError(message)
-        return combine_measured(Measured.of_halves(*self._halves), features or {}, level=level)
+        return _combine_measured(Measured.of_halves(*self._halves), features or {}, level=level)
 
 
-def combine_measured(
+def _combine_measured(
     measured: Measured,
     features: Mapping[str, npt.NDArray[Any]],
     *,
     level: float = 0.9,
     client: Client | None = None,
 ) -> Combination:
-    """Combine candidates from what was measured of the samples, none of which is needed any more.
-
-    Parameters
-    ----------
-    measured
-        Statistics of the samples and of their halves.
-    features, level, client
-        As for `combine`.
-
-    Returns
-    -------
-    Combination
-        As of `combine`.
-
-    Raises
-    ------
-    InputError
-        If the level is no probability.
-    """
+    """Combine candidates, as `combine` does, from statistics of the samples and of their halves."""
     check_probability(level=level)
     made = [candidates(start, features, client) for start in measured.starts]
     names, unit = list(made[0]), unit_of(made[0])
@@ -284,11 +262,11 @@ def combine_measured(
     ]
     del made
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
-    image_of = proposed[0].image
-    radiance = image_of + of_mean * (mean - image_of)
+    proposal = proposed[0].image
+    radiance = proposal + of_mean * (mean - proposal)
     balanced = _balanced(radiance, mean, error, 1 - of_mean)
     # Where no light was found, the mean has no interval.
-    ends[1] = np.where((mean == 0) & (error == 0), np.maximum(image_of + half, 0), ends[1])
+    ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
     below, above = (
         np.hypot((1 - of_mean) * half, np.sqrt(of_mean) * reach)
