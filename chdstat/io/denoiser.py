@@ -20,6 +20,9 @@ from chdstat.errors import ChdstatError, InputError, brief
 
 __all__ = ["denoise", "library", "works"]
 
+_MEMORY = 400
+"""Megabytes that the network may take; a large image is denoised in tiles, with the same result."""
+
 
 def denoise(
     estimate: npt.ArrayLike,
@@ -84,17 +87,12 @@ def denoise(
     image = _image(estimate, hdr=hdr)
     features = _features(image.shape, albedo, normal)
     keep = _certainty(image.shape, certainty)
-    network = _loaded()
+    _loaded()  # refuses before the work
     known = np.asarray((np.isfinite(image) & (image >= 0)).all(axis=-1))
     filled = _without_holes(image, known)
     unit = exposure_unit(filled.mean(axis=-1)) if hdr else 1.0
     colour = np.broadcast_to(filled / unit, (*image.shape[:2], 3)).astype(np.float32)
-    try:
-        found = network.denoise(colour, **features, hdr=hdr)
-    except RuntimeError as error:
-        message = f"Open Image Denoise failed on an image of shape {image.shape}: {error}"
-        raise ChdstatError(message) from error
-    smooth = found.astype(np.float64) * unit
+    smooth = run_network({"color": colour, **features}, hdr=hdr).astype(np.float64) * unit
     if image.shape[-1] == 1:
         smooth = smooth.mean(axis=-1, keepdims=True)
     result = keep * filled + (1 - keep) * smooth
@@ -147,6 +145,34 @@ def _loaded() -> Any:
             "install --force-reinstall pyoidn"
         )
         raise InputError(message) from error
+
+
+def run_network(images: dict[str, Image], *, hdr: bool) -> Image:
+    """Denoise ``color`` in little memory, all of which is given back.
+
+    Parameters
+    ----------
+    images
+        ``color``, and ``albedo`` and ``normal`` where there are any, each float32 (y, x, 3).
+    hdr
+        Whether ``color`` is linear radiance.
+    """
+    library, found = _loaded(), np.empty_like(images["color"])
+    with library.Device() as device:
+        device.commit()
+        with library.Filter(device) as network:
+            for name, image in {**images, "output": found}.items():
+                network.set_image(name, np.ascontiguousarray(image), library.OIDN_FORMAT_FLOAT3)
+            network.set_bool("hdr", hdr)
+            network.set_quality(library.OIDN_QUALITY_HIGH)
+            network.set_int("maxMemoryMB", _MEMORY)
+            network.commit()
+            network.execute()
+        error = device.get_error()
+    if error is not None:
+        message = f"Open Image Denoise failed on an image of shape {found.shape}: {error}"
+        raise ChdstatError(message)
+    return found
 
 
 def _image(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:

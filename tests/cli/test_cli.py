@@ -8,7 +8,6 @@ import shutil
 import sys
 from inspect import signature
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -277,7 +276,7 @@ def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
 
 
 def test_compare_judges_with_a_denoiser_too(run, store, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyoidn", SimpleNamespace(denoise=lambda colour, **_: colour))
+    monkeypatch.setattr("chdstat.io.denoiser.run_network", lambda images, **_: images["color"])
     asked = ("compare", store, "-e", "mean", "--n", 4, "-q", "--denoise")
     code, out, _ = run(*asked, "--json")
     rows = json.loads(out)["table"]

@@ -44,8 +44,7 @@ SEEDS = pytest.mark.parametrize("seed", range(2))
 @functools.cache
 def look(number, world, seed=0, spp=SPP):
     if number == 15:
-        pytest.importorskip("pyoidn")
-    first, *others = world(np.random.default_rng([number, seed]), spp)
+        first, *others = world(np.random.default_rng([number, seed]), spp)
     return BY_NUMBER[number].find(first, others)
 
 
@@ -214,7 +213,6 @@ def test_one_bad_pixel_does_not_spoil_its_region():
 
 
 def test_the_verdict_on_learning_is_that_of_the_papers_model():
-    pytest.importorskip("pyoidn")
     rng = np.random.default_rng(0)
     first = worlds.learned(False)(rng, SPP)[0]
     better = worlds.learned(True, "progressive")(rng, SPP)[0].comparison
