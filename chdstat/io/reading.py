@@ -82,9 +82,6 @@ FORMATS = (
         ("axes", *_NAMED),
     ),
     Format("exr", (".exr",), "EXR images, each a sample or average", "exr_stack", _NAMED),
-    Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "rawls"),
-    Format("noisebase", (".zip",), "Sample sets of noisebase", "noisebase", _NAMED),
-    Format("bcd", (".raw",), "Raw samples of Bayesian collaborative denoising", "bcd"),
     Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream", ("features",)),
 )
 """Formats in the order in which they are tried."""
@@ -116,8 +113,7 @@ def read(
         "syxc" for a stack of images; None where their dims have names, or for "yxcs".
     variable
         Which array of a file with several holds the samples; None takes the largest. Of EXR files
-        the layer; None takes red, green and blue, or Y. Of noisebase's sequences the number of the
-        frame.
+        the layer; None takes red, green and blue, or Y.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
         component), files of them (.npy, .exr), or their names within the source: arrays, or

@@ -8,7 +8,6 @@ decoding is also set against what the format's own library takes for it.
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 import time
@@ -22,7 +21,7 @@ import pytest
 import chdstat as chd
 
 SHAPE = (256, 256, 3, 128)
-NAMES = ("x.npy", "x.npz", "x.nc", "exr", "half", "rawls", "x.zip", "x.raw")
+NAMES = ("x.npy", "x.npz", "x.nc", "exr", "half")
 STATUS = Path("/proc/self/status")
 PEAK = r"""
 import re, sys
@@ -38,17 +37,6 @@ print(peak() - before)
 
 
 # --- files --------------------------------------------------------------------------------------
-
-
-def _formats() -> Any:
-    """Import the writers of the tests: they are no package."""
-    path = Path(__file__).parents[1] / "io" / "test_formats.py"
-    spec = importlib.util.spec_from_file_location("test_formats", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def _each(
@@ -67,7 +55,6 @@ def write(folder: Path, name: str, x: np.ndarray) -> Path:
     """Write samples in a format, and return where."""
     import xarray as xr
 
-    formats = _formats()
     folder.mkdir(exist_ok=True)
     dataset = xr.Dataset({"radiance": (("y", "x", "channel", "sample"), x)})
     makers: dict[str, Callable[[Path], Any]] = {
@@ -76,9 +63,6 @@ def write(folder: Path, name: str, x: np.ndarray) -> Path:
         "x.nc": lambda p: dataset.to_netcdf(p, engine="scipy"),
         "exr": lambda p: _each(p, x, ".exr", chd.io.write_exr),
         "half": lambda p: _each(p, x, ".exr", _half),
-        "rawls": lambda p: _each(p, x, ".rawls", formats.rawls),
-        "x.zip": lambda p: formats.noisebase(p, x[..., :32]),
-        "x.raw": lambda p: formats.bcd(p, x),
     }
     makers[name](folder / name)
     return folder / name
@@ -93,7 +77,6 @@ def library(place: Path) -> None:
     """Decode files as the library of their format does, without anything of ours."""
     import OpenEXR
     import xarray as xr
-    import zarr
 
     for file in sorted(place.iterdir()) if place.is_dir() else [place]:
         if file.suffix == ".exr":
@@ -102,10 +85,6 @@ def library(place: Path) -> None:
         elif file.suffix == ".npz":
             with np.load(file) as archive:
                 _ = [archive[name] for name in archive]
-        elif file.suffix == ".zip":
-            with zarr.storage.ZipStore(file, mode="r") as store:
-                group = zarr.open_group(store, mode="r")
-                _ = [group[name][...] for name in ("color", "position", "normal", "diffuse")]
         elif file.suffix == ".nc":
             with xr.open_dataset(file) as dataset:
                 dataset.load()
@@ -151,11 +130,11 @@ def test_an_import_against_reading_bytes(as_benchmark, tmp_path, name):
         f"import {both:.3f} s ({both / raw:.0f} of bytes)"
     )
     # Measured .4 to 2.2, against a file that is mapped into memory and one that is spooled.
-    assert decoded < 3 * own or name == "rawls"
+    assert decoded < 3 * own
 
 
 @pytest.mark.skipif(not STATUS.exists(), reason="reads the peak from /proc")
-@pytest.mark.parametrize("name", ["exr", "rawls", "x.raw", "x.npy"])
+@pytest.mark.parametrize("name", ["exr", "x.npy"])
 def test_the_memory_of_an_import(as_benchmark, tmp_path, name):
     """Print what an import of one batch needs, and one of four."""
     x = np.random.default_rng(0).gamma(0.3, size=(256, 256, 3, 256)).astype(np.float32)

@@ -59,7 +59,7 @@ READERS: dict[str, Callable[[str], None]] = {
     "scene": render,
     "recipe": recipe,
     "exr": image,
-    **dict.fromkeys(("npy", "npz", "netcdf", "stack", "rawls", "noisebase", "bcd"), samples),
+    **dict.fromkeys(("npy", "npz", "netcdf", "stack"), samples),
 }
 
 
@@ -167,9 +167,6 @@ NAMES = {
     "npz": "x.npz",
     "netcdf": "x.nc",
     "stack": "x.exr",
-    "rawls": "x.rawls",
-    "noisebase": "x.zip",
-    "bcd": "x.raw",
 }
 
 
@@ -180,7 +177,6 @@ def _binary(folder: Path) -> dict[str, bytes]:
     from chdstat.io import write_exr
 
     x = np.random.default_rng(0).gamma(0.5, size=(9, 7, 3, 8)).astype(np.float32)
-    formats = _imported("io/test_formats")
     layers = {"albedo": x[..., 1]}
     makers: dict[str, Callable[[Path], object]] = {
         "exr": lambda path: write_exr(path, x[..., 0]),
@@ -190,9 +186,6 @@ def _binary(folder: Path) -> dict[str, bytes]:
             {"radiance": (("y", "x", "channel", "sample"), x)}
         ).to_netcdf(path, engine="scipy"),
         "stack": lambda path: write_exr(path, x[..., 0], extra=layers),
-        "rawls": lambda path: formats.rawls(path, x[..., 0]),
-        "noisebase": lambda path: formats.noisebase(path, x),
-        "bcd": lambda path: formats.bcd(path, x),
     }
     for kind, make in makers.items():
         make(folder / f"good-{NAMES[kind]}")

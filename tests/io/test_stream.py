@@ -115,6 +115,9 @@ def test_files_of_one_image_are_read_together(written):
     samples = chd.io.read(*paths)
     assert np.array_equal(samples.read(), np.moveaxis(RADIANCE, 2, 3))
     assert "seed" not in samples.attrs
+    again = written(start(90, 70) + seeds[0] + halves[1], "again.chds")
+    with pytest.raises(InputError, match=r"again\.chds repeats pixels of seed 1.* another seed"):
+        chd.io.read(paths[0], again)
     other = written(start(90, 71) + halves[0], "other.chds")
     with pytest.raises(InputError, match=r"other\.chds is of another image"):
         chd.io.read(paths[0], other)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import numcodecs
 import numpy as np
 import OpenEXR
 import xarray as xr
-import zarr
 from google_crc32c import value as checksum
 
 # --- EXR ------------------------------------------------------------------------------------------
@@ -46,62 +44,6 @@ def deep(shape):
 
 
 # --- samples (y, x, channel, sample) ------------------------------------------------------------
-
-
-def rawls(path, image, *, samples=1, by_pixel=True):
-    """Write as pbrt does, or as the Python package does."""
-    height, width, channels = image.shape
-    size = struct.pack("<3I", width, height, channels)
-    spaced = b" ".join(size[i : i + 4] for i in (0, 4, 8))
-    text = b"IHDR\n12\n" + (spaced if by_pixel else size) + b"\nCOMMENTS\n"
-    text += b'#Samples %d\n#Filter box\n  #params "float xwidth"\n#Integrator path\n' % samples
-    values = image.nbytes
-    text += b"DATA\n" + (b"%d" % values if by_pixel else struct.pack("<i", values)) + b"\n"
-    for row in image:
-        lines = row if by_pixel else [row]
-        text += b"".join(line.tobytes() + b"\n" for line in lines)
-    path.write_bytes(text)
-    return path
-
-
-def bcd(path, radiance):
-    height, width, channels, spp = radiance.shape
-    header = np.array([1, width, height, spp, channels], "<i4")
-    data = np.ascontiguousarray(np.moveaxis(radiance, -1, -2), "<f4")
-    path.write_bytes(header.tobytes() + data.tobytes())
-    return path
-
-
-def noisebase(path, radiance, *, frames=None):
-    """Write encoded radiance, and return what it stands for."""
-    rng = np.random.default_rng(1)
-    positive = np.log(radiance[radiance > 0])
-    low, high = np.float32(positive.min()), np.float32(positive.max())
-    brightest = np.log(np.maximum(radiance.max(axis=2), np.exp(low)))
-    exponent = np.minimum((brightest - low) / (high - low) * 256, 255).astype(np.uint8)
-    unit = np.exp((exponent.astype(np.float32) + 1) / 256 * (high - low) + low)[:, :, np.newaxis]
-    colour = np.floor(radiance / unit * 255 + rng.random(radiance.shape)).astype(np.uint8)
-    encoded = np.moveaxis(np.concatenate([colour, exponent[:, :, np.newaxis]], axis=2), 2, 0)
-    vectors = np.moveaxis(radiance, 2, 0)
-    arrays = {
-        "color": encoded,
-        "exposure": np.array([low, high]),
-        "position": vectors,
-        "normal": vectors.astype(np.float16),
-        "diffuse": (vectors / 2).astype(np.float16),
-    }
-    with zarr.storage.ZipStore(path, mode="w") as store:
-        group = zarr.create_group(store, zarr_format=2)
-        for name, array in arrays.items():
-            held = array if frames is None else np.stack([np.zeros_like(array)] * frames + [array])
-            chunks = (*(1,) * (held.ndim - array.ndim), *array.shape[:-1], min(4, array.shape[-1]))
-            group.create_array(
-                name,
-                data=held,
-                chunks=chunks,
-                compressors=numcodecs.Blosc(cname="lz4hc", clevel=9),
-            )
-    return colour / np.float32(255) * unit
 
 
 def netcdf(path, radiance):
@@ -184,9 +126,6 @@ WRITERS = {
     "npz": (".npz", npz),
     "xarray": (".nc", netcdf),
     "exr": ("", each(lambda path, image: exr(path, planes_of(image)), ".exr")),
-    "rawls": ("", each(rawls, ".rawls")),
-    "noisebase": (".zip", noisebase),
-    "bcd": (".raw", bcd),
     "stream": (".chds", stream),
 }
 """Suffix and writer of each format that is read."""
