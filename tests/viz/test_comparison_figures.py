@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
@@ -18,6 +19,7 @@ from chdstat.viz import (
     pattern_breakdown,
     pixel_estimates,
 )
+from tests.viz.figures import texts
 
 NAMES = ["mean", "median", "median_of_means", "zirr2018"]
 
@@ -42,28 +44,17 @@ def curve(samples):
     return error_curve(samples, NAMES, sizes=[4, 8, 16])
 
 
-def texts(figure):
-    figure.canvas.draw()
-    return {t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible()}
-
-
-def test_all_measures_of_all_estimators_are_shown(found):
+def test_all_measures_are_shown_and_a_star_marks_those_that_use_neighbours(found, samples):
     figure = estimator_measures(found)
-    assert len(figure.axes) == 5
     seen = texts(figure)
     assert {"sample mean", "median", "median of means", "Zirr et al. 2018 *"} <= seen
     assert {"MSE ratio", "relMSE ratio", "bias", "fireflies left"} <= seen
+    assert any("neighbouring pixels" in text for text in seen)
     ratios = figure.axes[0].lines[0].get_xdata()
     assert ratios == pytest.approx(found.measures["mse_ratio"].value[:, -1])
-
-
-def test_a_star_marks_those_that_use_neighbours(found, samples):
-    apart = estimator_measures(found)
-    assert any("neighbouring pixels" in text for text in texts(apart))
-    names = [label.get_text() for label in apart.axes[0].get_yticklabels()]
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert [name.endswith(" *") for name in names] == found.uses_neighbours.tolist()
     alone = estimator_measures(chd.compare(samples, ["mean", "median"]))
-    assert len(alone.axes) == 5
     assert not any("neighbouring pixels" in text for text in texts(alone))
 
 
@@ -83,17 +74,13 @@ def test_an_estimator_without_a_measure_leaves_a_gap(samples):
 
 def test_a_breakdown_has_a_row_a_pattern_and_frames_the_best(found):
     ax = pattern_breakdown(found.breakdown)
+    value = found.breakdown.measures["relmse_ratio"].value
     seen = texts(ax.figure)
-    assert {"gamma-like, 83 %", "median of means"} <= seen
+    assert {"gamma-like, 83 %", "median of means", f"{value[1, 1]:.2f}"} <= seen
     assert not any(text.startswith("black") for text in seen)  # its mean is right
+    assert np.isnan(value[0]).all()
     frames = [p for p in ax.patches if isinstance(p, Rectangle)]
     assert len(frames) == 1  # nothing is better or worse than no error at all
-
-
-def test_numbers_of_a_breakdown_are_those_found(found):
-    value = found.breakdown.measures["relmse_ratio"].value
-    assert f"{value[1, 1]:.2f}" in texts(pattern_breakdown(found.breakdown).figure)
-    assert np.isnan(value[0]).all()
 
 
 def test_a_curve_has_a_line_an_estimator_and_the_noise(curve):
@@ -103,27 +90,17 @@ def test_a_curve_has_a_line_an_estimator_and_the_noise(curve):
         assert [line.get_linestyle() for line in ax.lines] == ["-", "-", "-", "--", ":"]
 
 
-def test_an_estimator_that_takes_no_such_size_has_no_line(samples):
-    few = error_curve(samples, ["mean", "median_of_means"], sizes=[4, 8, 16])
-    few = type(few)(**{**vars(few), "measures": {k: v[:2] for k, v in few.measures.items()}})
-    few = type(few)(**{**vars(few), "sizes": (4, 8)})
-    noise = {k: v[:2] for k, v in few.reference_noise.items()}
-    figure = error_curves(type(few)(**{**vars(few), "reference_noise": noise}))
-    assert "median of means" not in texts(figure)
-
-
-def test_pixels_show_reference_mean_and_estimates(found):
-    figure = pixel_estimates(found.draw_pixels(9)).figure
-    assert {"reference", "mean of 32", "median of means", "Zirr et al. 2018"} <= texts(figure)
-    assert "9 random pixels, from dark to bright" in texts(figure)
-
-
-def test_pixels_are_drawn_by_their_luminance(found):
+def test_pixels_are_drawn_by_their_luminance_with_reference_mean_and_estimates(found):
     drawn = found.draw_pixels(9)
     ax = pixel_estimates(drawn)
     means = ax.collections[2].get_offsets()[:, 1]
     assert sorted(means) == pytest.approx(sorted(drawn.mean @ [0.212671, 0.715160, 0.072169]))
     assert ax.get_ylabel().startswith("luminance,")
+    seen = texts(ax.figure)
+    assert {"reference", "mean of 32", "median of means", "Zirr et al. 2018"} <= seen
+    assert "9 random pixels, from dark to bright" in seen
+    with pytest.raises(InputError, match="at least one pixel"):
+        pixel_estimates(replace(drawn, pixels=drawn.pixels[:0]))
 
 
 def test_one_channel_and_black_pixels_can_be_drawn():
@@ -139,10 +116,3 @@ def test_pixels_that_are_alike_have_short_labels():
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert len(labels) >= 3
     assert max(map(len, labels)) <= 4
-
-
-def test_no_pixel_is_nothing_to_draw(found):
-    none = found.draw_pixels(1)
-    empty = type(none)(**{**vars(none), "pixels": none.pixels[:0]})
-    with pytest.raises(InputError, match="at least one pixel"):
-        pixel_estimates(empty)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 import chdstat as chd
 from chdstat import viz
 from chdstat.comparison import Interval, error_curve
+from chdstat.errors import InputError
 from chdstat.estimators.training import History
 from chdstat.studies.claims import ClaimTest, PlotData
 
@@ -102,3 +103,32 @@ def test_alone_it_makes_a_figure_that_a_notebook_shows_and_leaves_settings_alone
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert dict(mpl.rcParams) == before
     assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (lambda: viz.verdict_matrix({"nulls": {"a": "maybe"}}), "verdict of supp.*got 'maybe'"),
+        (lambda: viz.verdict_matrix({}), "got none"),
+        (lambda: viz.claim_intervals({"a": []}), "at least one panel"),
+        (lambda: viz.finding_plots({}), "at least one panel"),
+        (lambda: viz.batch_histograms({}), "at least one panel"),
+        (lambda: viz.chd_grid([]), "at least one panel"),
+        (lambda: viz.chd_grid({}), "at least one panel"),
+        (lambda: viz.chd_grid({"a": [PANEL] * 2, "b": [PANEL]}), "'a': 2, 'b': 1"),
+        (lambda: viz.region_study(IMAGE, [MARK], []), "got 0 for 1"),
+        (lambda: viz.firefly_pair(IMAGE, {"firefly": (5, 5)}, {}, {}), "got 1 pixels"),
+        (lambda: viz.view_pair({"a": IMAGE}, {}), "got 1"),
+        (lambda: viz.side_by_side({}), "at least one image"),
+        (lambda: viz.chd_axes(LOG, channels=["a", "b"]), "2 channels, got one of shape"),
+        (lambda: viz.fits(LINEAR, LOG, {}), r"1 channels, got one of shape \(3, 100\)"),
+        (lambda: viz.categorical_map(np.zeros((4, 4), int)), "flag_meanings.*pass names="),
+        (lambda: PANEL.with_luminance(np.ones((3, 8))), r"\(pixel, channel, sample\), got \(3, 8"),
+        (lambda: PANEL.with_luminance(np.ones((1, 2, 8))), "1 or 3 channels"),
+        (lambda: viz.tonemap(np.ones((4, 4))), r"shape \(y, x, 1\) or \(y, x, 3\), got"),
+        (lambda: viz.tonemap(np.ones((4, 4, 2))), r"shape \(y, x, 1\) or \(y, x, 3\), got"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(draw, message):
+    with pytest.raises(InputError, match=message):
+        draw()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -10,23 +9,18 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from chdstat import viz
-from chdstat.errors import InputError
 from chdstat.estimators.training import History
 from chdstat.inference import contrast
 from chdstat.patterns import atlas, classify
 from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
 from chdstat.viz import CHANNELS
+from tests.viz.figures import texts
 
 
 @pytest.fixture
 def image():
     return np.random.default_rng(0).random((20, 30, 3))
-
-
-def texts(figure):
-    figure.canvas.draw()
-    return {t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible()}
 
 
 def counted(scale="log", channels=3):
@@ -58,10 +52,6 @@ def test_chd_axes_draws_what_histogram_returns(scale):
     assert not ax.spines["left"].get_visible()
     own = Figure().subplots()
     assert viz.chd_axes(found, ax=own).spines["left"].get_visible()
-    with pytest.raises(InputError, match="one pixel, .* got"):
-        viz.chd_axes(histogram(x[np.newaxis], scale=scale))
-    with pytest.raises(InputError, match="2 channels, got one of shape"):
-        viz.chd_axes(found, channels=["a", "b"])
 
 
 def test_a_fit_is_a_curve_in_the_unit_of_its_histogram():
@@ -83,8 +73,6 @@ def test_chd_grid_shows_every_panel():
     ]
     found = texts(viz.chd_grid(panels))
     assert {"1 p0", "2 p1", "3 p2", "note 0", "note 2", "R"} <= found
-    with pytest.raises(InputError, match="at least one panel"):
-        viz.chd_grid([])
 
 
 def test_luminance_of_several_pixels_stands_beside_the_radiance():
@@ -102,10 +90,6 @@ def test_luminance_of_several_pixels_stands_beside_the_radiance():
     np.testing.assert_allclose(drawn, light.density)
     assert beside.get_xlim() == log.get_xlim() != linear.get_xlim()
     assert "luminance" in texts(viz.chd_pair(panel))
-    with pytest.raises(InputError, match=r"\(pixel, channel, sample\), got \(3, 64\)"):
-        panel.with_luminance(x[0])
-    with pytest.raises(InputError, match="1 or 3 channels"):
-        panel.with_luminance(x[:, :2])
 
 
 def test_renderings_stand_side_by_side_on_one_axis_of_radiance():
@@ -119,10 +103,6 @@ def test_renderings_stand_side_by_side_on_one_axis_of_radiance():
         assert first.get_xscale() == "log"
         assert first.get_xlim() == second.get_xlim()
         assert first.patches[0].get_data().edges[0] == second.patches[0].get_data().edges[0]
-    with pytest.raises(InputError, match="'by day': 2, 'by night': 1"):
-        viz.chd_grid({"by day": day, "by night": night[:1]})
-    with pytest.raises(InputError, match="at least one panel"):
-        viz.chd_grid({})
 
 
 def test_maps_have_scales_and_legends(image):
@@ -159,8 +139,6 @@ def test_labels_of_a_dataset_bring_their_names():
     samples = Samples.from_array(np.random.default_rng(0).gamma(1.0, size=(4, 4, 3, 256)))
     label = classify(samples, progress=False)["label"]
     assert "gamma-like" in " ".join(texts(viz.categorical_map(label).figure))
-    with pytest.raises(InputError, match=r"flag_meanings.*got a ndarray.*pass names="):
-        viz.categorical_map(label.values)
 
 
 def test_a_panel_of_samples_counts_nulls_and_leaves_bad_samples_out():
@@ -192,8 +170,6 @@ def test_images_share_an_exposure_and_show_errors(image):
     error = np.abs(image - 0.5).mean(axis=-1)
     figure = viz.side_by_side({"a": image, "reference": image * 2}, errors={"a": error})
     assert {"a", "reference", "log10 squared error"} <= texts(figure)
-    with pytest.raises(InputError, match="at least one image"):
-        viz.side_by_side({})
 
 
 def test_the_legend_of_a_training_is_beside_its_curves():
@@ -238,8 +214,6 @@ def test_fits_are_drawn_over_both_histograms():
     # Per decade, a log-normal density is Gaussian in log10 of radiance.
     expected = stats.norm(scale=1 / np.log(10)).pdf(np.log10(radiance))
     np.testing.assert_allclose(density, expected, rtol=1e-9)
-    with pytest.raises(InputError, match=r"1 channels, got one of shape \(2, 100\)"):
-        viz.fits(linear, histogram(np.ones((2, 4))), {})
 
 
 def test_the_map_of_n_needed_tells_more_than_tested_from_no_answer():
@@ -274,12 +248,6 @@ def test_an_atlas_is_a_map_and_a_panel_for_each_shape(two_shapes, clusters):
     for k, share in enumerate(found.share):
         assert any(t.startswith(f"$\\bf{{{k + 1}}}$  {100 * share:.0f} %") for t in shown)
         assert str(k + 1) in shown
-
-
-@pytest.mark.parametrize("shape", [(4, 4), (4, 4, 2), (4,)])
-def test_an_image_of_another_shape_is_refused(shape):
-    with pytest.raises(InputError, match=r"shape \(y, x, 1\) or \(y, x, 3\), got"):
-        viz.tonemap(np.zeros(shape))
 
 
 def test_nothing_is_drawn_where_there_is_nothing():
