@@ -11,8 +11,10 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
-from chdstat.errors import ChdstatError, InputError, LeftOutWarning
+from chdstat.errors import InputError, LeftOutWarning
 from chdstat.reporting import scene_report
+from chdstat.reporting.content import remake_note
+from chdstat.reporting.typst import typeset
 
 FIXED = ("mean", "median_of_means")
 
@@ -34,10 +36,28 @@ def radiance():
     return x.astype(np.float32)
 
 
-def test_a_report_has_all_its_parts(radiance, tmp_path):
-    samples = chd.Samples.from_array(radiance, scene="noise")
+def test_a_report_has_all_its_parts(radiance, tmp_path, monkeypatch):
+    """Of a remake, which it says first and once; its template reads all that it is given."""
+    given = []
+
+    def kept(document, *where):
+        given.append(document)
+        return typeset(document, *where)
+
+    monkeypatch.setattr(scene_report, "typeset", kept)
+    samples = chd.Samples.from_array(radiance, scene="bathroom", scene_source="chdstat")
     path = chd.report(samples, tmp_path / "noise.pdf", estimators=FIXED)
     text = text_of(path)
+    note = "A remake of the paper's scene: bathroom (of Bathroom)."
+    assert note in text_of(path, last=1)
+    assert text.count(note) == 1
+    assert remake_note([chd.Samples.from_array(radiance, scene="bathroom")]) == ""
+    assert "About this image: other views of the scene, or other scenes, may differ." in text
+    (document,) = given
+    templates = resources.files("chdstat.reporting") / "templates"
+    read = "".join((templates / name).read_text() for name in (document.template, "parts.typ"))
+    assert not [name for name in document.figures if f'"{name}"' not in read]
+    assert not [entry for entry in document.content if f"data.{entry}" not in read]
     for part in ("Findings", "Provenance", "The case study", "The whole image"):
         assert part in text
     for part in ("Are averages Gaussian?", "Estimators", "Method and limits", "References"):
@@ -49,28 +69,6 @@ def test_a_report_has_all_its_parts(radiance, tmp_path):
     assert "median of means" in text
     assert path.stat().st_size < 5e6
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_template_reads_all_that_it_is_given(radiance, tmp_path, monkeypatch):
-    given = []
-    monkeypatch.setattr(scene_report, "typeset", lambda document, *_: given.append(document))
-    chd.report(chd.Samples.from_array(radiance), tmp_path / "noise.pdf", estimators=FIXED)
-    (document,) = given
-    templates = resources.files("chdstat.reporting") / "templates"
-    text = "".join((templates / name).read_text() for name in (document.template, "parts.typ"))
-    assert not [name for name in document.figures if f'"{name}"' not in text]
-    assert not [entry for entry in document.content if f"data.{entry}" not in text]
-
-
-@pytest.mark.parametrize(("source", "remake"), [("chdstat", True), ("bathroom.xml", False)])
-def test_a_report_says_first_and_once_that_a_scene_is_a_remake(radiance, tmp_path, source, remake):
-    samples = chd.Samples.from_array(radiance[:8, :8], scene="bathroom", scene_source=source)
-    path = chd.report(samples, tmp_path / "bathroom.pdf", estimators=FIXED)
-    note = "A remake of the paper's scene: bathroom (of Bathroom)."
-    assert (note in text_of(path, last=1)) == remake
-    whole = text_of(path)
-    assert whole.count(note) == remake
-    assert "About this image: other views of the scene, or other scenes, may differ." in whole
 
 
 @pytest.mark.parametrize(
@@ -93,7 +91,7 @@ def test_hopeless_samples_give_a_report_that_says_so(radiance, tmp_path, name, c
     assert said in text_of(path)
 
 
-def test_a_region_may_have_any_name(radiance, tmp_path, caplog):
+def test_a_region_may_have_any_name_and_bad_samples_are_counted(radiance, tmp_path, caplog):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(
         'schema = 1\nscene = "noise"\nsize = [8, 8]\nspp = 128\nseed = 0\n'
@@ -101,17 +99,13 @@ def test_a_region_may_have_any_name(radiance, tmp_path, caplog):
         'phenomenon = "diffuse"\nrectangle = [0, 0, 1, 1]\n',
         encoding="utf-8",
     )
-    samples = chd.Samples.from_array(radiance[:8, :8], scene="noise")
-    path = chd.report(samples, tmp_path / "named.pdf", recipe=recipe, estimators=FIXED)
-    assert "1 a $x^$ b" in text_of(path)
-    assert [r.getMessage()[:24] for r in caplog.records] == ["no font has the letters "]
-
-
-def test_bad_samples_are_counted_in_words(radiance, tmp_path):
     x = radiance[:8, :8].copy()
     x[1, 2, 0, 3], x[4, 4, 1, 5], x[6, 7, 2, 8] = np.nan, np.inf, -1
-    path = chd.report(chd.Samples.from_array(x), tmp_path / "bad.pdf", estimators=FIXED)
+    samples = chd.Samples.from_array(x, scene="noise")
+    path = chd.report(samples, tmp_path / "named.pdf", recipe=recipe, estimators=FIXED)
+    assert "1 a $x^$ b" in text_of(path)
     assert "2 of 8192 samples are NaN or infinite" in text_of(path)
+    assert [r.getMessage()[:24] for r in caplog.records] == ["no font has the letters "]
 
 
 def test_a_wrong_target_is_refused_before_any_work(radiance, tmp_path):
@@ -120,22 +114,6 @@ def test_a_wrong_target_is_refused_before_any_work(radiance, tmp_path):
         chd.report(samples, tmp_path / "report.html")
     with pytest.raises(InputError, match="create it first"):
         chd.report(samples, tmp_path / "nowhere" / "report.pdf")
-
-
-def test_an_old_report_survives_a_failed_one(radiance, tmp_path, monkeypatch):
-    import typst
-
-    target = tmp_path / "report.pdf"
-    target.write_bytes(b"old")
-
-    def fail(*args, **kwargs):
-        raise RuntimeError("no fonts")
-
-    monkeypatch.setattr(typst, "compile", fail)
-    samples = chd.Samples.from_array(radiance[:4, :4])
-    with pytest.raises(ChdstatError, match="typesetting the report failed: no fonts"):
-        chd.report(samples, target, estimators=FIXED)
-    assert target.read_bytes() == b"old"
 
 
 def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):
@@ -166,7 +144,7 @@ def test_the_first_page_tells_what_is_noisy_and_what_helps(tmp_path):
 
 
 def test_a_second_report_trains_as_the_first(radiance, tmp_path):
-    samples = chd.Samples.from_array(radiance)
+    samples = chd.Samples.from_array(radiance[:8, :8])
     texts = [text_of(chd.report(samples, tmp_path / f"{i}.pdf", iterations=3)) for i in range(2)]
     assert texts[0] == texts[1]
     assert "3 minibatches train its network in place of 30000" in texts[0]

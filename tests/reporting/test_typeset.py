@@ -9,6 +9,7 @@ import pypdfium2
 import pytest
 from matplotlib.figure import Figure
 
+from chdstat.errors import ChdstatError
 from chdstat.reporting.typst import Document, typeset
 
 TEMPLATES = resources.files("chdstat.reporting") / "templates"
@@ -33,3 +34,12 @@ def test_no_semicolon_of_a_sentence_ends_an_expression(name):
     # Typst takes the one after "#data.number" for the end of code; "\\;" is a letter.
     text = (TEMPLATES / name).read_text(encoding="utf-8")
     assert re.findall(r"#[\w.-]+(?:\([^()]*\))?;", text) == []
+
+
+def test_an_old_document_survives_a_failed_one(tmp_path):
+    (tmp_path / "wrong.typ").write_text("#nothing")
+    target = tmp_path / "old.pdf"
+    target.write_bytes(b"old")
+    with pytest.raises(ChdstatError, match="typesetting the report failed: .*nothing"):
+        typeset(Document("wrong.typ", {}, {}), tmp_path, target)
+    assert target.read_bytes() == b"old"
