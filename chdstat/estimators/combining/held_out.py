@@ -37,7 +37,7 @@ _SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
 """Standard scores of the proposal against the mean, between which weights are interpolated."""
 _LIMITED = np.array((-0.1, 0.5))
 """Logarithms of the mean over that which `shared_shape` limits it to."""
-_BRIGHT = np.array((1.0, 2.5))
+_BRIGHT = np.array((0.5, 1.5))
 """Logarithms of a pixel's unit over that of the image."""
 _BELIEVED = (-3.0, -1.5), (-4.5, -2.5)
 """Scores between which the mean is believed before held-out samples are asked: of pixels that are
@@ -202,12 +202,15 @@ def _updated(before: Reals, evidence: Reals) -> Reals:
 def _believed(knots: list[int]) -> Reals:
     """Return the weight of the mean in each class before any evidence.
 
-    k samples of equal radiance among nulls make a score of minus the root of k.
+    k samples of equal radiance among nulls make a score of minus the root of k. Bright pixels that
+    are not limited are few and make most of an image's error: their mean is kept until held-out
+    samples show that the proposal is nearer.
     """
     weight = np.empty(knots)
     for i, (most, least) in enumerate(_BELIEVED):
         t = np.clip((_SCORES - most) / (least - most), 0, 1)
         weight[:, i] = (1 - t * t * (3 - 2 * t))[:, np.newaxis]
+    weight[:, 0, 1] = 1
     return weight
 
 
