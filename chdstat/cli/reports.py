@@ -134,11 +134,11 @@ def report(
     from chdstat.scenes import Scene
 
     asked.target(out, ".pdf")
-    given, settings = asked.source(source), dict[str, Any](**asked.settings)
+    given = asked.source(source)
     if as_published and isinstance(given, Scene):
         from chdstat.reporting.scene_report import published_seconds
 
-        backend = settings.get("backend", "auto")
+        backend = asked.settings.get("backend", "auto")
         hours = published_seconds(given, recipe, backend=backend) / 3600
         kept = asked.store or out.with_suffix(".zarr")
         typer.echo(
@@ -155,7 +155,7 @@ def report(
         iterations=asked.iterations,
         as_published=as_published,
         progress=asked.progress,
-        **settings,
+        **asked.settings,
     )
     output.say_written(path, as_json=asked.as_json, pages=pages_of(path))
     output.say_next(asked.quiet, f"chdstat explore {asked.store or source}")

@@ -181,26 +181,25 @@ def import_samples(
     """
     import chdstat
 
-    features = {"albedo": albedo, "normal": normal, "depth": depth, "position": position}
-    about: dict[str, Any] = {
-        "scene": scene,
-        "renderer": renderer,
-        "seed": seed,
-        "unit": unit,
-        "averaged": averaged,
-        "sequence": sequence,
-    }
     samples = chdstat.io.read(
         *sources,
         format=format,
         axes=axes,
         variable=variable,
-        features={name: value for name, value in features.items() if value is not None},
+        features=_given(albedo=albedo, normal=normal, depth=depth, position=position),
         counts=counts,
-        **{name: value for name, value in about.items() if value is not None},
-    )
+        **_given(
+            scene=scene, renderer=renderer, seed=seed, unit=unit, averaged=averaged,
+            sequence=sequence,
+        ),
+    )  # fmt: skip
     saved = samples.save(out, append=append, progress=asked.progress)
     output.say_samples(saved, as_json=asked.as_json, quiet=asked.quiet)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Return the options that were given."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 @command("include", "as_json")

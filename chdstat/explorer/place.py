@@ -19,12 +19,9 @@ import numpy.typing as npt
 from chdstat import inference
 from chdstat._core.arrays import (
     Floats,
-    generator,
     is_bad,
     is_null,
     luminance,
-    seed_number,
-    spans,
     take_rows,
 )
 from chdstat._core.moments import Moments
@@ -49,7 +46,6 @@ __all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodne
 _OF_FIRST = {"part", "_further_fits", "_positive", "patterns", "gaussianity", "means"}
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
-_PIECE = 20
 _POINTS = 96
 MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
@@ -261,7 +257,7 @@ def goodness(
     place
         The place to test; of more than 4096 samples, the first.
     step
-        Called with the share that is done before each piece; whatever it raises ends the test.
+        Called with the share that is done before each family; whatever it raises ends the test.
     resamples
         Replicates B.
 
@@ -273,24 +269,12 @@ def goodness(
         missing, all of shape (row,).
     """
     part = PositivePart.of_pixels(place.samples[:, :MOST_TESTED], rows="both")
-    # One generator for all pieces: their replicates are as independent as those of one call.
-    rng = generator(0)
-    pieces = list(spans(resamples, _PIECE))
     result = {}
     for i, name in enumerate(SELECTED):
-        farther, drawn = np.zeros((2, *part.n.shape))
-        fit = part.measured(FamilyFit(FAMILIES[name]))
-        for j, piece in enumerate(pieces):
-            step((i + j / len(pieces)) / len(SELECTED))
-            tests: tuple[FitTest, ...] = ("anderson-darling", "kolmogorov-smirnov")
-            count, seed = piece.stop - piece.start, seed_number(rng)
-            found = GoodnessOfFit(fit, tests, count, seed).measure(part)
-            # p = (b + 1) / (B + 1) of the piece gives its b back.
-            replicates = found.resamples[:, 0]
-            farther += np.nan_to_num(found.p_value[:, 0] * (replicates + 1) - 1)
-            drawn += replicates
-        p_value = np.where(drawn > 0, (farther + 1) / (drawn + 1), np.nan)
-        result[name] = p_value, found.effect[:, 1], found.reason[:, 0]
+        step(i / len(SELECTED))
+        tests: tuple[FitTest, ...] = ("anderson-darling", "kolmogorov-smirnov")
+        found = GoodnessOfFit(FAMILIES[name], tests, resamples, i).measure(part)
+        result[name] = found.p_value[:, 0], found.effect[:, 1], found.reason[:, 0]
     return result
 
 

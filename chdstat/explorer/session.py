@@ -89,24 +89,24 @@ class Session:
         self._generation += 1  # drops what is being worked on
         self._end()
 
-    # --- commands -------------------------------------------------------------------------------
+    # --- commands: the page sends the name of a method, without its `_on_`, and its arguments ---
 
     def _received(self, _attribute: str, _old: str, new: str) -> None:
         try:
             message = json.loads(new)
             command, self._seq = str(message.pop("command")), int(message.pop("seq"))
-            handle = self._commands[command]
+            handle = getattr(self, f"_on_{command}")
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             self._page.alert("the page sent something that is no command; reload it")
             return
         try:
-            handle(self, **message)
+            handle(**message)
         except ChdstatError as error:
             self._page.alert(str(error))
         except (TypeError, ValueError, OverflowError, AttributeError) as error:
             self._page.alert(f"the command {command!r} was not understood: {error}")
 
-    def _ready(self) -> None:
+    def _on_ready(self) -> None:
         self._describe()
         self._show_image()
         notes = list(self._notes)
@@ -123,25 +123,25 @@ class Session:
         self._heard("suggested")
         self._go(self.view)
 
-    def _pick(self, *, y: int, x: int, add: bool = False) -> None:
+    def _on_pick(self, *, y: int, x: int, add: bool = False) -> None:
         y, x = int(y), int(x)
         check_pixel(y, x, *self._size)
         self._go(self.view.pick(y, x, add=bool(add)))
 
-    def _box(self, *, box: list[float]) -> None:
+    def _on_box(self, *, box: list[float]) -> None:
         top, left, bottom, right = (float(v) for v in box)
         self._go(self.view.box(box_between((top, left), (bottom, right), *self._size)))
 
-    def _move(self, *, dy: int, dx: int) -> None:
+    def _on_move(self, *, dy: int, dx: int) -> None:
         self._go(self.view.move(int(dy), int(dx), *self._size))
 
-    def _activate(self, *, index: int) -> None:
+    def _on_activate(self, *, index: int) -> None:
         self._go(self.view.activate(int(index)))
 
-    def _drop(self, *, index: int) -> None:
+    def _on_drop(self, *, index: int) -> None:
         self._go(self.view.drop(int(index)))
 
-    def _set(self, *, option: str, value: Any) -> None:
+    def _on_set(self, *, option: str, value: Any) -> None:
         if option == "map" and value != "image":
             self._shared.want(str(value))
         view = self.view.changed(str(option), value)
@@ -159,7 +159,7 @@ class Session:
             self._show_image()
         self._show_view()
 
-    def _export(self, *, format: str) -> None:  # noqa: A002 - its name on the page
+    def _on_export(self, *, format: str) -> None:  # noqa: A002 - its name on the page
         if format not in EXPORTS:
             message = f"exports are {', '.join(EXPORTS)}; got {format!r}"
             raise InputError(message)
@@ -172,18 +172,18 @@ class Session:
         work = partial(exported, format, *given)
         self._page.run(self._shared.exports, work, self._exported)
 
-    def _pause(self) -> None:
+    def _on_pause(self) -> None:
         """Stop drawing more samples of the selected pixel, or go on."""
         self._paused = not self._paused
         self._tell_live()
         self._draw_more()
 
-    def _see(self, *, on: bool) -> None:
+    def _on_visible(self, *, on: bool) -> None:
         """Take note of whether anyone can see the page."""
         self._visible = bool(on)
         self._draw_more()
 
-    def _test_fits(self) -> None:
+    def _on_goodness(self) -> None:
         """Test the fits of the active place, which takes seconds; send the share that is done."""
         plots = self._shown
         if plots is None or self._is_new:
@@ -201,27 +201,12 @@ class Session:
 
         self._add("goodness", work)
 
-    def _near(self, *, y: int, x: int) -> None:
+    def _on_near(self, *, y: int, x: int) -> None:
         """Read the pixels around the pointer, so that they are there when one is clicked."""
         source = self._shared.source
         if isinstance(source, StoreSource):
             with suppress(RuntimeError):  # the explorer is closing
                 self._shared.exports.submit(source.pixel, int(y), int(x))
-
-    _commands: Mapping[str, Callable[..., None]] = {
-        "ready": _ready,
-        "pick": _pick,
-        "box": _box,
-        "move": _move,
-        "near": _near,
-        "activate": _activate,
-        "drop": _drop,
-        "set": _set,
-        "export": _export,
-        "pause": _pause,
-        "visible": _see,
-        "goodness": _test_fits,
-    }
 
     # --- what they change -----------------------------------------------------------------------
 

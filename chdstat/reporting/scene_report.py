@@ -9,7 +9,7 @@ import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from joblib import Parallel, delayed
 
@@ -32,6 +32,7 @@ from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
+from chdstat.rendering.options import RenderSettings
 from chdstat.rendering.recipes import (
     Recipe,
     Region,
@@ -67,17 +68,13 @@ def report(
     source: str | Path | dict[str, Any] | Scene | Samples,
     path: str | Path,
     *,
-    spp: int | None = None,
-    size: tuple[int, int] | None = None,
-    seed: int | None = None,
-    max_depth: int | None = None,
     recipe: str | Path | None = None,
     store: str | Path | None = None,
     estimators: Sequence[str | Entry] | None = None,
     iterations: int | None = None,
     as_published: bool = False,
-    backend: Backend = "auto",
     progress: bool | None = None,
+    **settings: Unpack[RenderSettings],
 ) -> Path:
     """Write a PDF report on the sample distributions of a scene.
 
@@ -87,10 +84,6 @@ def report(
         What `chdstat.load_scene` takes, the path of a finished store, or `Samples`.
     path
         The PDF to write.
-    spp, size, seed, max_depth, backend
-        As for `chdstat.render`; None takes the recipe's, or 512 spp and 128 pixels along the
-        longer edge. Of samples that are already there, `spp` takes the first, and the others have
-        no place.
     recipe
         A recipe file; None takes the scene's own where there is one in the same proportions.
         Without a recipe, the library chooses a region for each pattern that it finds.
@@ -107,6 +100,10 @@ def report(
         that the work resumes.
     progress
         Show progress bars; None shows them on a terminal.
+    **settings
+        As for `chdstat.render`: ``spp``, ``size``, ``seed``, ``max_depth``, ``backend`` and the
+        others. What is not given is the recipe's, or 512 spp and 128 pixels along the longer edge.
+        Of samples that are already there, `spp` takes the first, and the others have no place.
 
     Returns
     -------
@@ -124,22 +121,21 @@ def report(
     for name in estimators or ():
         entry_of(name)  # an unknown one is refused before the work
     check_iterations(iterations)
-    asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
-    given = {name: value for name, value in asked.items() if value is not None}
+    given: dict[str, Any] = {n: value for n, value in settings.items() if value is not None}
     named = load_recipe(recipe) if recipe else None
     finished = open_samples(source) if is_store(source) else source
     if isinstance(finished, Samples):
-        refuse_render(finished, asked | {"spp": None, "store": store, "backend": backend})
-        samples = first_samples(finished, spp)
+        refuse_render(finished, given | {"spp": None, "store": store})
+        samples = first_samples(finished, given.get("spp"))
         check_equal_counts(samples)
     else:
         scene = load_scene(finished)
         if named is not None:
             check_integrator(named, scene)
-        settings = _settings_of(scene, named, as_published=as_published) | given
+        given = _settings_of(scene, named, as_published=as_published) | given
         if as_published:
             store = store or target.with_suffix(".zarr")
-        samples = render(scene, **settings, out=store, backend=backend, progress=progress)
+        samples = render(scene, **given, out=store, progress=progress)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)

@@ -280,7 +280,7 @@ def test_maps_take_the_place_of_the_image(person, store_path):
 
 
 def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tmp_path):
-    path = save(chd.analyze(chd.open(store_path), progress=False), tmp_path / "maps.zarr")
+    path = save(chd.summarize(chd.open(store_path), progress=False), tmp_path / "maps.zarr")
     one = person(store_path, maps=path).open("?p=20,10&map=file:null_share")
     one.waits_for("document.querySelector('#colorbar').innerText.includes('Null share')")
     one.page.locator("#limits input").first.fill("0.25")
