@@ -190,23 +190,10 @@ def goodness_table(
     return _table("Goodness of fit", ["family", *place.names], rows, note)
 
 
-_WHY = {
-    Reason.ALL_NULL: "all samples are null",
-    Reason.TOO_FEW: "too few samples",
-    Reason.CONSTANT: "the samples are constant",
-    Reason.NOT_CONVERGED: "the fit did not converge",
-    Reason.ALL_BAD: "all samples are bad",
-    Reason.AT_LIMIT: "no maximum of the likelihood",
-    Reason.NONE_POSITIVE: "no sample is positive",
-    Reason.TIED: "too many equal samples",
-    Reason.FEW_REPLICATES: "too few replicates could be fitted",
-}
-
-
 def _goodness(p: float, distance: float, reason: int) -> str:
     if np.isfinite(p):
         return f"{_p(p)} (D {number(distance)})"
-    return _WHY.get(Reason(int(reason)), "not tested")
+    return reasons(reason)
 
 
 def compared_table(found: Difference, channels: Sequence[str], names: tuple[str, str]) -> Table:

@@ -29,6 +29,13 @@ def own_store(store_path: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(store_path, tmp_path / "own.zarr"))
 
 
+@pytest.fixture(scope="session")
+def served(store_path: Path) -> Iterator[Explorer]:
+    """Return an explorer of the store that no test changes."""
+    with explore(store_path) as explorer:
+        yield explorer
+
+
 @pytest.fixture
 def explored() -> Iterator[Callable[..., Explorer]]:
     """Start explorers that end with the test."""

@@ -188,7 +188,7 @@ def test_a_p_value_below_all_floats_is_said_to_be():
     found = {"gamma": (p[1:], np.ones(4), reasons[1:])}
     (row,) = tables.goodness_table(place, found)["rows"]
     cells = [cell.partition(" (D")[0] for cell in row[1:]]
-    assert cells == ["2e−5", "0.020", "0.50", "too many equal samples"]
+    assert cells == ["2e−5", "0.020", "0.50", "tied"]
     found = {"gamma": (p[:4], np.ones(4), reasons[:4])}
     (row,) = tables.goodness_table(place, found)["rows"]
     assert row[1].startswith("≈\u00a00")

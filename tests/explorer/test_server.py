@@ -68,30 +68,28 @@ def answered(port, host):
         return connection.getresponse().status
 
 
-def test_only_names_of_this_machine_are_answered(explored, store_path):
-    explorer = explored(store_path)
-    for host in ("127.0.0.1", f"localhost:{explorer.port}", "LOCALHOST", f"[::1]:{explorer.port}"):
-        assert answered(explorer.port, host) == 200
+def test_only_names_of_this_machine_are_answered(served):
+    for host in ("127.0.0.1", f"localhost:{served.port}", "LOCALHOST", f"[::1]:{served.port}"):
+        assert answered(served.port, host) == 200
     for host in (
         "evil.example",
-        f"evil.example:{explorer.port}",
+        f"evil.example:{served.port}",
         "localhost.evil.example",
         "",
         "[",
     ):
-        assert answered(explorer.port, host) in (400, 403)
+        assert answered(served.port, host) in (400, 403)
 
 
-def test_only_pages_of_the_server_may_talk_to_it(explored, store_path):
-    explorer = explored(store_path)
+def test_only_pages_of_the_server_may_talk_to_it(served):
     for host in ("127.0.0.1", "localhost"):
-        assert handshake(explorer, f"http://{host}:{explorer.port}") == 101
+        assert handshake(served, f"http://{host}:{served.port}") == 101
     for origin in ("http://evil.example", "http://127.0.0.1:1", "http://localhost", "null"):
-        assert handshake(explorer, origin) == 403
+        assert handshake(served, origin) == 403
 
 
-def test_a_port_that_cannot_be_had_says_so(explored, store_path):
-    port = explored(store_path).port
+def test_a_port_that_cannot_be_had_says_so(served, store_path):
+    port = served.port
     with pytest.raises(InputError, match=f"port {port} is taken.*--port"):
         explore(store_path, port=port)
     for out_of_range in (-1, 65536):
@@ -99,16 +97,14 @@ def test_a_port_that_cannot_be_had_says_so(explored, store_path):
             explore(store_path, port=out_of_range)
 
 
-def test_only_this_machine_is_served(explored, store_path):
-    explorer = explored(store_path)
+def test_only_this_machine_is_served(served):
     with socket.socket() as probe:
         probe.settimeout(1)
         # Another address of the loopback network stands for any other interface.
-        assert probe.connect_ex(("127.0.0.2", explorer.port)) != 0
+        assert probe.connect_ex(("127.0.0.2", served.port)) != 0
 
 
-def test_a_page_that_is_built_holds_up_no_other(explored, store_path, monkeypatch):
-    explorer = explored(store_path)
+def test_a_page_that_is_built_holds_up_no_other(served, monkeypatch):
     begun, go_on, build = threading.Event(), threading.Event(), server._open
 
     def slow(*arguments):
@@ -118,9 +114,9 @@ def test_a_page_that_is_built_holds_up_no_other(explored, store_path, monkeypatc
 
     monkeypatch.setattr(server, "_open", slow)
     with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(page, explorer.url)
+        waiting = pool.submit(page, served.url)
         assert begun.wait(60)
-        assert "Bokeh" in page(explorer.url + "static/js/bokeh.min.js")
+        assert "Bokeh" in page(served.url + "static/js/bokeh.min.js")
         assert not waiting.done()
         go_on.set()
         assert "<title>box.zarr" in waiting.result()
@@ -167,8 +163,8 @@ def test_a_source_that_cannot_be_opened_frees_the_port(store_path):
     assert not left
 
 
-def test_a_page_needs_nothing_from_the_net(explored, store_path):
-    found = page(explored(store_path).url)
+def test_a_page_needs_nothing_from_the_net(served):
+    found = page(served.url)
     assert "https://" not in found.replace("https://bokeh", "")
     assert "cdn" not in found
 
