@@ -1,4 +1,4 @@
-"""Simulate the null distribution of the dip; print it for chdstat/inference/statistics.py.
+"""Simulate the null distribution of the dip; print it for chdstat/inference/dip.py.
 
     python tools/make_dip_table.py > table.txt
 
@@ -17,7 +17,7 @@ import numpy as np
 from make_normality_tables import smooth, table
 
 from chdstat.inference.dip import dips
-from chdstat.inference.statistics import LEVELS
+from chdstat.inference.normality import LEVELS
 
 SEED = 20240611
 SIZES = (

@@ -1,4 +1,4 @@
-"""Simulate null distributions of statistics of normality, for chdstat/inference/statistics.py.
+"""Simulate null distributions of statistics of normality, for chdstat/inference/normality.py.
 
     python tools/make_normality_tables.py > tables.txt
 
@@ -18,8 +18,8 @@ import sys
 import numpy as np
 from scipy import special
 
-from chdstat.inference import statistics
-from chdstat.inference.statistics import LEVELS, SCALES
+from chdstat.inference import normality
+from chdstat.inference.normality import LEVELS, SCALES
 
 SEED = 20240607
 SIZES = (
@@ -50,9 +50,9 @@ def simulate(names: list[str], n: int, repeats: int) -> dict[str, np.ndarray]:
     for start in range(0, repeats, step):
         count = min(step, repeats - start)
         samples = np.sort(rng.standard_normal((count, n)), axis=-1)
-        rows = statistics.standardise(samples, np.full(count, n), None)
+        rows = normality.standardise(samples, np.full(count, n), None)
         for name in names:
-            values = getattr(statistics, name)(rows)
+            values = getattr(normality, name)(rows)
             found[name][start : start + count] = SCALES[name](values, float(n))
     return found
 

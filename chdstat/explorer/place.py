@@ -38,7 +38,7 @@ from chdstat.inference.modes import Modality, ModalMixture, Modes
 from chdstat.inference.normality import Normality
 from chdstat.patterns import Patterns, Thresholds
 from chdstat.patterns.classification import Classification
-from chdstat.patterns.pixel_statistics import firefly_limit
+from chdstat.patterns.table import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
 
 __all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodness", "suggest"]

@@ -34,8 +34,7 @@ from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
 from chdstat.fit.search import Piece, search
 from chdstat.fit.selection import FamilySelection
-from chdstat.inference.dip import dips
-from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
+from chdstat.inference.dip import dip_p, dips
 from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
@@ -369,8 +368,6 @@ def _tied(ascending: npt.NDArray[Any], n: Counts) -> Mask:
 
 
 _DIPS_AT_ONCE = 2**19
-_FLOOR = 1e-5
-"""Smallest p-value: the table ends at 1e-4, where up to a million dips were simulated."""
 
 
 def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, Floats]:
@@ -388,19 +385,5 @@ def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats,
         log, move = log_sorted[at], tied[at]
         log[move] = np.log(_without_ties(ascending[at[move]], n[at[move]]))
         dip[at] = dips(log, n[at])
-    p[rows] = _dip_p(dip[rows], n[rows])
+    p[rows] = dip_p(dip[rows], n[rows])
     return dip.reshape(part.n.shape), p.reshape(part.n.shape)
-
-
-def _dip_p(dip: Floats, n: Counts) -> Floats:
-    """Return p-values of dips of `n` samples, shape (row,), where uniform samples are the null.
-
-    Of all unimodal distributions, the uniform one has the largest dips, asymptotically (Hartigan
-    and Hartigan 1985, doi:10.1214/aos/1176346577). Values below 1e-5 become 1e-5.
-
-    Examples
-    --------
-    >>> _dip_p(np.array([0.02, 0.05]), np.array([200, 200])).round(2)
-    array([0.89, 0.  ])
-    """
-    return interpolated_p(np.sqrt(n) * dip, n, DIP_QUANTILES, _FLOOR)

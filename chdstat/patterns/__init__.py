@@ -16,11 +16,16 @@ from __future__ import annotations
 
 from chdstat.patterns.atlases import Atlas, atlas
 from chdstat.patterns.attribution import attribute
-from chdstat.patterns.classification import Agreement, Label, Patterns, agreement, classify
+from chdstat.patterns.classification import (
+    Agreement,
+    Label,
+    Patterns,
+    agreement,
+    choose_regions,
+    classify,
+)
 from chdstat.patterns.known_chds import CHD, CHDS, Component
 from chdstat.patterns.pixel import Pixel
-from chdstat.patterns.pixel_statistics import Thresholds
-from chdstat.patterns.regions import choose_regions
 from chdstat.patterns.simulation import (
     FIREFLY_ZONE,
     INDISTINCT_SPREAD,
@@ -35,7 +40,7 @@ from chdstat.patterns.simulation import (
     truth,
     truth_of,
 )
-from chdstat.patterns.table import PATTERNS, Pattern
+from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
 
 __all__ = [
     "CHD",

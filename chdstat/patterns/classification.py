@@ -17,23 +17,32 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from chdstat._core.arrays import Floats, Mask
-from chdstat._core.display import Shown
+from chdstat._core.display import Shown, percent
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import first_of, flag_attributes, label_variables, place_attributes
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED
-from chdstat.patterns.pixel_statistics import Thresholds, gather
-from chdstat.patterns.table import PATTERNS
+from chdstat.patterns.table import PATTERNS, Thresholds, gather
+from chdstat.rendering.recipes import Region
 from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Agreement", "Classification", "Label", "Patterns", "agreement", "classify"]
+__all__ = [
+    "Agreement",
+    "Classification",
+    "Label",
+    "Patterns",
+    "agreement",
+    "choose_regions",
+    "classify",
+]
 
 
 class Label(enum.IntEnum):
@@ -275,8 +284,6 @@ class Agreement(Shown):
     share
         Share of the up to 8 neighbours that have the label of the pixel, shape (y, x); NaN where
         the pixel or all of its neighbours have no label.
-    by_chance
-        What that share would be on average, were the labels shuffled over the image, shape (y, x).
     observed, expected
         Shares of all pairs of neighbours that have equal labels: there are, and shuffled.
     kappa
@@ -287,7 +294,6 @@ class Agreement(Shown):
     """
 
     share: Floats
-    by_chance: Floats
     observed: float
     expected: float
     kappa: float
@@ -341,16 +347,11 @@ def agreement(labels: npt.NDArray[np.integer], known: Mask | None = None) -> Agr
         neighbours += both
         equal += both & (around[here] == labels)
     _, group, counts = np.unique(labels[known], return_inverse=True, return_counts=True)
-    sizes = np.zeros(labels.shape, dtype=np.int64)
-    sizes[known] = counts[group]
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(known, equal / neighbours, np.nan)
-    n = int(np.count_nonzero(known))
-    by_chance = np.where(known & (neighbours > 0), (sizes - 1) / max(n - 1, 1), np.nan)
-    observed, expected, deviation = _joins(neighbours[known], equal[known], sizes[known])
+    observed, expected, deviation = _joins(neighbours[known], equal[known], counts[group])
     return Agreement(
         share=share,
-        by_chance=by_chance,
         observed=observed,
         expected=expected,
         kappa=(observed - expected) / (1 - expected) if expected < 1 else math.nan,
@@ -378,3 +379,45 @@ def _joins(
     )
     deviation = np.sqrt(max(square - mean**2, 0.0))
     return float(equal.sum()) / pairs, float(mean / pairs), float(deviation / pairs)
+
+
+def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tuple[Region, ...]:
+    """Choose one region for every pattern of an image, where the pattern is purest.
+
+    That is the window of `edge` x `edge` pixels with the most pixels of the label; of equal ones,
+    the one deepest inside its patch, so that marks do not sit on borders.
+
+    Parameters
+    ----------
+    patterns
+        What `chdstat.classify` returns: `label` (y, x) with its flag meanings.
+    edge
+        Edge of a region in pixels; less in smaller images.
+    most
+        Regions at most; the most frequent labels come first.
+    """
+    label = patterns["label"]
+    codes = np.asarray(label.values)
+    names = str(label.attrs["flag_meanings"]).replace("_", "-").split()
+    masks = {n: codes == c for c, n in zip(label.attrs["flag_values"], names, strict=True)}
+    edge = min(edge, *codes.shape)
+    found = sorted(filter(lambda n: masks[n].any(), masks), key=lambda n: -masks[n].sum())
+    return tuple(
+        Region(
+            n,
+            n,
+            _purest(masks[n], edge),
+            f"{percent(float(masks[n].mean()))} of the pixels have this label",
+        )
+        for n in found[:most]
+    )
+
+
+def _purest(mask: npt.NDArray[np.bool_], edge: int) -> tuple[float, float, float, float]:
+    height, width = mask.shape
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    score = ndimage.uniform_filter(mask.astype(float), edge, mode="constant") + 1e-3 * depth
+    y, x = np.unravel_index(np.argmax(np.where(mask, score, -1)), mask.shape)
+    top = int(np.clip(y - edge // 2, 0, height - edge))
+    left = int(np.clip(x - edge // 2, 0, width - edge))
+    return left / width, top / height, (left + edge) / width, (top + edge) / height

@@ -23,8 +23,7 @@ from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns.classification import Classification, Label
 from chdstat.patterns.known_chds import CHD, CHDS, Component, Kind, random_chd
-from chdstat.patterns.pixel_statistics import Thresholds, firefly_limit
-from chdstat.patterns.table import PATTERNS
+from chdstat.patterns.table import PATTERNS, Thresholds, firefly_limit
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:

@@ -15,12 +15,7 @@ import numpy as np
 
 from chdstat._core.display import between, number, percent, with_interval
 from chdstat._core.resampling import Interval
-from chdstat.comparison import Comparison
-from chdstat.comparison.tables import in_words, shown_ratio
-from chdstat.estimators import MLP
-from chdstat.patterns import PATTERNS, Atlas
-from chdstat.patterns.attribution import largest_part
-from chdstat.patterns.overview import (
+from chdstat.analysis import (
     Noise,
     Overview,
     key_intervals,
@@ -28,6 +23,11 @@ from chdstat.patterns.overview import (
     overview,
     pooled_shares,
 )
+from chdstat.comparison import Comparison
+from chdstat.comparison.tables import in_words, shown_ratio
+from chdstat.estimators import MLP
+from chdstat.patterns import PATTERNS, Atlas
+from chdstat.patterns.attribution import largest_part
 from chdstat.rendering.recipes import remake_of
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance

@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 from statsmodels.stats import diagnostic
 
-from chdstat.inference.normality import TESTS, run_tests
-from chdstat.inference.statistics import LEVELS, QUANTILES, SCALES, simulated_p
+from chdstat.inference.normality import LEVELS, QUANTILES, SCALES, TESTS, run_tests, simulated_p
 
 ALL = tuple(TESTS)
 

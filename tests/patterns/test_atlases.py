@@ -156,7 +156,6 @@ def test_an_image_without_shapes_has_an_empty_atlas(clusters):
     assert result.share_interval.shape == result.medoids.shape == (0, 2)
     assert (result.labels == -1).all()
     assert np.isnan(result.stability)
-    assert result.to_dataset().sizes["cluster"] == 0
 
 
 def test_an_image_of_equal_pixels_has_one_shape():
@@ -228,19 +227,6 @@ def test_memory_does_not_grow_with_spp(monkeypatch):
     monkeypatch.setattr(Samples, "read", spy)
     find(Samples.from_array(x))
     assert max(lengths) <= 64
-
-
-def test_the_dataset_explains_itself(found, tmp_path):
-    import xarray as xr
-
-    dataset = found.to_dataset()
-    assert dataset["atlas_labels"].dims == ("y", "x")
-    assert dataset["atlas_density"].dims == ("cluster", "atlas_bin")
-    assert dataset["atlas_labels"].attrs["flag_meanings"].split()[:2] == ["none", "shape_1"]
-    assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
-    dataset.to_netcdf(tmp_path / "atlas.nc", engine="scipy")
-    with xr.open_dataset(tmp_path / "atlas.nc", engine="scipy") as back:
-        np.testing.assert_array_equal(back["atlas_labels"], found.labels)
 
 
 def test_wrong_options_and_other_input_are_refused():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import chdstat as chd
 from chdstat import patterns
@@ -17,6 +18,7 @@ from chdstat.patterns import (
     Label,
     Thresholds,
     agreement,
+    choose_regions,
     classify,
     simulate,
     truth_of,
@@ -323,7 +325,7 @@ def test_agreement_of_known_maps():
     lonely = np.zeros((3, 3), dtype=bool)
     lonely[1, 1] = True
     assert np.isnan(agreement(checkers[:3, :3], lonely).share).all()
-    np.testing.assert_allclose(agreement(checkers).by_chance, 31 / 63)
+    assert agreement(checkers).expected == pytest.approx(31 / 63)
 
 
 def test_flags_are_right_on_a_population():
@@ -345,3 +347,27 @@ def test_wrong_input_is_refused():
         classify(np.ones((2, 30)))
     with pytest.raises(InputError, match="one shape"):
         agreement(np.zeros(4, dtype=int))
+
+
+FLAGS = {
+    "flag_values": [int(label) for label in Label],
+    "flag_meanings": " ".join(label.name.lower() for label in Label),
+}
+
+
+def test_the_library_chooses_one_pure_region_for_each_pattern():
+    label = np.full((32, 32), Label.GAMMA_LIKE, dtype=np.int8)
+    label[20:28, 4:12] = Label.BIMODAL
+    label[2, 30] = Label.LONG_TAIL
+    dataset = xr.Dataset({"label": (("y", "x"), label, FLAGS)})
+    regions = choose_regions(dataset)
+    assert [r.name for r in regions] == ["gamma-like", "bimodal", "long-tail"]
+    for region, code in zip(regions[:2], (Label.GAMMA_LIKE, Label.BIMODAL), strict=True):
+        assert (label[region.pixels(32, 32)] == code).all()
+    assert (label[regions[2].pixels(32, 32)] == Label.LONG_TAIL).any()
+
+
+def test_choosing_works_on_a_single_pixel():
+    label = xr.DataArray(np.full((1, 1), Label.BLACK), dims=("y", "x"), attrs=FLAGS)
+    (region,) = choose_regions(xr.Dataset({"label": label}))
+    assert region.pixels(1, 1) == (slice(0, 1), slice(0, 1))
