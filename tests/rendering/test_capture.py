@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zarr
 
 import chdstat as chd
+from chdstat._core.arrays import LUMINANCE
 from chdstat._core.files import place_of
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import capture, render_pixels
@@ -28,9 +28,6 @@ from chdstat.samples import layout
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
 from chdstat.scenes import load_scene
-
-BT_709 = np.array([0.212671, 0.715160, 0.072169])
-"""Weights of linear sRGB in luminance."""
 
 SIZE = (72, 40)
 
@@ -122,20 +119,11 @@ def test_provenance(tmp_path):
     assert attrs["render_seconds"] >= 0
 
 
-def test_seeds_give_other_samples():
-    a, b = (render(seed=seed)[4, 4] for seed in (0, 1))
-    assert not (a == b)[a > 0].any()
-
-
 def test_the_depth_of_paths_is_heeded():
     # Paths of one segment see the lamp or nothing.
     red = render(max_depth=1, spp=32).read()[:, :, 0]
     assert np.unique(red.round(3)).tolist() == [0, 17]
     assert len(np.unique(render(max_depth=2, spp=32).read())) > 100
-
-
-def test_the_sum_of_all_light_is_the_sky():
-    assert (render(constant(2.0)).read() == 2).all()
 
 
 def test_a_scene_without_light_is_all_null(tmp_path):
@@ -149,8 +137,8 @@ def test_a_scene_without_light_is_all_null(tmp_path):
     assert contents(path) == before
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_bad_samples_are_kept(tmp_path, value):
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 2.0])
+def test_bad_and_good_samples_of_a_sky_are_kept(tmp_path, value):
     samples = render(constant(value), out=tmp_path / "s.zarr")
     assert np.array_equal(samples.read(), np.full((8, 8, 3, 4), value), equal_nan=True)
     assert chd.open(samples.path).spp == 4
@@ -211,7 +199,7 @@ def stop_after(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     monkeypatch.setattr(Store, "write", interrupted)
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
+@pytest.mark.parametrize("count", [0, 5])
 def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, whole, count):
     job = {"size": SIZE, "spp": 200, "out": tmp_path / "s.zarr"}
     with monkeypatch.context() as patch:
@@ -219,7 +207,7 @@ def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, whole,
         with pytest.raises(KeyboardInterrupt):
             render(**job)
     assert len(Store.open(job["out"]).pending()) == 8 - count
-    if count > 1:
+    if count:
         partial = chd.open(job["out"])
         assert partial.spp == 64 * (count // 2)
         assert partial.attrs["spp"] == 200
@@ -252,7 +240,7 @@ def test_a_killed_render_resumes_to_the_same_bits(tmp_path):
     assert {name: killed[name] for name in chunks} == chunks
 
 
-@pytest.mark.parametrize(("old", "new"), [(64, 128), (40, 100), (1, 65)])
+@pytest.mark.parametrize(("old", "new"), [(64, 128), (1, 65)])
 def test_more_samples_are_appended_to_the_same_bits(tmp_path, whole, old, new):
     path = tmp_path / "s.zarr"
     first = render(size=SIZE, spp=old, out=path).read()
@@ -281,17 +269,6 @@ def test_resuming_takes_the_backend_of_the_store(tmp_path):
     path = tmp_path / "s.zarr"
     render(out=path, backend="scalar")
     assert render(out=path, backend="auto", spp=8).attrs["backend"] == "scalar"
-
-
-def test_a_damaged_chunk_is_rendered_again_to_the_same_bits(tmp_path, whole):
-    path = tmp_path / "s.zarr"
-    render(size=SIZE, spp=70, out=path)
-    file = path / "radiance/c/0/1/0/0"
-    file.write_bytes(file.read_bytes()[:1000])
-    with pytest.raises(StoreError, match=f"cannot read {file}"):
-        chd.open(path).read()
-    assert Store.open(path).damaged() == [file]
-    assert np.array_equal(render(size=SIZE, spp=70, out=path).read(), whole[..., :70])
 
 
 def fill_the_disk(patch: pytest.MonkeyPatch, names: str, *, after: int = 0) -> None:
@@ -342,30 +319,13 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
         ({"max_depth": 3}, "integrator: stored .*8.*, asked for .*3"),
     ],
 )
-@pytest.mark.parametrize("spp", [4, 128])
-def test_other_samples_are_not_mixed_in(tmp_path, change, named, spp):
+def test_other_samples_are_not_mixed_in(tmp_path, change, named):
     path = tmp_path / "s.zarr"
     render(out=path)
     before = contents(path)
     with pytest.raises(StoreError, match=f"holds other samples .*{named}.*Nothing was changed"):
-        render(out=path, spp=spp, **change)
+        render(out=path, spp=128, **change)
     assert contents(path) == before
-
-
-@pytest.mark.parametrize("kind", ["file", "folder", "zarr"])
-def test_what_is_no_store_is_not_overwritten(tmp_path, kind):
-    path = tmp_path / "mine"
-    if kind == "file":
-        path.write_text("mine")
-    elif kind == "folder":
-        path.mkdir()
-        (path / "notes.txt").write_text("mine")
-    else:
-        zarr.open_group(path, mode="w")
-    before = contents(tmp_path)
-    with pytest.raises(StoreError, match="not a (complete )?chdstat store"):
-        render(out=path)
-    assert contents(tmp_path) == before
 
 
 # --- errors -------------------------------------------------------------------------------------
@@ -532,39 +492,21 @@ def test_a_light_that_cannot_be_switched_off_is_refused_before_work(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-# --- Dask ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_worker_processes_render_the_same_bits(whole):
-    from distributed import Client, LocalCluster
-
-    local = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
-    with LocalCluster(dashboard_address=":0", **local) as cluster, Client(cluster) as client:
-        samples = render(size=SIZE, spp=70, client=client)
-    assert np.array_equal(samples.read(), whole[..., :70])
-
-
 # --- real scenes --------------------------------------------------------------------------------
 
 
 @pytest.mark.external
-@pytest.mark.parametrize(
-    ("folder", "null_share", "variation"), [("bathroom", 0.54, 3.1), ("white-room", 0.07, 1.4)]
-)
-def test_real_scenes_have_the_nulls_and_the_spread_measured_elsewhere(
-    scenes_folder, folder, null_share, variation
-):
-    scene = load_scene(scenes_folder / folder / "scene.xml", resx=64, resy=64)
+def test_a_real_scene_has_the_nulls_and_the_spread_measured_elsewhere(scenes_folder):
+    scene = load_scene(scenes_folder / "bathroom" / "scene.xml", resx=64, resy=64)
     x = chd.render(scene, spp=64, backend="scalar").read()
-    assert (x == 0).all(axis=2).mean() == pytest.approx(null_share, abs=0.05)
-    y = BT_709 @ x.astype(np.float64)
+    assert (x == 0).all(axis=2).mean() == pytest.approx(0.54, abs=0.05)
+    y = LUMINANCE.astype(np.float64) @ x.astype(np.float64)
     mean = y.mean(axis=-1)
     lit = mean > 0
     median = np.median(y.std(axis=-1, ddof=1)[lit] / mean[lit])
-    # The more samples, the more of the tail they meet: 64 spp give 2.76 and 1.24, 512 spp 4.1 and
-    # 1.8, and the figures measured elsewhere lie between.
-    assert median == pytest.approx(variation, rel=0.2)
+    # More samples meet more of the tail: 64 spp give 2.76, 512 spp 4.1, and the figure that was
+    # measured elsewhere lies between.
+    assert median == pytest.approx(3.1, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -597,14 +539,12 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.parametrize("turn", range(2))
-def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path, turn):
-    # Mitsuba cancels a pass of its own accord on Ctrl-C and leaves it black; several turns, since
-    # the signal may also come between two passes.
+def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
+    # Mitsuba cancels a pass of its own accord on Ctrl-C and leaves it black.
     path = tmp_path / "s.zarr"
     command = [sys.executable, "-c", INTERRUPTED, str(path)]
     child = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
-    while sum(file.is_file() for file in path.glob("radiance/c/*/*/0/[0-9]*")) <= turn:
+    while not any(file.is_file() for file in path.glob("radiance/c/*/*/0/[0-9]*")):
         assert child.poll() is None
         time.sleep(0.01)
     child.send_signal(signal.SIGINT)

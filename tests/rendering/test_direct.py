@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,6 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
-from chdstat.estimators.training import first_samples
 from chdstat.rendering.backend import probe
 from chdstat.samples import inspect
 from chdstat.samples.store import Store
@@ -40,15 +37,14 @@ def direct_of(samples: chd.Samples) -> np.ndarray:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("scene", ["cornell-box", pytest.param("fog", marks=pytest.mark.slow)])
-def test_direct_light_is_part_of_every_sample(scene, backend):
+def test_direct_light_is_part_of_every_sample(backend):
     """Bit for bit the same paths: no sample of it is brighter, and those that end there agree."""
-    samples = render(scene, backend=backend)
+    samples = render(backend=backend)
     whole, direct = samples.read(), direct_of(samples)
     assert (direct <= whole).all()
     assert (direct < whole).any()
     assert ((direct == whole) & (whole > 0)).any()
-    assert (whole == render(scene, backend=backend, direct=False).read()).all()
+    assert (whole == render(backend=backend, direct=False).read()).all()
 
 
 def test_it_is_what_paths_of_two_segments_carry():
@@ -56,6 +52,9 @@ def test_it_is_what_paths_of_two_segments_carry():
     assert (direct_of(samples) == render(max_depth=2, direct=False).read()).all()
     assert samples.direct.attrs["integrator"]["max_depth"] == 2
     assert render(direct=False).direct is None
+    x = np.ones((4, 5, 3, 8))
+    with pytest.raises(InputError, match=r"shape of the samples, \(4, 5, 3, 8\)"):
+        chd.Samples.from_array(x, direct=x[..., :4])
 
 
 @pytest.mark.parametrize("depth", [1, 2])
@@ -139,31 +138,3 @@ def test_an_integrator_without_depths_is_refused_before_the_work(tmp_path):
     with pytest.raises(RenderError, match="'direct' has no max_depth"):
         render(scene, out=out)
     assert not out.exists()
-
-
-def test_samples_in_memory_carry_it():
-    x = np.random.default_rng(0).exponential(size=(4, 5, 3, 8)).astype(np.float32)
-    samples = chd.Samples.from_array(x, direct=x / 2, scene="half")
-    assert samples.direct.name == "half"
-    first = first_samples(samples, 3)
-    assert (first.direct.read() == x[..., :3] / 2).all()
-    assert (first.spp, first.attrs["spp"]) == (3, 3)
-    assert samples.load() is samples
-    with pytest.raises(InputError, match=r"shape of the samples, \(4, 5, 3, 8\)"):
-        chd.Samples.from_array(x, direct=x[..., :4])
-
-
-def test_the_command_renders_it(tmp_path, monkeypatch, capsys):
-    from chdstat.cli import main
-
-    out: Path = tmp_path / "a.zarr"
-    given = ["render", "cornell-box", "-o", out, "--spp", 2, "--size", "4x4", "--direct", "-q"]
-    monkeypatch.setattr("sys.argv", ["chdstat", *map(str, given), "--backend", "scalar"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    capsys.readouterr()
-    monkeypatch.setattr("sys.argv", ["chdstat", "info", str(out), "--json"])
-    with pytest.raises(SystemExit):
-        main()
-    assert json.loads(capsys.readouterr().out)["direct_spp"] == 2

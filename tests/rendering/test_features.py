@@ -43,6 +43,12 @@ def sheet(**bsdf: Any) -> dict[str, Any]:
     return {"type": "rectangle", "to_world": translate(0, 0, 2) @ scale(2, 2, 1), "bsdf": bsdf}
 
 
+def foggy(extinction: Any) -> dict[str, Any]:
+    fog = {"type": "homogeneous", "albedo": 0.9, "sigma_t": extinction, "sample_emitters": True}
+    place = translate(0, 0, 1.5) @ scale(2, 2, 1)
+    return {"type": "cube", "to_world": place, "bsdf": {"type": "null"}, "interior": fog}
+
+
 def is_floor(found: dict[str, np.ndarray], reflectance: float = 0.25) -> bool:
     assert found["depth"] == pytest.approx(5.05, abs=0.07)
     assert found["position"][..., 2] == pytest.approx(0, abs=1e-5)
@@ -75,15 +81,8 @@ def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backen
 
 
 def test_a_medium_ends_rays_where_it_scatters(backend):
-    fog = {"type": "homogeneous", "albedo": 0.9, "sigma_t": 0.5, "sample_emitters": True}
-    box = {
-        "type": "cube",
-        "to_world": translate(0, 0, 1.5) @ scale(2, 2, 1),
-        "bsdf": {"type": "null"},
-        "interior": fog,
-    }
     film = {**FILM, "width": 40, "height": 40}
-    parts = {"box": box, "sensor": {**CAMERA, "film": film}}
+    parts = {"box": foggy(0.5), "sensor": {**CAMERA, "film": film}}
     assert features(backend, **parts)["albedo"].mean() == pytest.approx(0.25, abs=1e-4)
     through = np.exp(-0.5 * 2)  # two units of fog, of which the path integrator knows nothing
     found = features(backend, integrator={"type": "volpath"}, **parts)
@@ -94,14 +93,7 @@ def test_a_medium_ends_rays_where_it_scatters(backend):
 
 def test_a_medium_may_be_clear_in_a_channel(backend):
     clear = {"type": "rgb", "value": [0.5, 0.5, 0.0]}
-    fog = {"type": "homogeneous", "albedo": 0.9, "sigma_t": clear, "sample_emitters": True}
-    box = {
-        "type": "cube",
-        "to_world": translate(0, 0, 1.5) @ scale(2, 2, 1),
-        "bsdf": {"type": "null"},
-        "interior": fog,
-    }
-    found = features(backend, integrator={"type": "volpath"}, box=box)
+    found = features(backend, integrator={"type": "volpath"}, box=foggy(clear))
     assert np.isfinite(found["albedo"]).all()
     assert found["albedo"][..., 0].mean() > 0.3
 

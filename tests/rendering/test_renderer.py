@@ -19,6 +19,7 @@ import pytest
 import scipy.stats
 
 import chdstat as chd
+from chdstat._core.arrays import LUMINANCE
 from chdstat.rendering import render_pixels, seeds
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.options import Job, RenderOptions
@@ -26,9 +27,6 @@ from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
 from chdstat.scenes import load_scene
-
-BT_709 = np.array([0.212671, 0.715160, 0.072169])
-"""Weights of linear sRGB in luminance."""
 
 ALPHA = 1e-3
 SIZE = (16, 16)
@@ -101,21 +99,15 @@ def test_passes_are_shuffled_one_to_one():
     """Of as many numbers drawn at random from 983 040, thousands would come twice."""
     first, rest = (
         np.array([seeds.shuffled(i, seed=7) for i in range(start, stop)])
-        for start, stop in ((0, 2**17), (983_040, seeds.PASSES))
+        for start, stop in ((0, 2**15), (983_040, seeds.PASSES))
     )
     assert len(np.unique(first)) == len(first)
     assert np.array_equal(np.sort(rest), np.arange(983_040, seeds.PASSES))
-    # Of a random order, ranks of neighbours do not correlate: standard errors .003 and .004. What
+    # Of a random order, ranks of neighbours do not correlate: standard errors .006 and .004. What
     # earlier versions could draw keeps its order, and the rest has one of its own.
-    for part, most in ((first, 0.011), (rest, 0.016)):
+    for part, most in ((first, 0.022), (rest, 0.016)):
         assert abs(np.corrcoef(part[1:], part[:-1])[0, 1]) < most
     assert 0.99 * 983_040 < first.max() < 983_040
-
-
-def test_samples_of_a_seed_are_those_of_earlier_versions():
-    # From the numbering of the first stores that have one.
-    assert [seeds.shuffled(i, seed=0) for i in range(3)] == [550_259, 112_832, 199_408]
-    assert [seeds.shuffled(i, seed=1) for i in range(3)] == [195_807, 282_655, 269_606]
 
 
 def test_no_two_passes_of_an_image_share_a_stream():
@@ -261,7 +253,7 @@ def batch_spread(x: np.ndarray, size: int) -> float:
 
 def test_samples_are_independent(box):
     # A fresh seed would fail with probability 7e-6 (4.5 standard errors, 256 pixels).
-    x = BT_709 @ box.read().astype(np.float64)
+    x = LUMINANCE @ box.read().astype(np.float64)
     assert abs(batch_spread(x, 32)) < 4.5
     assert batch_spread(np.repeat(x[..., :512], 2, axis=-1), 32) > 4.5
 
@@ -291,7 +283,7 @@ def p_of_equal_means(x: np.ndarray, mean: np.ndarray, spp: int) -> np.ndarray:
 
 
 def test_moments_agree_with_mitsuba(box, moments):
-    x = BT_709 @ box.read().astype(np.float64)
+    x = LUMINANCE @ box.read().astype(np.float64)
     mean, second, spp = moments
     assert agree(p_of_equal_means(x, mean, spp))
     assert agree(p_of_equal_means(x**2, second, spp))
@@ -300,7 +292,7 @@ def test_moments_agree_with_mitsuba(box, moments):
 def test_a_tenth_more_light_is_noticed(moments):
     source = brighter(load_scene("cornell-box").source, 1.1)
     more = chd.render(source, spp=1024, size=SIZE, backend="scalar")
-    x = BT_709 @ more.read().astype(np.float64)
+    x = LUMINANCE @ more.read().astype(np.float64)
     mean, second, spp = moments
     assert not agree(p_of_equal_means(x, mean, spp))
     assert not agree(p_of_equal_means(x**2, second, spp))
@@ -317,7 +309,7 @@ def test_single_pixels_have_the_distribution_of_the_image(box, request, backend)
         request.getfixturevalue("llvm")
     single = render_pixels("cornell-box", PIXELS, spp=1024, size=SIZE, backend=backend)
     stored = np.stack([box[pixel] for pixel in PIXELS])
-    a, b = (BT_709 @ x.astype(np.float64) for x in (single, stored))
+    a, b = (LUMINANCE @ x.astype(np.float64) for x in (single, stored))
     assert agree(p_of_equal_means(a, b.mean(axis=-1), 1024))
     assert agree(scipy.stats.ks_2samp(a, b, axis=-1, method="asymp").pvalue)
     lit = vectors(np.concatenate([single, stored]))
@@ -327,23 +319,12 @@ def test_single_pixels_have_the_distribution_of_the_image(box, request, backend)
     assert not agree(scipy.stats.ks_2samp(a, b[::-1], axis=-1, method="asymp").pvalue)
 
 
-def test_another_seed_draws_other_samples_of_a_pixel_and_the_same_one_the_same():
-    with activate(probe("scalar")):
-        renderer = Renderer(
-            Job.of("cornell-box", RenderOptions(size=SIZE, seed=3, backend="scalar"))
-        )
-        own, same, other = (renderer.pixels(np.array(PIXELS), 64, seed=s) for s in (None, 3, 4))
-    assert np.array_equal(own, same)
-    lit = vectors(np.concatenate([own, other]))
-    assert repeats(lit[(lit > 0).any(axis=1)].T) == 0
-
-
 # --- LLVM ---------------------------------------------------------------------------------------
 
 
 def test_llvm_agrees_with_scalar(box, llvm):
     x, y = (
-        BT_709 @ s.read().astype(np.float64)
+        LUMINANCE @ s.read().astype(np.float64)
         for s in (box, chd.render("cornell-box", spp=1024, size=SIZE, seed=9, backend=llvm))
     )
     assert agree(p_of_equal_means(x, y.mean(axis=-1), y.shape[-1]))

@@ -24,12 +24,8 @@ def started(out, spp):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["two append", "two create"])
-def test_of_two_writers_one_may_be_refused_and_the_samples_are_right(tmp_path, case):
-    path = tmp_path / "box.zarr"
-    if case == "two append":
-        chd.render(**BOX, spp=70, out=path)
-    most = {"two append": 512, "two create": 320}[case]
+def test_of_two_writers_one_may_be_refused_and_the_samples_are_right(tmp_path):
+    path, most = tmp_path / "box.zarr", 512
     pair = [started(path, 320), started(path, most)]
     for process in pair:
         _, told = process.communicate(timeout=120)
