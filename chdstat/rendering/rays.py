@@ -151,83 +151,17 @@ def first_hits(
     as_it_is
         Whether the film of the sensor cannot be changed, so that Mitsuba cannot render to it.
     """
-    aov = mi.load_dict({"type": "aov", "aovs": _AOVS, "block_size": BLOCK})
-    volumetric = integrator in _VOLUMETRIC
-    if as_it_is or not _is_plain(mi, scene, sensor, hides=hides, volumetric=volumetric):
-        stack = _followed_rays(mi, scene, aov, sensor, medium, size, hides, volumetric)
+    rays = _Rays(mi, scene, sensor, medium, hides=hides, volumetric=integrator in _VOLUMETRIC)
+    if as_it_is or not rays.end_at_once():
+        stack = rays.means(*size)
     else:
         # For each sample, it copies the list of shapes: threads wait for its counters.
         with one_thread() if mi.Bool is bool else contextlib.nullcontext():
-            image = aov.render(scene, sensor, seed=0, spp=_FEATURE_SPP)
+            image = rays.aov.render(scene, sensor, seed=0, spp=_FEATURE_SPP)
             stack = np.array(image, np.float32)[..., -sum(FEATURES.values()) :]
     ends = np.cumsum(list(FEATURES.values()))[:-1]
     parts = zip(FEATURES, np.split(stack, ends, axis=-1), strict=True)
     return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in parts}
-
-
-def _is_plain(mi: Any, scene: Any, sensor: Any, *, hides: bool, volumetric: bool) -> bool:
-    """Return whether a sample shows the first surface that a ray of the sensor meets."""
-    held = mi.traverse(scene).hierarchy  # instances do not say what they are made of
-    materials = [part for part in held if isinstance(part, mi.BSDF)]
-    passing = any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in materials)
-    hidden = hides and any(shape.is_emitter() for shape in scene.shapes())
-    return not (passing or hidden or (volumetric and sensor.get_medium() is not None))
-
-
-def _followed_rays(
-    mi: Any,
-    scene: Any,
-    aov: Any,
-    sensor: Any,
-    medium: Any,
-    size: tuple[int, int],
-    hides: bool,
-    volumetric: bool,
-) -> Image:
-    """Return the mean of what many rays of each pixel hit, shape (y, x, number)."""
-    width, height = size
-    sampler = mi.load_dict({"type": "independent"})
-
-    def hit(x: Any, y: Any) -> list[Any]:
-        dx, dy = sampler.next_2d()
-        position = mi.Point2f((x + dx) / width, (y + dy) / height)
-        ray, _ = _sensed(mi, position, sensor, sampler)
-        return _first_hit(mi, scene, aov, ray, sampler, medium, hides, volumetric)
-
-    if mi.Bool is bool:
-        sampler.seed(0, 1)
-        pixels = np.ndindex(height, width)
-        means = [np.mean([hit(x, y) for _ in range(_FEATURE_SPP)], axis=0) for y, x in pixels]
-        return np.array(means, np.float32).reshape(height, width, -1)
-    lanes = width * height * _FEATURE_SPP
-    sampler.seed(0, lanes)
-    index = dr.arange(mi.UInt32, lanes) // _FEATURE_SPP
-    found = hit(mi.Float(index % width), mi.Float(index // width))
-    stack = np.stack([np.broadcast_to(np.array(v), lanes) for v in found], axis=-1)
-    stack = stack.reshape(height, width, _FEATURE_SPP, -1)
-    return np.asarray(stack.mean(axis=2), np.float32)
-
-
-def _first_hit(
-    mi: Any,
-    scene: Any,
-    aov: Any,
-    ray: Any,
-    sampler: Any,
-    medium: Any,
-    hides: bool,
-    volumetric: bool,
-) -> list[Any]:
-    """Return the 10 numbers of the features of a ray, or of many lanes."""
-    origin = mi.Point3f(ray.o)
-    if mi.Bool is not bool:  # as variables of kernels hold it
-        medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
-    path = _followed(mi, scene, ray, sampler, medium, hides, volumetric)
-    _, _, found = aov.sample(scene, sampler, mi.RayDifferential3f(path.ray), None, True)
-    values = [mi.Float(value) for value in found[-10:]]
-    values[6] = dr.select(values[6] > 0, path.length + values[6], 0)
-    scattered = [*path.albedo, 0, 0, 0, dr.norm(path.place - origin), *path.place]
-    return [dr.select(path.ends, s, v) for s, v in zip(scattered, values, strict=True)]
 
 
 @dataclass
@@ -244,79 +178,144 @@ class _Path:
     goes_on: Any
 
 
-@dr.syntax  # type: ignore[untyped-decorator]
-def _followed(
-    mi: Any, scene: Any, ray: Any, sampler: Any, medium: Any, hides: bool, volumetric: bool
-) -> Any:
-    """Follow a ray until it meets a surface that shows, a medium scatters it, or nothing is met."""
-    path = _Path(
-        ray=mi.Ray3f(ray),
-        medium=medium,
-        length=mi.Float(0),
-        ends=mi.Bool(False),
-        albedo=mi.Color3f(0),
-        place=mi.Point3f(0),
-        is_fresh=mi.Bool(True),
-        goes_on=mi.Bool(True),
-    )
-    while path.goes_on:
-        path = _continued(mi, scene, path, sampler, hides, volumetric)
-    return path
+class _Rays:
+    """Rays of a sensor that are followed until they meet what shows.
 
+    Parameters
+    ----------
+    medium
+        What they start in, or None.
+    hides
+        Whether lamps are hidden.
+    volumetric
+        Whether media scatter them.
+    """
 
-def _continued(
-    mi: Any, scene: Any, path: _Path, sampler: Any, hides: bool, volumetric: bool
-) -> _Path:
-    """Return a path after its next event: a surface, or in a medium a collision."""
-    si = scene.ray_intersect(path.ray, path.goes_on)
-    collides = scatters = mi.Bool(False)
-    t, place, albedo = mi.Float(0), path.place, path.albedo
-    if volumetric and path.medium is not None:
-        inside = path.goes_on & (True if mi.Bool is bool else path.medium != None)  # noqa: E711
-        event, t, scattered = _collision(mi, path, sampler, inside)
-        collides = inside & event.is_valid() & (t < si.t)
-        scatters = collides & scattered
-        share = event.sigma_s / dr.maximum(event.sigma_t, _LEAST)
-        albedo = dr.select(scatters, _srgb(mi, _flat(mi, share, path.ray), path.ray), albedo)
-        place = dr.select(scatters, event.p, place)
-    lamp = passes = mi.Bool(False)
-    surface = path.goes_on & (collides ^ True) & si.is_valid()
-    medium = path.medium
-    if mi.Bool is not bool or surface:
-        lamp = surface & path.is_fresh & hides & si.shape.is_emitter()
-        sample, _ = si.bsdf().sample(
-            mi.BSDFContext(), si, sampler.next_1d(surface), sampler.next_2d(surface), surface
+    def __init__(
+        self, mi: Any, scene: Any, sensor: Any, medium: Any, *, hides: bool, volumetric: bool
+    ) -> None:
+        self.mi, self.scene, self.sensor, self.medium = mi, scene, sensor, medium
+        self.hides, self.volumetric = hides, volumetric
+        self.aov = mi.load_dict({"type": "aov", "aovs": _AOVS, "block_size": BLOCK})
+        self.sampler = mi.load_dict({"type": "independent"})
+
+    def end_at_once(self) -> bool:
+        """Return whether the first surface that a ray meets is what shows."""
+        mi = self.mi
+        held = mi.traverse(self.scene).hierarchy  # instances do not say what they are made of
+        materials = [part for part in held if isinstance(part, mi.BSDF)]
+        passing = any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in materials)
+        hidden = self.hides and any(shape.is_emitter() for shape in self.scene.shapes())
+        inside = self.volumetric and self.sensor.get_medium() is not None
+        return not (passing or hidden or inside)
+
+    def means(self, width: int, height: int) -> Image:
+        """Return the mean of what many rays of each pixel hit, shape (y, x, number)."""
+        mi, sampler = self.mi, self.sampler
+
+        def hit(x: Any, y: Any) -> list[Any]:
+            dx, dy = sampler.next_2d()
+            position = mi.Point2f((x + dx) / width, (y + dy) / height)
+            ray, _ = _sensed(mi, position, self.sensor, sampler)
+            return self._first_hit(ray)
+
+        if mi.Bool is bool:
+            sampler.seed(0, 1)
+            pixels = np.ndindex(height, width)
+            means = [np.mean([hit(x, y) for _ in range(_FEATURE_SPP)], axis=0) for y, x in pixels]
+            return np.array(means, np.float32).reshape(height, width, -1)
+        lanes = width * height * _FEATURE_SPP
+        sampler.seed(0, lanes)
+        index = dr.arange(mi.UInt32, lanes) // _FEATURE_SPP
+        found = hit(mi.Float(index % width), mi.Float(index // width))
+        stack = np.stack([np.broadcast_to(np.array(v), lanes) for v in found], axis=-1)
+        stack = stack.reshape(height, width, _FEATURE_SPP, -1)
+        return np.asarray(stack.mean(axis=2), np.float32)
+
+    def _first_hit(self, ray: Any) -> list[Any]:
+        """Return the 10 numbers of the features of a ray, or of many lanes."""
+        mi, origin, medium = self.mi, self.mi.Point3f(ray.o), self.medium
+        if mi.Bool is not bool:  # as variables of kernels hold it
+            medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
+        start = _Path(
+            ray=mi.Ray3f(ray),
+            medium=medium,
+            length=mi.Float(0),
+            ends=mi.Bool(False),
+            albedo=mi.Color3f(0),
+            place=mi.Point3f(0),
+            is_fresh=mi.Bool(True),
+            goes_on=mi.Bool(True),
         )
-        passes = surface & (lamp ^ True) & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
-        if volumetric:
-            crosses = (lamp | passes) & si.is_medium_transition()
-            inner = si.target_medium(path.ray.d)
-            if mi.Bool is bool:
-                medium = inner if crosses else medium
-            else:
-                medium = dr.select(crosses, inner, medium)
-    onward, ray = lamp | passes, mi.Ray3f(path.ray)
-    ray.o = dr.select(collides, path.ray(t), ray.o)
-    ray = dr.select(onward, si.spawn_ray(path.ray.d), ray)
-    return _Path(
-        ray=ray,
-        medium=medium,
-        length=path.length + dr.select(onward, si.t, dr.select(collides, t, 0)),
-        ends=path.ends | scatters,
-        albedo=albedo,
-        place=place,
-        # What passes through a material counts as a reflection, but for integrators of media.
-        is_fresh=path.is_fresh & ((passes ^ True) | volumetric),
-        goes_on=onward | (collides & (scatters ^ True)),
-    )
+        path = _followed(self, start)
+        _, _, found = self.aov.sample(
+            self.scene, self.sampler, mi.RayDifferential3f(path.ray), None, True
+        )
+        values = [mi.Float(value) for value in found[-10:]]
+        values[6] = dr.select(values[6] > 0, path.length + values[6], 0)
+        scattered = [*path.albedo, 0, 0, 0, dr.norm(path.place - origin), *path.place]
+        return [dr.select(path.ends, s, v) for s, v in zip(scattered, values, strict=True)]
+
+    def continued(self, path: _Path) -> _Path:
+        """Return a path after its next event: a surface, or in a medium a collision."""
+        mi, sampler = self.mi, self.sampler
+        si = self.scene.ray_intersect(path.ray, path.goes_on)
+        collides = scatters = mi.Bool(False)
+        t, place, albedo = mi.Float(0), path.place, path.albedo
+        if self.volumetric and path.medium is not None:
+            inside = path.goes_on & (True if mi.Bool is bool else path.medium != None)  # noqa: E711
+            event, t, scattered = self._collision(path, inside)
+            collides = inside & event.is_valid() & (t < si.t)
+            scatters = collides & scattered
+            share = event.sigma_s / dr.maximum(event.sigma_t, _LEAST)
+            albedo = dr.select(scatters, _srgb(mi, _flat(mi, share, path.ray), path.ray), albedo)
+            place = dr.select(scatters, event.p, place)
+        lamp = passes = mi.Bool(False)
+        surface = path.goes_on & (collides ^ True) & si.is_valid()
+        medium = path.medium
+        if mi.Bool is not bool or surface:
+            lamp = surface & path.is_fresh & self.hides & si.shape.is_emitter()
+            sample, _ = si.bsdf().sample(
+                mi.BSDFContext(), si, sampler.next_1d(surface), sampler.next_2d(surface), surface
+            )
+            passes = surface & (lamp ^ True) & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+            if self.volumetric:
+                crosses = (lamp | passes) & si.is_medium_transition()
+                inner = si.target_medium(path.ray.d)
+                if mi.Bool is bool:
+                    medium = inner if crosses else medium
+                else:
+                    medium = dr.select(crosses, inner, medium)
+        onward, ray = lamp | passes, mi.Ray3f(path.ray)
+        ray.o = dr.select(collides, path.ray(t), ray.o)
+        ray = dr.select(onward, si.spawn_ray(path.ray.d), ray)
+        return _Path(
+            ray=ray,
+            medium=medium,
+            length=path.length + dr.select(onward, si.t, dr.select(collides, t, 0)),
+            ends=path.ends | scatters,
+            albedo=albedo,
+            place=place,
+            # What passes through a material counts as a reflection, but for integrators of media.
+            is_fresh=path.is_fresh & ((passes ^ True) | self.volumetric),
+            goes_on=onward | (collides & (scatters ^ True)),
+        )
+
+    def _collision(self, path: _Path, inside: Any) -> tuple[Any, Any, Any]:
+        """Return where a medium meets a ray next, how far away, and if it scatters there."""
+        mi, sampler = self.mi, self.sampler
+        channel = mi.UInt32(dr.minimum(3 * sampler.next_1d(inside), 2)) if mi.is_rgb else 0
+        event = path.medium.sample_interaction(path.ray, sampler.next_1d(inside), channel, inside)
+        real = dr.mean(event.sigma_t / dr.maximum(event.combined_extinction, _LEAST))
+        return event, event.t, sampler.next_1d(inside) < real
 
 
-def _collision(mi: Any, path: _Path, sampler: Any, inside: Any) -> tuple[Any, Any, Any]:
-    """Return where a medium interacts with a ray next, how far away, and if it scatters there."""
-    channel = mi.UInt32(dr.minimum(3 * sampler.next_1d(inside), 2)) if mi.is_rgb else 0
-    event = path.medium.sample_interaction(path.ray, sampler.next_1d(inside), channel, inside)
-    real = dr.mean(event.sigma_t / dr.maximum(event.combined_extinction, _LEAST))
-    return event, event.t, sampler.next_1d(inside) < real
+@dr.syntax  # type: ignore[untyped-decorator]
+def _followed(rays: _Rays, path: _Path) -> Any:
+    """Follow a path until it meets a surface that shows, a medium scatters it, or it leaves."""
+    while path.goes_on:
+        path = rays.continued(path)
+    return path
 
 
 def _flat(mi: Any, spectrum: Any, ray: Any) -> Any:
