@@ -98,6 +98,9 @@ def test_a_pixel_has_the_samples_that_are_its_own(tmp_path):
         assert np.array_equal(np.isfinite(cut.read()[:, :, 0]).sum(axis=-1), cut.counts)
         assert found.to_dataset()["counts"].to_numpy().sum() == COUNTS.sum()
     assert "0 to 100 spp" in repr(samples)
+    assert "biased" in samples._repr_html_()
+    with pytest.raises(InputError, match=r"has 0 to 100: .* samples.first\(1\)"):
+        chd.compare(samples)
     counts = np.full((70, 5), 100)
     assert chd.Samples.from_array(RADIANCE, counts=counts).counts is None  # as all are equal
     counts[0, 0] = 30
@@ -168,26 +171,6 @@ def test_a_pixel_is_described_as_if_it_were_alone():
                     else np.allclose(here, alone, rtol=1e-4, equal_nan=True)
                 )
                 assert same or str(variable).startswith("label"), (name, variable)
-
-
-def test_what_needs_equal_counts_says_so(tmp_path):
-    samples = chd.Samples.from_array(RADIANCE, counts=np.maximum(COUNTS, 20))
-    functions = (
-        chd.compare,
-        chd.study,
-        chd.estimate,
-        chd.estimators.MLP.preset("elek2019").train,
-        lambda s: chd.report(s, tmp_path / "r.pdf"),
-    )
-    for function in functions:
-        with pytest.raises(InputError, match=r"has 20 to 100: .* samples.first\(20\)"):
-            function(samples)
-
-
-def test_counts_are_told(tmp_path, capsys):
-    saved = chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr")
-    assert "biased" in saved._repr_html_()
-    assert chd.samples.inspect(tmp_path / "own.zarr")["counts"] == [COUNTS.min(), COUNTS.max()]
 
 
 def test_attributes_of_another_store_are_not_taken_over(tmp_path):

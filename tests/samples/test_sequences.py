@@ -11,9 +11,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, train_model
-from chdstat.explorer.sources import StoreSource
 from chdstat.inference import difference
-from chdstat.rendering import render_batches
 
 N, SEQUENCES = 16, 64
 
@@ -42,6 +40,9 @@ def test_means_of_sequences_are_averages_without_a_sequence():
     assert means.attrs["averaged"] == N
     assert means.attrs["spp"] == SEQUENCES
     assert "sequence" not in means.attrs
+    assert "(averages of 16)" in repr(means)
+    assert "1024 spp in stratified sequences of 16" in repr(samples)
+    assert "in sequences of 16 samples that depend on each other" in samples._repr_html_()
 
 
 def test_a_part_of_whole_sequences_has_means_and_others_are_refused():
@@ -117,15 +118,6 @@ def test_a_contrast_takes_averages_of_sequences():
     assert darker.outcome == "differ"
 
 
-def test_a_contrast_of_averages_counts_the_time_of_a_sample():
-    x = np.random.default_rng(5).random((8, 8, 3, 256))
-    drawn = {"render_seconds": 4.0, "sampler": "stratified", "sequence": N}
-    a = chd.Samples.from_array(spread(total=16), **drawn)
-    b = chd.Samples.from_array(x, render_seconds=4.0)
-    assert chd.contrast(a, b).seconds == (4 / 256, 4 / 256)
-    assert chd.contrast(a, b, seconds=2.0).spp == (8, 128)
-
-
 def test_distributions_of_different_averages_are_not_compared():
     b = chd.Samples.from_array(np.random.default_rng(5).random((8, 8, 3, 64)))
     with pytest.raises(InputError, match="averages of 16 and 1 samples differ"):
@@ -170,27 +162,6 @@ def test_a_sequence_that_is_no_number_is_refused():
             chd.summarize(samples)
 
 
-def test_samples_of_another_renderer_are_marked(tmp_path):
-    np.save(tmp_path / "x.npy", spread())
-    samples = chd.io.read(tmp_path / "x.npy", sequence=N)
-    assert samples.sequence_means().spp == SEQUENCES
-    assert "in sequences of 16 samples that depend on each other" in samples._repr_html_()
-
-
-def test_a_report_refuses(tmp_path):
-    with pytest.raises(InputError, match="expected independent samples"):
-        chd.report(stratified(), tmp_path / "r.pdf")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_estimate_while_rendering_refuses():
-    rendering = render_batches(
-        "cornell-box", spp=32, size=(8, 8), backend="scalar", sampler="stratified"
-    )
-    with pytest.raises(InputError, match="expected independent samples"):
-        chd.estimate(rendering)
-
-
 def test_what_looks_at_single_samples_takes_them():
     samples = stratified()
     same = chd.Samples.from_array(samples.read())
@@ -203,16 +174,6 @@ def test_what_looks_at_single_samples_takes_them():
     error = chd.summarize(samples)["standard_error"][2, 3]
     np.testing.assert_allclose(pixel.statistics["standard_error"], error, rtol=1e-6)
     pixel.plot().savefig(io.BytesIO())
-
-
-def test_what_is_shown_names_the_sequences():
-    samples = stratified()
-    assert "stratified sequences of 16: errors" in StoreSource(samples).describe()
-    assert "(averages of 16)" in repr(samples.sequence_means())
-    assert "1024 spp in stratified sequences of 16" in repr(samples)
-    assert "sequence" not in repr(samples.sequence_means())
-    drawn = chd.Samples.from_array(spread(), sampler="stratified", sequence=N, seed=3)
-    assert "in sequences of 16 samples that depend on each other" in drawn._repr_html_()
 
 
 # --- stores -------------------------------------------------------------------------------------

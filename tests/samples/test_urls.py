@@ -111,28 +111,6 @@ def test_damage_is_named_and_repaired(either, expected):
     assert np.array_equal(repaired.read(), expected.read())
 
 
-def test_other_things_are_not_overwritten(url):
-    note = UPath(url) / "note.txt"
-    note.write_text("mine")
-    with pytest.raises(StoreError, match="exists and is not a chdstat store"):
-        chd.render("cornell-box", spp=2, out=url, **SETTINGS)
-    assert [file.name for file in UPath(url).iterdir()] == ["note.txt"]
-
-
-def test_the_command_line_takes_urls(url, expected, monkeypatch, capsys):
-    def run(*arguments: str) -> str:
-        monkeypatch.setattr("sys.argv", ["chdstat", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code
-        return capsys.readouterr().out
-
-    drawn = ["--size", "70x20", "--seed", "3", "--backend", "scalar", "--quiet"]
-    run("render", "cornell-box", "-o", url, "--spp", "130", *drawn)
-    assert "130" in run("info", url)
-    assert np.array_equal(chd.open(url).read(), expected.read())
-
-
 @pytest.mark.parametrize("words", ["analyze {} -o", "render cornell-box --summary-only -o"])
 def test_maps_go_to_folders(expected, tmp_path, monkeypatch, capsys, words):
     monkeypatch.chdir(tmp_path)

@@ -173,17 +173,6 @@ def test_the_process_of_the_explorer_has_the_plugin(write):
         render.close()
 
 
-@pytest.mark.slow
-def test_workers_of_a_cluster_have_the_plugin(write):
-    from distributed import Client, LocalCluster
-
-    load_plugin(write(INTEGRATOR)).path.unlink()
-    local = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0"}
-    with LocalCluster(**local) as cluster, Client(cluster) as client:
-        samples = chd.render("cornell-box", **SCALAR, client=client)
-    assert (samples.read() == 2).all()
-
-
 def test_an_estimator_of_a_plugin_is_found_by_name(write):
     load_plugin(write(ESTIMATOR))
     x = np.array([1.0, 5.0, 3.0])
@@ -244,19 +233,6 @@ def test_a_mistake_in_a_class_is_told_by_its_line(write, old, new, line, backend
     load_plugin(write(INTEGRATOR.replace(old, new)))
     with pytest.raises(ChdstatError, match=rf"mine\.py, line {line}: "):
         chd.render("cornell-box", **{**SCALAR, "backend": backend})
-
-
-@pytest.mark.parametrize(
-    "command", ["render", "report", "study", "explore", "train", "estimate", "compare"]
-)
-def test_every_command_that_renders_takes_plugins(command):
-    from typer.main import get_command
-
-    from chdstat.cli import app
-
-    found: Any = get_command(app)
-    (option,) = (p for p in found.commands[command].params if "--plugin" in p.opts)
-    assert option.multiple
 
 
 def test_the_command_loads_them(write, tmp_path):
