@@ -84,35 +84,6 @@ def _rows(
     ]
 
 
-def _dataset(
-    columns: Mapping[tuple[str, ...], Mapping[str, tuple[Any, dict[str, str]]]],
-    coordinates: Mapping[str, Any],
-    found: Comparison | ErrorCurve,
-    **attrs: Any,
-) -> xr.Dataset:
-    """Return a dataset of columns by their dims, with the attributes that a file can hold.
-
-    What is neither text nor whole is JSON there. Names are objects: zarr v3 has no stable type for
-    text of fixed length.
-    """
-    import xarray as xr
-
-    looks = _described("whether it looks at the pixels around")
-    variables = {
-        name: (dims, *column) for dims, group in columns.items() for name, column in group.items()
-    }
-    variables["uses_neighbours"] = (("estimator",), found.uses_neighbours, looks)
-    coordinates = {
-        name: np.array(values, dtype=object) if isinstance(values, list) else values
-        for name, values in {"estimator": [*found.estimators], **coordinates}.items()
-    }
-    attrs |= found.provenance
-    plain_attrs = {
-        k: v if isinstance(v, str | int) else json.dumps(v, default=str) for k, v in attrs.items()
-    }
-    return xr.Dataset(variables, coordinates, plain_attrs)
-
-
 def _data_frame(measures: Measures, where: Any = ..., **index: Sequence[Any]) -> pd.DataFrame:
     """Return measures with their intervals as a data frame, a row for each place of the index."""
     import pandas as pd
@@ -556,8 +527,11 @@ class Comparison(Shown):
 
         Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
         ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
-        have dims (label, estimator) and the prefix ``label_``.
+        have dims (label, estimator) and the prefix ``label_``. Attributes that are neither text nor
+        whole numbers are JSON, as files hold them.
         """
+        import xarray as xr
+
         height, width = self.test_pixels.shape
         part, image, radiance = ("estimator", "part"), ("y", "x", "channel"), "W sr-1 m-2"
         others = "mean of all but the first n"
@@ -577,20 +551,30 @@ class Comparison(Shown):
             },
             image[:2]: {"test_pixel": (self.test_pixels, _described("pixel counts"))},
         }
-        coordinates: dict[str, Any] = {
-            "part": [*self.channels, "mean"],
-            "channel": [*self.channels],
-            "y": np.arange(height),
-            "x": np.arange(width),
-        }
+        looks = _described("whether it looks at the pixels around")
+        columns["estimator",] = {"uses_neighbours": (self.uses_neighbours, looks)}
+        names = {"estimator": self.estimators, "part": [*self.channels, "mean"]}
+        names["channel"] = self.channels
         if (found := self.breakdown) is not None:
-            coordinates["label"] = [*found.labels]
+            names["label"] = found.labels
             about = _described("pixels with the label that judge")
             columns["label",] = {"label_pixels": (found.pixels, about)}
             columns["label", "estimator"] = {
                 f"label_{name}": column for name, column in _columns(found.measures).items()
             }
-        return _dataset(columns, coordinates, self, n=self.n)
+        variables = {
+            name: (dims, *column)
+            for dims, group in columns.items()
+            for name, column in group.items()
+        }
+        # Objects: zarr v3 has no stable type for text of fixed length.
+        coordinates = {name: np.array(values, object) for name, values in names.items()}
+        coordinates |= {"y": np.arange(height), "x": np.arange(width)}
+        attrs = {
+            name: value if isinstance(value, str | int) else json.dumps(value, default=str)
+            for name, value in {"n": self.n, **self.provenance}.items()
+        }
+        return xr.Dataset(variables, coordinates, attrs)
 
 
 @dataclass(frozen=True, repr=False)
@@ -647,17 +631,3 @@ class ErrorCurve(Shown):
         names = "sizes", "batches", "test_pixels", "reference_noise", "provenance"
         found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
         return found | {"table": plain(self.table())}
-
-    def to_dataset(self) -> xr.Dataset:
-        """Return the measures with dims (n, estimator), each with ``_se``, ``_low``, ``_high``."""
-        by_size: Columns = {
-            f"{measure}_reference_noise": (
-                noise,
-                _described(f"{MEASURES[measure][0]} of a perfect estimator", MEASURES[measure][1]),
-            )
-            for measure, noise in self.reference_noise.items()
-        }
-        by_size["batches"] = self.batches, _described("estimates that count")
-        columns = {("n", "estimator"): _columns(self.measures), ("n",): by_size}
-        sizes = ("n", np.array(self.sizes), _described("samples per estimate"))
-        return _dataset(columns, {"n": sizes}, self)

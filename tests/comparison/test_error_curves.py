@@ -84,13 +84,9 @@ def test_what_learns_is_measured_at_its_own_size(model):
     assert curve.batches.tolist() == [96 * 10, 96 * 5]
 
 
-def test_the_curve_is_ready_for_json_and_netcdf(curve):
+def test_the_curve_is_ready_for_json(curve):
     content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
     assert content["table"][0]["n"] == 4
-    dataset = curve.to_dataset()
-    assert dataset["relmse_low"].sel(n=32, estimator="mean") == curve.measures["relmse"].low[3, 0]
-    assert dataset["mse_reference_noise"].dims == ("n",)
-    assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from chdstat._core.arrays import Array, Floats, generator, is_bad
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import entry_of, estimate_by
-from chdstat.comparison.metrics import relative_squared_error
+from chdstat.comparison.metrics import relative_squared
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
@@ -150,10 +150,10 @@ def _better_start(data: SceneData, comparison: Comparison, index: int) -> Interv
     normal = None if albedo is None else data.feature("normal")
     scene_mean = np.nanmean(comparison.reference, axis=(0, 1))
     ours, theirs = (
-        relative_squared_error(
-            denoise(start, albedo=albedo, normal=normal),
+        relative_squared(
+            denoise(start, albedo=albedo, normal=normal) - comparison.first_reference,
             comparison.first_reference,
-            scene_mean=scene_mean,
+            scene_mean,
         )
         .mean(axis=-1)
         .ravel()
