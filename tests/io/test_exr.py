@@ -4,7 +4,6 @@ What is of other programs is used, told, or refused.
 """
 
 import warnings
-from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -64,20 +63,13 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path):
         np.testing.assert_array_equal(found.extra[name], layer)
         assert found.extra[name].dtype == layer.dtype
     assert found.attributes == attributes
-
-
-def test_viewers_find_channels_and_layers_by_their_usual_names(tmp_path):
-    x = image()
-    path = write_exr(
-        tmp_path / "x.exr", x, extra={"certainty": x[..., 0], "low": x, "v.X": x[..., 1]}
-    )
-    found = channels_of(path)
-    assert set(found) == {"R", "G", "B", "certainty", "low.R", "low.G", "low.B", "v.X"}
-    for i, name in enumerate("RGB"):
-        np.testing.assert_array_equal(found[name], x[..., i])
-        np.testing.assert_array_equal(found[f"low.{name}"], x[..., i])
     with OpenEXR.File(str(path)) as file:
-        assert file.header()["chromaticities"][:2] == pytest.approx((0.64, 0.33))
+        header = file.header()
+        assert header["chromaticities"][:2] == pytest.approx((0.64, 0.33))
+        for name in ("dataWindow", "displayWindow"):
+            assert np.array_equal(header[name], window(0, 0, 6, 4))
+    names = {*"RGB", *("low.R", "low.G", "low.B"), *("light.high." + c for c in "RGB")}
+    assert channels_of(path).keys() == {*names, "certainty", "number"}
 
 
 @pytest.mark.parametrize(("count", "names"), [(1, ("Y",)), (3, ("R", "G", "B")), (2, ("u", "v"))])
@@ -111,22 +103,6 @@ def test_half_keeps_eleven_bits(tmp_path):
     assert found.image.dtype == found.extra["one"].dtype == np.float32
 
 
-def test_half_keeps_nan_and_infinity(tmp_path):
-    x = np.full((2, 2, 3), np.nan)
-    x[0] = np.inf
-    path = write_exr(tmp_path / "x.exr", x, pixel_type="half")
-    with pytest.warns(InputWarning, match="half floats of 65504, .* or infinite"):
-        np.testing.assert_array_equal(read_exr(path).image, x)
-
-
-def test_whole_numbers_and_masks_become_floats(tmp_path):
-    mask = image()[..., 0] > 1
-    path = write_exr(tmp_path / "x.exr", np.ones((5, 7, 3), int), extra={"mask": mask})
-    found = read_exr(path)
-    assert (found.image == 1).all()
-    np.testing.assert_array_equal(found.extra["mask"], mask.astype(np.float32))
-
-
 # --- files of others ------------------------------------------------------------------------------
 
 
@@ -138,15 +114,6 @@ def test_other_channels_are_layers(tmp_path):
     np.testing.assert_array_equal(found.image, x)
     assert found.extra.keys() == more.keys()
     assert read_exr(tmp_path / "x.exr", channels=["Z"]).image.shape == (5, 7, 1)
-
-
-def test_channels_of_other_parts_are_layers(tmp_path):
-    x, normal = image(), image(seed=1)
-    other = {"X": normal[..., 0], "n.Y": normal[..., 1]}, {"name": "n"}
-    found = read_exr(exr(tmp_path / "x.exr", planes_of(x), other))
-    np.testing.assert_array_equal(found.image, x)
-    assert found.extra.keys() == {"n.X", "n.Y"}
-    np.testing.assert_array_equal(found.extra["n.X"], normal[..., 0])
 
 
 def test_a_header_that_claims_more_than_the_file_can_hold_is_refused(tmp_path):
@@ -168,13 +135,6 @@ def test_channels_of_lower_resolution_are_refused(tmp_path):
         np.testing.assert_array_equal(read_exr(path).image[..., 0], x)
 
 
-def test_deep_images_are_refused(tmp_path):
-    compressed = {"kind": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
-    path = exr(tmp_path / "x.exr", {"Z": deep((2, 3))}, **compressed)
-    with pytest.raises(StoreError, match="'Z' is deep"):
-        read_exr(path)
-
-
 # --- files that are none --------------------------------------------------------------------------
 
 
@@ -189,7 +149,7 @@ def test_a_file_that_is_not_there_or_not_one(tmp_path):
             read_exr(tmp_path / "x.exr")
 
 
-@pytest.mark.parametrize("share", [0.001, 0.02, 0.3, 0.7, 0.999])
+@pytest.mark.parametrize("share", [0.001, 0.3, 0.999])
 def test_a_file_that_is_cut_off(tmp_path, share):
     path = write_exr(tmp_path / "x.exr", image((64, 64, 3)))
     whole = path.read_bytes()
@@ -226,32 +186,6 @@ def test_where_nothing_can_be_written(tmp_path):
         with pytest.raises(StoreError, match="cannot write an EXR file to"):
             write_exr(tmp_path / path, image())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.exr"]
-
-
-def test_what_fails_midway_leaves_the_old_file(tmp_path, monkeypatch):
-    path = write_exr(tmp_path / "x.exr", image())
-
-    class Full:
-        def __init__(self, header, channels):
-            pass
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *error):
-            pass
-
-        def write(self, path):
-            Path(path).write_bytes(b"half of it")
-            message = "No space left on device."
-            raise RuntimeError(message)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(OpenEXR, "File", Full)
-        with pytest.raises(StoreError, match="No space left"):
-            write_exr(path, image(seed=1))
-    assert list(tmp_path.iterdir()) == [path]
-    np.testing.assert_array_equal(read_exr(path).image, image())
 
 
 @pytest.mark.parametrize(
@@ -301,8 +235,8 @@ def told(path, **options):
 
 
 @pytest.mark.parametrize("kind", [OpenEXR.scanlineimage, OpenEXR.tiledimage])
-@pytest.mark.parametrize("origin", [(0, 0), (5, -3), (-7, 100)])
-@pytest.mark.parametrize("data", [(0, 0, 13, 10), (2, 3, 9, 4), (13, 10, 13, 10), (0, 4, 13, 4)])
+@pytest.mark.parametrize("origin", [(0, 0), (5, -3)])
+@pytest.mark.parametrize("data", [(0, 0, 13, 10), (2, 3, 9, 4), (13, 10, 13, 10)])
 def test_a_frame_lies_in_its_display_window(tmp_path, kind, origin, data):
     left, top, right, bottom = data
     x, y = origin
@@ -404,18 +338,6 @@ def test_frames_of_other_display_windows_are_refused(tmp_path):
         other = stack(tmp_path / "other", [(4, 4)], shown=shown)
         with pytest.raises(InputError, match=match):
             chd.io.read(*first, *other).read()
-
-
-def test_contrast_takes_a_cropped_reference_where_it_lies(tmp_path):
-    header = {"dataWindow": window(3, 2, 9, 8), "displayWindow": window(0, 0, 13, 10)}
-    truth = np.zeros_like(IMAGE)
-    truth[2:9, 3:10] = IMAGE[2:9, 3:10]
-    path = exr(tmp_path / "x.exr", planes_of(IMAGE[2:9, 3:10]), **header)
-    noise = np.random.default_rng(1).gamma(1.0, size=(*IMAGE.shape, 64))
-    samples = chd.Samples.from_array(truth[..., np.newaxis] * noise, axes="yxcs")
-    assert chd.contrast(samples, path).p_image > 0.01  # seeded; by accident in 1 % of seeds
-    moved = chd.Samples.from_array(np.roll(truth, 3, axis=1)[..., np.newaxis] * noise, axes="yxcs")
-    assert chd.contrast(moved, path).outcome == "differ"
 
 
 def test_a_feature_file_is_placed_and_has_the_channels_of_vectors(tmp_path):
@@ -631,7 +553,7 @@ def test_grey_has_no_primaries(tmp_path):
     assert not said
 
 
-@pytest.mark.parametrize("value", [65504, -65504, np.inf])
+@pytest.mark.parametrize("value", [65504, -np.inf])
 def test_what_half_floats_cut_is_told_once(tmp_path, value):
     for number in range(3):
         half = (IMAGE * (number + 1)).astype(np.float16)
@@ -640,19 +562,3 @@ def test_what_half_floats_cut_is_told_once(tmp_path, value):
     with pytest.warns(InputWarning, match="half floats of 65504") as caught:
         chd.io.read(tmp_path).read()
     assert len(caught) == 1
-
-
-def test_half_floats_are_read_as_they_are(tmp_path):
-    half = IMAGE.astype(np.float16)
-    half[0, 0] = 65472
-    found, said = told(exr(tmp_path / "x.exr", planes_of(half)))
-    np.testing.assert_array_equal(found.image, half.astype(np.float32))
-    assert not said
-
-
-def test_what_is_written_has_equal_windows(tmp_path):
-    path = write_exr(tmp_path / "x.exr", IMAGE)
-    with OpenEXR.File(str(path), header_only=True) as file:
-        header = file.header()
-        for name in ("dataWindow", "displayWindow"):
-            assert np.array_equal(header[name], window(0, 0, 13, 10))

@@ -17,7 +17,7 @@ from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.io import lazy
 from chdstat.io.reading import FORMATS
-from tests.io.writers import WRITERS, exr, planes_of
+from tests.io.writers import WRITERS, exr
 
 FRAMES = np.random.default_rng(5).gamma(2.0, size=(40, 6, 9, 3)).astype(np.float32)
 RADIANCE = np.moveaxis(FRAMES, 0, -1)
@@ -202,17 +202,6 @@ def test_the_command_imports_and_appends(tmp_path, run):
     assert str(tmp_path) not in str(samples.attrs)
 
 
-@pytest.mark.filterwarnings("default::chdstat.errors.InputWarning")
-def test_the_command_tells_of_copies_in_a_line(tmp_path, run, capsys):
-    for number in range(3):
-        chd.io.write_exr(tmp_path / f"{number}.exr", FRAMES[number % 2])
-    run("import", *sorted(tmp_path.glob("*.exr")), "-o", tmp_path / "own.zarr", "-q")
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert said[0].startswith("chdstat: ")
-    assert "(1: 2.exr of 0.exr)" in said[0]
-
-
 # --- stacks of EXR images -------------------------------------------------------------------------
 
 
@@ -232,16 +221,6 @@ def test_features_are_averages_of_layers_and_samples_may_be_a_layer(stack):
     assert np.array_equal(depth[:, :, 0], np.moveaxis(ALBEDO[..., 1], 0, -1))
     albedo = chd.io.read(stack, variable="albedo").read()
     assert np.array_equal(albedo, np.moveaxis(ALBEDO, 0, -1))
-
-
-def test_parts_are_layers(tmp_path):
-    half = IMAGES[:2].astype(np.float16)
-    for number, image in enumerate(half):
-        normal = planes_of(IMAGES[5], "XYZ"), {"name": "N"}
-        exr(tmp_path / f"{number}.exr", planes_of(image), normal, name="beauty")
-    samples = chd.io.read(tmp_path, features={"normal": "N"})
-    assert np.array_equal(samples.read(), np.moveaxis(half, 0, -1).astype(np.float32))
-    assert np.array_equal(samples.features["normal"], IMAGES[5])
 
 
 @pytest.mark.parametrize("name", ["samplesPerPixel", "cycles.View Layer.samples"])

@@ -6,8 +6,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.cli import main
-from chdstat.errors import InputError, StoreError
-from chdstat.io.writing import open_maps
+from chdstat.errors import InputError
 
 RADIANCE = np.random.default_rng(2).gamma(0.3, 3.0, size=(5, 6, 3, 24)).astype(np.float32)
 SAMPLES = chd.Samples.from_array(RADIANCE, scene="x")
@@ -62,11 +61,3 @@ def test_the_command_exports_maps(tmp_path, monkeypatch, capsys):
     assert "d.exr" in capsys.readouterr().out
     assert export(store, "exr", "f.exr") == 1
     assert "holds samples, not maps" in capsys.readouterr().err
-
-
-def test_faults_are_named(tmp_path):
-    found = chd.summarize(SAMPLES)
-    with pytest.raises(InputError, match=r"must end in \.exr"):
-        chd.io.write_maps(found, tmp_path / "x.png")
-    with pytest.raises(StoreError, match="no maps at"):
-        open_maps(tmp_path)

@@ -173,16 +173,6 @@ def test_another_filter_and_sampler_are_replaced_and_named(xml, caplog):
     assert plain.attrs["notes"] == []
 
 
-def test_the_variant_of_the_user_is_restored(tmp_path):
-    with activate(probe("scalar")) as mi:
-        mi.set_variant("scalar_spectral")
-        render()
-        assert mi.variant() == "scalar_spectral"
-        with pytest.raises(RenderError):
-            render(constant(1.0, integrator={"type": "ptracer"}))
-        assert mi.variant() == "scalar_spectral"
-
-
 # --- stopping, resuming, appending --------------------------------------------------------------
 
 
@@ -380,8 +370,7 @@ def test_pixels_outside(pixels, message):
 def test_single_pixels():
     pixels = [(0, 0), (7, 3), (0, 0)]
     x = render_pixels("cornell-box", pixels, spp=20, size=(8, 8))
-    assert x.shape == (3, 3, 20)
-    assert x.dtype == np.float32
+    assert (x.shape, x.dtype) == ((3, 3, 20), np.float32)
     assert np.array_equal(x[0], x[2])
     assert np.array_equal(x[1], render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8))[0])
     other = render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8), seed=1)[0]

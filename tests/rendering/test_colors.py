@@ -16,7 +16,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering import backend as backends
-from chdstat.rendering import render_batches, render_pixels
+from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import Verdict, activate, probe, resolve
 
 CASES = [("scalar", "spectral"), ("llvm", "spectral"), ("llvm", "mono")]
@@ -85,13 +85,6 @@ def test_null_samples_are_zero_and_negative_ones_stay(backend, color):
     assert (x.min() < 0) == (color == "spectral"), "single wavelengths are out of sRGB's gamut"
     assert samples.attrs["color"] == color
     assert samples.features["albedo"].shape == (8, 8, 3)
-
-
-def test_mono_has_three_equal_channels():
-    x = chd.render(SCENE, spp=8, progress=False, **used("llvm", "mono")).read()
-    assert (x == x[:, :, :1]).all()
-    (batch,) = render_batches(SCENE, spp=8, progress=False, **used("llvm", "mono"))
-    assert np.array_equal(batch, x)
 
 
 def test_a_store_has_one_color(tmp_path):

@@ -7,7 +7,6 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
-from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import activate, probe
 from chdstat.scenes.scene import look_at
 
@@ -54,18 +53,6 @@ def test_it_draws_what_its_description_draws(mi, source):
     assert live.features.keys() == expected.features.keys()
     assert all(np.array_equal(live.features[k], v) for k, v in expected.features.items())
     assert "filter" in live.attrs["notes"][0]
-
-
-def test_its_own_integrator_renders_it_in_its_own_variant(mi):
-    built = mi.load_dict({**mi.cornell_box(), "integrator": {"type": "path", "max_depth": 2}})
-    live = chd.render(built, **VIEW)
-    assert live.attrs["integrator"]["max_depth"] == 2
-    assert live.attrs["backend"] == "scalar"
-    short = chd.render(built, **VIEW, integrator={"type": "path", "max_depth": 2})
-    assert live.read().mean() == pytest.approx(short.read().mean(), rel=0.2)
-    (batch,) = render_batches(built, **VIEW)
-    assert np.array_equal(batch, live.read())
-    assert render_pixels(built, (3, 4), spp=2, size=(24, 24)).shape == (1, 3, 2)
 
 
 def test_in_a_wavefront_it_draws_what_its_description_draws():

@@ -132,14 +132,6 @@ def test_wrong_counts_are_refused(counts, told):
         chd.Samples.from_array(RADIANCE, counts=counts)
 
 
-def test_averages_are_not_taken_for_samples():
-    averages = chd.Samples.from_array(RADIANCE, averaged=16)
-    assert chd.summarize(averages)["mean"].shape == (70, 5, 3)
-    for function in (chd.analyze, chd.compare, chd.classify, chd.modality):
-        with pytest.raises(InputError, match="averages of 16"):
-            function(averages)
-
-
 def test_a_pixel_is_described_as_if_it_were_alone():
     rng = np.random.default_rng(0)
     x = rng.gamma(2.0, size=(2, 3, 3, 400)) * (rng.random((2, 3, 1, 400)) < 0.8)
