@@ -247,7 +247,7 @@ class _Rays:
             is_fresh=mi.Bool(True),
             goes_on=mi.Bool(True),
         )
-        path = _followed(self, start)
+        path = _followed(self, start, self.sampler)
         _, _, found = self.aov.sample(
             self.scene, self.sampler, mi.RayDifferential3f(path.ray), None, True
         )
@@ -256,15 +256,15 @@ class _Rays:
         scattered = [*path.albedo, 0, 0, 0, dr.norm(path.place - origin), *path.place]
         return [dr.select(path.ends, s, v) for s, v in zip(scattered, values, strict=True)]
 
-    def continued(self, path: _Path) -> _Path:
+    def continued(self, path: _Path, sampler: Any) -> _Path:
         """Return a path after its next event: a surface, or in a medium a collision."""
-        mi, sampler = self.mi, self.sampler
+        mi = self.mi
         si = self.scene.ray_intersect(path.ray, path.goes_on)
         collides = scatters = mi.Bool(False)
         t, place, albedo = mi.Float(0), path.place, path.albedo
         if self.volumetric and path.medium is not None:
             inside = path.goes_on & (True if mi.Bool is bool else path.medium != None)  # noqa: E711
-            event, t, scattered = self._collision(path, inside)
+            event, t, scattered = self._collision(path, sampler, inside)
             collides = inside & event.is_valid() & (t < si.t)
             scatters = collides & scattered
             share = event.sigma_s / dr.maximum(event.sigma_t, _LEAST)
@@ -301,9 +301,9 @@ class _Rays:
             goes_on=onward | (collides & (scatters ^ True)),
         )
 
-    def _collision(self, path: _Path, inside: Any) -> tuple[Any, Any, Any]:
+    def _collision(self, path: _Path, sampler: Any, inside: Any) -> tuple[Any, Any, Any]:
         """Return where a medium meets a ray next, how far away, and if it scatters there."""
-        mi, sampler = self.mi, self.sampler
+        mi = self.mi
         channel = mi.UInt32(dr.minimum(3 * sampler.next_1d(inside), 2)) if mi.is_rgb else 0
         event = path.medium.sample_interaction(path.ray, sampler.next_1d(inside), channel, inside)
         real = dr.mean(event.sigma_t / dr.maximum(event.combined_extinction, _LEAST))
@@ -311,10 +311,13 @@ class _Rays:
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
-def _followed(rays: _Rays, path: _Path) -> Any:
-    """Follow a path until it meets a surface that shows, a medium scatters it, or it leaves."""
+def _followed(rays: _Rays, path: _Path, sampler: Any) -> Any:
+    """Follow a path until it meets a surface that shows, a medium scatters it, or it leaves.
+
+    The sampler is a variable of the loop, else each turn would draw the same random numbers.
+    """
     while path.goes_on:
-        path = rays.continued(path)
+        path = rays.continued(path, sampler)
     return path
 
 

@@ -69,15 +69,16 @@ def test_hidden_lamps_are_passed(backend, name):
 
 def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backend):
     assert is_floor(features(backend, sheet=sheet(type="null")))
-    film = {**FILM, "width": 40, "height": 40}
-    half = features(
-        backend,
-        sheet=sheet(type="mask", opacity=0.5, inner={"type": "diffuse", "reflectance": 0.75}),
-        sensor={**CAMERA, "film": film},
-    )
+    veil = sheet(type="mask", opacity=0.5, inner={"type": "diffuse", "reflectance": 0.75})
+    camera = {**CAMERA, "film": {**FILM, "width": 40, "height": 40}}
+    half = features(backend, sheet=veil, sensor=camera)
     # 25,600 rays: four standard errors of a half are .0125.
     assert (half["albedo"].mean() - 0.25) / 0.5 == pytest.approx(0.5, abs=0.0125)
     assert (half["depth"].mean() - 3.03) / 2.02 == pytest.approx(0.5, abs=0.02)
+    # What lets a ray through says nothing of what comes next.
+    second = {**veil, "to_world": translate(0, 0, 1) @ scale(2, 2, 1)}
+    twice = features(backend, sheet=veil, second=second, sensor=camera)
+    assert (twice["albedo"].mean() - 0.25) / 0.5 == pytest.approx(0.75, abs=0.0125)
 
 
 def test_a_medium_ends_rays_where_it_scatters(backend):
