@@ -192,30 +192,6 @@ def test_bounded_families_of_a_histogram_hold_every_sample():
     assert (end[fitted] > x.max(axis=-1)[fitted]).all()
 
 
-def test_histograms_of_an_image_go_the_way_of_its_samples():
-    rng = np.random.default_rng(7)
-    samples = chd.Samples.from_array(rng.gamma(2.0, size=(2, 3, 3, 2048)).astype(np.float32))
-    of_samples = chd.fit.weibull(samples, progress=False)
-    of_bins = chd.fit.weibull(chd.histogram(samples))
-    assert of_bins["weibull_shape"].dims == ("y", "x", "channel")
-    assert of_bins["weibull_scale"].attrs["units"] == "W sr-1 m-2"
-    np.testing.assert_allclose(of_bins["weibull_shape"], of_samples["weibull_shape"], rtol=0.02)
-    np.testing.assert_array_equal(of_bins["n"], of_samples["n"])
-
-
-def test_ties_and_two_values_are_data():
-    rng = np.random.default_rng(8)
-    clamped = np.minimum(rng.gamma(2.0, size=256), 2.0)
-    two = np.where(rng.random(256) < 0.3, 1.0, 4.0)
-    firefly = np.r_[1e30, rng.gamma(2.0, size=255)]
-    decades = 10.0 ** rng.uniform(-38, 30, size=256)
-    x = np.stack([clamped, two, firefly, decades])
-    for family in FAMILY_NAMES:
-        fit = chd.fit.fit(x, family)
-        for values in fit.parameters.values():
-            np.testing.assert_array_equal(np.isfinite(values), fit.reason == Reason.OK)
-
-
 @pytest.mark.parametrize("n", [20, 100, 160, 300])
 def test_one_sample_apart_from_all_others_is_enough(n):
     lone = np.full((2, n), 2.0)

@@ -246,28 +246,6 @@ def test_cells_bound_the_likelihood_from_below_and_keep_every_sample():
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("factor", [1e-30, 3.0, 1e30])
-def test_radiance_scales_the_scale_only(family, factor):
-    x = two_gammas(np.random.default_rng(12), (5, 300))
-    one, other = mixture(x, family=family), mixture(factor * x, family=family)
-    np.testing.assert_array_equal(one.k, other.k)
-    np.testing.assert_allclose(other.weights, one.weights, rtol=1e-5)
-    if family == "gamma":
-        expected = one.parameters["scale"] * factor
-        np.testing.assert_allclose(other.parameters["scale"], expected, rtol=1e-5)
-    else:
-        expected = one.parameters["mu"] + np.log(factor)
-        np.testing.assert_allclose(other.parameters["mu"], expected, rtol=1e-5, atol=1e-5)
-
-
-def test_order_of_samples_does_not_matter():
-    rng = np.random.default_rng(13)
-    x = two_lights(rng, 500)
-    one, other = mixture(x), mixture(rng.permutation(x))
-    np.testing.assert_array_equal(one.parameters["mu"], other.parameters["mu"])
-
-
-@pytest.mark.parametrize("family", FAMILIES)
 def test_methods_agree_with_each_other(family):
     """Mean of 2e4 draws within 4.5 standard errors: fails by chance with 1e-5."""
     x = np.concatenate([two_lights(np.random.default_rng(14), 700), np.zeros(300)])
@@ -478,48 +456,6 @@ def test_three_samples_do_not_tell_one_component_from_two():
     assert mixture(x, max_k=1).k == 1
 
 
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("criterion", ["bic", "held_out"])
-def test_pixels_without_a_mixture_are_data(family, criterion):
-    rows = {
-        Reason.ALL_NULL: np.zeros(40),
-        Reason.ALL_BAD: np.full(40, np.nan),
-        Reason.TOO_FEW: np.r_[1.0, np.zeros(39)],
-        Reason.CONSTANT: np.full(40, 0.1),
-    }
-    result = mixture(np.stack(list(rows.values())), family=family, criterion=criterion)
-    np.testing.assert_array_equal(result.reason, list(rows))
-    np.testing.assert_array_equal(result.k, 0)
-    for values in (result.weights, result.bic, result.bics, *result.parameters.values()):
-        assert np.isnan(values).all()
-    assert np.isnan(result.ppf(0.99)).all()
-    assert np.isnan(result.mean()).all()
-    assert np.isnan(result.rvs(3, seed=1)[1]).all()
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize("family", FAMILIES)
-def test_extreme_radiance(family):
-    rng = np.random.default_rng(19)
-    x = two_lights(rng, (6, 64))
-    x[0, :3] = 1e30
-    x[1, :3] = 1e-45
-    x[2, :30] = np.nan
-    x[3] = np.where(np.arange(64) % 2, 1e30, 1e-45)
-    x[4, 2:] = 0
-    x[5, 5:] = 0
-    result = mixture(x, family=family)
-    two_values, too_few = 3, 4
-    fitted = np.delete(np.arange(6), [two_values, too_few])
-    assert (result.k[fitted] > 0).all()
-    assert np.isfinite(result.log_likelihood[fitted]).all()
-    np.testing.assert_allclose(np.nansum(result.weights[fitted], axis=-1), 1)
-    assert result.reason[[two_values, too_few]].tolist() == [Reason.TIED, Reason.TOO_FEW]
-    assert np.isnan(result.bics[too_few]).all()
-    assert np.isnan(result.bics[5, 2])
-
-
 def test_more_components_than_samples_or_values():
     assert mixture([1.0, 2.0, 3.0, 4.0], 2).reason == Reason.TOO_FEW
     assert mixture(np.r_[np.linspace(1, 2, 7), 0, 0], 3).reason == Reason.TOO_FEW
@@ -554,17 +490,3 @@ def test_bad_options():
 
 
 # --- images -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("route", ["samples", "histogram"])
-def test_image(route):
-    samples = chd.Samples.from_array(two_lights(np.random.default_rng(20), (3, 4, 3, 256)))
-    source = samples if route == "samples" else chd.histogram(samples)
-    dataset = mixture(source, progress=False)
-    assert dataset["lognormal_mixture_k"].dims == ("y", "x", "channel")
-    assert dataset["lognormal_mixture_mu_se"].dims == ("y", "x", "channel", "component")
-    assert (dataset["lognormal_mixture_k"] == 2).mean() > 0.8
-    for variable in dataset.data_vars.values():
-        assert {"long_name", "units"} <= set(variable.attrs)
-    pixel = mixture(samples[1, 2] if route == "samples" else chd.histogram(samples[1, 2]))
-    np.testing.assert_allclose(dataset["lognormal_mixture_mu"][1, 2], pixel.parameters["mu"])

@@ -103,19 +103,6 @@ def test_radiance_scales_the_scale_and_nothing_else(family, factor):
 
 
 @pytest.mark.parametrize("family", FAMILY_NAMES)
-def test_batch_equals_its_rows(family):
-    x = typical(family, np.random.default_rng(9), (2, 3, 200), nulls=0.4)
-    batch = chd.fit.fit(x, family)
-    assert batch.null_interval.shape == (2, 3, 2)
-    for index in np.ndindex(2, 3):
-        row = chd.fit.fit(x[index], family)
-        for name, value in row.parameters.items():
-            assert value.shape == ()
-            assert batch.parameters[name][index] == pytest.approx(float(value), rel=1e-9)
-        assert batch.bic[index] == pytest.approx(float(row.bic), rel=1e-12)
-
-
-@pytest.mark.parametrize("family", FAMILY_NAMES)
 def test_float32_equals_float64(family):
     x = typical(family, np.random.default_rng(10), (4, 500), nulls=0.4).astype(np.float32)
     single, double = chd.fit.fit(x, family), chd.fit.fit(x.astype(np.float64), family)

@@ -51,15 +51,6 @@ def test_margin_is_the_difference_of_the_criteria():
     np.testing.assert_array_equal(selection.best, bic.argmin(axis=-1))
 
 
-def test_a_black_pixel_has_no_family():
-    selection = chd.fit.select(np.zeros((2, 64)), held_out=True)
-    np.testing.assert_array_equal(selection.best, -1)
-    np.testing.assert_array_equal(selection.names, "")
-    for value in (selection.margin, selection.vuong_z, selection.held_out.margin_se):
-        assert np.isnan(value).all()
-    np.testing.assert_array_equal(selection.held_out.best, -1)
-
-
 def held_out_by_hand(row, family):
     """Return log densities of positive samples at even and odd places, each by the other's fit."""
     halves = row[::2], row[1::2]

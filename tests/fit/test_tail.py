@@ -128,51 +128,6 @@ def test_likelihood_is_near_its_maximum():
         assert best - 0.1 < ours <= best + 1e-6
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e30, 1e-42])
-def test_radiance_scales_the_tail(factor):
-    x = np.random.default_rng(37).pareto(1.5, size=(4, 600))
-    one, scaled = chd.fit.tail_index(x), chd.fit.tail_index(factor * x)
-    np.testing.assert_allclose(scaled.xi, one.xi, rtol=1e-9)
-    np.testing.assert_allclose(scaled.scale, factor * one.scale, rtol=1e-9)
-    np.testing.assert_allclose(scaled.hill, one.hill, rtol=1e-9)
-
-
-def test_extreme_samples_warn_of_nothing():
-    x = np.random.default_rng(46).pareto(1.5, size=(3, 600))
-    x[0, 0], x[1, :20], x[2, 0] = 1e300, 1e-320, 5e-324
-    tail = chd.fit.tail_index(x)
-    np.testing.assert_array_equal(tail.reason, Reason.OK)
-    assert np.isfinite(tail.xi).all()
-
-
-def test_rows_do_not_depend_on_their_neighbours():
-    rng = np.random.default_rng(38)
-    x = rng.pareto(1.5, size=(30, 600))
-    x[rng.random(x.shape) < np.linspace(0, 0.95, 30)[:, np.newaxis]] = 0
-    x[3, :3] = np.nan, np.inf, -1.0
-    together = chd.fit.tail_index(x)
-    for row, samples in enumerate(x):
-        alone = chd.fit.tail_index(rng.permutation(samples[np.isfinite(samples) & (samples > 0)]))
-        assert alone.n == together.n[row]
-        np.testing.assert_allclose(together.xi[row], alone.xi, rtol=1e-9)
-        np.testing.assert_allclose(together.hill[row], alone.hill, rtol=1e-9)
-
-
-def test_unusable_pixels_are_data():
-    rng = np.random.default_rng(39)
-    few = np.where(np.arange(400) < 15, rng.exponential(size=400), 0)
-    tied = np.where(np.arange(400) < 250, rng.random(400), 7.0)
-    tail = chd.fit.tail_index(np.stack([np.zeros(400), few, np.ones(400), tied]))
-    expected = [Reason.ALL_NULL, Reason.TOO_FEW, Reason.CONSTANT, Reason.TIED]
-    np.testing.assert_array_equal(tail.reason, expected)
-    for values in (tail.xi, tail.p_value, tail.p_exponential, tail.standard_error, tail.hill):
-        assert np.isnan(values).all()
-    assert np.isnan(tail.interval).all()
-    verdicts = tail.variance_trusted, tail.variance_suspect, tail.variance_unidentified
-    for values in (tail.n, *verdicts):
-        assert not values.any()
-
-
 def contaminated(body, share, shape, seed):
     """A body of which a rare share is 5 + a tail of index 1."""
     rng = np.random.default_rng(seed)
@@ -243,17 +198,6 @@ def test_effective_index_in_closed_form():
         xi = effective_tail_index(stats.genpareto(0.4, scale=1e-20), share)
         np.testing.assert_allclose(xi, 0.4, atol=1e-7)
     assert effective_tail_index(stats.gamma(5)) < 0 < effective_tail_index(stats.gamma(0.5))
-
-
-def test_image():
-    radiance = np.random.default_rng(40).pareto(1.5, size=(2, 3, 3, 300))
-    dataset = chd.fit.tail_index(chd.Samples.from_array(radiance), progress=False)
-    assert dataset["tail_index"].dims == ("y", "x", "channel")
-    assert dataset["tail_interval"].dims == ("y", "x", "channel", "bound")
-    assert (dataset["tail_q_exponential"] >= dataset["tail_p_exponential"]).all()
-    assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
-    alone = chd.fit.tail_index(radiance[1, 2].astype(np.float32))
-    np.testing.assert_allclose(dataset["tail_index"][1, 2], alone.xi)
 
 
 @pytest.mark.parametrize(

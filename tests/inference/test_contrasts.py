@@ -170,9 +170,7 @@ def outcomes(base, counts, trials=40):
     return found
 
 
-@pytest.mark.parametrize(
-    ("base", "counts"), [("constant", (16, 256)), ("gamma", (256, 16)), ("constant", (32, 100))]
-)
+@pytest.mark.parametrize(("base", "counts"), [("constant", (32, 100)), ("gamma", (256, 16))])
 def test_fireflies_make_no_difference_at_unequal_spp(base, counts):
     """Of 40 pairs, more than 7 at 5 % would happen in 1 of 1200 runs; signs alone have 10 or so."""
     found = outcomes(base, counts)
@@ -287,14 +285,14 @@ def test_pairs_show_what_independent_renders_do_not():
 
 
 def test_what_would_have_been_found_is_found():
-    """A loss of the size that is called detectable, in the whole image: 90 % of 20; 14 or more."""
+    """A loss that is called detectable, in the whole image: 90 % of 12; below 7 in 1 of 1800."""
     rng = np.random.default_rng(4)
     hits = []
-    for seed in range(20):
+    for seed in range(12):
         a, b = (heavy(rng, 48, edge=24, sigma=0.5) for _ in range(2))
         loss = contrast(a, b, seed=seed).detectable["image"]
         hits.append(contrast(a, b * (1 - loss), seed=seed).outcome == "differ")
-    assert sum(hits) >= 14
+    assert sum(hits) >= 7
 
 
 def test_single_pixels_are_found_among_others():

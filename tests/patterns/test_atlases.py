@@ -201,13 +201,6 @@ def test_typical_shapes_are_distributions_around_their_scale(found):
     assert np.abs(variances - np.log(10) ** -2).min() < 0.01
 
 
-def test_the_number_can_be_given(scene):
-    samples = Samples.from_array(scene[0])
-    result = find(samples, clusters=2)
-    assert len(result.share) == 2
-    assert result.candidates.tolist() == [2]
-
-
 def test_the_same_seed_gives_the_same_atlas(scene, found):
     again = find(Samples.from_array(scene[0]), seed=0)
     for name, value in vars(found).items():

@@ -45,18 +45,6 @@ def test_reasons(x, reason):
     assert histogram(x).positive.reason() == reason
 
 
-def test_an_image_goes_the_same_way_as_its_pixels():
-    rng = np.random.default_rng(3)
-    samples = Samples.from_array(rng.gamma(2.0, size=(2, 3, 3, 64)))
-
-    of_samples = fit.gamma(samples, progress=False)
-    of_bins = fit.gamma(histogram(samples))
-    assert of_bins["gamma_scale"].dims == of_samples["gamma_scale"].dims == ("y", "x", "channel")
-    np.testing.assert_allclose(of_bins["gamma_scale"], of_samples["gamma_scale"], rtol=0.1)
-    pixel = fit.gamma(histogram(samples[1, 2]))
-    np.testing.assert_array_equal(of_bins["gamma_scale"].values[1, 2], pixel.parameters["scale"])
-
-
 def test_what_cannot_be_binned_is_refused():
     with pytest.raises(InputError, match="log histogram, got one of linear"):
         histogram([1.0, 2.0], scale="linear").positive  # noqa: B018 - it raises

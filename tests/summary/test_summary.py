@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError
 from chdstat.samples import Samples
-from chdstat.samples.store import Store
-from chdstat.summary.histograms import Histogram, histogram, linear_support
+from chdstat.summary.histograms import Histogram, linear_support
 from chdstat.summary.statistics import Summary, summarize
 
 MOMENTS = ("mean", "variance", "skewness", "kurtosis", "minimum", "maximum", "standard_error")
@@ -349,36 +348,3 @@ def test_image_equals_its_pixels_whatever_the_tiles():
     assert dataset["mean"].dims == ("y", "x", "channel")
     assert list(dataset["channel"].values) == ["R", "G", "B"]
     assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
-
-
-def test_an_image_may_be_samples_an_array_or_the_path_of_a_store(tmp_path):
-    import xarray as xr
-
-    path = tmp_path / "s.zarr"
-    samples = Samples.from_array(radiance((3, 2, 3, 64)))
-    with Store.create(path, shape=(3, 2, 3, 64), attrs={}) as store:
-        for chunk in store.pending():
-            store.write(chunk, samples.read())
-    for source in (samples.read(), path, str(path)):
-        xr.testing.assert_equal(summarize(source), summarize(samples))
-    for source in (path, str(path)):
-        xr.testing.assert_equal(histogram(source), histogram(samples))
-    for function in (summarize, histogram):
-        with pytest.raises(StoreError):
-            function("no-store.zarr")
-    with pytest.raises(InputError, match="shape"):
-        summarize(np.ones(64))
-
-
-def test_the_dataset_can_be_saved_and_read_again(tmp_path):
-    import xarray as xr
-
-    dataset = summarize(Samples.from_array(radiance((3, 2, 3, 100))))
-    dataset.to_netcdf(tmp_path / "summary.nc", engine="scipy")
-    with xr.open_dataset(tmp_path / "summary.nc", engine="scipy") as back:
-        np.testing.assert_array_equal(back["log_counts"], dataset["log_counts"])
-        np.testing.assert_array_equal(back["mean"], dataset["mean"])
-    dataset.to_zarr(tmp_path / "summary.zarr", consolidated=False)
-    with xr.open_zarr(tmp_path / "summary.zarr", consolidated=False) as back:
-        np.testing.assert_array_equal(back["batch_means"], dataset["batch_means"])
-        assert back["linear_reason"].attrs["flag_meanings"].startswith("ok")

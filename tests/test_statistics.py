@@ -1,0 +1,234 @@
+"""Laws of every statistic: of an array, a pixel alone, an image, another scale, and hard pixels.
+
+Warnings are errors in this project's tests, so that each call here also shows that there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._core.positive import PositivePart
+from chdstat.errors import Reason
+from chdstat.fit.families import FamilyFit
+from chdstat.fit.goodness_of_fit import GoodnessOfFit
+from chdstat.fit.mixtures import MixtureFit
+from chdstat.fit.selection import FamilySelection
+from chdstat.fit.tail import TailIndex
+from chdstat.inference import TESTS, TRANSFORMS, gaussianity_of_means
+from chdstat.inference.averages import NormalityOfMeans
+from chdstat.inference.modes import ModalMixture, Modes
+from chdstat.inference.normality import Normality
+from chdstat.summary.runner import run
+
+N = 96
+
+
+def _rows() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(6)
+    usual = rng.gamma(2.0, size=N)
+    few = np.zeros(N)
+    few[:3] = 1.0, 2.0, 5.0
+    return {
+        "usual": usual,
+        "all null": np.zeros(N),
+        "one sample": np.r_[2.0, np.zeros(N - 1)],
+        "two samples": np.r_[2.0, 3.0, np.zeros(N - 2)],
+        "fewer than parameters": few,
+        "constant": np.full(N, 0.7),
+        "constant but for nulls": np.where(np.arange(N) % 2, 0.7, 0),
+        "nearly constant": 0.7 * (1 + 1e-9 * rng.random(N)),
+        "two values": np.where(np.arange(N) % 3, 1.0, 4.0),
+        "three values": 2.0 ** (np.arange(N) % 3),
+        "clamped": np.minimum(usual, np.median(usual)),
+        "half of one value": np.where(np.arange(N) % 2, usual, 1.0),
+        "subnormal": usual * 1e-43,
+        "huge": usual * 1e30,
+        "every magnitude": 10.0 ** rng.uniform(-38, 30, size=N),
+        "one firefly": np.r_[1e30, usual[1:]],
+        "nan": np.full(N, np.nan),
+        "some nan": np.where(np.arange(N) % 4, usual, np.nan),
+        "inf": np.where(np.arange(N) % 4, usual, np.inf),
+        "negative": np.where(np.arange(N) % 4, usual, -1.0),
+    }
+
+
+ROWS = _rows()
+HOPELESS = {
+    "all null": Reason.ALL_NULL,
+    "nan": Reason.ALL_BAD,
+    "one sample": Reason.TOO_FEW,
+    "constant": Reason.CONSTANT,
+    "constant but for nulls": Reason.CONSTANT,
+}
+"""Rows of which nothing can be said, and why."""
+NULLS_COUNT = {"one sample", "constant but for nulls"}
+"""Those of which averages can be looked at: a null is a sample like any other there."""
+FUNCTIONS: dict[str, Callable[[np.ndarray], Any]] = {
+    **{name: getattr(chd.fit, name) for name in chd.fit.FAMILIES},
+    "select": chd.fit.select,
+    "mixture": chd.fit.mixture,
+    "tail_index": chd.fit.tail_index,
+    "goodness": lambda x: chd.fit.goodness(x, "gamma", resamples=5),
+    "gaussianity": chd.gaussianity,
+    "gaussianity_of_means": gaussianity_of_means,
+    "modality": chd.modality,
+    "classify": lambda x: chd.classify(x[..., np.newaxis, :]),
+}
+
+
+SAID_ANYWAY = (".null_share", ".null_interval", ".atom_weights", ".atoms", ".tested")
+"""Fields that do not need what the reason says is missing."""
+
+
+def _arrays(result: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Yield every floating-point array of a result, with where it lies."""
+    if is_dataclass(result):
+        for field in fields(result):
+            yield from _arrays(getattr(result, field.name), f"{path}.{field.name}")
+    elif isinstance(result, dict):
+        for name, value in result.items():
+            yield from _arrays(value, f"{path}.{name}")
+    elif isinstance(result, (np.ndarray, np.floating)) and result.dtype.kind == "f":
+        yield path, np.asarray(result)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_batch_of_hard_pixels(name, dtype):
+    batch = np.stack(list(ROWS.values())).astype(dtype)
+    together = FUNCTIONS[name](batch)
+    for path, values in _arrays(together):
+        assert not np.isinf(values).any(), path
+    for row, reason in HOPELESS.items():
+        if name == "gaussianity_of_means" and row in NULLS_COUNT:
+            continue
+        at = list(ROWS).index(row)
+        if name == "classify":  # says so of all but too few samples, and labels what is constant
+            continue
+        assert (together.reason[at] == reason).all(), row
+        for path, values in _arrays(together):
+            if values.ndim and not path.endswith(SAID_ANYWAY):
+                assert np.isnan(values[at]).all(), f"{row}{path}"
+    assert (together.reason[0] == Reason.OK).all()
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_pixel_is_the_same_alone_and_in_a_batch(name):
+    batch = np.stack(list(ROWS.values()))
+    together = dict(_arrays(FUNCTIONS[name](batch)))
+    for index, row in enumerate(ROWS):
+        alone = dict(_arrays(FUNCTIONS[name](batch[index])))
+        for path, values in together.items():
+            if values.ndim and len(values) == len(ROWS):
+                np.testing.assert_allclose(
+                    alone[path], values[index], rtol=1e-6, atol=1e-12, err_msg=f"{row}{path}"
+                )
+
+
+SHAPES: dict[str, Callable[[np.ndarray], Any]] = {
+    **{
+        name: lambda x, name=name: [
+            getattr(chd.fit, name)(x).parameters[p]
+            for p, unit in chd.fit.FAMILIES[name].units.items()
+            if unit == "1" and p != "mu"
+        ]
+        for name in chd.fit.FAMILIES
+    },
+    "select": lambda x: chd.fit.select(x).vuong_z,
+    "mixture": lambda x: chd.fit.mixture(x).weights,
+    "gamma mixture": lambda x: chd.fit.mixture(x, family="gamma").parameters["shape"],
+    "tail_index": lambda x: [(t := chd.fit.tail_index(x)).xi, t.hill, *t.interval.T],
+    "goodness": lambda x: chd.fit.goodness(x, "gamma", resamples=0).statistic,
+    "gaussianity": lambda x: [
+        chd.gaussianity(x, transform=t, test=tuple(TESTS)).statistic for t in TRANSFORMS
+    ],
+    "modality": lambda x: [(m := chd.modality(x)).dip, m.delta_bic, *m.ashman_d.T],
+}
+"""What neither the unit of radiance, nor nulls, bad samples or the order of samples change."""
+
+SCALES: dict[str, Callable[[np.ndarray], Any]] = {
+    "mixture": lambda x: np.exp(chd.fit.mixture(x).parameters["mu"]),
+    "gamma mixture": lambda x: chd.fit.mixture(x, family="gamma").parameters["scale"],
+    "tail_index": lambda x: [(t := chd.fit.tail_index(x)).scale, t.threshold],
+    "modality": lambda x: 10 ** chd.modality(x).places,
+}
+"""What is in the unit of radiance; of families, `tests/fit/test_mle.py` has it."""
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e30, 1e-30])
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_unit_of_radiance_does_not_matter(name, factor):
+    x = np.random.default_rng(8).gamma(2.0, size=(4, 200))
+    x[2:, ::3] *= 1000
+    one, other = (np.array(SHAPES[name](y)) for y in (x, factor * x))
+    np.testing.assert_allclose(other, one, rtol=2e-5, atol=1e-6)
+    if name in SCALES:
+        one, other = (np.array(SCALES[name](y)) for y in (x, factor * x))
+        np.testing.assert_allclose(other / factor, one, rtol=2e-5)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+@pytest.mark.parametrize("name", SHAPES)
+def test_nulls_bad_samples_and_order_take_no_part(name):
+    rng = np.random.default_rng(9)
+    x = rng.gamma(2.0, size=(2, 200))
+    x[1, ::3] *= 1000
+    beside = np.broadcast_to(np.r_[np.zeros(77), np.nan, np.inf, -1.0], (2, 80))
+    mixed = rng.permuted(np.concatenate([x, beside], axis=-1), axis=-1)
+    one, other = (np.array(SHAPES[name](y)) for y in (x, mixed))
+    np.testing.assert_allclose(other, one, rtol=2e-5, atol=1e-6)
+
+
+STATISTICS = {
+    "fit": FamilyFit(chd.fit.FAMILIES["gamma"]),
+    "select": FamilySelection(held_out=True),
+    "mixture": MixtureFit(),
+    "modal mixture": ModalMixture(),
+    "goodness": GoodnessOfFit(resamples=9),
+    "tail": TailIndex(),
+    "modes": Modes(),
+    "normality": Normality(),
+    "normality of all": Normality(tuple(TRANSFORMS), tuple(TESTS)),
+    "means": NormalityOfMeans((1, 2, 4)),
+}
+
+
+@pytest.mark.parametrize("name", STATISTICS)
+def test_an_image_has_what_its_pixels_have_with_names_and_units(name):
+    statistic = STATISTICS[name]
+    x = np.random.default_rng(10).gamma(1.5, size=(2, 3, 3, 256)).astype(np.float32)
+    x[0, 1] = 0
+    x[1, 0, :, ::3] *= 1000
+    dataset = run(statistic, chd.Samples.from_array(x), progress=False)
+    for y, column in ((0, 1), (1, 0), (1, 2)):
+        pixel = statistic.variables(statistic.measure(PositivePart.of(x[y, column])))
+        for own, (dims, values) in pixel.items():
+            found = dataset[own]
+            assert found.dims == ("y", "x", *dims)
+            np.testing.assert_allclose(found[y, column], values, rtol=1e-6, atol=1e-9, err_msg=own)
+    for variable in dataset.data_vars.values():
+        assert {"long_name", "units"} <= set(variable.attrs)
+    for own in filter(lambda own: str(own).endswith("q_value"), dataset):
+        p_value = dataset[str(own).replace("q_value", "p_value")]
+        assert ((dataset[own] >= p_value) | p_value.isnull()).all()
+
+
+@pytest.mark.parametrize("name", ["fit", "select", "mixture", "goodness"])
+def test_histograms_of_an_image_go_the_way_of_its_pixels(name):
+    statistic = FamilySelection() if name == "select" else STATISTICS[name]
+    x = np.random.default_rng(11).gamma(2.0, size=(2, 3, 3, 256))
+    x[..., ::3] *= 1000  # two clear components: how many bins other pixels fill does not move them
+    samples = chd.Samples.from_array(x)
+    dataset = run(statistic, chd.histogram(samples))
+    pixel = statistic.variables(run(statistic, chd.histogram(samples[1, 2])))
+    for own, (dims, values) in pixel.items():
+        assert dataset[own].dims == ("y", "x", *dims)
+        np.testing.assert_allclose(dataset[own][1, 2], values, rtol=1e-6, atol=1e-9, err_msg=own)
