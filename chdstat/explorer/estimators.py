@@ -8,11 +8,9 @@ features, not all of it: its estimate is close to that of `chdstat.estimate`, no
 
 from __future__ import annotations
 
-import timeit
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +31,13 @@ from chdstat.explorer.view import Box, Pixel
 
 __all__ = [
     "BATCHES_AROUND",
+    "SLOW",
     "Learner",
     "ScoredEstimate",
     "ScoringBatches",
     "batches_of",
     "fixed",
     "learners",
-    "quick_names",
     "scored",
     "scored_around",
 ]
@@ -50,7 +48,8 @@ BATCHES_AROUND = 4
 """Batches that estimators which look at the pixels around are scored on: they are slow."""
 _AROUND, _AROUND_LEARNED = 10, 24
 """Pixels to each side that fixed and trained estimators look at."""
-_QUICK = 4e-3
+SLOW = frozenset({"mixture_shrinkage"})
+"""Too slow for a click: 70 ms for all batches, where the others take 8 ms together."""
 
 Step = Callable[[], None]
 
@@ -203,14 +202,6 @@ def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
         for entry in entries
         if isinstance(entry, registry.Estimator) and entry.uses_neighbours == neighbours
     }
-
-
-@cache
-def quick_names() -> frozenset[str]:
-    """Return the estimators that are quick enough for a click: 4 ms for all batches, tried once."""
-    x = np.random.default_rng(0).gamma(0.5, size=(_MOST_BATCHES, 3, 32)).astype(np.float32)
-    timed = ((n, timeit.repeat(partial(e, x), number=1, repeat=3)) for n, e in fixed().items())
-    return frozenset(name for name, seconds in timed if min(seconds) < _QUICK)
 
 
 def scored(

@@ -123,12 +123,13 @@ class SelectionResults:
         if not plots.places:
             return {}, []
         source, other, batches = self._shared.source, self._shared.other, self._batches(plots)
-        quick = estimators.scored(batches, names=estimators.quick_names()) if batches else []
+        quick = estimators.fixed().keys() - estimators.SLOW
+        scored = estimators.scored(batches, names=quick) if batches else []
         columns = tables.columns_of(plots.places, plots.view.channel)
         found = {
             "statistics": tables.statistics_table(columns),
             "patterns": tables.patterns_table(columns),
-            "estimates": self._estimates_table(plots, quick),
+            "estimates": self._estimates_table(plots, scored),
         }
         if isinstance(source, StoreSource) and source.samples.parts and len(plots.key) == 2:
             pixel = source.samples.pixel(*plots.key)
@@ -141,7 +142,7 @@ class SelectionResults:
                 self._difference(plots, other), plots.place.channels, (source.name, other.name)
             )
             found["compared"] = self._of(plots, table)
-        return found, quick
+        return found, scored
 
     def slow_estimates(
         self,
@@ -159,8 +160,7 @@ class SelectionResults:
         overall = shared.overall
         unit = overall.unit if np.isfinite(overall.mean).any() else None
         store = shared.source if isinstance(shared.source, StoreSource) else None
-        slow = estimators.fixed().keys() - estimators.quick_names()
-        found = [*quick, *estimators.scored(batches, names=slow, step=step)]
+        found = [*quick, *estimators.scored(batches, names=estimators.SLOW, step=step)]
         for learner in shared.learners:
             step()
             learned = learner.score(batches, store, key, unit)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from chdstat._core.work import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.training import TrainedModel
-from chdstat.explorer.estimators import Learner, learners, quick_names
+from chdstat.explorer.estimators import Learner, learners
 from chdstat.explorer.maps import (
     DIFFERENCES,
     IMAGES,
@@ -186,7 +186,6 @@ class Shared:
             self.overall = stream(self.source, spp=_FIRST_SPP)
             if self.other is not None:
                 self.other_overall = stream(self.other, spp=_FIRST_SPP)
-        self.clicks.submit(quick_names)  # before the first click
         self._passes.submit(self._guarded, self._begin)
 
     def stop(self) -> None:

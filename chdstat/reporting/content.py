@@ -7,8 +7,7 @@ findings on claims, and the tables of regions, families, patterns and estimators
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from chdstat.analysis import (
     Overview,
     key_intervals,
     noise_of,
-    overview,
     pooled_shares,
 )
 from chdstat.comparison import Comparison
@@ -32,6 +30,7 @@ from chdstat.rendering.recipes import remake_of
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
 from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding, SceneData
+from chdstat.studies.run import SceneStudy
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of
 from chdstat.viz.styling import qualitative
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
 __all__ = [
     "PUBLISHED_SIZE",
     "PUBLISHED_SPP",
-    "Results",
     "analysis_content",
     "atlas_content",
     "claim_content",
@@ -58,37 +56,12 @@ _TINY = 1e-4
 _MEANING = {p.name: p.meaning for p in PATTERNS}
 
 
-@dataclass(frozen=True)
-class Results:
-    """Everything that a report shows of a scene.
-
-    Attributes
-    ----------
-    data
-        The scene, its regions and its analysis.
-    scene
-        Overview of the analysis.
-    atlas
-        Shapes that recur; None where there are none.
-    claims
-        Findings on those claims of the paper that one scene can support.
-    comparison
-        Estimators side by side; None where the samples are too few.
-    """
-
-    data: SceneData
-    scene: Overview
-    atlas: Atlas | None = None
-    claims: Sequence[Finding] = ()
-    comparison: Comparison | None = None
-
-
 # --- the report on a scene ----------------------------------------------------------------------
 
 
-def scene_content(found: Results) -> dict[str, Any]:
+def scene_content(found: SceneStudy) -> dict[str, Any]:
     """Return the entries of the report, by their names, ready for JSON."""
-    data, scene, dataset = found.data, found.scene, found.data.analysis
+    data, scene, dataset = found.data, found.overview, found.data.analysis
     prefix = "threshold_"
     noise = noise_of(dataset)
     entries = {
@@ -99,7 +72,7 @@ def scene_content(found: Results) -> dict[str, Any]:
         "abstract": _abstract(found, noise),
         "key_figures": _key_figures(found),
         "findings": _headlines(found, noise),
-        "claims": [finding_content(finding) for finding in found.claims],
+        "claims": [finding_content(finding) for finding in found.findings],
         "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
         "regions": _region_table(data),
         "families": _family_table(dataset),
@@ -128,8 +101,8 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
 
     `dataset` is what `chdstat.analyze` returned for the samples.
     """
-    scene, noise = overview(dataset), noise_of(dataset)
-    found = Results(SceneData(samples.name, samples, given=dataset), scene)
+    found = SceneStudy(SceneData(samples.name, samples, given=dataset), ())
+    scene, noise = found.overview, noise_of(dataset)
     return {
         "sentences": [
             f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
@@ -143,13 +116,13 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _abstract(found: Results, noise: Noise) -> list[str]:
+def _abstract(found: SceneStudy, noise: Noise) -> list[str]:
     """Return the report in four sentences."""
     height, width, _, spp = found.data.samples.shape
     sentences = [
         f"This report looks at the {spp} samples of radiance that each of the {width} × {height} "
         f"pixels of {found.data.samples.name} received before they are averaged.",
-        *_on_noise(found.scene, noise),
+        *_on_noise(found.overview, noise),
     ]
     best = _best(found.comparison)
     if best is None or found.comparison is None:
@@ -175,7 +148,7 @@ def _on_noise(scene: Overview, noise: Noise) -> list[str]:
     ]
 
 
-def _key_figures(found: Results) -> list[dict[str, str]]:
+def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     """Return four numbers with 95 % intervals, three of the samples and one of the estimators."""
     of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
     labels: dict[str, tuple[Callable[[float], str], str]] = {
@@ -196,12 +169,12 @@ def _key_figures(found: Results) -> list[dict[str, str]]:
     return [dict(zip(("value", "label", "interval"), row, strict=True)) for row in shown]
 
 
-def _headlines(found: Results, noise: Noise) -> list[dict[str, str]]:
+def _headlines(found: SceneStudy, noise: Noise) -> list[dict[str, str]]:
     """Return at most six findings in plain words, each with what stands behind it.
 
     What is noisy, why, what helps, and by how much.
     """
-    scene = found.scene
+    scene = found.overview
     rows = [
         *_where_noise_is(noise),
         *_which_paths(found.data),
@@ -318,7 +291,7 @@ def _bad_samples(scene: Overview) -> str:
     return f"None of {total} samples is NaN or infinite."
 
 
-def _deviations(found: Results) -> list[str]:
+def _deviations(found: SceneStudy) -> list[str]:
     """Return what was not done as Elek et al. 2019 did it, in words."""
     height, width, _, spp = found.data.samples.shape
     there = []
@@ -424,18 +397,13 @@ def finding_content(finding: Finding) -> dict[str, Any]:
 
 
 def _test_content(test: ClaimTest) -> dict[str, str]:
-    unit, least, most = test.unit, test.least, test.most
+    unit = test.unit
     written = f"√{unit.removesuffix('^1/2')}" if unit.endswith("^1/2") else unit
-    claimed = f"{number(least)} to {number(most)}"
-    if math.isinf(least):
-        claimed = f"at most {number(most)}"
-    elif math.isinf(most):
-        claimed = f"at least {number(least)}"
     return {
         "name": test.name + ("" if unit == "1" else f" ({written})"),
         "value": number(test.interval.value),
         "interval": test.between(number) or "—",
-        "claimed": claimed,
+        "claimed": test.claimed,
         "verdict": test.verdict,
     }
 

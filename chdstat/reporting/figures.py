@@ -1,15 +1,15 @@
 """Figures of a scene and of a comparison: results laid out for `chdstat.viz`.
 
-`scene_figures` follows the case study of Elek et al. 2019: regions with their CHDs, batches and
-their means, the brightest firefly, shorter paths, shapes. `save_comparison` writes a comparison to
-a folder, as numbers, maps and figures.
+`region_figure` and `scene_figures` follow the case study of Elek et al. 2019: regions with their
+CHDs; batches and their means, the brightest firefly, shorter paths, shapes. `save_comparison`
+writes a comparison to a folder, as numbers, maps and figures.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +27,11 @@ from chdstat.estimators import MLP, Progressive
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.reporting.content import Results, with_others
+from chdstat.reporting.content import with_others
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
+from chdstat.studies.run import SceneStudy
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.styling import spelt
 
@@ -44,6 +45,7 @@ __all__ = [
     "of_comparison",
     "panels_of",
     "plot_findings",
+    "region_figure",
     "report_figures",
     "save_comparison",
     "save_figure",
@@ -61,17 +63,16 @@ _PIXELS = 5
 # --- one scene ----------------------------------------------------------------------------------
 
 
-def report_figures(found: Results, curve: ErrorCurve | None) -> dict[str, Figure]:
+def report_figures(found: SceneStudy, curve: ErrorCurve | None) -> dict[str, Figure]:
     """Draw the figures of a report, by name, as far as the scene has what they show."""
     data = found.data
     panels = panels_of(data)
-    drawn = scene_figures(data, panels, atlas=found.atlas)
-    drawn.pop("regions", None)
+    drawn = scene_figures(data, atlas=found.atlas)
     drawn["image"] = viz.with_marks(data.summary["mean"].values, _marks(data))
     if panels:
         drawn["chds"] = viz.chd_grid(panels)
-    drawn |= analysis_figures(data.analysis, found.scene)
-    shown = {f"{f.number} {f.name}": f for f in found.claims if f.number not in _SHOWN}
+    drawn |= analysis_figures(data.analysis, found.overview)
+    shown = {f"{f.number} {f.name}": f for f in found.findings if f.number not in _SHOWN}
     plots = plot_findings(shown)
     if plots is not None:
         drawn["plots"] = plots
@@ -101,25 +102,25 @@ def _marks(data: SceneData) -> list[viz.Mark]:
     return [viz.Mark(r.name, *r.pixels(*shape), r.center(*shape)) for r in data.regions]
 
 
-def scene_figures(
-    data: SceneData, panels: Sequence[viz.Panel], *, atlas: Atlas | None = None
-) -> dict[str, Figure]:
+def region_figure(data: SceneData) -> Figure:
+    """Draw the regions of a scene, each with the CHD of the pixel in its middle."""
+    notes = [_note(region, data.summary) for region in data.regions]
+    image = data.summary["mean"].values
+    return viz.region_study(image, _marks(data), panels_of(data), notes=notes)
+
+
+def scene_figures(data: SceneData, *, atlas: Atlas | None = None) -> dict[str, Figure]:
     """Draw the figures of a scene, by name, as far as it has what they show.
 
     Parameters
     ----------
     data
         The scene.
-    panels
-        `panels_of` it.
     atlas
         Shapes that recur.
     """
-    marks, mean = _marks(data), data.summary["mean"].values
+    marks = _marks(data)
     drawn: dict[str, Figure] = {}
-    if marks:
-        notes = [_note(region, data.summary) for region in data.regions]
-        drawn["regions"] = viz.region_study(mean, marks, panels, notes=notes)
     height, width = data.samples.shape[:2]
     pixels = {mark.name: mark.pixel for mark in marks[:_PIXELS]} or {
         "middle of the image": (height // 2, width // 2)

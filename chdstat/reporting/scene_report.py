@@ -15,7 +15,7 @@ from joblib import Parallel, delayed
 
 from chdstat._core.files import checked_target, scratch
 from chdstat._core.work import cores, kept_until_written, track
-from chdstat.analysis import analyze, overview
+from chdstat.analysis import analyze
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.entries import (
     DEFAULT_ESTIMATORS,
@@ -47,6 +47,7 @@ from chdstat.samples import Samples, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.run import SceneStudy
 from chdstat.viz import VERDICTS
 
 __all__ = ["published_seconds", "report"]
@@ -211,7 +212,9 @@ def _document(
     checkpoint: Path | None,
 ) -> Document:
     """Compute everything that the report shows, and return it ready to typeset."""
-    with _in_background(trainings.values()) as results:
+    jobs = max(1, min(len(trainings), cores()))
+    training = Parallel(n_jobs=jobs, return_as="generator")(trainings.values())
+    with contextlib.closing(training) as results:
         dataset = analyze(samples, progress=progress, checkpoint=checkpoint)
         shapes = atlas(samples, progress=progress)
         models = _trained(trainings, results, progress)
@@ -236,32 +239,19 @@ def _document(
         given=dataset,
         comparison=comparison,
     )
-    claims = [claim.find(data) for claim in FINDINGS if claim.alone]
-    found = content.Results(
+    found = SceneStudy(
         data,
-        overview(dataset),
+        tuple(claim.find(data) for claim in FINDINGS if claim.alone),
+        chosen=not regions,
         atlas=shapes if len(shapes.share) else None,
-        claims=claims,
-        comparison=comparison,
     )
     entries = content.scene_content(found) | {
-        "regions_chosen": not regions,
+        "regions_chosen": found.chosen,
         "no_estimators": why_not,
         "verdicts": VERDICTS,
         "untested": [f"{claim.number} ({claim.name})" for claim in FINDINGS if not claim.alone],
     }
     return Document("report.typ", entries, figures.report_figures(found, curve))
-
-
-@contextlib.contextmanager
-def _in_background(calls: Iterable[Any]) -> Iterator[Iterator[Any]]:
-    """Yield the results of calls, which run in processes of their own while the context lasts."""
-    calls = list(calls)
-    results = Parallel(n_jobs=max(1, min(len(calls), cores())), return_as="generator")(calls)
-    try:
-        yield results
-    finally:
-        results.close()
 
 
 def _trained(

@@ -11,7 +11,7 @@ from chdstat._core.display import number, percent
 from chdstat._core.files import scratch
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.content import atlas_content, claim_content, remake_note
-from chdstat.reporting.figures import claim_figures, panels_of, scene_figures
+from chdstat.reporting.figures import claim_figures, region_figure, scene_figures
 from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import FINDINGS
@@ -67,7 +67,9 @@ def document(study: Study) -> Document:
         claims[claim] = {name: finding for name, finding in columns.items() if finding is not None}
         drawn |= claim_figures(claim.number, claims[claim])
     for i, scene in enumerate(study.scenes):
-        shown = scene_figures(scene.data, panels_of(scene.data), atlas=scene.atlas)
+        shown = scene_figures(scene.data, atlas=scene.atlas)
+        if scene.data.regions:
+            shown["regions"] = region_figure(scene.data)
         drawn |= {f"scene{i}-{name}": figure for name, figure in shown.items()}
     words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
     content = {

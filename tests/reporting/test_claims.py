@@ -43,7 +43,7 @@ def test_each_part_has_its_number_and_what_was_claimed(both):
             "name": "share",
             "value": "0.700",
             "interval": "0.600 to 0.800",
-            "claimed": "at least 0.500",
+            "claimed": "at least 0.5",
             "verdict": "supported",
         }
     ]
