@@ -126,21 +126,17 @@ def batches(samples: Samples, n: int) -> Iterator[npt.NDArray[np.float32]]:
         yield samples.read(ss=slice(first, first + n))
 
 
-def check_spp(samples: Samples, n: int, *, reference: bool = True) -> None:
+def check_spp(samples: Samples, n: int) -> None:
     """Refuse samples that hold no batch of n, or leave no reference beside it.
 
     Raises
     ------
     InputError
-        If there are fewer than n samples per pixel, or than 2 n where the `reference` is made of
-        them, or some pixels have more than others.
+        If there are fewer than 2 n samples per pixel, or some pixels have more than others.
     """
     check_independent(samples)
     check_equal_counts(samples)
-    if not reference and samples.spp < n:
-        message = f"a batch of {n} samples needs as many spp, got {samples.spp}"
-        raise InputError(message)
-    if reference and samples.spp < 2 * n:
+    if samples.spp < 2 * n:
         message = (
             f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "
             f"got {samples.spp}; render more samples per pixel"

@@ -149,11 +149,6 @@ def test_options_out_of_range_are_refused(options):
         estimators.zirr2018(np.ones((2, 2, 3, 8)), **options)
 
 
-def test_neighbours_are_those_of_an_image():
-    with pytest.raises(InputError, match=r"image \(y, x, channel\), got \(4, 3\)"):
-        Cascade.of(np.ones((4, 3, 8))).resolve(1.0, radius=1)
-
-
 def test_two_channels_have_no_luminance():
     with pytest.raises(InputError, match="1 or 3 channels, got 2"):
         estimators.zirr2018_pixel(np.ones((2, 8)))

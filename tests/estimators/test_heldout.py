@@ -69,21 +69,6 @@ def test_a_bad_sample_is_kept_out_as_a_whole_and_its_batch_has_no_reference(samp
     assert np.isfinite(totals.mean_without(second)).sum() == 6 * 5 * 3 - 3
 
 
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_a_pixel_without_a_good_sample_is_nan():
-    totals = Totals.of(chd.Samples.from_array(np.full((1, 2, 3, 8), np.nan)))
-    assert np.isnan(totals.mean()).all()
-
-
-def test_nulls_alone_leave_a_black_reference():
-    samples = chd.Samples.from_array(np.zeros((2, 2, 3, 8)))
-    assert (Totals.of(samples).mean_without(next(batches(samples, 4))) == 0).all()
-
-
-def test_samples_that_fill_no_batch_are_left_over(samples):
-    assert len(list(batches(samples, 10))) == 7
-
-
 def test_training_batches_are_those_of_the_pixels_named(samples):
     x = samples.read()
     found, references = training_batches(samples, np.array([[0, 0], [5, 4]]), 25)

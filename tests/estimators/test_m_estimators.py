@@ -35,11 +35,6 @@ def test_huber_lies_between_median_and_mean_and_reaches_both():
     assert estimators.huber(x, c=1e9) == pytest.approx(x.mean(axis=-1), rel=1e-9)
 
 
-def test_tukey_with_a_wide_reach_is_the_mean():
-    x = draw(2)
-    assert estimators.tukey(x, c=1e6) == pytest.approx(x.mean(axis=-1), rel=1e-6)
-
-
 @pytest.mark.parametrize("name", NORMS)
 def test_without_a_scale_the_value_that_most_samples_have_is_the_estimate(name):
     x = np.r_[np.full(17, 0.3), np.geomspace(1e-3, 1e6, 15)]
@@ -73,11 +68,6 @@ def test_catoni_tends_to_the_mean_and_huber_does_not():
 def test_catoni_of_few_good_samples_is_their_mean():
     x = np.r_[np.arange(9.0), np.full(5, np.nan)]
     assert estimators.catoni(x) == 4.0
-
-
-def test_catoni_needs_more_samples_for_a_smaller_delta():
-    with pytest.raises(InputError, match="at least 19 sample.* with 12"):
-        estimators.catoni(np.ones(12), delta=1e-4)
 
 
 @pytest.mark.parametrize("delta", [0.0, 1.0, np.nan])

@@ -92,22 +92,6 @@ def test_where_no_mixture_can_be_fitted_it_is_the_mean(row):
     assert mixture_shrinkage(x) == pytest.approx(good.mean(axis=-1), rel=1e-12)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 8])
-def test_few_samples_and_ties_have_an_estimate(n):
-    rng = np.random.default_rng(n)
-    x = np.concatenate([rng.lognormal(0, 3, size=(50, 3, n)), rng.integers(0, 3, size=(50, 3, n))])
-    found = mixture_shrinkage(x)
-    assert np.isfinite(found).all()
-    assert (found >= 0).all()
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_without_samples_there_is_none():
-    x = np.full((2, 3, 4), np.nan)
-    x[0] = 1.0
-    assert np.isnan(mixture_shrinkage(x)).tolist() == [[False] * 3, [True] * 3]
-
-
 def test_the_number_of_components_is_checked():
     with pytest.raises(InputError, match="max_k must be a whole number from 1 to 8, got 9"):
         mixture_shrinkage(np.ones((3, 8)), max_k=9)

@@ -23,13 +23,6 @@ def brightest():
     registry.forget("brightest")
 
 
-def test_the_table_holds_what_is_there():
-    assert {"mean", "median_of_means"} <= set(estimators.names("fixed"))
-    assert "elek2019" in estimators.names("learned")
-    assert set(estimators.names()) == {*estimators.names("fixed"), *estimators.names("learned")}
-    assert all(estimators.lookup(name).source for name in estimators.names())
-
-
 def test_a_registered_estimator_is_an_attribute_until_forgotten(brightest):
     assert estimators.brightest is brightest
     registry.forget("brightest")
@@ -88,11 +81,3 @@ def test_what_looks_at_other_pixels_or_channels_says_so():
         assert not by_pixels or entry.uses_neighbours, name
         assert not by_channels or entry.joint_channels, name
         assert by_pixels or name not in ("zirr2018", "decoro2010")
-
-
-def test_all_that_is_registered_can_be_compared():
-    rng = np.random.default_rng(2)
-    samples = chd.Samples.from_array(rng.lognormal(0, 1, size=(6, 6, 3, 64)))
-    found = chd.compare(samples, estimators.names("fixed"), progress=False)
-    assert sorted(row["estimator"] for row in found.table()) == sorted(estimators.names("fixed"))
-    assert all(np.isfinite(row["mse"]) for row in found.table())

@@ -69,12 +69,6 @@ def test_lee_valiant_has_as_many_buckets_as_the_authors_set():
     assert estimators.lee_valiant(x, delta=1e-6) == pytest.approx(expected, rel=1e-15)
 
 
-def test_delta_near_one_takes_nothing_off():
-    x = draw(5)
-    found = estimators.lee_valiant(x, delta=1 - 1e-12)
-    assert found == pytest.approx(x.mean(axis=-1), rel=1e-9)
-
-
 def test_fewer_deviating_samples_than_the_amount_lose_all_of_their_weight():
     x = np.r_[np.full(31, 0.5), 1e6]
     assert estimators.lee_valiant(x) == 0.5

@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from chdstat import estimators
 from chdstat.errors import InputError
@@ -29,35 +26,6 @@ def test_one_bucket_is_the_mean_and_one_sample_per_bucket_is_the_median():
     assert estimators.median_of_means(x, buckets=15) == pytest.approx(np.median(x, axis=-1))
 
 
-def test_five_fireflies_of_any_size_move_it_within_the_other_buckets_and_six_do_not():
-    x = np.random.default_rng(1).gamma(2, size=32)
-    largest = bucket_means(x, 11).max()
-    x[:5] = 1e30
-    assert estimators.median_of_means(x) <= largest
-    x[5] = 1e30
-    assert estimators.median_of_means(x) > largest
-
-
-samples = hnp.arrays(
-    np.float64,
-    (16,),
-    elements=st.one_of(st.floats(0, 1e6), st.sampled_from([np.nan, np.inf, -1.0])),
-)
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@given(samples)
-def test_it_is_finite_exactly_where_the_mean_is(x):
-    assert np.isfinite(estimators.median_of_means(x)) == np.isfinite(estimators.mean(x))
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@given(samples, st.floats(1e-3, 1e3))
-def test_scaling_the_radiance_scales_the_estimate(x, factor):
-    scaled = estimators.median_of_means(factor * x)
-    assert scaled == pytest.approx(factor * estimators.median_of_means(x), nan_ok=True)
-
-
 @pytest.mark.parametrize("buckets", [0, 33])
 def test_buckets_must_be_fillable(buckets):
     with pytest.raises(InputError, match="between 1 and the number of samples, 32"):
@@ -80,13 +48,6 @@ def test_binary_gmon_is_the_mean_or_the_median_of_means_as_the_gini_coefficient_
     assert 0.2 < agree.mean() < 0.8
     expected = np.where(agree, estimators.mean(x), estimators.median_of_means(x))
     assert estimators.gmon_binary(x) == pytest.approx(expected, rel=1e-14)
-
-
-def test_thresholds_zero_and_one_make_binary_gmon_median_of_means_and_mean():
-    x = np.random.default_rng(4).gamma(0.7, size=(20, 32))
-    assert estimators.gmon_binary(x, threshold=1.0) == pytest.approx(estimators.mean(x))
-    robust = estimators.median_of_means(x)
-    assert estimators.gmon_binary(x, threshold=0.0) == pytest.approx(robust)
 
 
 def test_adaptive_gmon_follows_its_definition():

@@ -18,14 +18,6 @@ def test_formula():
     assert swapped == pytest.approx(james_stein(y, b, variance).T, rel=1e-15)
 
 
-def test_values_may_lie_on_several_axes():
-    rng = np.random.default_rng(1)
-    y, b = rng.normal(size=(2, 4, 3)), np.zeros((2, 4, 3))
-    joined = james_stein(y, b, 1.0, axis=(1, 2))
-    flat = james_stein(y.reshape(2, 12), 0.0, 1.0)
-    assert joined == pytest.approx(flat.reshape(2, 4, 3), rel=1e-15)
-
-
 @pytest.mark.parametrize("distance", [0.0, 1.0, 3.0, 10.0])
 def test_independent_errors_never_lose_by_it(distance):
     """False failure: 20 000 trials, risk within five standard errors; probability below 1e-5."""
@@ -66,11 +58,6 @@ def test_values_without_a_biased_estimate_stay_and_do_not_count():
     assert found[1] == 2
     assert found[[0, 2, 3]] == pytest.approx(expected, rel=1e-15)
     assert james_stein(y, np.inf, 1.0).tolist() == y.tolist()
-
-
-def test_a_biased_estimate_that_is_far_off_does_no_harm():
-    y = np.array([1.0, 2.0, 3.0])
-    assert james_stein(y, 1e200, 1.0) == pytest.approx(y, rel=1e-12)
 
 
 def test_shapes_must_fit():

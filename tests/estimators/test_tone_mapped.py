@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from chdstat import estimators
-from chdstat.explorer.estimators import fixed
-from chdstat.viz.estimators import NAMES
 
 
 def test_the_average_is_that_of_the_formula():
@@ -26,9 +24,3 @@ def test_all_channels_of_a_sample_have_one_weight():
     x = np.array([[1.0, 900.0], [1.0, 0.0], [1.0, 0.0]])
     red, green, blue = estimators.karis2013(x, unit=1.0)
     assert green == blue < 1 < red
-
-
-def test_it_is_listed_wherever_estimators_are():
-    assert "karis2013" in estimators.__all__
-    assert "karis2013" in fixed()
-    assert NAMES["karis2013"] == "Karis 2013"

@@ -1,8 +1,8 @@
 """Training of the progressive estimator: from images to what was learned.
 
 Many samples are kept of some pixels of each image. Those of a pixel are cut in two at random for
-every minibatch: one part to learn from, and one whose mean is the target, unless a reference image
-is given. A tenth of the pixels is held out, to validate and to fit the error model.
+every minibatch: one part to learn from, and one whose mean is the target. A tenth of the pixels is
+held out, to validate and to fit the error model.
 """
 
 from __future__ import annotations
@@ -146,9 +146,6 @@ class TrainingSet:
     ----------
     samples
         Good samples in units of their image's mean radiance, shape (pixel, channel, sample).
-    truth
-        References in the same unit, shape (pixel, channel); None takes the samples that are not
-        learned from.
     described
         Numbers of the first hit, shape (pixel, number); None where features are no input.
     sizes
@@ -166,7 +163,6 @@ class TrainingSet:
     """
 
     samples: Image
-    truth: npt.NDArray[np.float64] | None = None
     described: Image | None = None
     sizes: Sequence[int] = ()
     iterations: int = _ITERATIONS
@@ -189,7 +185,6 @@ class TrainingSet:
         images: Sequence[Samples],
         *,
         pixels: Sequence[npt.ArrayLike] | None,
-        references: Sequence[npt.ArrayLike] | None,
         with_features: bool,
         sizes: Sequence[int] | None,
         iterations: int | None,
@@ -217,38 +212,30 @@ class TrainingSet:
         _check_same("channels", [image.shape[2] for image in images])
         least = min(wanted) if sizes is None else max(wanted)
         for image in images:
-            check_spp(image, least, reference=references is None)
-        truths = _checked_references(references, images)
+            check_spp(image, least)
         spp = min(_MOST_SPP, *(image.spp for image in images))
-        most = spp if references is not None else spp // 2
         found: list[tuple[Any, ...]] = []
         scenes, excluded = [], 0
         # One scene at a time: the samples of all pixels of one are much larger than what is kept.
-        for image, own, truth in zip(
-            images, training_pixels(images, pixels, seed=seed), truths, strict=True
-        ):
+        for image, own in zip(images, training_pixels(images, pixels, seed=seed), strict=True):
             shape, unit = image.shape[:2], mean_radiance(image)
             rows = _rows_of(image, own, spp)
-            target = None if truth is None else truth[tuple(own.T)] / unit
             good = ~is_bad(rows).any(axis=(1, 2))
-            if target is not None:
-                good &= np.isfinite(target).all(axis=-1)
             rows = rows if good.all() else rows[good]
             rows /= np.float32(unit)
             place = tuple(own[good].T)
             first_hit = describe(image.features, shape)[place] if with_features else None
-            found.append((rows, None if target is None else target[good], first_hit, own[good]))
+            found.append((rows, first_hit, own[good]))
             excluded += int((~good).sum())
             facts = {"unit": unit, "pixels_used": len(rows)}
             scenes.append(scene_record(image.name, image.attrs, image.shape, **facts))
         if with_features:
-            _check_same("numbers of the first hit", [one[2].shape[1] for one in found])
-        samples, truth, described, kept = map(_joined, zip(*found, strict=True))
+            _check_same("numbers of the first hit", [one[1].shape[1] for one in found])
+        samples, described, kept = map(_joined, zip(*found, strict=True))
         return cls(
             samples=samples,
-            truth=truth,
             described=described,
-            sizes=[n for n in wanted if n <= most],
+            sizes=[n for n in wanted if n <= spp // 2],
             iterations=iterations or _ITERATIONS,
             pixels=kept,
             excluded=excluded,
@@ -276,16 +263,12 @@ class TrainingSet:
         profile, described
             Inputs of the network.
         target
-            The truth, or the mean of the other samples, shape (row, channel); 0 where there are
-            none.
+            The mean of the other samples, shape (row, channel); 0 where there are none.
         """
         seen = self._take(rows, drawn)
         described = None if self.described is None else self.described[rows]
-        if self.truth is None:
-            others = without(self._total[rows], seen.sum(axis=-1, dtype=np.float64))
-            target = others / max(self.spp - len(drawn), 1)
-        else:
-            target = self.truth[rows]
+        others = without(self._total[rows], seen.sum(axis=-1, dtype=np.float64))
+        target = others / max(self.spp - len(drawn), 1)
         return Profile.of(seen, unit=1.0), described, np.asarray(target, np.float32)
 
     def noise(
@@ -293,11 +276,8 @@ class TrainingSet:
     ) -> npt.NDArray[np.float64]:
         """Return an unbiased estimate of the variance of the target, shape (row, channel).
 
-        Of halves of a and b samples, with the means t and u, it is ``(t - u)^2 a b / (a + b)^2``;
-        of a given truth it is 0.
+        Of halves of a and b samples, with the means t and u, it is ``(t - u)^2 a b / (a + b)^2``.
         """
-        if self.truth is not None:
-            return np.zeros_like(self.truth[rows])
         others = rng.permutation(np.setdiff1d(np.arange(self.spp), drawn))
         one, two = np.array_split(others, 2)
         means = [self._take(rows, half).mean(-1, np.float64) for half in (one, two)]
@@ -351,19 +331,6 @@ def training_pixels(
         raise InputError(message)
     shapes = (image.shape[:2] for image in images)
     return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
-
-
-def _checked_references(
-    references: Sequence[npt.ArrayLike] | None, images: Sequence[Samples]
-) -> list[npt.NDArray[np.float64] | None]:
-    if references is None:
-        return [None] * len(images)
-    found = [np.asarray(one, np.float64) for one in references]
-    shapes, expected = [one.shape for one in found], [image.shape[:3] for image in images]
-    if shapes != expected:
-        message = f"reference must have the shape (y, x, channel), {expected}, got {shapes}"
-        raise InputError(message)
-    return list(found)
 
 
 def _rows_of(image: Samples, pixels: Indices, spp: int) -> Image:

@@ -128,7 +128,6 @@ class Progressive(TrainedModel[learning.Learned]):
         self,
         samples: Samples | npt.ArrayLike | Sequence[Samples],
         *,
-        reference: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         seed: int = 0,
         sizes: Sequence[int] | None = None,
         iterations: int | None = None,
@@ -141,12 +140,9 @@ class Progressive(TrainedModel[learning.Learned]):
         ----------
         samples
             The image, as `Samples`, an array (y, x, channel, sample) or the path of a store; or a
-            list of `Samples`, of other scenes or sizes, each measured in its own unit. Pixels with
-            a bad sample are left out and counted.
-        reference
-            True radiance, shape (y, x, channel), in the unit of the samples; of several images, one
-            array each. None takes the other samples of each pixel for the truth, which needs many
-            more than the numbers of samples that will be estimated from.
+            list of `Samples`, of other scenes or sizes, each measured in its own unit. The other
+            samples of a pixel are its reference: there must be many more than will be estimated
+            from. Pixels with a bad sample are left out and counted.
         seed
             Draws the pixels, the first weights and the minibatches.
         sizes
@@ -167,17 +163,16 @@ class Progressive(TrainedModel[learning.Learned]):
         Raises
         ------
         InputError
-            If there are too few samples or good pixels, images differ in channels, a reference has
-            another shape, or one has no features where these are an input.
+            If there are too few samples or good pixels, images differ in channels, or one has no
+            features where these are an input.
         """
         check_iterations(iterations)
         several = isinstance(samples, list | tuple) and all(isinstance(s, Samples) for s in samples)
         images: Any = list(samples) if several else [samples_of(samples)]  # type: ignore[arg-type]
-        given, truths = (one if several or one is None else [one] for one in (pixels, reference))
+        given: Any = pixels if several or pixels is None else [pixels]
         training_set = learning.TrainingSet.of(
             images,
-            pixels=given,  # type: ignore[arg-type]
-            references=truths,  # type: ignore[arg-type]
+            pixels=given,
             with_features=self.with_features,
             sizes=sizes,
             iterations=iterations,

@@ -630,18 +630,25 @@ class Statement:
     unit: str = "1"
 
 
-def _claim(number: int, name: str, words: str, *statements: Statement) -> Claim:
-    """Return the claim that all statements hold."""
+def _claim(number: int, name: str, words: str, *statements: Statement, cast: str = "") -> Claim:
+    """Return the claim that all statements hold, and that a phenomenon has a colour cast."""
 
     def measure(data: SceneData) -> Outcome:
-        return _tested(data, statements)
+        return _tested(data, statements, cast=cast)
 
     # Reports print the first line as the method.
-    measure.__doc__ = f"Measure over the pixels: {'; '.join(s.name for s in statements)}."
+    measured = [s.name for s in statements] + ["shift between channels"] * bool(cast)
+    measure.__doc__ = f"Measure over the pixels: {'; '.join(measured)}."
     return Claim(number, name, words, measure)
 
 
 CASE_STUDY = (
+    _claim(18, "direct light",
+        "CHDs of directly lit surfaces have several modes, a colour cast, and long tails.",
+        Statement("share of multimodal pixels", _several, "direct", least=_MAJORITY),
+        Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
+        cast="direct",
+    ),
     _claim(19, "resolved direct light",
         "CHDs of directly lit surfaces are well resolved in spite of their spread and long tail.",
         Statement(
@@ -706,23 +713,7 @@ CASE_STUDY = (
 """Claims on single regions; each is supported where all its statements are."""
 
 
-_DIRECT_LIGHT = (
-    Statement("share of multimodal pixels", _several, "direct", least=_MAJORITY),
-    Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
-)
-
-
-@claim(
-    18,
-    "direct light",
-    "CHDs of directly lit surfaces have several modes, a colour cast, and long tails.",
-)
-def direct(data: SceneData) -> Outcome:
-    """Count modes in direct light, and measure its tail and its colour cast."""
-    return _tested(data, _DIRECT_LIGHT, cast="direct")
-
-
-def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str = "") -> Outcome:
+def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> Outcome:
     """Test statements, and that the channels of a phenomenon are shifted, if one is named."""
     count = len(statements) + bool(cast)
     names = {s.phenomenon for s in statements} | {s.against for s in statements} - {""}
@@ -858,7 +849,6 @@ CLAIMS = (
     indirect,
     penumbrae,
     textures,
-    direct,
     similarity,
     bounces,
     *CASE_STUDY,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.estimators import Progressive, lookup
+from chdstat.estimators import Progressive
 
 NAMES = ("progressive", "progressive_mse", "progressive_relmse")
 
@@ -45,11 +45,3 @@ def test_features_reach_those_who_look_at_them(quick, image):
     found = chd.compare(samples, ["mean", "progressive_features"], n=8)
     assert quick[0].with_features
     assert np.isfinite(found.estimates).all()
-
-
-def test_they_are_marked_for_what_they_look_at():
-    for name in (*NAMES, "progressive_features"):
-        entry = lookup(name)
-        assert not entry.uses_neighbours
-        assert entry.joint_channels
-        assert entry.uses_features == (name == "progressive_features")

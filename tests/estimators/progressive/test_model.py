@@ -42,13 +42,6 @@ def test_any_factor_scales_the_estimate(trained, fresh, factor):
     assert scaled == pytest.approx(trained.predict(fresh.x), rel=1e-5, abs=1e-7)
 
 
-def test_any_factor_scales_the_estimate_of_one_with_features(featured, smooth):
-    features = smooth.samples.features
-    found = featured.predict(smooth.x, features=features)
-    scaled = featured.predict(smooth.x * np.float32(1e4), features=features) / 1e4
-    assert scaled == pytest.approx(found, rel=1e-3)
-
-
 def test_the_order_of_samples_does_not_matter(trained, fresh):
     shuffled = np.random.default_rng(0).permutation(fresh.x, axis=-1)
     assert trained.predict(shuffled) == pytest.approx(trained.predict(fresh.x), rel=1e-4, abs=1e-6)
@@ -139,14 +132,6 @@ def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype
     assert (found.certainty[:, 4] == 0).all()
 
 
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_no_estimate_of_one_with_features_is_nan_either(featured, smooth):
-    x = wild(smooth.x)
-    features = {name: field[:, :12] for name, field in smooth.samples.features.items()}
-    found = featured.estimate(x, features=features)
-    assert (np.isfinite(found.radiance) == np.isfinite(chd.estimators.mean(x))).all()
-
-
 @pytest.mark.parametrize("level", [0.0, 1e-44, 1e-30, 1e30, 3e38])
 def test_an_image_of_any_radiance(trained, level):
     x = np.full((4, 4, 3, 8), level, np.float32)
@@ -228,15 +213,6 @@ def test_a_saved_one_comes_back_to_the_bit(trained, fresh, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["model.safetensors"]
 
 
-def test_one_with_features_comes_back_too(featured, smooth, tmp_path):
-    featured.save(tmp_path / "model")
-    loaded = Progressive.load(tmp_path / "model")
-    assert loaded.with_features
-    features = smooth.samples.features
-    expected = featured.predict(smooth.x, features=features)
-    assert (loaded.predict(smooth.x, features=features) == expected).all()
-
-
 def test_loading_unpickles_nothing(trained, tmp_path, monkeypatch):
     trained.save(tmp_path / "model")
 
@@ -277,11 +253,6 @@ def test_a_file_with_parts_missing_or_of_another_shape_is_refused(trained, tmp_p
     rewritten(tmp_path / "model", change)
     with pytest.raises(StoreError, match="does not hold a whole network"):
         Progressive.load(tmp_path / "model")
-
-
-def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
-    with pytest.raises(StoreError, match="cannot write"):
-        trained.save(tmp_path / "nowhere" / "model")
 
 
 def test_pixels_outside_the_image_are_refused():

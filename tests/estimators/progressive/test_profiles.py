@@ -67,13 +67,6 @@ def test_a_brighter_image_has_the_same_profiles_to_the_bit(power):
     assert (found.bins == Profile.of(x, unit=1.0).bins).all()
 
 
-def test_equal_samples_count_as_often_as_they_occur():
-    x = samples()
-    once, twice = Profile.of(x, unit=1.0), Profile.of(np.repeat(x, 2, axis=-1), unit=1.0)
-    assert twice.bins == pytest.approx(2 * once.bins, rel=1e-5)
-    assert (twice.count == 2 * once.count).all()
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole(bad):
     x = samples((4, 3, 8))
@@ -103,16 +96,7 @@ def test_other_channels_than_three_weigh_alike():
     assert Profile.of(np.tile(x[:1], (5, 1)), unit=1.0).bins.shape == (OCTAVES, 6)
 
 
-def test_no_pixels_have_no_profiles():
-    assert Profile.of(np.empty((0, 3, 4)), unit=1.0).bins.shape == (0, OCTAVES, 4)
-
-
 @pytest.mark.parametrize("unit", [0.0, -1.0, np.nan, np.inf, 1e-50, 1e300])
 def test_units_that_measure_nothing_are_refused(unit):
     with pytest.raises(InputError, match="unit must be a positive radiance"):
         Profile.of(np.ones((3, 4)), unit=unit)
-
-
-def test_channels_are_wanted():
-    with pytest.raises(InputError, match=r"\(..., channel, sample\), got \(4,\)"):
-        Profile.of(np.ones(4), unit=1.0)

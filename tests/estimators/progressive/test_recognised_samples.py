@@ -14,7 +14,7 @@ def known(request):
     x = rng.exponential(size=(24, 20, request.param, 256))
     x *= rng.random((24, 20, 1, 256)) < 0.1
     samples = chd.Samples.from_array(x.astype(np.float32), axes="yxcs")
-    return Progressive().train(samples, iterations=2, progress=False), samples.read()
+    return Progressive().train(samples, sizes=(8,), iterations=2, progress=False), samples.read()
 
 
 def knows(model, x):
@@ -32,7 +32,7 @@ def test_samples_that_trained_are_known(known, factor):
 
 def test_a_small_image_is_known_too():
     x = np.random.default_rng(4).exponential(size=(8, 8, 3, 16)).astype(np.float32)
-    model = Progressive().train(chd.Samples.from_array(x), iterations=2, progress=False)
+    model = Progressive().train(chd.Samples.from_array(x), sizes=(8,), iterations=2, progress=False)
     assert knows(model, 7 * x[..., :8])
     assert not knows(model, x[::-1])
 
@@ -56,5 +56,7 @@ def test_other_samples_are_not(known):
 def test_values_that_many_pixels_share_tell_nothing():
     rng = np.random.default_rng(3)
     one, two = (rng.integers(0, 9, size=(16, 16, 1, 64)).astype(np.float32) for _ in range(2))
-    model = Progressive().train(chd.Samples.from_array(one), iterations=2, progress=False)
+    model = Progressive().train(
+        chd.Samples.from_array(one), sizes=(8,), iterations=2, progress=False
+    )
     assert not knows(model, two)

@@ -54,12 +54,6 @@ def test_each_scene_counts_in_its_own_unit():
     np.testing.assert_array_equal(plain.predict(x), bright.predict(x))
 
 
-def test_both_scenes_teach():
-    x = varied(seed=5).read(ss=slice(0, 8))
-    both, one = (trained(scenes).predict(x, unit=1.0) for scenes in ([flat(), varied()], flat()))
-    assert not np.array_equal(both, one)
-
-
 def test_the_scene_with_the_fewest_samples_sets_their_number():
     model = trained([flat(spp=64), varied(spp=16)])
     assert model.provenance["pixels_used"] == 24 * 24 // 2 + 24 * 20 // 2
@@ -107,7 +101,6 @@ def test_pixels_with_a_bad_sample_are_left_out_of_their_own_scene():
     ("images", "options", "words"),
     [
         ([], {}, "at least one image"),
-        ([flat(), varied()], {"reference": [np.ones((24, 24, 1))] * 2}, "reference must have"),
         ([flat(), varied()], {"pixels": [[[0, 0], [1, 1]]]}, "each of 2 images, got 1"),
         (
             [flat(), chd.Samples.from_array(np.ones((8, 8, 3, 64)))],
