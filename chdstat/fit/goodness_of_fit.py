@@ -27,7 +27,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, seed_number, spans, whole
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, check_probability
 from chdstat.fit.atoms import split
 from chdstat.fit.families import FamilyFit, Fit, estimate_part, get_family, zero_log_likelihood
 from chdstat.fit.family import (
@@ -127,9 +127,7 @@ class GoodnessOfFit(Statistic[Goodness]):
         if not known:
             message = f"tests must be some of {', '.join(FIT_TESTS)}, got {self.tests!r}"
             raise InputError(message)
-        if not 0 < self.alpha < 1:
-            message = f"alpha must lie in (0, 1), got {self.alpha}"
-            raise InputError(message)
+        check_probability(alpha=self.alpha)
 
     @property
     def subject(self) -> str:

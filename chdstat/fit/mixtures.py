@@ -235,6 +235,7 @@ class MixtureDistribution:
         return np.where(used.any(axis=0), mixed, np.nan)
 
 
+@dataclass(eq=False)
 class ChosenMixtures:
     """Mixtures that a search finds, piece by piece, of the chosen numbers of components.
 
@@ -252,27 +253,26 @@ class ChosenMixtures:
         What the score is, shape (row, component), or None for BIC.
     """
 
-    def __init__(
-        self,
-        part: Part,
-        atoms: Atoms,
-        reason: npt.NDArray[np.int8],
-        largest: int,
-        *,
-        k: int | None = None,
-        held_out: Floats | None = None,
-    ) -> None:
-        rows = part.n.size
-        allowed = _allowed_components(atoms.rest, largest) & (reason == Reason.OK)[..., np.newaxis]
-        self._part, self._atoms, self._reason, self._chosen = part, atoms, reason, k
-        self._allowed = allowed.reshape(rows, largest)
-        self._held_out = None if held_out is None else np.where(self._allowed, held_out, np.nan)
-        self._k = np.zeros(rows, dtype=np.int8)
+    part: Part
+    atoms: Atoms
+    reason: npt.NDArray[np.int8]
+    largest: int
+    k: int | None = None
+    held_out: Floats | None = None
+
+    def __post_init__(self) -> None:
+        size = self.part.n.size, self.largest
+        ok = (self.reason == Reason.OK)[..., np.newaxis]
+        allowed = _allowed_components(self.atoms.rest, self.largest) & ok
+        self._allowed = allowed.reshape(size)
+        if self.held_out is not None:
+            self.held_out = np.where(self._allowed, self.held_out, np.nan)
+        self._k = np.zeros(size[0], dtype=np.int8)
         # Estimates and their errors, of weights and of both parameters.
-        self._table = np.full((2, 3, rows, largest), np.nan)
-        self._error_reason = reason.reshape(-1).copy()
-        self._likelihoods = np.full((rows, largest), np.nan)
-        self._converged = np.zeros(rows, dtype=bool)
+        self._table = np.full((2, 3, *size), np.nan)
+        self._error_reason = self.reason.reshape(-1).copy()
+        self._likelihoods = np.full(size, np.nan)
+        self._converged = np.zeros(size[0], dtype=bool)
 
     def enter(self, piece: Piece, solutions: list[Solution]) -> None:
         """Take over what was found of some rows."""
@@ -282,11 +282,11 @@ class ChosenMixtures:
         self._likelihoods[piece.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
         log_n = log_samples(piece.corrected.n)
         scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
-        compared = scores if self._held_out is None else self._held_out[piece.rows]
+        compared = scores if self.held_out is None else self.held_out[piece.rows]
         compared = np.where(allowed & ~np.isnan(compared), compared, -np.inf)
         best = compared.argmax(axis=-1)
-        if self._chosen is not None:
-            best[:] = self._chosen - 1
+        if self.k is not None:
+            best[:] = self.k - 1
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
             rows, solution = piece.rows[at], solutions[k].take(at)
@@ -304,7 +304,7 @@ class ChosenMixtures:
 
     def result(self, family: MixtureFamily) -> Mixture:
         """Return all of it."""
-        part, atoms, largest = self._part, self._atoms, self._likelihoods.shape[-1]
+        part, atoms, largest = self.part, self.atoms, self.largest
         shape, n = part.n.shape, atoms.rest.n
         jacobian = -n * atoms.rest.log_statistics.log_mean
         others = zero_log_likelihood(part) + atoms.log_likelihood(part.n)
@@ -324,10 +324,10 @@ class ChosenMixtures:
             dict(zip(names, values, strict=True))
             for values in self._table.reshape(2, 3, *shape, largest)
         )
-        held_out = np.full(bics.shape, np.nan) if self._held_out is None else self._held_out
+        held_out = np.full(bics.shape, np.nan) if self.held_out is None else self.held_out
         return Mixture(
             family=family,
-            criterion="bic" if self._held_out is None else "held_out",
+            criterion="bic" if self.held_out is None else "held_out",
             k=k,
             weights=estimates.pop("weight"),
             atoms=atoms.values,
@@ -341,7 +341,7 @@ class ChosenMixtures:
             held_out=held_out.reshape(bics.shape),
             **counts_of(part),
             converged=self._converged.reshape(shape),
-            reason=self._reason,
+            reason=self.reason,
             error_reason=self._error_reason.reshape(shape),
         )
 

@@ -226,8 +226,8 @@ def atlas(
 
 def _describe(shapes: Shapes, groups: Groups) -> Atlas:
     ok = shapes.reason == Reason.OK
-    count = np.bincount(groups.labels, minlength=groups.number)
-    members = [groups.labels == k for k in range(groups.number)]
+    count = np.bincount(groups.labels, minlength=len(groups.medoids))
+    members = [groups.labels == k for k in range(len(count))]
     cumulative = shapes.cumulative[ok][:, 0].astype(np.float64)
     density = np.diff(cumulative, axis=-1, prepend=0, append=1) / WIDTH
     null_share = shapes.null_share[ok][:, 0]
@@ -443,8 +443,6 @@ class Groups:
 
     Attributes
     ----------
-    number
-        How many; 0 of no points.
     labels, distance
         Group of each point and distance to its centre, shape (point,).
     medoids
@@ -455,7 +453,6 @@ class Groups:
         As of `chdstat.patterns.Atlas`.
     """
 
-    number: int
     labels: Labels
     distance: Floats
     medoids: Labels
@@ -537,7 +534,6 @@ def find_groups(
     labels = np.argsort(order)[labels]
     nearest = [np.where(labels == k, distance, np.inf).argmin() for k in range(len(found))]
     return Groups(
-        number=len(found),
         labels=labels,
         distance=distance.astype(np.float64),
         medoids=np.array(nearest, dtype=np.intp),

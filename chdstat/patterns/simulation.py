@@ -71,8 +71,6 @@ class Truth(Shown):
         Of the excesses over the quantile 0.9 of what is not null; NaN for a constant.
     modes
         Components; 0 for a black pixel.
-    separations
-        Ashman's D of neighbouring components, shape (components - 1,).
     mean
         Expectation of radiance, a planted firefly left out, in W sr-1 m-2.
     """
@@ -81,7 +79,6 @@ class Truth(Shown):
     label: Label
     tail_index: float
     modes: int
-    separations: npt.NDArray[np.float64]
     mean: float
 
 
@@ -125,7 +122,6 @@ def truth(chd: CHD) -> Truth:
         label=Label.BLACK if black else _label(flags),
         tail_index=tail_index,
         modes=0 if black else len(chd.body),
-        separations=chd.separations(),
         mean=chd.mean(),
     )
 
