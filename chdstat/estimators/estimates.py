@@ -141,7 +141,7 @@ def refine(
     level
         Probability of the intervals.
     seconds
-        Stop after the batch that ends later than that; None renders all.
+        Stop after the pass that ends later than that; None renders all.
 
     Yields
     ------
@@ -156,12 +156,12 @@ def refine(
 
     Examples
     --------
-    Stop where the image is known to 20 %:
+    Stop where the image is known to 40 %:
 
     >>> from chdstat.rendering import render_batches
     >>> rendering = render_batches("cornell-box", spp=1024, size=(16, 16), progress=False)
     >>> for found in refine(rendering):
-    ...     if found.relative_error < 0.2:
+    ...     if found.relative_error < 0.4:
     ...         break
     >>> found.spp < 1024
     True
@@ -174,8 +174,9 @@ def refine(
         raise InputError(message)
     y, x, channels, _ = rendering.shape
     stream, due, begin = CombinationStream((y, x, channels)), _FIRST, time.monotonic()
-    for batch in rendering:
-        stream.update(batch)
+    for chunks in rendering.passes():
+        for chunk, samples in chunks:
+            stream.update(samples, rows=chunk.ys, columns=chunk.xs)
         late = seconds is not None and time.monotonic() - begin >= seconds
         enough = stream.spp >= LEAST
         if enough and (late or stream.spp >= min(due, rendering.spp)):

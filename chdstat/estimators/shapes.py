@@ -152,10 +152,10 @@ class PowerSums:
             self.count += whole
             self.null += (x[..., i] == 0).all(axis=-1)
 
-    def rows(self, rows: slice) -> PowerSums:
-        """Return the sums of some rows of the image, without copying them."""
-        of_rows = {name: value[rows] for name, value in vars(self).items() if name != "roots"}
-        return PowerSums(**of_rows, roots=self.roots[:, rows])
+    def part(self, rows: slice, columns: slice = slice(None)) -> PowerSums:
+        """Return the sums of a part of the image, which share its memory."""
+        parts = {k: sums[rows, columns] for k, sums in vars(self).items() if k != "roots"}
+        return PowerSums(**parts, roots=self.roots[:, rows, columns])
 
     def merged(self, other: PowerSums) -> PowerSums:
         """Return the sums over the samples of both."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -161,13 +161,27 @@ class Rendering:
             f"{self.batch}>"
         )
 
+    def passes(self) -> Iterator[Iterator[tuple[Chunk, Image]]]:
+        """Yield passes over the image, each as chunks and their samples (y, x, channel, sample).
+
+        A pass has at most one chunk of each pixel, and is over before the next one is asked for:
+        less than a batch of the whole image is in memory.
+        """
+        step = self._step(min(self.batch, _AT_ONCE))
+        with self._tracked() as advance:
+            yield from (self._drawn([ss], advance) for ss in spans(self.spp, step))
+
     def __iter__(self) -> Iterator[Image]:
+        step, few = self._step(self.batch), self._step(_AT_ONCE)
+        with self._tracked() as advance:
+            yield from _cut(
+                (self._block(ss, few, advance) for ss in spans(self.spp, step)), self.batch
+            )
+
+    def _tracked(self) -> contextlib.AbstractContextManager[Callable[[float], None]]:
         height, width, _, spp = self.shape
-        step = self._step(self.batch)
-        with track(
-            f"rendering {self.name}", height * width * spp, unit="S", show=self._progress
-        ) as advance:
-            yield from _cut((self._draw(ss, advance) for ss in spans(spp, step)), self.batch)
+        about = f"rendering {self.name}"
+        return track(about, height * width * spp, unit="S", show=self._progress)
 
     def _step(self, few: int) -> int:
         """Return how many samples of a pixel to draw together, `few` where any number will do."""
@@ -176,28 +190,31 @@ class Rendering:
             return sequences.span
         return few if self._job.verdict.backend == "scalar" else BATCH
 
-    def _draw(self, ss: slice, advance: Callable[[float], None]) -> Image:
-        """Draw some samples of all pixels; nothing of the renderer is left at work after it."""
-        start = time.monotonic()
+    def _block(self, ss: slice, few: int, advance: Callable[[float], None]) -> Image:
+        """Draw some samples of all pixels, `few` of a tile at once."""
         block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
-        with activate(self._job.verdict):
-            for chunk, part in rendered(self._renderer, self._chunks(ss)):
-                here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
-                block[chunk.ys, chunk.xs, :, here] = part
-                advance(chunk.size)
-        self._seconds += time.monotonic() - start
+        cuts = [slice(k, min(k + few, ss.stop)) for k in range(ss.start, ss.stop, few)]
+        for chunk, part in self._drawn(cuts, advance):
+            here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
+            block[chunk.ys, chunk.xs, :, here] = part
         return block
 
-    def _chunks(self, ss: slice) -> list[Chunk]:
-        """Return the chunks of some samples: what a sample is does not depend on how they are cut.
+    def _drawn(
+        self, cuts: Sequence[slice], advance: Callable[[float], None]
+    ) -> Iterator[tuple[Chunk, Image]]:
+        """Draw samples tile by tile; nothing of the renderer is left at work after it.
 
-        But for a wavefront, which draws chunks as they are stored.
+        What a sample is does not depend on the cuts, but for a wavefront, which draws chunks as
+        they are stored.
         """
-        height, width = self.shape[:2]
-        step = self._step(_AT_ONCE)
-        cuts = [slice(k, min(k + step, ss.stop)) for k in range(ss.start, ss.stop, step)]
-        tiles = list(chunk_grid(height, width, 1))
-        return [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
+        start, tiles = time.monotonic(), list(chunk_grid(*self.shape[:2], 1))
+        chunks = [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
+        with activate(self._job.verdict):
+            for chunk, part in rendered(self._renderer, chunks):
+                assert part is not None, "without a store, samples are yielded"
+                yield chunk, part
+                advance(chunk.size)
+        self._seconds += time.monotonic() - start
 
 
 def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:

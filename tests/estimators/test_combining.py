@@ -341,7 +341,12 @@ def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
 def test_a_stream_is_what_all_its_samples_are_and_merges(samples, found):
     x = samples.read()
     stream, other = (CombinationStream(x.shape[:3]) for _ in range(2))
-    for batch in np.split(x, (3, 16, 33), axis=-1):
+    left, right = slice(0, 21), slice(21, None)
+    stream.update(x[:, left, :, :3], columns=left)
+    with pytest.raises(InputError, match="pixels that have as many"):
+        stream.update(x[..., :3])
+    stream.update(x[:, right, :, :3], columns=right)
+    for batch in np.split(x[..., 3:], (13, 30), axis=-1):
         stream.update(batch)
     streamed = stream.estimate(features=samples.features)
     for name in ("radiance", "low", "high", "certainty"):

@@ -109,7 +109,7 @@ class Measured:
         for rows in spans(height, max(1, _BAND // (width * channels))):
             around = slice(max(0, rows.start - RADIUS), rows.stop + RADIUS)
             inside = slice(rows.start - around.start, rows.stop - around.start)
-            halves = one.rows(around), other.rows(around)
+            halves = one.part(around), other.part(around)
             whole = halves[0].merged(halves[1])
             for part, start, error in zip((whole, *halves), starts, errors, strict=True):
                 shape = ShapeStatistics.of(part)

@@ -199,17 +199,33 @@ class CombinationStream:
             message = f"expected the shape (y, x, channel) of 1 or 3 channels, got {shape}"
             raise InputError(message)
         self._halves = [PowerSums.empty(shape) for _ in range(2)]
-        self.shape, self.spp = shape, 0
+        self._drawn = np.zeros(shape[:2], np.int64)
+        self.shape = shape
 
-    def update(self, batch: npt.ArrayLike) -> None:
-        """Add samples, shape (y, x, channel, sample)."""
-        x = np.asarray(batch)
-        if x.ndim != 4 or x.shape[:3] != tuple(self.shape):
-            message = f"expected samples of shape {(*self.shape, 'sample')}, got {x.shape}"
+    @property
+    def spp(self) -> int:
+        """Samples that every pixel has."""
+        return int(self._drawn.min())
+
+    def update(
+        self, batch: npt.ArrayLike, *, rows: slice = slice(None), columns: slice = slice(None)
+    ) -> None:
+        """Add samples, shape (y, x, channel, sample), of the image or of a part of it."""
+        x, drawn = np.asarray(batch), self._drawn[rows, columns]
+        if x.ndim != 4 or x.shape[:3] != (*drawn.shape, self.shape[2]):
+            expected = (*drawn.shape, self.shape[2], "sample")
+            message = f"expected samples of shape {expected}, got {x.shape}"
+            raise InputError(message)
+        if drawn.min() != drawn.max():
+            message = (
+                "expected a part of pixels that have as many samples as each other, got "
+                f"{drawn.min()} to {drawn.max()}"
+            )
             raise InputError(message)
         for i in range(2):
-            self._halves[(self.spp + i) % 2].update(x[..., i::2])
-        self.spp += x.shape[-1]
+            half = self._halves[(int(drawn.min()) + i) % 2]
+            half.part(rows, columns).update(x[..., i::2])
+        drawn += x.shape[-1]
 
     def merge(self, other: CombinationStream) -> None:
         """Add the samples of another stream, such as that of another worker."""
@@ -218,7 +234,7 @@ class CombinationStream:
             raise InputError(message)
         pairs = zip(self._halves, other._halves, strict=True)
         self._halves = [one.merged(two) for one, two in pairs]
-        self.spp += other.spp
+        self._drawn += other._drawn
 
     def estimate(
         self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
@@ -242,15 +258,13 @@ def _combine_measured(
     made = [candidates(start, features, client) for start in measured.starts]
     names, unit = list(made[0]), unit_of(made[0])
     mean, error = measured.mean, measured.errors[0]
-    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
     if len(names) > 2:
         weighting = Weighting.shipped(with_features="albedo" in features)
         weights, width = weighting(made, measured, unit)
         half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
     else:
         # Nothing is denoised: the limited mean is proposed, as certain as the mean is.
-        weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
-        half = ends[1] - mean
+        weights, half = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2)), None
     proposed = [
         Proposal(
             _weighted(weights, images),
@@ -265,6 +279,8 @@ def _combine_measured(
     proposal = proposed[0].image
     radiance = proposal + of_mean * (mean - proposal)
     balanced = _balanced(radiance, mean, error, 1 - of_mean)
+    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
+    half = ends[1] - mean if half is None else half
     # Where no light was found, the mean has no interval.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
