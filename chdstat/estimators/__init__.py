@@ -24,8 +24,7 @@ from chdstat.estimators.collaborative import boughida2017
 from chdstat.estimators.combining import Combination, CombinationStream, combine
 from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
 from chdstat.estimators.estimates import estimate, refine, write_estimates
-from chdstat.estimators.neighbourhood import Fireflies
-from chdstat.estimators.nlmeans import rousselle2012
+from chdstat.estimators.neighbourhood import Fireflies, rousselle2012
 from chdstat.estimators.outliers import Cascade
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import (

@@ -34,7 +34,6 @@ __all__ = [
     "Learned",
     "TrainingSet",
     "learn",
-    "new_network",
     "train_network",
     "weighted_losses",
 ]
@@ -367,6 +366,10 @@ def train_network(
     InputError
         If there are too few pixels.
     """
+    import torch
+
+    from chdstat.estimators.progressive.network import Network
+
     count = len(training_set)
     if count < 2:
         message = (
@@ -376,7 +379,11 @@ def train_network(
         raise InputError(message)
     rng = generator(seed).spawn(1)[0]
     validation, train = np.split(rng.permutation(count), [max(1, round(count * _VALIDATION))])
-    network = new_network(training_set, seed=seed)
+    described = training_set.described
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        channels = training_set.samples.shape[1]
+        network = Network(channels, 0 if described is None else described.shape[1])
     with track("training", training_set.iterations, unit="it", show=progress) as advance:
         history = learn(network, training_set, train, validation, rng=rng, advance=advance)
     # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
@@ -405,19 +412,6 @@ def train_network(
             iterations=training_set.iterations,
         ),
     )
-
-
-def new_network(training_set: TrainingSet, *, seed: int) -> Network:
-    """Return an untrained network for the pixels of a training set."""
-    import torch
-
-    from chdstat.estimators.progressive.network import Network
-
-    described = training_set.described
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        channels = training_set.samples.shape[1]
-        return Network(channels, 0 if described is None else described.shape[1])
 
 
 def learn(
