@@ -674,15 +674,20 @@ def _plants() -> Parts:
 SCENES = (bathroom, caustic, cornell_box, fog, gallery, living_room, many_lights)
 
 
-def main(path: Path) -> None:
-    """Write all arrays to one file."""
+def made() -> dict[str, Array]:
+    """Return all arrays by their names."""
     arrays = dict(images())
     for scene in SCENES:
         for part, mesh in scene().items():
             name = f"{scene.__name__.replace('_', '-')}/{part}"
             arrays |= {f"{name}.{kind}": values for kind, values in mesh.arrays().items()}
+    return dict(sorted(arrays.items()))
+
+
+def main(path: Path) -> None:
+    """Write all arrays to one file."""
     with zipfile.ZipFile(path, "w") as archive:
-        for name, values in sorted(arrays.items()):
+        for name, values in made().items():
             content = io.BytesIO()
             np.save(content, np.ascontiguousarray(values))
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue(), zipfile.ZIP_LZMA)
