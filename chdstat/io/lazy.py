@@ -28,7 +28,7 @@ from chdstat._core.arrays import Array, Image
 from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.samples.layout import FOREIGN
 from chdstat.samples.samples import single
-from chdstat.samples.tiles import BATCH, SampleSource
+from chdstat.samples.tiles import BATCH, SampleSource, pieces
 
 __all__ = [
     "DAMAGED",
@@ -233,15 +233,11 @@ class Frames:
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample)."""
-        numbers = np.arange(self.shape[3])[ss]
-        step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
-        rows, columns = (range(n)[part] for n, part in zip(self.shape, (ys, xs), strict=False))
-        found = np.empty((len(rows), len(columns), self.shape[2], len(numbers)), np.float32)
-        for number in np.unique(numbers // BATCH):
-            start, stop = np.searchsorted(numbers // BATCH, [number, number + 1])
-            first, last = numbers[[start, stop - 1]] - number * BATCH
-            batch = self._batch(int(number))[first : last + 1 : step, ys, xs]
-            found[..., start:stop] = np.moveaxis(batch, 0, -1)
+        height, width, channels, spp = self.shape
+        rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
+        found = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
+        for number, to, of in pieces(samples, BATCH):
+            found[..., to] = np.moveaxis(self._batch(number)[of, ys, xs], 0, -1)
         return found
 
     def read_features(self) -> dict[str, Image]:

@@ -16,7 +16,7 @@ import math
 import os
 import struct
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from chdstat._core.files import checksum
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
 from chdstat.io.lazy import Opened, ReadOptions, readable
-from chdstat.samples.tiles import BATCH
+from chdstat.samples.tiles import BATCH, pieces
 
 __all__ = ["StreamSource", "get_include", "open_stream"]
 
@@ -130,7 +130,7 @@ class StreamSource:
         """Return a part of the samples, shape (y, x, channel, sample), NaN where there are none."""
         height, width, channels, spp = self.shape
         rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
-        cuts = (_cuts(rows, _EDGE), _cuts(columns, _EDGE), _cuts(samples, self._window))
+        cuts = (pieces(rows, _EDGE), pieces(columns, _EDGE), pieces(samples, self._window))
         part = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
         for (y, to_y, of_y), (x, to_x, of_x), (window, to_s, of_s) in itertools.product(*cuts):
             found = self._decoded(y, x, window)[of_y, of_x, :, of_s]
@@ -315,16 +315,6 @@ def _place_each(
     to = (pixels[:, np.newaxis] * channels + channel) * spp + (first + skipped)[:, np.newaxis]
     places += np.repeat((to.ravel() - begins).astype(np.int32), lengths)
     tile.reshape(-1)[places] = values
-
-
-def _cuts(places: range, edge: int) -> Iterator[tuple[int, slice, slice]]:
-    """Cut places along an axis into tiles: yield the tile, and where they lie in both."""
-    for tile in range(places[0] // edge, places[-1] // edge + 1) if places else ():
-        ends = (tile * edge, (tile + 1) * edge)
-        i, j = (min(max(-((places.start - e) // places.step), 0), len(places)) for e in ends)
-        if i < j:
-            inside = slice(places[i] - ends[0], places[j - 1] - ends[0] + 1, places.step)
-            yield tile, slice(i, j), inside
 
 
 def _provenance(told: Mapping[str, str]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +24,7 @@ from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
-from chdstat.samples.tiles import BATCH, Chunk, chunk_grid
+from chdstat.samples.tiles import BATCH, TILE, Chunk, chunk_grid, pieces
 from chdstat.scenes import SceneLike
 
 __all__ = ["Rendering", "render_batches"]
@@ -253,19 +254,13 @@ class _Drawn:
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples."""
         height, width, channels, spp = self.shape
-        wanted = [
-            range(n)[part] for part, n in zip((ys, xs, ss), (height, width, spp), strict=True)
-        ]
-        size = [part.stop - part.start for part in wanted]
-        found = np.empty((*size[:2], channels, size[2]), np.float32)
-        for chunk in chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss):
-            to, at = [], []
-            for part, has in zip(wanted, (chunk.ys, chunk.xs, chunk.ss), strict=True):
-                ends = max(part.start, has.start), min(part.stop, has.stop)
-                to.append(slice(*(end - part.start for end in ends)))
-                at.append(slice(*(end - has.start for end in ends)))
-            found[to[0], to[1], :, to[2]] = self._chunk(chunk)[at[0], at[1], :, at[2]]
-        return found[:: wanted[0].step, :: wanted[1].step, :, :: wanted[2].step]
+        rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
+        found = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
+        cuts = pieces(samples, BATCH), pieces(rows, TILE), pieces(columns, TILE)
+        for (b, to_s, of_s), (y, to_y, of_y), (x, to_x, of_x) in itertools.product(*cuts):
+            block = self._chunk(Chunk.at((y, x, b), self.shape))
+            found[to_y, to_x, :, to_s] = block[of_y, of_x, :, of_s]
+        return found
 
     def read_features(self) -> dict[str, Image]:
         """Return no features."""

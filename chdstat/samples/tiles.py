@@ -40,6 +40,7 @@ __all__ = [
     "chunk_grid",
     "labelled",
     "over_tiles",
+    "pieces",
     "reduce_tiles",
     "tiles",
 ]
@@ -103,6 +104,13 @@ class Chunk:
     xs: slice
     ss: slice
 
+    @classmethod
+    def at(cls, index: tuple[int, int, int], shape: tuple[int, ...]) -> Chunk:
+        """Return the chunk at (tile_y, tile_x, batch) of an image (y, x, ..., sample)."""
+        sizes = zip(index, (TILE, TILE, BATCH), (*shape[:2], shape[-1]), strict=True)
+        ys, xs, ss = (slice(i * edge, min((i + 1) * edge, n)) for i, edge, n in sizes)
+        return cls(index[2], *index[:2], ys, xs, ss)
+
     @property
     def index(self) -> tuple[int, int, int]:
         """Position in an array (tile_y, tile_x, batch)."""
@@ -130,10 +138,25 @@ def chunk_grid(
     cuts = []
     for part, length, step in ((ss, spp, BATCH), (ys, height, TILE), (xs, width, TILE)):
         start, stop, _ = part.indices(length)
-        numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
-        cuts.append([(i, slice(i * step, min((i + 1) * step, length))) for i in numbers])
-    for (b, samples), (ty, rows), (tx, columns) in itertools.product(*cuts):
-        yield Chunk(b, ty, tx, rows, columns, samples)
+        cuts.append(range(start // step, -(-stop // step)) if stop > start else range(0))
+    for batch, y, x in itertools.product(*cuts):
+        yield Chunk.at((y, x, batch), (height, width, spp))
+
+
+def pieces(places: range, edge: int) -> Iterator[tuple[int, slice, slice]]:
+    """Cut places along an axis into pieces of `edge`: yield its number, and where they lie in both.
+
+    Examples
+    --------
+    >>> list(pieces(range(50, 130, 20), 64))
+    [(0, slice(0, 1, None), slice(50, 51, 20)), (1, slice(1, 4, None), slice(6, 47, 20))]
+    """
+    for number in range(places[0] // edge, places[-1] // edge + 1) if places else ():
+        ends = (number * edge, (number + 1) * edge)
+        i, j = (min(max(-((places.start - e) // places.step), 0), len(places)) for e in ends)
+        if i < j:
+            inside = slice(places[i] - ends[0], places[j - 1] - ends[0] + 1, places.step)
+            yield number, slice(i, j), inside
 
 
 def tiles(
