@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 __all__ = [
     "analysis_figures",
     "claim_figures",
+    "depth_of",
     "of_comparison",
     "panels_of",
     "plot_findings",
@@ -179,7 +180,7 @@ def _histogram(x: npt.NDArray[np.float32], scale: Any = "log") -> Histogram:
 
 def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
     """Draw the view with shorter and with all paths; regions with all their samples together."""
-    renders = {f"up to {_depth(s)} segments": s for s in (shorter, data.samples)}
+    renders = {f"up to {depth_of(s)} segments": s for s in (shorter, data.samples)}
     means = (summary["mean"].values, data.summary["mean"].values)
     log = {
         region.name: {
@@ -191,9 +192,10 @@ def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
     return viz.view_pair(dict(zip(renders, means, strict=True)), log)
 
 
-def _depth(samples: Samples) -> str:
-    depth = int(dict(samples.attrs["integrator"]).get("max_depth", -1))
-    return "∞" if depth < 0 else str(depth)
+def depth_of(samples: Samples) -> str:
+    """Return the maximum path length of samples in words."""
+    depth = int(dict(samples.attrs.get("integrator") or {}).get("max_depth", 0))
+    return "∞" if depth < 0 else str(depth or "—")
 
 
 # --- claims -------------------------------------------------------------------------------------

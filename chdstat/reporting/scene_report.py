@@ -103,7 +103,8 @@ def report(
         Show progress bars; None shows them on a terminal.
     **settings
         As for `chdstat.render`: ``spp``, ``size``, ``seed``, ``max_depth``, ``backend`` and the
-        others. What is not given is the recipe's, or 512 spp and 128 pixels along the longer edge.
+        others; the samples must be independent. What is not given is the recipe's, or 512 spp and
+        128 pixels along the longer edge.
         Of samples that are already there, `spp` takes the first, and the others have no place.
 
     Returns

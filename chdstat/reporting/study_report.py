@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from chdstat._core.display import number, percent
 from chdstat._core.files import scratch
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.content import atlas_content, claim_content, remake_note
-from chdstat.reporting.figures import claim_figures, region_figure, scene_figures
+from chdstat.reporting.figures import claim_figures, depth_of, region_figure, scene_figures
 from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import FINDINGS
@@ -90,7 +90,6 @@ def document(study: Study) -> Document:
 def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
     samples, seen = scene.data.samples, scene.overview
     seconds = samples.attrs.get("render_seconds")
-    integrator = dict(samples.attrs.get("integrator") or {})
     height, width, _, spp = samples.shape
     regions = scene.data.regions
     family, share = max(seen.families.items(), key=lambda item: item[1])
@@ -103,8 +102,8 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
         "prefix": f"scene{index}-",
         "size": f"{width} × {height}",
         "spp": spp,
-        "integrator": str(integrator.get("type", "—")),
-        "depth": _depth(integrator),
+        "integrator": str((samples.attrs.get("integrator") or {}).get("type", "—")),
+        "depth": depth_of(samples),
         "null_share": percent(seen.null_share),
         "variation": number(seen.variation[1]),
         "family": f"{called(family)} {percent(share)}" if share > 0 else "—",
@@ -126,17 +125,11 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
     }
 
 
-def _depth(integrator: Mapping[str, Any]) -> str:
-    depth = int(integrator.get("max_depth", 0))
-    return "∞" if depth < 0 else str(depth or "—")
-
-
 def _renders(scene: SceneStudy) -> Iterator[str]:
     """Yield the other renders of the view, in words."""
     shorter, other, again = scene.data.shorter, scene.data.integrator, scene.again
     if shorter is not None:
-        depth = _depth(dict(shorter.attrs["integrator"]))
-        yield f"paths of up to {depth} segments, {shorter.spp} spp"
+        yield f"paths of up to {depth_of(shorter)} segments, {shorter.spp} spp"
     if other is not None:
         yield f"Russian roulette from segment {ROULETTE} on, {other.spp} spp"
     if scene.data.spread is not None:

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import StoreError
-from chdstat.explorer import explore
 from chdstat.explorer.estimators import batches_of, learners
 from chdstat.explorer.sources import StoreSource
 
@@ -72,12 +70,3 @@ def test_one_for_another_number_of_samples_is_left_out(samples):
     assert scored(model, samples, n=16) is None
     found = scored(model, samples, n=model.inputs)
     assert np.isnan(found.certainty)
-
-
-def test_a_file_that_is_no_model_is_refused(samples, tmp_path):
-    path = tmp_path / "none.safetensors"
-    with pytest.raises(StoreError, match="no model at"):
-        explore(samples, models=[path])
-    path.write_bytes(b"nothing")
-    with pytest.raises(StoreError):
-        explore(samples, models=[path])
