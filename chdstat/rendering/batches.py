@@ -256,10 +256,12 @@ class _Drawn:
         height, width, channels, spp = self.shape
         rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
         found = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
+        chunks = {
+            chunk.index: chunk for chunk in chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
+        }
         cuts = pieces(samples, BATCH), pieces(rows, TILE), pieces(columns, TILE)
         for (b, to_s, of_s), (y, to_y, of_y), (x, to_x, of_x) in itertools.product(*cuts):
-            block = self._chunk(Chunk.at((y, x, b), self.shape))
-            found[to_y, to_x, :, to_s] = block[of_y, of_x, :, of_s]
+            found[to_y, to_x, :, to_s] = self._chunk(chunks[y, x, b])[of_y, of_x, :, of_s]
         return found
 
     def read_features(self) -> dict[str, Image]:

@@ -104,13 +104,6 @@ class Chunk:
     xs: slice
     ss: slice
 
-    @classmethod
-    def at(cls, index: tuple[int, int, int], shape: tuple[int, ...]) -> Chunk:
-        """Return the chunk at (tile_y, tile_x, batch) of an image (y, x, ..., sample)."""
-        sizes = zip(index, (TILE, TILE, BATCH), (*shape[:2], shape[-1]), strict=True)
-        ys, xs, ss = (slice(i * edge, min((i + 1) * edge, n)) for i, edge, n in sizes)
-        return cls(index[2], *index[:2], ys, xs, ss)
-
     @property
     def index(self) -> tuple[int, int, int]:
         """Position in an array (tile_y, tile_x, batch)."""
@@ -138,9 +131,10 @@ def chunk_grid(
     cuts = []
     for part, length, step in ((ss, spp, BATCH), (ys, height, TILE), (xs, width, TILE)):
         start, stop, _ = part.indices(length)
-        cuts.append(range(start // step, -(-stop // step)) if stop > start else range(0))
-    for batch, y, x in itertools.product(*cuts):
-        yield Chunk.at((y, x, batch), (height, width, spp))
+        numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
+        cuts.append([(i, slice(i * step, min((i + 1) * step, length))) for i in numbers])
+    for (b, samples), (ty, rows), (tx, columns) in itertools.product(*cuts):
+        yield Chunk(b, ty, tx, rows, columns, samples)
 
 
 def pieces(places: range, edge: int) -> Iterator[tuple[int, slice, slice]]:
