@@ -38,7 +38,7 @@ _SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
 _LIMITED = np.array((-0.1, 0.5))
 """Logarithms of the mean over that which `shared_shape` limits it to."""
 _BRIGHT = np.array((0.5, 1.5))
-"""Logarithms of a pixel's unit, less what its standard error leaves open, over that of the image."""
+"""Logarithms of a pixel's unit, less three of its standard errors, over that of the image."""
 _CERTAIN = 3.0
 """Standard errors by which the light of a bright pixel may be less than its mean."""
 _BELIEVED = (-3.0, -1.5), (-4.5, -2.5)
