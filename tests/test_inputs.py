@@ -54,7 +54,7 @@ def test_a_size_is_that_of_a_film_and_a_shape_that_of_an_image():
     sized = {
         name
         for name, taken in functions.items()
-        if "size" in taken or "RenderSettings" in str(taken.get("options"))
+        if "size" in taken or any("RenderSettings" in str(of.annotation) for of in taken.values())
     }
     assert sized == FILMS
     assert chd.simulate("gamma", shape=(2, 3), spp=8).shape == (2, 3, 3, 8)

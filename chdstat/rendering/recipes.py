@@ -6,24 +6,20 @@ A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a sc
 
 from __future__ import annotations
 
-import functools
 import os
 import reprlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import chdstat
-from chdstat.errors import InputError, check_option
-from chdstat.rendering.options import RenderOptions, scene_integrator, scene_size
+from chdstat.errors import InputError
+from chdstat.rendering.options import scene_integrator, scene_size
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.files import is_file
-
-if TYPE_CHECKING:
-    from cattrs import Converter
 
 __all__ = [
     "Recipe",
@@ -38,7 +34,11 @@ __all__ = [
 
 _EDGE = 128
 """Longest edge of the image where neither the user nor a recipe gives a size."""
+_BOUNDS = "0 <= left < right <= 1, top < bottom alike"
+"""Of a region's rectangle, as errors say it."""
 SCHEMA = 1
+_KEYS = ("schema", "name", "scene", "integrator", "size", "spp", "seed", "regions")
+_LONGEST, _DOTS = 2**16, 1000
 PHENOMENA = (
     "diffuse",
     "glossy",
@@ -87,11 +87,10 @@ class Region:
     note: str = ""
 
     def __post_init__(self) -> None:
-        left, top, right, bottom = self.rectangle
-        if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
+        if not _in_image(self.rectangle):
             message = (
-                "rectangle must be (left, top, right, bottom) as fractions of the image, 0 <= left "
-                f"< right <= 1, top < bottom alike, got {self.rectangle}"
+                "rectangle must be (left, top, right, bottom) as fractions of the image, "
+                f"{_BOUNDS}, got {self.rectangle}"
             )
             raise InputError(message)
 
@@ -110,6 +109,12 @@ class Region:
         """Return (y, x) of the pixel in the middle."""
         ys, xs = self.pixels(height, width)
         return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
+
+
+def _in_image(rectangle: Sequence[float]) -> bool:
+    """Return whether left, top, right and bottom bound a part of the image, in fractions of it."""
+    left, top, right, bottom = rectangle
+    return 0 <= left < right <= 1 and 0 <= top < bottom <= 1
 
 
 def _covered(low: float, high: float, length: int) -> slice:
@@ -145,13 +150,6 @@ class Recipe:
     regions: tuple[Region, ...]
     integrator: str | None = None
     name: str | None = None
-
-    def __post_init__(self) -> None:
-        RenderOptions(**self.settings())
-        names = [region.name for region in self.regions]
-        if len(set(names)) < len(names):
-            message = f"regions must have distinct names, got {', '.join(names)}"
-            raise InputError(message)
 
     def settings(self) -> dict[str, Any]:
         """Return the arguments of `chdstat.render`."""
@@ -247,14 +245,7 @@ def load_recipe(path: str | Path) -> Recipe:
         has an environment variable that is not set; the message names file and key.
     """
     path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        message = f"cannot read recipe {path}: {error.strerror}"
-        raise InputError(message) from error
-    except (ValueError, RecursionError) as error:
-        message = f"recipe {path} is not valid TOML in UTF-8: {error}"
-        raise InputError(message) from error
+    content = _toml(path)
     try:
         recipe = _recipe(content)
     except InputError as error:
@@ -273,54 +264,98 @@ def load_recipe(path: str | Path) -> Recipe:
     return recipe
 
 
-def _recipe(content: Mapping[str, Any]) -> Recipe:
-    """Return the recipe that a TOML file describes, whose keys are the fields of a `Recipe`.
+def _toml(path: Path) -> dict[str, Any]:
+    """Return what a file says, if it is one that a person may have written.
 
-    But for ``schema``, and for the table ``integrator`` of its type and `max_depth`.
+    Python's parser overflows its stack in deep arrays, and takes minutes for a key of many parts.
     """
-    from cattrs import BaseValidationError, transform_error
-
-    content = {"integrator": {}, "regions": [], **content}
-    schema, integrator = content.pop("schema", None), content.pop("integrator")
-    _expect(schema == SCHEMA, "schema", str(SCHEMA), schema)
-    own = isinstance(integrator, Mapping) and integrator.keys() <= {"type", "max_depth"}
-    _expect(own, "integrator", "a table of type and max_depth", integrator)
-    _expect("max_depth" not in content, "max_depth", "a key of integrator", content)
-    _expect(isinstance(content["regions"], list), "regions", "tables [[regions]]", content)
-    held = {**content, "integrator": integrator.get("type"), "max_depth": None, **integrator}
-    held.pop("type", None)
     try:
-        recipe: Recipe = _converter().structure(held, Recipe)
-    except BaseValidationError as error:
-        told = transform_error(error, format_exception=_told, path="")
-        raise InputError("; ".join(line.removesuffix(" @ ") for line in told)) from error
-    for region in recipe.regions:
-        check_option(f"phenomenon of region {region.name}", region.phenomenon, PHENOMENA)
-    return recipe
+        with path.open("rb") as stream:
+            text = stream.read(_LONGEST + 1).decode("utf-8")
+    except OSError as error:
+        message = f"cannot read recipe {path}: {error.strerror}"
+        raise InputError(message) from error
+    except UnicodeDecodeError as error:
+        message = f"recipe {path} is no text in UTF-8"
+        raise InputError(message) from error
+    if len(text) > _LONGEST or any(line.count(".") > _DOTS for line in text.splitlines()):
+        message = f"recipe {path} must have at most {_LONGEST} characters, {_DOTS} points in a line"
+        raise InputError(message)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        message = f"recipe {path} is not valid TOML: {error}"
+        raise InputError(message) from error
 
 
-def _expect(holds: bool, key: str, expected: str, got: object) -> None:
+def _recipe(content: Mapping[str, Any]) -> Recipe:
+    _expect(content.get("schema") == SCHEMA, "schema", SCHEMA, content.get("schema"))
+    _only_known(content, _KEYS)
+    size = _key(content, "size", list)
+    good = len(size) == 2 and all(type(v) is int and v >= 1 for v in size)
+    _expect(good, "size", "[width, height]", size)
+    spp, seed = _key(content, "spp", int), _key(content, "seed", int)
+    _expect(spp >= 1, "spp", "at least 1", spp)
+    _expect(seed >= 0, "seed", "at least 0", seed)
+    kind, max_depth = _integrator(content.get("integrator", {}))
+    regions = content.get("regions", [])
+    tables = isinstance(regions, list) and all(isinstance(r, Mapping) for r in regions)
+    _expect(tables, "regions", "tables [[regions]]", regions)
+    names = [r.get("name") for r in regions]
+    _expect(len({str(n) for n in names}) == len(names), "regions", "distinct names", names)
+    return Recipe(
+        scene=_key(content, "scene", str),
+        size=(size[0], size[1]),
+        spp=spp,
+        seed=seed,
+        max_depth=max_depth,
+        regions=tuple(_region(i, region) for i, region in enumerate(regions)),
+        integrator=kind,
+        name=_key(content, "name", str) if "name" in content else None,
+    )
+
+
+def _integrator(content: Any) -> tuple[str | None, int | None]:
+    """Return the type and the path length of a recipe's integrator; -1 is no limit in Mitsuba."""
+    _expect(isinstance(content, Mapping), "integrator", "a table", content)
+    _only_known(content, ("type", "max_depth"), "integrator.")
+    kind, depth = content.get("type"), content.get("max_depth")
+    _expect(kind is None or isinstance(kind, str), "integrator.type", "a str", kind)
+    good = depth is None or (type(depth) is int and (depth >= 1 or depth == -1))
+    _expect(good, "integrator.max_depth", "at least 1, or -1 for no limit", depth)
+    return kind, depth
+
+
+def _region(index: int, content: Mapping[str, Any]) -> Region:
+    where = f"regions[{index}]."
+    _only_known(content, ("name", "phenomenon", "rectangle", "note"), where)
+    rectangle = _key(content, "rectangle", list, where)
+    numbers = len(rectangle) == 4 and all(type(v) in (int, float) for v in rectangle)
+    _expect(numbers and _in_image(rectangle), f"{where}rectangle", _BOUNDS, rectangle)
+    phenomenon = _key(content, "phenomenon", str, where)
+    known = ", ".join(PHENOMENA)
+    _expect(phenomenon in PHENOMENA, f"{where}phenomenon", f"one of {known}", phenomenon)
+    note = content.get("note", "")
+    _expect(isinstance(note, str), f"{where}note", "a str", note)
+    left, top, right, bottom = (float(v) for v in rectangle)
+    return Region(_key(content, "name", str, where), phenomenon, (left, top, right, bottom), note)
+
+
+def _key(content: Mapping[str, Any], name: str, kind: type, where: str = "") -> Any:
+    value = content.get(name)
+    # In Python a truth value is a whole number; in a recipe it is a mistake.
+    good = isinstance(value, kind) and not isinstance(value, bool)
+    _expect(good, f"{where}{name}", f"a {kind.__name__}", value)
+    return value
+
+
+def _only_known(content: Mapping[str, Any], known: tuple[str, ...], where: str = "") -> None:
+    """Refuse a key that would be ignored: it is misspelt or from another version."""
+    for name in content:
+        _expect(name in known, f"key {where}{name}", f"one of {', '.join(known)}", name)
+
+
+def _expect(holds: bool, key: str, expected: object, got: object) -> None:
     if not holds:
         message = f"{key} must be {expected}, got {reprlib.repr(got)}"
         raise InputError(message)
-
-
-@functools.cache
-def _converter() -> Converter:
-    """Return what makes dataclasses of tables, in which truth values are no numbers."""
-    from cattrs import Converter
-
-    def exactly(value: Any, kind: Any) -> Any:
-        if type(value) is not kind and not (kind is float and type(value) is int):
-            message = f"must be a {kind.__name__}, got {reprlib.repr(value)}"
-            raise InputError(message)
-        return value
-
-    converter = Converter(forbid_extra_keys=True)
-    for kind in (str, int, float):
-        converter.register_structure_hook(kind, exactly)
-    return converter
-
-
-def _told(error: BaseException, _: object) -> str:
-    return "a key is missing" if isinstance(error, KeyError) else str(error)

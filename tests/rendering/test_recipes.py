@@ -74,31 +74,42 @@ def test_a_scene_in_a_folder_that_the_environment_names(tmp_path, monkeypatch):
         load_recipe(write(tmp_path, named))
 
 
+def test_two_regions_of_one_name_are_refused(tmp_path):
+    again = GOOD[GOOD.index("[[regions]]") :]
+    with pytest.raises(InputError, match="regions must be distinct names"):
+        load_recipe(write(tmp_path, GOOD + again))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("schema = 1", "schema = 7", "schema must be 1, got 7"),
-        ("schema = 1", "", "schema must be 1, got None"),
+        ("spp = 64", "", "spp must be a int, got None"),
+        ("[128, 96]", "[0, 96]", r"size must be \[width, height\]"),
+        (
+            "[0.5, 0.25, 0.75, 0.5]",
+            "[0.5, 0.25, 1.75, 0.5]",
+            r"regions\[0\].rectangle must be 0 <=",
+        ),
+        ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25, 0.5, 0.5]", r"regions\[0\].rectangle must be 0 <="),
+        ('"diffuse"', '"glow"', "phenomenon must be one of diffuse, .*, got 'glow'"),
         ("schema = 1", "schema = ", "not valid TOML"),
-        ("spp = 64", "", "a key is missing @ .spp"),
-        ("spp = 64", "spp = true", "must be a int, got True @ .spp"),
+        ("schema = 1", "", "schema must be 1, got None"),
+        ("[128, 96]", '["a", 96]', r"size must be \[width, height\]"),
+        ("spp = 64", "spp = true", "spp must be a int, got True"),
         ("spp = 64", "spp = 0", "spp must be at least 1, got 0"),
         ("seed = 3", "seed = -3", "seed must be at least 0, got -3"),
-        ("seed = 3", "seed = 3\nseeds = 3", "Extra fields .*: seeds"),
-        ("[128, 96]", "[0, 96]", "width must be at least 1, got 0"),
-        ("[128, 96]", '["a", 96]', r"must be a int, got 'a' @ .size\[0\]"),
-        ("max_depth = 9", 'max_depth = "9"', "must be a int, got '9' @ .max_depth"),
-        ("max_depth = 9", "max_depth = 0", "max_depth must be at least 1 segment, or -1"),
-        ("max_depth = 9", "depth = 9", "integrator must be a table of type and max_depth"),
-        ('type = "path"', "type = 3", "must be a str, got 3 @ .integrator"),
+        ("max_depth = 9", 'max_depth = "9"', "integrator.max_depth must be at least 1"),
+        ("max_depth = 9", "max_depth = 0", "integrator.max_depth must be at least 1"),
+        ("max_depth = 9", "depth = 9", "key integrator.depth must be one of type, max_depth"),
+        ('type = "path"', "type = 3", "integrator.type must be a str, got 3"),
+        ("seed = 3", "seeds = 3", "key seeds must be one of schema, .*, got 'seeds'"),
         ("[[regions]]", "[regions]", r"regions must be tables \[\[regions\]\]"),
-        ("[[regions]]", GOOD[GOOD.index("[[reg") :] + "[[regions]]", "must have distinct names"),
-        ('"diffuse"', '"glow"', "phenomenon of region wall must be one of diffuse, .* got 'glow'"),
-        ('name = "wall"', "", r"a key is missing @ .regions\[0\].name"),
-        ('name = "wall"', 'name = "a"\nnote = 3', r"must be a str, got 3 @ .regions\[0\].note"),
-        ("[0.5, 0.25, 0.75, 0.5]", '["a", 0, 1, 1]', r"got 'a' @ .regions\[0\].rectangle\[0\]"),
-        ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25]", r"Not enough values .* @ .regions\[0\].rec"),
-        ("[0.5, 0.25, 0.75, 0.5]", "[nan, 0, 1, 1]", r"fractions of the image, .* @ .regions\[0\]"),
+        ('name = "wall"', "", r"regions\[0\].name must be a str, got None"),
+        ('name = "wall"', 'name = "a"\nnote = 3', r"regions\[0\].note must be a str, got 3"),
+        ("[0.5, 0.25, 0.75, 0.5]", '["a", 0, 1, 1]', r"regions\[0\].rectangle must be 0 <="),
+        ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25]", r"regions\[0\].rectangle must be 0 <="),
+        ("[0.5, 0.25, 0.75, 0.5]", "[nan, 0, 1, 1]", r"regions\[0\].rectangle must be 0 <="),
     ],
 )
 def test_a_broken_recipe_names_file_and_key(tmp_path, old, new, message):
@@ -112,9 +123,6 @@ def test_a_missing_recipe_is_an_error_and_an_unknown_scene_has_none(tmp_path):
     with pytest.raises(InputError, match="cannot read recipe"):
         load_recipe(tmp_path / "none.toml")
     assert find_recipe("no-such-scene") is None
-    (tmp_path / "noise.toml").write_bytes(bytes(range(128, 256)))
-    with pytest.raises(InputError, match="noise.toml is not valid TOML in UTF-8"):
-        load_recipe(tmp_path / "noise.toml")
 
 
 STUDY = [name for name in BUILTIN if name != "cornell-box"]
@@ -145,6 +153,11 @@ def test_every_study_scene_has_a_recipe_that_fits_it():
     assert shown == set(PHENOMENA)
 
 
+def test_regions_cover_at_least_a_pixel():
+    ys, xs = Region("dot", "diffuse", (0.99, 0.99, 1.0, 1.0)).pixels(4, 4)
+    assert (ys, xs) == (slice(3, 4), slice(3, 4))
+
+
 def test_regions_are_those_of_the_view_that_the_recipe_shows():
     x = np.ones((32, 32, 3, 2), dtype=np.float32)
     known = find_recipe("bathroom")
@@ -164,3 +177,16 @@ def test_a_recipe_of_another_integrator_is_refused(tmp_path):
     with pytest.raises(InputError, match="must be 'path', as scene 'bathroom' has it, got 'volp"):
         check_integrator(recipe, load_scene("bathroom"))
     check_integrator(load_recipe(write(tmp_path, GOOD)), load_scene("bathroom"))
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "noise.toml"
+    path.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(InputError, match="noise.toml is no text in UTF-8"):
+        load_recipe(path)
+
+
+@pytest.mark.parametrize("rectangle", [(4, 4, 12, 12), (0.5, 0, 0.5, 1), (0, -0.1, 1, 1)])
+def test_regions_are_fractions_of_the_image(rectangle):
+    with pytest.raises(InputError, match="as fractions of the image"):
+        Region("wall", "diffuse", rectangle)
