@@ -38,9 +38,9 @@ _SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
 _LIMITED = np.array((-0.1, 0.5))
 """Logarithms of the mean over that which `shared_shape` limits it to."""
 _BRIGHT = np.array((0.5, 1.5))
-"""Logarithms of a pixel's unit, less three of its standard errors, over that of the image."""
-_CERTAIN = 3.0
-"""Standard errors by which the light of a bright pixel may be less than its mean."""
+"""Logarithms of a pixel's unit over that of the image, its standard errors taken off."""
+_TAKEN_OFF = 3.0
+"""Standard errors of the mean that are taken off before a pixel counts as bright."""
 _BELIEVED = (-3.0, -1.5), (-4.5, -2.5)
 """Scores between which the mean is believed before held-out samples are asked: of pixels that are
 not limited, since so many samples found the light, and of those that are."""
@@ -92,8 +92,9 @@ class Proposal:
         mean, limited = (
             np.maximum(image.mean(axis=-1), 0) + 0.01 * unit for image in (self.mean, self.limited)
         )
-        colour, error = (np.abs(image).mean(axis=-1) for image in (self.mean, self.error))
-        known = 1 - _CERTAIN * error / np.maximum(colour, 1e-30)
+        # Few bright samples among dark ones make a standard error as large as the mean.
+        light, error = (np.abs(image).mean(axis=-1) for image in (self.mean, self.error))
+        known = 1 - _TAKEN_OFF * error / np.maximum(light, 1e-30)
         return [
             (_signed_log(apart.mean(axis=-1)), _signed_log(_SCORES)),
             (np.log(mean / limited), _LIMITED),

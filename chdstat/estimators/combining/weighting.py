@@ -258,13 +258,15 @@ def _combine_measured(
     made = [candidates(start, features, client) for start in measured.starts]
     names, unit = list(made[0]), unit_of(made[0])
     mean, error = measured.mean, measured.errors[0]
+    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
     if len(names) > 2:
         weighting = Weighting.shipped(with_features="albedo" in features)
         weights, width = weighting(made, measured, unit)
         half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
     else:
         # Nothing is denoised: the limited mean is proposed, as certain as the mean is.
-        weights, half = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2)), None
+        weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
+        half = ends[1] - mean
     proposed = [
         Proposal(
             _weighted(weights, images),
@@ -279,8 +281,6 @@ def _combine_measured(
     proposal = proposed[0].image
     radiance = proposal + of_mean * (mean - proposal)
     balanced = _balanced(radiance, mean, error, 1 - of_mean)
-    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
-    half = ends[1] - mean if half is None else half
     # Where no light was found, the mean has no interval.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
