@@ -54,9 +54,9 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
     """Return every measure with its interval over units, shape (estimator, channel + 1).
 
     The last place of the channel axis is the average over channels. The measures of a single unit
-    have no interval. Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal
-    quantile in place of Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789); they are
-    moved apart by as much.
+    have no interval. With k units, a percentile interval is too short by the factor
+    sqrt((k - 1) / k), and because it uses normal quantiles in place of Student's (Hesterberg 2015,
+    doi:10.1080/00031305.2015.1089789); it is widened by both.
 
     Parameters
     ----------

@@ -5,9 +5,9 @@ log-normal component and t(y) = exp(y) for a gamma one. Its state is (log weight
 scale): mean and log standard deviation of y for log-normal, log mean of x and log shape for gamma
 components. States and coefficients have shape (3, component, row).
 
-The responsibilities of a group are those of its mean sufficient statistics: of all that do not
-differ within groups, they give the largest lower bound of the log-likelihood, and every step raises
-it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data sets", 2006,
+All samples of a group share their responsibilities, which are those of its mean sufficient
+statistics: no other shared ones give a larger lower bound of the log-likelihood, and every step
+raises it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data sets", 2006,
 doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
 doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.

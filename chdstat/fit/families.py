@@ -143,7 +143,9 @@ class Fit(Result):
         return np.where(np.isnan(self.null_share), np.nan, zeros / np.maximum(zeros + self.n, 1))
 
     def pdf(self, x: npt.ArrayLike) -> Floats:
-        """Return the density of the positive part alone: to 1 it lacks the atoms of a mixture only.
+        """Return the density of the positive part alone.
+
+        It integrates to 1, or in a mixture to 1 minus the share of the atoms.
 
         Multiply by ``1 - zero_share`` for the density of the whole model away from 0. The result
         has the shape of the batch followed by that of `x`, which are radiances of any shape.

@@ -1,4 +1,4 @@
-"""SampleGroups of neighbouring samples, which mixtures are fitted to, of samples or of bins.
+"""Groups of neighbouring samples: mixtures are fitted to these, not to single samples.
 
 What an exponential family needs of a group is its size and the means of its sufficient statistics.
 With a bounded number of groups per pixel, the cost of a fit does not depend on spp; with groups as

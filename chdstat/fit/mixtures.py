@@ -77,8 +77,8 @@ class Mixture(Fit):
         atoms. Without atoms, it compares with that of any family.
     aic, bic
         Of the chosen mixture. It has 3 k parameters: those of k components, k - 1 weights, and the
-        zero share, as `Fit` counts them. Of each component beyond the first, BIC counts three as if
-        there were at least 160 samples: it is an expansion for many.
+        zero share, as `Fit` counts them. BIC penalises each of those beyond the first component by
+        log(max(n, 160)): it is an approximation for many samples.
     bics
         For 1 to K components, shape (..., K); NaN where there are too few samples for so many.
     held_out

@@ -1,10 +1,10 @@
 """Tail: how heavy the largest samples of a CHD are.
 
 `tail_index` fits a generalised Pareto distribution to the excesses over a threshold that it chooses
-from the data. Its tail index xi orders the tails: below 0 bounded, 0 exponential (gamma, too),
-above 1/4 the error of the sample variance is itself without a variance, from 1/2 on the variance is
-infinite, and from 1 on the mean is. `effective_tail_index` is the index to expect of a
-distribution.
+from the data. Its tail index xi orders the tails: below 0 bounded, 0 exponential (gamma, too), from
+1/4 on the sample variance has an infinite variance of its own, so that its error bar means nothing,
+from 1/2 on the variance is infinite, and from 1 on the mean is. `effective_tail_index` is the index
+to expect of a distribution.
 
 An automatic threshold may miss a rare heavy tail. The `FAR` largest samples therefore have an index
 of their own, and the variance of a pixel is trusted only where both indices allow it.

@@ -62,9 +62,9 @@ class Contrast(Shown):
     why
         Why one cannot tell; "" otherwise.
     spp_needed
-        Samples per pixel that would tell, of the render that has fewer: that miss the light it has
-        not seen with a probability of 5 %, or are enough for a test. None where one can tell, and
-        where no number is known.
+        Samples per pixel that the shorter render needs for a decision: so many that it would miss
+        the light it has not seen with a probability of only 5 %, or the fewest that a test takes.
+        None where one can tell, and where no number is known.
     p_image
         p-value of the whole test: that the means are equal in all pixels.
     share
@@ -248,11 +248,11 @@ def contrast(
     may have missed (`chdstat.inference.windows`).
 
     If one render has more samples, such as a reference has, a term is one sample of the shorter
-    render less the average of many, and flips of its sign are not exact. Then any division of the
-    samples into A's and B's is as likely as the real one, and p-values are at least those that all
-    divisions give. Where the longer render has light that the shorter one is likely to have missed,
-    more than the differences that would have been found, one cannot tell, and `Contrast.spp_needed`
-    says how many samples would.
+    render less the average of many, and flips of its sign are not exact. If both have one
+    distribution, any division of all samples into A's and B's is as likely as the real one, and
+    p-values are never smaller than those that all divisions give. Where the longer render has light
+    that the shorter one is likely to have missed, more than the differences that would have been
+    found, one cannot tell, and `Contrast.spp_needed` says how many samples would.
 
     Small differences show in sums over windows of all sizes up to the whole image, compared with
     the largest that flips of signs give anywhere. The verdict is by these, with four fifths of

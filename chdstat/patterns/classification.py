@@ -1,10 +1,10 @@
 """Patterns: which pixels are null-heavy, long-tailed, bimodal, constant, and what the rest is.
 
-`PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
-at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
-each other, but for those that describe a plain body; `Label` says which comes first. `agreement`
-compares labels with those of the neighbours: labels that mean something form regions; labels that
-are noise look like the same labels shuffled.
+`chdstat.patterns.table` says what a pattern means, its statistic, and the rule that turns it into a
+flag at a threshold. `classify` applies all rules to the luminance of each pixel. Flags do not
+exclude each other, but for those that describe a plain body; `Label` says which comes first.
+`agreement` compares labels with those of the neighbours: labels that mean something form regions;
+labels that are noise look like the same labels shuffled.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ __all__ = [
 
 
 class Label(enum.IntEnum):
-    """What a pixel is first of all: the first that holds, from the top, but for UNDETERMINED."""
+    """The first of these that holds for a pixel; UNDETERMINED where none does."""
 
     UNDETERMINED = 0
     """Too few usable samples for a label."""

@@ -107,9 +107,9 @@ class ClaimTest:
 
     @property
     def margin(self) -> float:
-        """Distance of the value to an end of the range over that to the interval's end beyond it.
+        """Distance from the value to an end of the range, over the length of the interval there.
 
-        Of the end that is less sure; above 1, the interval does not reach it. 0 where the interval
+        Of the end that is less sure. Above 1, the interval does not reach it. 0 where the interval
         is open to that side, NaN without an interval.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high

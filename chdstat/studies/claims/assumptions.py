@@ -1,4 +1,4 @@
-"""Assumptions that denoisers make about noise and radiance, tested (finding 13).
+"""Assumptions that denoisers make about noise and radiance, tested (claim 13).
 
 The paper holds that four of them fail: that noise is spatially uniform and additive, that averages
 are Gaussian, that variance follows feature buffers, that radiance is regular.

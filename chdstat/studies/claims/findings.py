@@ -1,6 +1,6 @@
 """The claims of the paper in their order, and `find`, which tests all of them.
 
-Each module beside this one ends with the rows of its claims, under the functions that measure them.
+Modules beside this one that hold claims end with their rows, under the functions that measure them.
 """
 
 from __future__ import annotations

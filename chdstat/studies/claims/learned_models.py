@@ -1,6 +1,6 @@
 """Learning: what the learned model is worth, and whether it is the mean where there is no pattern.
 
-The claims (findings 15 and 16) are about the model of the paper, `PAPER`, and so are the verdicts;
+The claims (15 and 16) are about the model of the paper, `PAPER`, and so are the verdicts;
 other estimators that learned are tested in the same way. Elek et al. 2019, section 6: without
 identifiable patterns, such a model "should gracefully reduce to the baseline solution", the sample
 average.
