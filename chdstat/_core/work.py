@@ -756,15 +756,18 @@ class Cache:
         again
             Compute it though it is there.
         """
-        name = f"{name}-{hashlib.sha256(repr(inputs).encode()).hexdigest()[:12]}.npz"
-        found = None if again else self.read(name, lambda path: read_record(path, kind))
+        found = None if again else self.recall(name, kind, inputs=inputs)
         if found is not None:
             return found
         value = compute()
-        self.write(name, lambda path: write_record(path, value))
+        self.write(_file(name, inputs), lambda path: write_record(path, value))
         # As it will be read, so that it does not matter where it comes from.
-        back = self.read(name, lambda path: read_record(path, kind))
+        back = self.recall(name, kind, inputs=inputs)
         return value if back is None else back
+
+    def recall(self, name: str, kind: type[Result], *, inputs: object = ()) -> Result | None:
+        """Return what `record` kept; None where it is not there, or damaged."""
+        return self.read(_file(name, inputs), lambda path: read_record(path, kind))
 
     def read(self, name: str, read: Callable[[Path], Result]) -> Result | None:
         """Read a result by its name with a suffix; None where it is not there, or damaged."""
@@ -796,3 +799,7 @@ class Cache:
             return None
         file = PurePath(name)
         return self.folder / f"{self._key}-{file.stem}-{code_digest()}{file.suffix}"
+
+
+def _file(name: str, inputs: object) -> str:
+    return f"{name}-{hashlib.sha256(repr(inputs).encode()).hexdigest()[:12]}.npz"

@@ -7,6 +7,7 @@
 - `estimators`, `place`, `tables`: what is computed of a pixel or a region, and its tables;
 - `maps`: the table of maps, one number or label per pixel over the image;
 - `panels`: the table of plots, what they draw of a selection, and their Bokeh figures;
+- `passes`: long work over the image, the latest request first;
 - `shared`: state that all pages have in common, with the threads;
 - `selection`, `export`: all that is shown of a selection, and its files;
 - `page`: the Bokeh document of a page;

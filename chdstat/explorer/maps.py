@@ -274,8 +274,8 @@ def of_overall(overall: Overall, name: str) -> Map | None:
     return replace(MAPS[name], values=values)
 
 
-def walk(source: StoreSource, name: str, step: Callable[[float, Image], None]) -> Map:
-    """Compute a map tile by tile.
+def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
+    """Compute a map tile by tile; yield the share that is done, and the values so far.
 
     Parameters
     ----------
@@ -283,33 +283,27 @@ def walk(source: StoreSource, name: str, step: Callable[[float, Image], None]) -
         The store.
     name
         One of `MAPS`, or ``error:NAME``.
-    step
-        Called with the share that is done and the values so far; whatever it raises ends the walk.
     """
     values = np.full(source.size, np.nan, np.float32)
     places = list(product(*(spans(length, _TILE) for length in source.size)))
 
     # Coarsely first, a pixel for each cell, which takes little more than reading.
     for i, (ys, xs) in enumerate(places):
-        step(_COARSE_SHARE * i / len(places), values)
+        yield _COARSE_SHARE * i / len(places), values
         cells, _ = _of_tile(name, np.ascontiguousarray(source.read(ys, xs)[::_CELL, ::_CELL]))
         height, width = values[ys, xs].shape
         values[ys, xs] = cells.repeat(_CELL, 0).repeat(_CELL, 1)[:height, :width]
 
-    def parts() -> Iterator[tuple[slice, slice, Mapped]]:
-        for i, (ys, xs) in enumerate(places):
-            step(_COARSE_SHARE + (1 - _COARSE_SHARE) * i / len(places), values)
-            values[ys, xs], variables = _of_tile(name, source.read(ys, xs))
-            yield ys, xs, variables
-
+    parts = []
+    for i, (ys, xs) in enumerate(places):
+        yield _COARSE_SHARE + (1 - _COARSE_SHARE) * i / len(places), values
+        values[ys, xs], variables = _of_tile(name, source.read(ys, xs))
+        parts.append((ys, xs, variables))
     if name == "pattern":
         # Over the image, flags are decided with p-values corrected for its size.
-        whole = assemble(source.samples, parts(), progress=False)
+        whole = assemble(source.samples, iter(parts), progress=False)
         values = Classification().finish(whole)["label"].to_numpy().astype(np.float32)
-    else:
-        for _ in parts():
-            pass
-    return replace(map_kind(name, source.samples.spp), values=values)
+    yield 1.0, values
 
 
 def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:

@@ -238,7 +238,8 @@ class Page:
             return
         low, high = shown.limits
         self._mapper.update(palette=shown.colors, low=low, high=high)
-        renderer.data_source.data = {"image": [np.ascontiguousarray(shown.values, np.float32)]}
+        # A pass goes on to write into its values: Bokeh would see no change.
+        renderer.data_source.data = {"image": [np.array(shown.values, np.float32)]}
 
     # --- other threads --------------------------------------------------------------------------
 

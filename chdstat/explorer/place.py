@@ -8,7 +8,7 @@ and its caller may end it. So does `suggest`, which looks for places worth a fir
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 from itertools import product
 from typing import Literal
@@ -308,18 +308,17 @@ def first_pixel(overall: Overall) -> Pixel:
     return brightest // width, brightest % width
 
 
-def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pixel]]:
-    """Return a pixel with a long tail, one with several modes and one that is null-heavy.
+def suggest(source: Source) -> Iterator[tuple[float, list[tuple[str, Pixel]]]]:
+    """Look for a pixel with a long tail, one with several modes and one that is null-heavy.
 
-    Of a grid of pixels, those whose pattern is surest: the lower end of the interval of its
-    statistic is the largest. What no pixel of the grid has is left out.
+    Yields the share that is done, and in the end what was found. Of a grid of pixels, those whose
+    pattern is surest: the lower end of the interval of its statistic is the largest. What no pixel
+    of the grid has is left out.
 
     Parameters
     ----------
     source
         Where samples come from; the first 512 of each pixel are read or drawn.
-    step
-        Called with the share that is done; whatever it raises ends the search.
     """
     cell = max(1.0, max(source.size) / _GRID)
     numbers = (max(1, int(length / cell)) for length in source.size)
@@ -330,7 +329,7 @@ def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pi
     pixels = list(product(ys, xs))
     sure: dict[str, list[Floats]] = {name: [] for name, _ in _SUGGESTED}
     for i in range(0, len(pixels), _AT_ONCE):
-        step(i / len(pixels))
+        yield i / len(pixels), []
         part = PositivePart.of_pixels(source.some(pixels[i : i + _AT_ONCE], _SPP), rows="luminance")
         found = Classification().measure(part)
         for name, patterns in _SUGGESTED:
@@ -345,4 +344,4 @@ def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pi
         score[[pixels.index(p) for p in chosen.values()]] = -np.inf
         if score.max() > -np.inf:
             chosen[name] = pixels[int(score.argmax())]
-    return list(chosen.items())
+    yield 1.0, list(chosen.items())

@@ -25,11 +25,12 @@ from bokeh.document import Document
 from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.explorer.export import EXPORTS, exported
+from chdstat.explorer.maps import map_kind
 from chdstat.explorer.page import Page, coarse_png, colorbar, isolated, rgba
 from chdstat.explorer.panels import PIXEL_COLORS, encode_panels
 from chdstat.explorer.place import first_pixel
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
-from chdstat.explorer.shared import Shared, Stopped
+from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import MOST_SPP, SceneSource, StoreSource
 from chdstat.explorer.tables import Table, headline
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
@@ -48,6 +49,10 @@ _OWN_ACCORD = -1
 T = TypeVar("T")
 Found = tuple[SelectionPlots, dict[str, Table], list[ScoredEstimate]]
 Check = Callable[[], None]
+
+
+class Stopped(Exception):  # noqa: N818 - not an error
+    """Nobody waits for the result any more."""
 
 
 class Session:
@@ -87,6 +92,7 @@ class Session:
 
     def _gone(self) -> None:
         self._generation += 1  # drops what is being worked on
+        self._shared.passes.leave(self)
         self._end()
 
     # --- commands: the page sends the name of a method, without its `_on_`, and its arguments ---
@@ -112,7 +118,7 @@ class Session:
         notes = list(self._notes)
         if self.view.map != "image":
             try:
-                self._shared.want(self.view.map)
+                self._shared.want(self, self.view.map)
             except InputError as error:
                 notes.append(str(error))
                 self.view = self.view.changed("map", "image")
@@ -142,8 +148,8 @@ class Session:
         self._go(self.view.drop(int(index)))
 
     def _on_set(self, *, option: str, value: Any) -> None:
-        if option == "map" and value != "image":
-            self._shared.want(str(value))
+        if option == "map":
+            self._shared.want(self, str(value))
         view = self.view.changed(str(option), value)
         if option == "map":
             view = view.changed("limits", None)
@@ -179,8 +185,9 @@ class Session:
         self._draw_more()
 
     def _on_visible(self, *, on: bool) -> None:
-        """Take note of whether anyone can see the page."""
+        """Take note of whether anyone can see the page, and so waits for its map."""
         self._visible = bool(on)
+        self._shared.want(self, self.view.map if on else "image")
         self._draw_more()
 
     def _on_goodness(self) -> None:
@@ -219,9 +226,9 @@ class Session:
     def _heard(self, what: str) -> None:
         """Show news of the passes over the image, or of the source."""
         if what == "working":
-            self._page.send({"kind": "working", "text": self._shared.working})
-            if self._shared.failed:
-                self._page.alert(self._shared.failed)
+            self._page.send({"kind": "working", "text": self._shared.passes.working})
+        elif what == "start" and (failed := self._shared.passes.failures.get(what)):
+            self._page.alert(failed)
         elif what == "suggested":
             self._page.send({"kind": "suggested", "pixels": self._shared.suggested})
         elif what == "image":
@@ -229,6 +236,7 @@ class Session:
             self._show_view()
             self._show_map()
         elif what == "source":
+            self._shared.want(self, self.view.map)
             self._describe()
             self._show_view()
             self._compute()
@@ -286,12 +294,17 @@ class Session:
             self._show_image()
 
     def _show_map(self) -> None:
-        """Show what there is of the map, or take it away."""
-        found = self._shared.map(self.view.map)
+        """Show what there is of the map and how far it is, or take it away."""
+        name, said = self.view.map, ""
+        found = self._shared.map(name)
+        if name != "image" and (found is None or found.done < 1):
+            failed = self._shared.passes.failures.get(name)
+            done = f"{100 * found.done:.0f} %" if found else "waiting"
+            said = f"{map_kind(name).title}: {failed or done}"
         if found is not None and self.view.limits:
             found = replace(found, ends=self.view.limits)
         self._page.show_map(found)
-        self._page.send({"kind": "colorbar", "bar": colorbar(found)})
+        self._page.send({"kind": "colorbar", "bar": colorbar(found), "said": said})
 
     def _exported(self, future: Future[tuple[str, bytes]]) -> None:
         self._page.send({"kind": "working", "text": ""})

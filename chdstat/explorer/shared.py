@@ -1,16 +1,17 @@
 """State that all pages of one explorer share: sources, the image, maps and threads.
 
-Clicks are worked on in one thread, passes over the image in another; a pass stands still while a
-click is being worked on. Reading ahead and exports have a third thread, slow estimates a fourth.
-Images and maps of a store are kept in the user's cache folder, never beside the store.
+Clicks are worked on in one thread, passes over the image in another (`chdstat.explorer.passes`); a
+pass stands still while a click is being worked on. Reading ahead and exports have a third thread,
+slow estimates a fourth. Images and maps of a store are kept in the user's cache folder, never
+beside the store.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Generator, Hashable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,12 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.work import Cache, user_cache
-from chdstat.errors import ChdstatError, InputError
+from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.estimators import Learner, learners
 from chdstat.explorer.maps import (
-    DIFFERENCES,
-    IMAGES,
     Map,
     difference_of,
     map_kind,
@@ -34,28 +33,28 @@ from chdstat.explorer.maps import (
     read_maps,
     walk,
 )
+from chdstat.explorer.passes import Pass, Passes
 from chdstat.explorer.place import suggest
 from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource, stream
 from chdstat.explorer.view import Pixel
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
-__all__ = ["Shared", "Stopped", "kept", "opened"]
+__all__ = ["Shared", "kept", "opened"]
 
 _MOST_FILES = 64
 _FIRST_SPP = 64
-_EVERY = 0.4
-"""Seconds between two reports of a pass."""
-
 _SHOWN_EVERY = 0.5
-"""Of the time since drawing began, between two times that the image is shown."""
+"""Of the time since drawing began, between two times that the image is shown, and 0.4 s more."""
 
 T = TypeVar("T")
 Listener = Callable[[str], None]
 
 
-def kept(samples: Samples, name: str, kind: type[T], compute: Callable[[], T]) -> T:
-    """Return a result of a store from the user's cache, or compute and keep it.
+def kept(
+    samples: Samples, name: str, kind: type[T], work: Iterator[tuple[float, T]]
+) -> Iterator[tuple[float, T]]:
+    """Yield a result of a store from the user's cache, or what work yields, and keep its last.
 
     Parameters
     ----------
@@ -63,11 +62,19 @@ def kept(samples: Samples, name: str, kind: type[T], compute: Callable[[], T]) -
         What the result is computed from.
     name, kind
         Its name and type.
-    compute
-        Returns it, where it is not there.
+    work
+        Yields the share that is done and the result so far.
     """
     cache = Cache(user_cache() / "explorer", cache_key(samples), most=_MOST_FILES)
-    return cache.record("arrays", kind, compute, inputs=name)
+    found = cache.recall("arrays", kind, inputs=name)
+    if found is not None:
+        yield 1.0, found
+        return
+    for share, so_far in work:
+        found = so_far
+        yield share, so_far
+    if found is not None:
+        cache.record("arrays", kind, lambda: found, inputs=name, again=True)
 
 
 def opened(
@@ -114,10 +121,6 @@ def _store(source: str | Path | Samples) -> StoreSource:
     return StoreSource(samples)
 
 
-class Stopped(Exception):  # noqa: N818 - not an error
-    """The explorer is closing, or nobody waits for the result any more."""
-
-
 class Shared:
     """State of one explorer.
 
@@ -142,10 +145,8 @@ class Shared:
         Maps by name, finished or not.
     suggested
         Names and places of pixels that are worth a first look.
-    working
-        What a pass is doing, as text; empty for nothing.
-    failed
-        Why the last pass ended early; empty if it did not.
+    passes
+        What is being computed over the image.
     clicks, exports, additions, images
         Threads for clicks, for exports and reading ahead, for slow estimates, and for what images
         look like on the screen.
@@ -165,17 +166,14 @@ class Shared:
         self.other_overall = self.overall
         self.maps: dict[str, Map] = {}
         self.suggested: list[tuple[str, Pixel]] = []
-        self.working = self.failed = ""
-        self.clicks, self.exports, self.additions, self.images, self._passes = (
+        self.clicks, self.exports, self.additions, self.images = (
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
-            for name in ("clicks", "exports", "additions", "images", "passes")
+            for name in ("clicks", "exports", "additions", "images")
         )
         self._listeners: set[Listener] = set()
-        self._wanted: dict[str, Future[None]] = {}
-        self._stopping = threading.Event()
         self._urgent = 0
         self._lock = threading.Lock()
-        self._told = 0.0
+        self.passes = Passes(lambda: self._urgent > 0, self.tell)
 
     def start(self) -> None:
         """Show the first image, then begin to improve it."""
@@ -183,15 +181,15 @@ class Shared:
             self.overall = self.source.overall()
         if isinstance(self.source, StoreSource):
             # The first samples take a second where all take minutes.
-            self.overall = stream(self.source, spp=_FIRST_SPP)
+            self.overall = _first(self.source)
             if self.other is not None:
-                self.other_overall = stream(self.other, spp=_FIRST_SPP)
-        self._passes.submit(self._guarded, self._begin)
+                self.other_overall = _first(self.other)
+        self.passes.ask(self, "start", self._begin())
 
     def stop(self) -> None:
         """End all threads, now or at the next tile."""
-        self._stopping.set()
-        for pool in (self.clicks, self.exports, self.additions, self.images, self._passes):
+        self.passes.stop()
+        for pool in (self.clicks, self.exports, self.additions, self.images):
             pool.shutdown(wait=False, cancel_futures=True)
         if isinstance(self.source, SceneSource):
             self.source.close()
@@ -199,7 +197,7 @@ class Shared:
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Call a listener with the name of what changes; return what to call to end that.
 
-        The names are "image", "working", "source", "suggested" and those of maps.
+        The names are "image", "working", "source", "suggested", "start" and those of maps.
         """
         self._listeners.add(listener)
         return partial(self._listeners.discard, listener)
@@ -214,27 +212,25 @@ class Shared:
         with self._lock:
             self._urgent += change
 
-    def want(self, name: str) -> None:
-        """Start to compute a map, unless it is there or being computed.
+    def want(self, who: Hashable, name: str) -> None:
+        """Let a page wait for a map, and for no other one; "image" waits for none.
 
         Raises
         ------
         InputError
             If there is no such map, or it needs a store and there is none.
         """
-        if name in self.given or (self.other is not None and name in DIFFERENCES):
+        self.passes.leave(who)
+        if self.map(name) is not None and name not in self.maps:
+            return
+        if name == "image" or (name in self.maps and self.maps[name].done >= 1):
             return
         kind = map_kind(name)
         if not isinstance(self.source, StoreSource):
-            if name not in IMAGES:
-                how = "render the scene with 'chdstat render SCENE -o STORE'"
-                message = f"{kind.title!r} needs a store: {how}"
-                raise InputError(message)
-            return
-        running = self._wanted.get(name)
-        there = name in self.maps and self.maps[name].done >= 1
-        if not there and (running is None or running.done()):
-            self._wanted[name] = self._passes.submit(self._guarded, lambda: self._walk(name))
+            how = "render the scene with 'chdstat render SCENE -o STORE'"
+            message = f"{kind.title!r} needs a store: {how}"
+            raise InputError(message)
+        self.passes.ask(who, name, self._walk(self.source, name))
 
     def map(self, name: str) -> Map | None:
         """Return what there is of a map."""
@@ -247,49 +243,36 @@ class Shared:
         grown = self.source.refreshed() if isinstance(self.source, StoreSource) else None
         if grown is not None:
             self.source = grown
+            self.passes.forget()
             self.maps.clear()
-            self._wanted.clear()
-            self._passes.submit(self._guarded, self._draw)
+            self.passes.ask(self, "start", self._draw())
             self.tell("source")
 
     # --- passes ---------------------------------------------------------------------------------
 
-    def _guarded(self, work: Callable[[], None]) -> None:
-        try:
-            self.failed = ""
-            work()
-        except Stopped:
-            return
-        except ChdstatError as error:
-            self.failed = str(error)
-        except (OSError, ValueError, RuntimeError, MemoryError) as error:
-            self.failed = f"a pass over the image failed: {type(error).__name__}: {error}"
-        finally:
-            self._say("")
-
-    def _begin(self) -> None:
+    def _begin(self) -> Pass:
         """Draw the image, then look for pixels that are worth a look."""
-        self._draw()
-        self.suggested = suggest(self.source, self._reported("looking for typical pixels"))
+        yield from self._draw()
+        for share, found in suggest(self.source):
+            self.suggested = found
+            yield "looking for typical pixels", share
         self.tell("suggested")
 
-    def _draw(self) -> None:
+    def _draw(self) -> Pass:
         source = self.source
         if isinstance(source, SceneSource):
             shown = start = time.monotonic()
-            step = self._reported("drawing the image")
             for share in source.passes():
-                step(share)
                 now = time.monotonic()
                 # The later, the less it changes; a large image takes long to send and to show.
-                if now - shown > _SHOWN_EVERY * (now - start) + _EVERY or share >= 1:
+                if now - shown > _SHOWN_EVERY * (now - start) + 0.4 or share >= 1:
                     self._image(source.overall())
                     shown = now
+                yield "drawing the image", share
             return
-        overall = self._streamed(source)
         if self.other is not None:
-            self.other_overall = self._streamed(self.other)
-        self._image(overall)
+            self.other_overall = yield from _read(self.other)
+        self._image((yield from _read(source)))
 
     def _image(self, overall: Overall) -> None:
         """Show an image; what takes long is found here and not in the thread of the server."""
@@ -297,50 +280,23 @@ class Shared:
         self.overall = overall
         self.tell("image")
 
-    def _streamed(self, source: StoreSource) -> Overall:
-        step = self._reported(f"reading all of {source.name}")
-        return kept(source.samples, "overall", Overall, lambda: stream(source, step))
+    def _walk(self, source: StoreSource, name: str) -> Pass:
+        kind, array = map_kind(name, source.samples.spp), npt.NDArray[np.float32]
+        for share, values in kept(source.samples, name, array, walk(source, name)):
+            if source is self.source:  # else it has grown
+                self.maps[name] = replace(kind, values=values, done=share)
+            yield f"mapping {kind.title}", share
 
-    def _walk(self, name: str) -> None:
-        source = self.source
-        if not isinstance(source, StoreSource):
-            return
-        kind = map_kind(name, source.samples.spp)
 
-        def step(share: float, values: npt.NDArray[np.float32]) -> None:
-            if self._is_due():
-                self.maps[name] = replace(kind, values=values.copy(), done=share)
-                self._say(f"mapping {kind.title}, {100 * share:.0f} %")
-                self.tell(name)
+def _first(source: StoreSource) -> Overall:
+    """Return the image of the first samples."""
+    *_, (_, found) = stream(source, spp=_FIRST_SPP)
+    return found
 
-        found = of_overall(self.overall, name)
-        if found is None:
-            array = npt.NDArray[np.float32]
-            values = kept(source.samples, name, array, lambda: walk(source, name, step).values)
-            found = replace(kind, values=values)
-        self.maps[name] = found
-        self.tell(name)
 
-    def _reported(self, text: str) -> Callable[[float], None]:
-        """Return what is called with the share done, and tells the page now and then."""
-
-        def step(share: float) -> None:
-            if self._is_due():
-                self._say(f"{text}, {100 * share:.0f} %")
-
-        return step
-
-    def _is_due(self) -> bool:
-        """Stand still while clicks are worked on; return whether to report the progress."""
-        while self._urgent > 0 and not self._stopping.is_set():
-            time.sleep(0.005)
-        if self._stopping.is_set():
-            raise Stopped
-        now = time.monotonic()
-        due = now - self._told >= _EVERY
-        self._told = now if due else self._told
-        return due
-
-    def _say(self, text: str) -> None:
-        self.working = text
-        self.tell("working")
+def _read(source: StoreSource) -> Generator[tuple[str, float], None, Overall]:
+    """Return the image of all samples."""
+    for share, so_far in kept(source.samples, "overall", Overall, stream(source)):
+        found = so_far
+        yield f"reading all of {source.name}", share
+    return found

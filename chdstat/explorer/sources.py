@@ -142,12 +142,17 @@ class ImageAccumulator:
         return Overall(*maps)
 
 
-def stream(
-    source: StoreSource, step: Callable[[float], None] = lambda _: None, *, spp: int | None = None
-) -> Overall:
-    """Return the image of the first `spp` samples, None for all, in constant memory.
+def stream(source: StoreSource, *, spp: int | None = None) -> Iterator[tuple[float, Overall]]:
+    """Yield the share that is done and the image so far, of the first `spp` samples, None for all.
 
-    `step` is called with the share that is done; whatever it raises ends the pass.
+    It takes constant memory.
+
+    Examples
+    --------
+    >>> from chdstat.samples import Samples
+    >>> *_, (share, whole) = stream(StoreSource(Samples.from_array(np.ones((2, 2, 3, 8)))))
+    >>> share, whole.mean.shape
+    (1.0, (2, 2, 3))
     """
     spp = min(source.samples.spp, spp or source.samples.spp)
     whole = Overall.empty(*source.size, len(source.channels))
@@ -156,10 +161,10 @@ def stream(
     for i, (ys, xs) in enumerate(places):
         sums = ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start)
         for j, ss in enumerate(batches):
-            step((i + j / len(batches)) / len(places))
+            yield (i + j / len(batches)) / len(places), whole
             sums.add(source.read(ys, xs, ss))
         whole.put(ys, xs, sums.overall())
-    return whole
+    yield 1.0, whole
 
 
 # --- a store ------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import tracemalloc
 from dataclasses import replace
@@ -17,7 +18,7 @@ from chdstat._core.arrays import luminance
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
-from chdstat.explorer.maps import MAPS, of_overall, walk
+from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
 from chdstat.explorer.page import rgba
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.sources import (
@@ -37,8 +38,11 @@ from chdstat.rendering.options import Job, RenderOptions
 ARRAYS = dict[str, npt.NDArray[Any]]
 
 
-def ignore(*_):
-    """Take what a pass tells."""
+def ended(work):
+    """Return what a pass yields in the end."""
+    *_, (share, found) = work
+    assert share == 1
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +117,7 @@ def test_memory_does_not_grow_with_the_store():
     for spp in (192, 640):
         part = chd.Samples.from_array(source.samples.read(ss=slice(0, spp)))
         tracemalloc.start()
-        stream(StoreSource(part), ignore)
+        ended(stream(StoreSource(part)))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.2 * peaks[0]
@@ -123,7 +127,7 @@ def test_memory_does_not_grow_with_the_store():
 
 
 def test_the_streamed_image_is_the_summary(flames):
-    found, expected = stream(StoreSource(flames), ignore), chd.summarize(flames, progress=False)
+    found, expected = ended(stream(StoreSource(flames))), chd.summarize(flames, progress=False)
     np.testing.assert_allclose(found.mean, expected["mean"], rtol=1e-5)
     np.testing.assert_allclose(found.null_share, expected["null_share"], rtol=1e-6)
     np.testing.assert_array_equal(found.bad_count, expected["bad_count"])
@@ -133,7 +137,8 @@ def test_the_streamed_image_is_the_summary(flames):
 @pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"] + ["error:huber"])
 def test_every_map_covers_the_image(flames, name):
     source = StoreSource(flames)
-    found = of_overall(stream(source, spp=64), name) or walk(source, name, ignore)
+    image = of_overall(ended(stream(source, spp=64)), name)
+    found = image or replace(map_kind(name, 256), values=ended(walk(source, name)))
     assert found.values.shape == (12, 20)
     assert np.isfinite(found.values[1:]).any()
     low, high = found.limits
@@ -145,25 +150,21 @@ def test_every_map_covers_the_image(flames, name):
 def test_maps_say_what_the_library_says(flames):
     source = StoreSource(flames)
     labels = classify(flames, progress=False)["label"]
-    np.testing.assert_array_equal(walk(source, "pattern", ignore).values, labels)
+    np.testing.assert_array_equal(ended(walk(source, "pattern")), labels)
     part = PositivePart.of_pixels(flames.read()[3:5], rows="luminance")
-    tail, found = part.measured(TailIndex()), walk(source, "tail_index", ignore).values
+    tail, found = part.measured(TailIndex()), ended(walk(source, "tail_index"))
     np.testing.assert_allclose(found[3:5], tail.xi, rtol=1e-6)
-    finite = walk(source, "finite_variance", ignore).values[3:5]
+    finite = ended(walk(source, "finite_variance"))[3:5]
     np.testing.assert_array_equal(finite == 2, tail.variance_trusted)
     np.testing.assert_array_equal(finite == 1, tail.variance_unidentified)
     np.testing.assert_array_equal(np.isnan(finite), tail.reason != 0)
 
 
-def test_a_walk_can_be_stopped(flames):
-    class EnoughError(Exception):
-        pass
-
-    def step(share, values):
-        raise EnoughError
-
-    with pytest.raises(EnoughError):
-        walk(StoreSource(flames), "tail_index", step)
+def test_a_walk_has_values_of_every_tile_that_is_done(flames):
+    """Coarse ones first: after half of it, the rest of the image is not empty either."""
+    (early, _), *_, (late, values) = itertools.islice(walk(StoreSource(flames), "tail_index"), 4)
+    assert 0 == early < late < 1
+    assert np.isfinite(values[1:]).any()
 
 
 def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monkeypatch):
@@ -171,21 +172,26 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
 
     def compute():
         calls.append(1)
-        return {"v": np.arange(3)}
+        yield 0.5, {"v": np.arange(2)}
+        yield 1.0, {"v": np.arange(3)}
 
+    def asked(samples, name):
+        return ended(shared.kept(samples, name, ARRAYS, compute()))
+
+    next(shared.kept(samples, "x", ARRAYS, compute()))  # what is not ended is not kept
     for _ in range(2):
-        np.testing.assert_array_equal(shared.kept(samples, "x", ARRAYS, compute)["v"], np.arange(3))
-    assert len(calls) == 1
-    shared.kept(samples, "y", ARRAYS, compute)
+        np.testing.assert_array_equal(asked(samples, "x")["v"], np.arange(3))
+    assert len(calls) == 2
+    asked(samples, "y")
     with monkeypatch.context() as patch:
         patch.setattr(work, "code_digest", lambda: "another")
-        shared.kept(samples, "x", ARRAYS, compute)
+        asked(samples, "x")
     shutil.rmtree(own_store)
     again = chd.render("cornell-box", spp=samples.spp, size=(8, 8), seed=9, out=own_store)
     in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
     for one in (again, in_memory, in_memory):
-        shared.kept(one, "x", ARRAYS, compute)
-    assert len(calls) == 6
+        asked(one, "x")
+    assert len(calls) == 7
 
 
 @pytest.mark.parametrize("tone", ["srgb", "reinhard", "filmic"])
@@ -252,7 +258,7 @@ def test_errors_of_a_map_are_those_of_compare():
         for k, estimate in enumerate((chd.estimators.median_of_means, chd.estimators.mean)):
             squared[k] += ((estimate(batch) - truth) ** 2).sum()
     source = StoreSource(chd.Samples.from_array(x[np.newaxis, np.newaxis]))
-    found = walk(source, "error:median_of_means", ignore).values.item()
+    found = ended(walk(source, "error:median_of_means")).item()
     assert found == pytest.approx(np.log10(squared[0] / squared[1]), rel=1e-4)
 
 

@@ -240,7 +240,11 @@ window.chdstat = (() => {
       const bar = $("#goodness progress");
       if (bar) bar.value = item.share;
     },
-    colorbar(item) { colorbar(item.bar); },
+    colorbar(item) {
+      colorbar(item.bar);
+      $("#progress").textContent = item.said;
+      $("#progress").hidden = !item.said;
+    },
     described(item) { $("#described").textContent = item.text; },
     working(item) { $("#working").textContent = item.text; },
     alert(item) {

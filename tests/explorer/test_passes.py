@@ -1,0 +1,105 @@
+"""Passes: which goes first, which stands still, and what is said of those that fail."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from chdstat.errors import StoreError
+from chdstat.explorer.passes import Passes
+
+
+class Stepped:
+    """Passes that are done a step at a time, as a test says."""
+
+    def __init__(self):
+        self.steps, self.told = [], []
+        self._free, self._ended = threading.Semaphore(0), {}
+        self.passes = Passes(lambda: False, self._tell)
+        self.at = threading.Semaphore(0)
+
+    def work(self, name, count=3):
+        for i in range(count):
+            self.at.release()
+            assert self._free.acquire(timeout=10)
+            self.steps.append(name)
+            yield name, (i + 1) / count
+
+    def go(self, count=1):
+        """Do some steps, and wait until the next one is begun."""
+        for _ in range(count):
+            self._free.release()
+            assert self.at.acquire(timeout=10)
+
+    def ends(self, name):
+        """Wait until a pass has ended."""
+        self._free.release(99)
+        assert self._ended.setdefault(name, threading.Event()).wait(10)
+
+    def _tell(self, what):
+        self.told.append(what)
+        if what in self.passes.failures or self.steps.count(what) == 3:
+            self._ended.setdefault(what, threading.Event()).set()
+
+
+@pytest.fixture
+def stepped():
+    found = Stepped()
+    yield found
+    found.passes.stop()
+    found._free.release(99)
+
+
+def test_the_latest_request_goes_first_and_the_others_go_on_where_they_stopped(stepped):
+    passes = stepped.passes
+    passes.ask("one", "a", stepped.work("a"))
+    stepped.at.acquire()
+    passes.ask("two", "b", stepped.work("b"))
+    stepped.go(4)  # the step that was begun, and all of b
+    assert stepped.steps == ["a", "b", "b", "b"]
+    passes.ask("two", "a", None)  # is there: nothing is begun anew
+    stepped.ends("a")
+    assert stepped.steps == ["a", "b", "b", "b", "a", "a"]
+
+
+def test_what_nobody_waits_for_stands_still_until_it_is_asked_for_again(stepped):
+    passes = stepped.passes
+    passes.ask("one", "a", stepped.work("a"))
+    stepped.at.acquire()
+    passes.ask("one", "b", stepped.work("b"))  # in place of a
+    stepped.go(2)
+    passes.leave("one")
+    passes.ask("two", "c", stepped.work("c"))
+    stepped.ends("c")
+    assert stepped.steps == ["a", "b", "b", "c", "c", "c"]
+    passes.ask("two", "b", stepped.work("b"))
+    stepped.ends("b")
+    assert stepped.steps[6:] == ["b"]
+
+
+def test_one_that_fails_says_why_and_ends_no_other(stepped):
+    def broken():
+        yield "reading", 0.5
+        raise StoreError("the store is gone")
+
+    passes = stepped.passes
+    passes.ask("one", "a", stepped.work("a"))
+    passes.ask("two", "bad", broken())
+    stepped.ends("bad")
+    stepped.ends("a")
+    assert passes.failures == {"bad": "the store is gone"}
+    passes.ask("two", "bad", stepped.work("bad"))  # asked again, it is tried again
+    stepped.ends("bad")
+    assert passes.failures == {}
+
+
+def test_what_is_forgotten_is_begun_anew(stepped):
+    passes = stepped.passes
+    passes.ask("one", "a", stepped.work("a"))
+    stepped.at.acquire()
+    passes.forget()
+    stepped._free.release()
+    passes.ask("one", "a", stepped.work("a", count=2))
+    stepped.ends("a")
+    assert stepped.steps == ["a"] * 3
