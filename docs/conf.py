@@ -70,7 +70,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("figures.last_figure",),
     "capture_repr": ("_repr_html_", "__repr__"),
-    "ignore_repr_types": r"matplotlib\.figure|NotebookFigure",
+    "ignore_repr_types": r"matplotlib\.figure|StyledFigure",
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_memory": False,

@@ -22,7 +22,6 @@ from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
 from chdstat.explorer.view import Box, Pixel
 from chdstat.reporting.typst import Document, typeset
 from chdstat.viz.estimators import called
-from chdstat.viz.styling import spelt
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,9 +78,8 @@ def exported(
     elif format == "pdf":
         stream.write(_pdf(source, plots, overall, exposure))
     else:
-        with viz.style(), spelt():
-            metadata = {"Date": None} if format == "svg" else None
-            _figure(plots).savefig(stream, format=format, metadata=metadata)
+        metadata = {"Date": None} if format == "svg" else None
+        _figure(plots).savefig(stream, format=format, metadata=metadata)
     return f"{stem}.{format}", stream.getvalue()
 
 

@@ -339,7 +339,7 @@ def save_comparison(
             text = json.dumps(content, indent=2, allow_nan=False)
             (partial / "comparison.json").write_text(text, encoding="utf-8")
             save(found.to_dataset(), partial / "comparison.zarr")
-            with viz.style(), spelt():
+            with spelt():
                 for name, figure in of_comparison(found, curve).items():
                     figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
             for name, model in found.models.items():
@@ -360,6 +360,6 @@ def save_figure(figure: Figure, target: Path) -> Path:
         If it cannot be written.
     """
     metadata = {"CreationDate": None} if target.suffix.lower() == ".pdf" else None
-    with writing(target) as partial, viz.style(), spelt():
+    with writing(target) as partial:
         figure.savefig(partial, metadata=metadata)
     return target

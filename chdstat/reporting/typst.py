@@ -14,7 +14,6 @@ import matplotlib as mpl
 
 from chdstat._core.files import writing
 from chdstat.errors import ChdstatError
-from chdstat.viz import style
 from chdstat.viz.styling import spelt
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def typeset(document: Document, folder: Path, target: Path) -> Path:
     (folder / "content.json").write_text(
         json.dumps({**document.content, "figures": sorted(document.figures)}), encoding="utf-8"
     )
-    with style(), spelt():
+    with spelt():
         for name, figure in document.figures.items():
             figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
     try:

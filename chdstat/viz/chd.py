@@ -59,6 +59,8 @@ _DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
 _ROOM = 1.35
 """Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
 _BINS = 40
+_VECTOR = 256
+"""Batches that are drawn as outlines; more are an image inside of the figure."""
 _LUMINANCE = "#333333"
 
 
@@ -547,13 +549,15 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
         means, expected = x.mean(axis=1), float(x.mean())
         top = float(np.quantile(x, 0.99)) or float(x.max()) or 1.0
         edges = np.linspace(0, max(top, 1.5 * expected), _BINS + 1)
-        counts = np.stack([np.histogram(row, edges)[0] for row in x])
+        row = np.repeat(np.arange(len(x)), x.shape[1])
+        counts = np.histogram2d(row, x.ravel(), [np.arange(len(x) + 1), edges])[0]
         # The outlines of all batches, shape (batch, corner, 2), are drawn as one.
         y = np.pad(np.repeat(counts, 2, axis=1), ((0, 0), (1, 1)))
         outlines = np.stack([np.broadcast_to(np.repeat(edges, 2), y.shape), y], axis=-1)
         upper, lower = axes[i], axes[count + i]
         alpha = min(0.5, max(0.03, 2.5 / len(x)))
-        upper.add_collection(PolyCollection([*outlines], facecolor=color, lw=0, alpha=alpha))
+        look = {"facecolor": color, "lw": 0, "alpha": alpha, "rasterized": len(x) > _VECTOR}
+        upper.add_collection(PolyCollection([*outlines], **look))
         upper.stairs(counts.mean(axis=0), edges, color="#222222", linewidth=0.6)
         upper.set_ylim(0, 1.15 * float(np.max(counts[:, 1:])) or 1.0)
         upper.set_title(verbatim(name))

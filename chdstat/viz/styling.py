@@ -14,6 +14,7 @@ import logging
 import re
 import warnings
 from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 import matplotlib as mpl
@@ -83,6 +84,8 @@ _SETTINGS: dict[Any, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.2,
     "mathtext.fontset": "stix",
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
+    "ps.fonttype": 42,
     "savefig.dpi": 200,
     "svg.fonttype": "path",
     "svg.hashsalt": "chdstat",
@@ -111,8 +114,16 @@ def style() -> Iterator[None]:
         yield
 
 
-class NotebookFigure(Figure):
-    """A figure that a notebook shows, which it does not do with others made without pyplot."""
+class StyledFigure(Figure):
+    """A figure that keeps the style where it is saved, and that a notebook shows.
+
+    Matplotlib reads settings, such as the kind of fonts, when a figure is saved.
+    """
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Save the figure, as `matplotlib.figure.Figure.savefig` does, with embedded fonts."""
+        with style(), spelt():
+            super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:
         return png_of(self)
@@ -121,8 +132,7 @@ class NotebookFigure(Figure):
 def png_of(figure: Figure) -> bytes:
     """Return a figure as the PNG file that a notebook shows."""
     stream = io.BytesIO()
-    with style():
-        figure.savefig(stream, format="png", dpi="figure")
+    figure.savefig(stream, format="png", dpi="figure")
     return stream.getvalue()
 
 
@@ -148,7 +158,7 @@ def page(
     if fig is not None:
         return fig
     layout = ConstrainedLayoutEngine(wspace=wspace, hspace=hspace)
-    return NotebookFigure(figsize=(width, min(height, HEIGHT)), layout=layout)
+    return StyledFigure(figsize=(width, min(height, HEIGHT)), layout=layout)
 
 
 def axes_in(ax: Axes | None, height: float, width: float = WIDTH / 2) -> Axes:
@@ -288,9 +298,17 @@ def families() -> tuple[str, ...]:
     return (*_LATIN, *(name for name in _EAST_ASIAN if name in known))
 
 
+_spelling = ContextVar("spelling", default=False)
+"""Whether `spelt` is around already, which then logs the letters of all figures at once."""
+
+
 @contextlib.contextmanager
 def spelt() -> Iterator[None]:
     """Log in one line which letters no font has, where Matplotlib warns of each and each time."""
+    if _spelling.get():
+        yield
+        return
+    outside = _spelling.set(True)
     fonts = logging.getLogger(font_manager.__name__)
     level = fonts.level
     fonts.setLevel(logging.ERROR)  # one line for each font that has no bold letters
@@ -300,6 +318,7 @@ def spelt() -> Iterator[None]:
             yield
     finally:
         fonts.setLevel(level)
+        _spelling.reset(outside)
     letters: dict[str, None] = {}
     for warning in caught:
         if found := _MISSING.match(str(warning.message)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 from functools import partial
 
 import matplotlib as mpl
@@ -103,6 +104,28 @@ def test_alone_it_makes_a_figure_that_a_notebook_shows_and_leaves_settings_alone
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert dict(mpl.rcParams) == before
     assert plt.get_fignums() == []
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_saved_outside_the_style_it_embeds_truetype_fonts(examples, name):
+    drawn, stream = examples[name](), io.BytesIO()
+    figure = drawn.figure if isinstance(drawn, Axes) else drawn
+    figure.axes[0].set_title("radiance")
+    figure.savefig(stream, format="pdf")
+    assert b"/FontFile2" in stream.getvalue()
+    assert b"/Type3" not in stream.getvalue()
+
+
+def test_a_million_samples_make_a_small_file():
+    x = RNG.gamma(0.5, size=(1, 2**20))
+    fit = chd.fit.fit(x[0, :1000], "gamma").pdf
+    for figure in (
+        viz.chd_pair(viz.Panel.of("wall", x, channels=["Y"], fits=[fit])),
+        viz.batch_histograms({"wall": x[0].reshape(-1, 256)}),
+    ):
+        stream = io.BytesIO()
+        figure.savefig(stream, format="pdf")
+        assert len(stream.getvalue()) < 200_000
 
 
 @pytest.mark.parametrize(
