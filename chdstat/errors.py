@@ -8,7 +8,9 @@ A pixel that cannot be computed is data: NaN in the result and a `Reason` beside
 
 from __future__ import annotations
 
+import difflib
 import enum
+import re
 from collections.abc import Iterable
 
 __all__ = [
@@ -25,9 +27,13 @@ __all__ = [
     "brief",
     "check_option",
     "check_probability",
+    "did_you_mean",
 ]
 
 _LONGEST = 600
+_MANY = 12
+"""Names that a message lists in full, at most."""
+_SEPARATOR = re.compile("[ -]")
 
 
 class ChdstatError(Exception):
@@ -117,8 +123,19 @@ def brief(error: BaseException) -> str:
     return text if len(text) <= _LONGEST else f"{text[:half]} ... {text[-half:]}"
 
 
-def check_option(name: str, given: object, choices: Iterable[str]) -> None:
-    """Refuse an option that is none of the choices there are.
+def check_option(
+    name: str, given: object, choices: Iterable[str], *, more: str = "its documentation"
+) -> None:
+    """Refuse an option that is none of the choices there are; the closest of them is named.
+
+    Parameters
+    ----------
+    name
+        What the option is.
+    given, choices
+        Its value, and what there is.
+    more
+        What shows all choices, where they are too many for a message.
 
     Raises
     ------
@@ -130,11 +147,36 @@ def check_option(name: str, given: object, choices: Iterable[str]) -> None:
     >>> check_option("scale", "cubic", ("linear", "log"))
     Traceback (most recent call last):
     chdstat.errors.InputError: scale must be one of linear, log, got 'cubic'
+    >>> check_option("scale", "lin", ("linear", "log"))
+    Traceback (most recent call last):
+    chdstat.errors.InputError: scale must be one of linear, log, got 'lin'; did you mean 'linear'?
     """
     known = tuple(choices)
-    if given not in known:
-        message = f"{name} must be one of {', '.join(known)}, got {given!r}"
-        raise InputError(message)
+    if given in known:
+        return
+    message = f"{name} must be one of {', '.join(known)}, got {given!r}"
+    near = did_you_mean(given, known)
+    if len(known) > _MANY:
+        message = f"no {name} is called {given!r}"
+        near = near or f"; {more} shows all {len(known)}"
+    message += near
+    raise InputError(message)
+
+
+def did_you_mean(given: object, choices: Iterable[str]) -> str:
+    """Return the end of a message on a name that does not exist: the closest that do, if any.
+
+    Examples
+    --------
+    >>> did_you_mean("Trimmed mean", ["mean", "trimmed_mean"]), did_you_mean("x", ["mean"])
+    ("; did you mean 'trimmed_mean'?", '')
+    """
+    named = {_SEPARATOR.sub("_", name.casefold()): name for name in choices}
+    text = _SEPARATOR.sub("_", str(given)[:_LONGEST].casefold())
+    near = difflib.get_close_matches(text, named, n=1, cutoff=0.65)
+    near = near or [name for name in named if text in name and len(text) > 2]
+    shown = " or ".join(repr(named[name]) for name in near[:3])
+    return f"; did you mean {shown}?" if near else ""
 
 
 def check_probability(**options: float) -> None:

@@ -88,7 +88,7 @@ def train(
 )
 def estimate(
     source: SceneOrStore,
-    out: Annotated[Path, option("The image to write, .exr.", "--out", "-o")],
+    out: Annotated[Path, option("The image to write: .exr, .npy, .pfm or .png.", "--out", "-o")],
     asked: CommonOptions,
     model: Annotated[
         Path | None,
@@ -124,15 +124,17 @@ def estimate(
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
     Combines the mean and denoised images, pixel by pixel, by their errors on held-out samples, or
-    lets a trained model estimate. The file holds the estimate, and as layers its certainty, the
-    ends of its interval, and the mean of the samples. With --while-rendering it is written whenever
-    the number of samples has doubled.
+    lets a trained model estimate. An EXR file holds the estimate, and as layers its certainty, the
+    ends of its interval, and the mean of the samples; .npy and .pfm hold its linear radiance, and
+    a .png is tone-mapped. With --while-rendering it is written whenever the number of samples has
+    doubled.
     """
     from chdstat._core.work import kept_until_written
     from chdstat.estimators.estimates import write_estimates
     from chdstat.estimators.training import load_model
+    from chdstat.io.writing import IMAGES
 
-    target = asked.target(out, ".exr")  # refused before the work, not after
+    target = asked.target(out, *IMAGES)  # refused before the work, not after
     trained = None if model is None else load_model(model)
     endless = (seconds, relative_error) != (None, None)
     samples = _drawn(source, asked, endless=endless) if while_rendering else asked.samples(source)
@@ -151,9 +153,11 @@ def estimate(
             seconds=seconds,
             relative_error=relative_error,
         )
-    output.say_written(path, as_json=asked.as_json)
-    about = f"open {path} in an EXR viewer; certainty, low, high, mean are layers"
-    output.say_next(asked.quiet, about)
+    about = IMAGES[path.suffix.lower()]
+    if asked.as_json:
+        output.print_json({"path": str(path), "content": about})
+    else:
+        typer.echo(f"wrote {path}: {about}")
 
 
 def _drawn(source: str, asked: CommonOptions, *, endless: bool) -> Samples | Rendering:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, cast, get_args
 
 import typer
+import typer.core
 
 from chdstat import __version__
 from chdstat._core.files import checked_target, is_path, local, place_of, remove
@@ -56,7 +57,39 @@ __all__ = [
 ]
 
 _INTERRUPTED = 130
+_RESUMED = ("render", "import", "study", "--store")
+"""What an interrupted command line names where the same one goes on."""
+_MEANT = {
+    "classify": "analyze",
+    "fit": "analyze",
+    "summarize": "analyze",
+    "denoise": "estimate --denoise",
+    "plot": "explore",
+    "view": "explore",
+    "diff": "contrast",
+    "benchmark": "bench",
+    "version": "--version",
+}
+"""What does the work of commands that one may look for."""
+
+
+class _Commands(typer.core.TyperGroup):
+    """The commands, with ``help`` for ``--help``, and hints where one looks for another name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line."""
+        return super().parse_args(ctx, [*args[1:], "--help"] if args[:1] == ["help"] else args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return a command; tell the one that is meant where there is no such command."""
+        name = args[0]
+        if name not in self.commands and name in _MEANT:
+            ctx.fail(f"No such command {name!r}. It is what 'chdstat {_MEANT[name]}' does.")
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="Look at the sample distributions behind a Monte Carlo image.",
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -420,7 +453,9 @@ def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
     version: Annotated[
         bool,
-        typer.Option("--version", help="Print the version.", is_eager=True, callback=_say_version),
+        typer.Option(
+            "--version", "-v", help="Print the version.", is_eager=True, callback=_say_version
+        ),
     ] = False,
 ) -> None:
     del debug, version  # main and the callback have seen to them
@@ -470,7 +505,8 @@ def main() -> None:
         _fail(str(error), 1)
     except SystemExit as ended:
         if ended.code == _INTERRUPTED:  # what typer makes of Ctrl-C
-            _fail("stopped; what renders to a store resumes where it was", _INTERRUPTED)
+            resumed = any(word in _RESUMED for word in sys.argv)
+            _fail("stopped" + "; the same command goes on from here" * resumed, _INTERRUPTED)
         raise
     except OSError as error:  # such as a name that is too long, or a folder that may not be read
         if "--debug" in sys.argv:

@@ -20,7 +20,7 @@ from chdstat.cli.program import (
     option,
     pairs_of,
 )
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_option
 from chdstat.rendering.seeds import SamplerName
 
 if TYPE_CHECKING:
@@ -95,9 +95,7 @@ def _thresholds_of(given: list[str] | None) -> Thresholds:
     known = [field.name for field in fields(Thresholds)]
     values = {}
     for name, value in pairs_of("--threshold", given).items():
-        if name not in known:
-            message = f"--threshold takes one of {', '.join(known)}, got {name!r}"
-            raise InputError(message)
+        check_option("--threshold", name, known)
         try:
             values[name] = float(value)
         except ValueError:

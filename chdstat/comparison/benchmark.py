@@ -26,7 +26,7 @@ from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
 from chdstat.comparison.entries import Entry, choose, estimate_by, takes, without_denoiser
 from chdstat.comparison.tables import latex, notes
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_option
 from chdstat.estimators.registry import LearnedEstimator
 from chdstat.io import read_exr
 from chdstat.rendering import render, render_batches
@@ -426,9 +426,7 @@ def bench(
         message = f"estimators and images must have different names, got {names}"
         raise InputError(message)
     baseline = baseline or ("mean" if "mean" in names else names[0])
-    if baseline not in names:
-        message = f"baseline must be one of {', '.join(names)}; got {baseline!r}"
-        raise InputError(message)
+    check_option("baseline", baseline, names)
     if baseline in chosen.entries and not takes(chosen.entries[baseline], numbers[0]):
         message = f"the baseline, {baseline}, takes more than {numbers[0]} samples; give more spp"
         raise InputError(message)

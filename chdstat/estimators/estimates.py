@@ -33,7 +33,8 @@ from chdstat.estimators.registry import (
     mean_of_good,
 )
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
-from chdstat.io import denoise, write_exr
+from chdstat.io import denoise, write_image
+from chdstat.io.writing import IMAGES
 from chdstat.samples import ImageLike, Samples, check_equal_counts
 from chdstat.samples.dependence import check_independent
 
@@ -201,17 +202,18 @@ def write_estimates(
     seconds: float | None = None,
     relative_error: float | None = None,
 ) -> Path:
-    """Estimate the radiance of every pixel and write it to an EXR file.
+    """Estimate the radiance of every pixel and write it to a file: .exr, .npy, .pfm or .png.
 
-    The image is the estimate. The layers are ``certainty``, ``low``, ``high`` and ``mean``, the
-    ``weight`` of each candidate where candidates were combined, and ``estimate`` where the image
-    was denoised after it. The header says where all this comes from.
+    The image is the estimate; a PNG file is tone-mapped. The layers of an EXR file
+    are ``certainty``, ``low``, ``high`` and ``mean``, the ``weight`` of each candidate where
+    candidates were combined, and ``estimate`` where the image was denoised after it. Its header
+    says where all this comes from.
 
     Parameters
     ----------
     path
-        The file, ending in .exr; one that is there already is replaced at the end. That of a
-        rendering is replaced whenever the number of samples has doubled.
+        The file, as for `chdstat.io.write_image`; one that is there already is replaced at the
+        end. That of a rendering is replaced whenever the number of samples has doubled.
     samples, model, spp, loss_weight, level, denoise, progress, client, checkpoint
         As for `estimate`.
     seconds, relative_error
@@ -239,7 +241,7 @@ def write_estimates(
     ...     sorted(chd.io.read_exr(file).extra)[:4]
     ['certainty', 'high', 'low', 'mean']
     """
-    target = checked_target(path, ".exr")
+    target = checked_target(path, *IMAGES)
     options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
     if relative_error is not None:
         check_positive(relative_error=relative_error)
@@ -247,7 +249,7 @@ def write_estimates(
         message = "seconds and relative_error stop a rendering; these samples are there already"
         raise InputError(message)
     for image in _Estimated.refined(samples, model, options, seconds):
-        write_exr(
+        write_image(
             target,
             image.final.radiance,
             channels=None if image.mean.shape[-1] in _USUAL_CHANNELS else image.source.channels,

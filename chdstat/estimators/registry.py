@@ -37,7 +37,7 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.image_scales import tonemap
-from chdstat.errors import InputError, check_probability
+from chdstat.errors import InputError, check_option, check_probability
 from chdstat.scenes.plugins import owns_estimator
 
 __all__ = [
@@ -318,9 +318,7 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
     InputError
         If there is no estimator of that name.
     """
-    if name not in ENTRIES:
-        message = f"no estimator is called {name!r}; there are {', '.join(names())}"
-        raise InputError(message)
+    check_option("estimator", name, ENTRIES, more="'chdstat list estimators'")
     return ENTRIES[name]
 
 

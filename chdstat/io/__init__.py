@@ -2,8 +2,8 @@
 
 `read` opens samples in files of other programs; `get_include` names the folder of the C++ header
 with which a renderer writes such files. `write_exr` and `read_exr` keep images with their layers in
-EXR files, `write_maps` and `write_netcdf` results per pixel; `denoise` gives an image of estimates
-to Open Image Denoise.
+EXR files, `write_image` images in the format of their suffix, `write_maps` and `write_netcdf`
+results per pixel; `denoise` gives an image of estimates to Open Image Denoise.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from chdstat.io.denoiser import denoise
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.reading import read
 from chdstat.io.stream import get_include
-from chdstat.io.writing import write_maps, write_netcdf
+from chdstat.io.writing import write_image, write_maps, write_netcdf
 
 __all__ = [
     "ExrImage",
@@ -21,6 +21,7 @@ __all__ = [
     "read",
     "read_exr",
     "write_exr",
+    "write_image",
     "write_maps",
     "write_netcdf",
 ]

@@ -1,22 +1,107 @@
-"""Maps: datasets of results per pixel, written as EXR layers or netCDF, read from zarr."""
+"""Writing: images by the suffix of their file, and results per pixel as EXR layers or netCDF."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
+from chdstat._core.display import png
 from chdstat._core.files import checked_target, local, writing
+from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError, StoreError
 from chdstat.io.exr import write_exr
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["open_maps", "write_maps", "write_netcdf"]
+__all__ = ["IMAGES", "open_maps", "write_image", "write_maps", "write_netcdf"]
+
+IMAGES: Mapping[str, str] = {
+    ".exr": "linear radiance with all layers, for an EXR viewer",
+    ".npy": "linear radiance of shape (y, x, channel) without layers, for numpy.load",
+    ".pfm": "linear radiance without layers, for a viewer of PFM files",
+    ".png": "tone-mapped to 8 bits of sRGB, for the screen: radiances cannot be read from it",
+}
+"""What a file of an image holds, by its suffix."""
+
+
+def write_image(
+    path: str | Path,
+    image: npt.ArrayLike,
+    *,
+    channels: Sequence[str] | None = None,
+    extra: Mapping[str, npt.ArrayLike] | None = None,
+    attributes: Mapping[str, str] | None = None,
+    exposure: float | None = None,
+) -> Path:
+    """Write an image to a file whose suffix is its format: .exr, .npy, .pfm or .png.
+
+    An EXR file holds all that is given, an array and a PFM file the radiances alone. A PNG file is
+    tone-mapped, and its text says by how many stops.
+
+    Parameters
+    ----------
+    path
+        The file; one that is there already is replaced when the new one is complete.
+    image
+        Linear radiance, shape (y, x, channel); PFM and PNG take 1 or 3 channels.
+    channels, extra, attributes
+        As for `write_exr`; other formats have no place for them.
+    exposure
+        Of a PNG file, in stops; None shows the image well, as `chdstat.viz.tonemap` does.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, or the format does not take such an image.
+    StoreError
+        If the file cannot be written.
+
+    References
+    ----------
+    P. Debevec, "PFM portable float map", https://www.pauldebevec.com/Research/HDR/PFM/.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> image = np.random.default_rng(0).gamma(2.0, size=(4, 6, 3)).astype(np.float32)
+    >>> with TemporaryDirectory() as folder:
+    ...     file = write_image(f"{folder}/image.npy", image)
+    ...     bool((np.load(file) == image).all())
+    True
+    """
+    target = checked_target(path, *IMAGES)
+    suffix = target.suffix.lower()
+    if suffix == ".exr":
+        return write_exr(target, image, channels=channels, extra=extra, attributes=attributes)
+    array = np.asarray(image, np.float32)
+    if array.ndim != 3 or (suffix != ".npy" and array.shape[2] not in {1, 3}):
+        message = f"{suffix} takes an image of 1 or 3 channels, got shape {array.shape}: use .exr"
+        raise InputError(message)
+    stops = display_stops(array) if exposure is None else exposure
+    with writing(target) as partial:
+        if suffix == ".npy":
+            with partial.open("wb") as file:
+                np.save(file, array)
+        elif suffix == ".pfm":
+            height, width, number = array.shape
+            head = f"{'PF' if number == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
+            # Rows go up, and a negative scale says that numbers are little-endian.
+            partial.write_bytes(head.encode() + array[::-1].astype("<f4").tobytes())
+        else:
+            about = f"tone-mapped by {stops:+.2f} stops and the sRGB curve: no linear radiance"
+            partial.write_bytes(png(tonemap(array, exposure=stops), about))
+    return target
 
 
 def open_maps(path: str | Path) -> xr.Dataset:

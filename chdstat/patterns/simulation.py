@@ -20,7 +20,7 @@ from chdstat._core.arrays import LUMINANCE, Seed, generator, spans
 from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import flag_attributes
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_option
 from chdstat.patterns.classification import Classification, Label
 from chdstat.patterns.known_chds import CHD, CHDS, Component, Kind, random_chd
 from chdstat.patterns.table import PATTERNS, Thresholds, firefly_limit
@@ -213,9 +213,8 @@ def simulate(
     """
     given = [chds] if isinstance(chds, (str, CHD)) else list(chds)
     for name in given:
-        if isinstance(name, str) and name not in CHDS:
-            message = f"a CHD must be one of {', '.join(CHDS)} or a CHD, got {name!r}"
-            raise InputError(message)
+        if isinstance(name, str):
+            check_option("CHD", name, CHDS)
     chosen = [CHDS[chd] if isinstance(chd, str) else chd for chd in given]
     if len(shape) != 2 or min(shape) < 1 or spp < 1 or not chosen:
         message = f"simulate needs a CHD, a shape (height, width) and spp >= 1; got {shape}, {spp}"

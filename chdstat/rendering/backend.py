@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from chdstat._core.work import Cache, cores, installed, memory, user_cache
-from chdstat.errors import InputError, RenderError
+from chdstat.errors import InputError, RenderError, check_option
 
 __all__ = [
     "BACKENDS",
@@ -83,9 +83,7 @@ def resolve(backend: Backend = "auto", color: Color = "rgb") -> Verdict:
     RenderError
         If the backend asked for does not work here.
     """
-    if color not in COLORS:
-        message = f"color must be one of {', '.join(COLORS)}; got {color!r}"
-        raise InputError(message)
+    check_option("color", color, COLORS)
     if color == "mono" and backend == "scalar":
         message = "Mitsuba has no scalar variant in mono; use the llvm or cuda backend"
         raise InputError(message)
@@ -123,7 +121,7 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
     """
     if backend not in BACKENDS:
         message = (
-            f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}. Spectral "
+            f"backend must be one of auto, {', '.join(BACKENDS)}, got {backend!r}. Spectral "
             "and mono variants of Mitsuba are chosen by color; polarized ones are not supported"
         )
         raise InputError(message)

@@ -501,8 +501,13 @@ def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
         why += [
             f"{n}: stored {stored[n]}, asked for {attrs.get(n)}"
             for n in names
-            if n not in _CHANGES or held.get(n) is None
+            if n != "scene_hash" and (n not in _CHANGES or held.get(n) is None)
         ]
+        one, other = held.get("scene"), attrs.get("scene")
+        if one != other:
+            why = [f"of the scene {one}, not {other}"]
+        elif not why:
+            why = [f"of another version of the scene {one}"]
         message = (
             f"{store.path} holds other samples ({'; '.join(why)}). Nothing was "
             "changed; give another output path, or the same settings to resume or append"

@@ -364,10 +364,9 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        message = (
-            f"cannot write to {path}: {error.strerror or error}. "
-            "What is stored is kept; run the same command again to resume"
-        )
+        message = f"cannot write to {path}: {error.strerror or error}"
+        if is_store(path):
+            message += ". What is stored is kept; run the same command again to resume"
         raise StoreError(message) from error
 
 

@@ -14,7 +14,6 @@ rightmost acts first.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import hashlib
 import json
 import re
@@ -30,7 +29,7 @@ import numpy as np
 
 from chdstat._core.arrays import Floats
 from chdstat._core.display import Card, Shown
-from chdstat.errors import InputError, SceneError
+from chdstat.errors import InputError, SceneError, did_you_mean
 from chdstat.scenes.files import described, digest_of, is_file
 from chdstat.scenes.plugins import code_of
 
@@ -194,7 +193,7 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
     'cornell-box'
     >>> load_scene("cornel-box")
     Traceback (most recent call last):
-    chdstat.errors.SceneError: no built-in scene or file 'cornel-box'; did you mean 'cornell-box'...
+    chdstat.errors.SceneError: no built-in scene is called 'cornel-box'; did you mean 'cornell-box'?
     """
     if isinstance(source, Scene):
         scene = source
@@ -260,18 +259,23 @@ def _checked_file(path: Path) -> tuple[str, Path]:
     if is_file(path / "scene.xml"):
         path = path / "scene.xml"
     if not is_file(path):
-        near = difflib.get_close_matches(str(path)[:100], BUILTIN, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        message = (
-            f"no built-in scene or file {reprlib.repr(str(path))}; {hint}"
-            f"Built-in scenes: {', '.join(sorted(BUILTIN))}"
-        )
-        raise SceneError(message)
+        raise SceneError(_nothing_at(path))
     if path.suffix.lower() != ".xml":
         message = f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}"
         raise SceneError(message)
     name = path.parent.name if path.stem == "scene" else path.stem
     return name, path.resolve()
+
+
+def _nothing_at(path: Path) -> str:
+    """Return the message on a scene or a store that is not there, by what it seems to be."""
+    name = reprlib.repr(str(path))
+    if path.suffix == ".zarr":
+        return f"no store at {name}; render one with: chdstat render SCENE -o {path}"
+    if path.suffix or len(path.parts) > 1:
+        return f"no scene file at {name}"
+    near = did_you_mean(path, BUILTIN) or f"; there are {', '.join(sorted(BUILTIN))}"
+    return f"no built-in scene is called {name}{near}"
 
 
 @contextlib.contextmanager

@@ -556,7 +556,12 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
         outlines = np.stack([np.broadcast_to(np.repeat(edges, 2), y.shape), y], axis=-1)
         upper, lower = axes[i], axes[count + i]
         alpha = min(0.5, max(0.03, 2.5 / len(x)))
-        look = {"facecolor": color, "lw": 0, "alpha": alpha, "rasterized": len(x) > _VECTOR}
+        look: dict[str, Any] = {
+            "facecolor": color,
+            "lw": 0,
+            "alpha": alpha,
+            "rasterized": len(x) > _VECTOR,
+        }
         upper.add_collection(PolyCollection([*outlines], **look))
         upper.stairs(counts.mean(axis=0), edges, color="#222222", linewidth=0.6)
         upper.set_ylim(0, 1.15 * float(np.max(counts[:, 1:])) or 1.0)

@@ -282,7 +282,8 @@ def test_a_model_is_trained_and_estimates(run, store, tmp_path):
     assert (code, json.loads(out)) == (0, said)
     assert err.splitlines()[-1].startswith(f"next: chdstat estimate {store} --model {model}")
     asked = ("estimate", store, "-o", image, "--model", model, "--level", 0.5, "-q")
-    assert run(*asked)[:2] == (0, f"wrote {image}\n")
+    said = f"wrote {image}: linear radiance with all layers, for an EXR viewer\n"
+    assert run(*asked)[:2] == (0, said)
     found = chd.io.read_exr(image)
     assert found.image.shape == (10, 12, 3)
     assert set(found.extra) == {"certainty", "low", "high", "mean"}
@@ -337,7 +338,7 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
         (("info", "nowhere.zarr"), "no store at nowhere.zarr"),
         (("info", __file__), "is a file; a store is a folder"),
         (("analyze", "nowhere.zarr"), "no store at nowhere.zarr"),
-        (("analyze", "s.zarr", "--threshold", "tail=1"), "one of alpha, null_share"),
+        (("analyze", "s.zarr", "--threshold", "tail=1"), "did you mean 'tail_index'?"),
         (("analyze", "s.zarr", "--threshold", "alpha=many"), "takes a number, got 'many'"),
         (("analyze", "s.zarr", "--threshold", "alpha"), "--threshold takes KEY=VALUE"),
         (("analyze", "s.zarr", "--threshold", "alpha=2"), "null_share and firefly_share in (0, 1)"),
@@ -347,9 +348,12 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
             ("train", "box", "-o", "a.safetensors", "-e", "elek2019", "--features"),
             "takes no first-hit features",
         ),
-        (("train", "nowhere.zarr", "-o", "a.safetensors"), "no built-in scene or file"),
-        (("estimate", "nowhere.zarr", "-o", "a.exr"), "no built-in scene or file"),
-        (("report", "nowhere.xml", "-o", "x.pdf"), "no built-in scene or file 'nowhere.xml'"),
+        (("train", "nowhere.zarr", "-o", "a.safetensors"), "no store at 'nowhere.zarr'"),
+        (("estimate", "nowhere.zarr", "-o", "a.exr"), "no store at 'nowhere.zarr'"),
+        (("estimate", STORE, "-o", "a.gif"), "must end in .exr, .npy, .pfm, .png, got 'a.gif'"),
+        (("compare", STORE, "-e", "cattoni"), "no estimator is called 'cattoni'; did you mean 'ca"),
+        (("report", "nowhere.xml", "-o", "x.pdf"), "no scene file at 'nowhere.xml'"),
+        (("render", "shed", "-o", "x.zarr"), "no built-in scene is called 'shed'; there are bath"),
         (("report", "cornell-box", "-o", "x.txt"), "must end in .pdf"),
         (("estimate", STORE, "-o", "a.exr", "--model", "nowhere.safetensors"), "no model at"),
         (("estimate", STORE, "-o", "a.exr", "--spp", 17), "spp must be from 1 to 16"),
@@ -372,6 +376,51 @@ def test_bad_input_ends_with_a_message_and_no_traceback(
     assert message in err
     assert "Traceback" not in out + err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (("analyze", STORE), "a.zarr"),
+        (("bench", STORE), "a.csv"),
+        (("compare", STORE), "a"),
+        (("contrast", STORE, STORE), "a.pdf"),
+        (("estimate", STORE), "a.png"),
+        (("export", "maps.zarr", "--as", "exr"), "a.exr"),
+        (("report", STORE), "a.pdf"),
+        (("study", STORE), "a.pdf"),
+        (("train", STORE), "a.safetensors"),
+    ],
+)
+def test_what_is_there_is_not_overwritten_unasked(run, store, tmp_path, arguments, name):
+    (tmp_path / name).write_text("mine")
+    asked = [store if argument is STORE else argument for argument in arguments]
+    code, out, err = run(*asked, "-o", tmp_path / name)
+    assert (code, out) == (1, "")
+    assert "exists; nothing was overwritten. Give another path, or --overwrite" in err
+    assert (tmp_path / name).read_text() == "mine"
+    (option,) = (o for o in COMMANDS[arguments[0]].params if o.name == "overwrite")
+    assert option.help == "Replace an output that is there already."
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("anlyze",), "Did you mean 'analyze'?"),
+        (("classify", STORE), "It is what 'chdstat analyze' does."),
+        (("help", "denoise"), "It is what 'chdstat estimate --denoise' does."),
+    ],
+)
+def test_an_unknown_command_points_to_another(run, arguments, message):
+    code, _, err = run(*arguments)
+    assert code == 2
+    assert message in re.sub(r"[\s│]+", " ", err)
+
+
+def test_help_and_version_are_found_where_one_looks(run):
+    assert run("help") == run("--help")
+    assert run("help", "info") == run("info", "--help")
+    assert run("-v") == run("--version")
 
 
 def test_damage_is_found_and_named(run, store, tmp_path):
@@ -399,6 +448,7 @@ def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(chdstat.samples, "inspect", stop)
-    code, _, err = run("info", "x.zarr")
-    assert code == 130
-    assert "resume" in err
+    assert run("info", "x.zarr")[::2] == (130, "chdstat: stopped\n")
+    monkeypatch.setattr(chd, "render", stop)
+    code, _, err = run("render", "cornell-box", "-o", "x.zarr")
+    assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")

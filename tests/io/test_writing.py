@@ -1,4 +1,4 @@
-"""Maps of results: written as EXR layers and netCDF, read from zarr, by functions and command."""
+"""Images by the suffix of their file, and maps of results, by functions and command."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat.cli import main
 from chdstat.errors import InputError
+from chdstat.viz import tonemap
 
 RADIANCE = np.random.default_rng(2).gamma(0.3, 3.0, size=(5, 6, 3, 24)).astype(np.float32)
 SAMPLES = chd.Samples.from_array(RADIANCE, scene="x")
@@ -61,3 +62,36 @@ def test_the_command_exports_maps(tmp_path, monkeypatch, capsys):
     assert "d.exr" in capsys.readouterr().out
     assert export(store, "exr", "f.exr") == 1
     assert "holds samples, not maps" in capsys.readouterr().err
+
+
+IMAGE = np.random.default_rng(3).gamma(0.5, size=(5, 7, 3)).astype(np.float32)
+
+
+def test_an_array_and_a_float_map_hold_the_radiances(tmp_path):
+    np.testing.assert_array_equal(np.load(chd.io.write_image(tmp_path / "a.NPY", IMAGE)), IMAGE)
+    for image, kind in ((IMAGE, b"PF"), (IMAGE[..., :1], b"Pf")):
+        head, size, scale, numbers = (
+            chd.io.write_image(tmp_path / "a.pfm", image).read_bytes().split(b"\n", 3)
+        )
+        assert (head, size, scale) == (kind, b"7 5", b"-1.0")
+        rows = np.frombuffer(numbers, "<f4").reshape(image.shape)
+        np.testing.assert_array_equal(rows[::-1], image)  # the lowest row comes first
+    found = chd.io.read_exr(chd.io.write_image(tmp_path / "a.exr", IMAGE, extra={"low": IMAGE / 2}))
+    np.testing.assert_array_equal(found.extra["low"], IMAGE / 2)
+
+
+def test_a_png_is_tone_mapped_and_says_so(tmp_path):
+    from PIL import Image
+
+    with Image.open(chd.io.write_image(tmp_path / "a.png", IMAGE, exposure=1.0)) as found:
+        assert found.text["Comment"].startswith("tone-mapped by +1.00 stops and the sRGB curve")
+        shown = np.asarray(found)[..., :3] / 255
+    np.testing.assert_allclose(shown, tonemap(IMAGE, exposure=1.0), atol=0.5 / 255 + 1e-9)
+
+
+def test_an_image_that_a_format_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"\.png takes an image of 1 or 3 channels, got shape"):
+        chd.io.write_image(tmp_path / "a.png", np.ones((4, 4, 5)))
+    with pytest.raises(InputError, match=r"must end in \.exr, \.npy, \.pfm, \.png"):
+        chd.io.write_image(tmp_path / "a.tiff", IMAGE)
+    assert list(tmp_path.iterdir()) == []

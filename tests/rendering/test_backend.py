@@ -92,7 +92,7 @@ def test_a_broken_cache_only_costs_the_trial(no_cache, child, monkeypatch):
 
 
 def test_unknown_names_are_refused():
-    with pytest.raises(InputError, match="must be one of auto, scalar, llvm, cuda; got 'metal'"):
+    with pytest.raises(InputError, match="must be one of auto, scalar, llvm, cuda, got 'metal'"):
         resolve("metal")
     with pytest.raises(InputError, match="got 'metal'"):
         probe("metal")

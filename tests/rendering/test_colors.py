@@ -98,7 +98,7 @@ def test_a_store_has_one_color(tmp_path):
 
 
 def test_colors_that_cannot_be_rendered_are_told(monkeypatch):
-    with pytest.raises(InputError, match="color must be one of rgb, spectral, mono; got 'grey'"):
+    with pytest.raises(InputError, match="color must be one of rgb, spectral, mono, got 'grey'"):
         chd.render(SCENE, color="grey", backend="scalar")
     with pytest.raises(InputError, match="no scalar variant in mono; use the llvm"):
         chd.render(SCENE, color="mono", backend="scalar")
