@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 from inventories import write_inventories
 
 import chdstat
+from chdstat.studies.claims import FINDINGS
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -44,6 +45,7 @@ extensions = [
 exclude_patterns = ["_build", "examples"]
 default_role = "autolink"
 extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
+rst_epilog = f".. |claims| replace:: {len(FINDINGS)}"
 smartquotes = False  # they would turn the -- of options into dashes
 
 autodoc_member_order = "bysource"

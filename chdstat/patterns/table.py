@@ -244,6 +244,8 @@ class Pattern:
         Of the flag.
     meaning
         What it means for light transport.
+    cure
+        What helps.
     statistic
         What is measured, and on which scale; computed by `measure`.
     rule
@@ -268,6 +270,7 @@ class Pattern:
 
     name: str
     meaning: str
+    cure: str
     statistic: str
     rule: str
     limit: str
@@ -278,6 +281,11 @@ class Pattern:
     decisive: bool = False
     interval: Callable[[PixelStatistics], Floats] | None = None
     excluded_by: tuple[str, ...] = ()
+
+    @property
+    def page(self) -> str:
+        """Where the documentation shows a typical pixel, relative to its root."""
+        return f"understand/noise.html#{self.name.replace('_', '-')}"
 
 
 def _null_share(e: PixelStatistics) -> Floats:
@@ -365,6 +373,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="null_heavy",
         meaning="most paths find no light: small or hidden emitters, occlusion",
+        cure="sample the emitters more directly, or guide paths to them; more samples help at the "
+        "usual rate",
         statistic="share of null samples",
         rule="the share is above the threshold (exact binomial test)",
         limit="> {null_share:.0%}",
@@ -378,6 +388,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="long_tail",
         meaning="rare bright paths carry the variance: more samples help less than they should",
+        cure="sample the bright paths more often; until then, take the default estimate, not "
+        "the mean, and trust no error bar",
         statistic="generalised Pareto tail index, without a sample that dominates",
         rule="the index is at least the threshold and significantly above that of a gamma tail; or "
         "that of log-normal is, which describes the samples, and the former's interval reaches it",
@@ -392,6 +404,7 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="bimodal",
         meaning="two kinds of paths at once: direct and indirect, lit and shadowed",
+        cure="stratify or split the two kinds of paths; more samples help at the usual rate",
         statistic="Ashman's D of the two modes with the largest separation, in log radiance",
         rule="two modes of the mixture are separated by the threshold (dip test beside it)",
         limit="D ≥ {ashman_d:g}",
@@ -404,6 +417,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="multimodal",
         meaning="three or more kinds of paths: several emitters, lobes or depths of reflection",
+        cure="sample each kind of path on its own, such as one light at a time; more samples help "
+        "at the usual rate",
         statistic="Ashman's D of the next pair of neighbouring modes, in log radiance",
         rule="three modes of the mixture are separated by the threshold (dip test beside it)",
         limit="D ≥ {ashman_d:g}",
@@ -416,6 +431,7 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="gamma_like",
         meaning="many small contributions add up: one kind of paths with an exponential tail",
+        cure="more samples, at the usual rate; averages are soon Gaussian",
         statistic="Vuong's z of gamma against log-normal",
         rule="one mode, no long tail, gamma is likelier than log-normal and no misfit",
         limit="z > 0, misfit ≤ {misfit:g}",
@@ -428,6 +444,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="lognormal_like",
         meaning="many factors multiply: one kind of paths of several reflections",
+        cure="more samples, at the usual rate; averages become Gaussian later than in gamma-like "
+        "pixels",
         statistic="Vuong's z of log-normal against gamma",
         rule="one mode, no long tail, log-normal is likelier than gamma and no misfit",
         limit="z > 0, misfit ≤ {misfit:g}",
@@ -440,6 +458,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="firefly_dominated",
         meaning="one sample decides the pixel: a firefly",
+        cure="draw more samples of the pixel: if others are as bright, its tail is long; if none "
+        "is, it had bad luck, and the default estimate is closer than the mean",
         statistic="share of the sum of all samples that the largest one carries",
         rule="the share is above the threshold, and above that of some average samples",
         limit="> {firefly_share:.0%} and > {firefly_samples:g} mean samples",
@@ -450,6 +470,7 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="constant",
         meaning="every path that finds light brings the same: emitters and backgrounds seen",
+        cure="nothing is noisy here: one sample that finds light is enough",
         statistic="standard deviation of the natural logarithm of luminance",
         rule="no larger than the threshold, about what rounding leaves",
         limit="≤ {constant:g}",

@@ -1,4 +1,7 @@
-"""The directive ``pattern-table``: flags, statistics, rules and thresholds, made from the code."""
+"""Directives made from the table of patterns.
+
+``pattern`` says cause and cure of one, ``pattern-table`` lists the rules of all.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from chdstat.patterns import PATTERNS, Pattern, Thresholds
 
-__all__ = ["PatternTable"]
+__all__ = ["PatternTable", "PatternText"]
 
 _THRESHOLDS = {
     "null_heavy": ("null_share", "alpha"),
@@ -38,6 +41,17 @@ class PatternTable(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
+class PatternText(SphinxDirective):
+    """Say why pixels show a pattern, and what helps."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        (pattern,) = (p for p in PATTERNS if p.name == self.arguments[0])
+        text = f"**Cause:** {pattern.meaning}.\n\n**What helps:** {pattern.cure}."
+        return self.parse_text_to_nodes(text)
+
+
 def _row(pattern: Pattern) -> tuple[str, str, str, str]:
     defaults = Thresholds()
     names = _THRESHOLDS[pattern.name]
@@ -51,5 +65,6 @@ def _linked(source: str) -> str:
 
 def setup(app: Any) -> dict[str, bool]:
     """Let Sphinx load this module as an extension."""
+    app.add_directive("pattern", PatternText)
     app.add_directive("pattern-table", PatternTable)
     return {"parallel_read_safe": True}

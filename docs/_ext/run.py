@@ -1,5 +1,8 @@
 """The directive ``run``: code or commands, run while the page is built, with what they gave below.
 
+A figure that explains a page comes first, and its code is folded: that on the page with the option
+``figure``, that in a file beside it with ``file``.
+
 All blocks of a page share their variables, and all pages one working folder, so that a store that
 is rendered on one page is there on the next, which must not append to it. Code that fails fails the
 build.
@@ -16,6 +19,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -36,25 +40,49 @@ class Run(SphinxDirective):
     """Show Python, or with the argument ``console`` commands, and their output.
 
     The output is what was printed, then the value of the last expression: a figure as an image,
-    anything else by its ``repr``. The option ``alt`` describes the image.
+    anything else by its ``repr``. The option ``alt`` describes the image, ``figure`` folds the code
+    below it (``open``: unfolded), ``hide`` leaves it out, ``file`` takes it from a file.
     """
 
     has_content = True
     optional_arguments = 1
-    option_spec: ClassVar = {"alt": directives.unchanged}
+    option_spec: ClassVar = {
+        "alt": directives.unchanged,
+        "figure": directives.unchanged,
+        "file": directives.path,
+        "hide": directives.flag,
+    }
 
     def run(self) -> list[nodes.Node]:
+        page = Path(self.env.doc2path(self.env.docname))
         code = "\n".join(self.content)
+        if "file" in self.options:
+            file = page.parent / self.options["file"]
+            self.env.note_dependency(str(file))
+            code = file.read_text(encoding="utf-8").rstrip()
         with contextlib.chdir(_folder().name):
             if self.arguments == ["console"]:
                 return [_literal(f"$ {code}", "console"), *_shown(_command(code))]
-            variables = self.env.temp_data.setdefault("run_variables", {"__name__": "__main__"})
-            printed, value = _execute(code, variables, f"{self.env.docname}.rst")
+            new = {"__name__": "__main__", "__file__": str(page)}
+            variables = self.env.temp_data.setdefault("run_variables", new)
+            printed, value = _execute(code, variables, page.name)
         value = value.figure if isinstance(value, Axes) else value
+        if "hide" in self.options:
+            return [self._image(value)]
+        if self.options.keys() & {"figure", "file"}:
+            return [self._image(value), *self._folded(code)]
         shown = [_literal(code, "python")]
         if isinstance(value, Figure):
             return [*shown, *_shown(printed), self._image(value)]
         return [*shown, *_shown(printed if value is None else f"{printed}{value!r}")]
+
+    def _folded(self, code: str) -> list[nodes.Node]:
+        opened = "   :open:\n" if self.options.get("figure") == "open" else ""
+        block = f".. code-block:: python\n\n{textwrap.indent(code, '   ')}"
+        return self.parse_text_to_nodes(
+            f".. dropdown:: Code of this figure\n   :class-container: figure-code\n{opened}\n"
+            f"{textwrap.indent(block, '   ')}"
+        )
 
     def _image(self, figure: Figure) -> nodes.image:
         serial = self.env.new_serialno("run")
@@ -71,7 +99,7 @@ def _execute(code: str, variables: dict[str, Any], name: str) -> tuple[str, Any]
     tree = ast.parse(code)
     last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
     printed, progress = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(progress):
+    with style(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(progress):
         exec(compile(tree, name, "exec"), variables)  # noqa: S102 - the documentation's own code
         value = last and eval(compile(ast.Expression(last.value), name, "eval"), variables)  # noqa: S307
     return printed.getvalue(), value
@@ -109,6 +137,7 @@ def _clean_up(*_: Any) -> None:
 
 def setup(app: Any) -> dict[str, bool]:
     """Let Sphinx load this module as an extension."""
+    app.setup_extension("sphinx_design")  # folds
     app.add_directive("run", Run)
     app.connect("build-finished", _clean_up)
     return {"parallel_read_safe": False}

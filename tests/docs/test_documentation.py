@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import chdstat as chd
+from chdstat.patterns import PATTERNS, Label
 from chdstat.rendering.recipes import PHENOMENA, load_recipe
 
 ROOT = Path(__file__).parents[2]
@@ -139,6 +140,16 @@ def test_names_on_the_pages_exist(page: str) -> None:
 def test_all_python_on_the_pages_is_run_when_they_are_built() -> None:
     assert [name for name, page in PAGES.items() if "code-block:: python" in page] == []
     assert sum(page.count(".. run::") for page in PAGES.values()) > 40
+
+
+def test_every_pattern_and_label_has_its_place_on_the_page_of_noise() -> None:
+    found = set(re.findall(r"^\.\. _([\w-]+):$", PAGES["understand/noise.rst"], re.MULTILINE))
+    assert {label.name.lower().replace("_", "-") for label in Label} <= found
+    for pattern in PATTERNS:
+        page, anchor = pattern.page.split("#")
+        assert page == "understand/noise.html"
+        assert anchor in found
+        assert f".. pattern:: {pattern.name}\n" in PAGES["understand/noise.rst"]
 
 
 def test_recipe_on_the_page_of_studies_is_good(tmp_path: Path) -> None:
