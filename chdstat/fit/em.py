@@ -326,7 +326,9 @@ def responsibilities(groups: SampleGroups, family: ComponentFamily, state: Float
 
 def bound_at(groups: SampleGroups, family: ComponentFamily, state: Floats) -> Floats:
     """Return the bound at a state: the log-likelihood of y, if each group is one sample."""
-    return _expect(groups, family, state)[1]
+    coefficients = family.coefficients(state)[:, :, np.newaxis]
+    density = log_density(groups.log, family.statistic(groups), coefficients)
+    return np.asarray((groups.count * density).sum(axis=0))
 
 
 def refit(

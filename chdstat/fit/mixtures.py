@@ -565,13 +565,19 @@ def _standard_errors(
         `Reason` codes, shape (row,).
     """
     family, k = solution.family, solution.state.shape[1]
-    found = covariance(solution, groups)
+    size, few = np.exp(solution.state[0]) * groups.n, np.zeros(len(gain), dtype=bool)
+    small = (k > 1) & (size < _FEWEST).any(axis=0)
+    regular = ~small & (gain >= _CLEAR)
+    rows, found = np.flatnonzero(regular), np.full((len(gain), 3 * k - 1, 3 * k - 1), np.nan)
+    some, held = solution.take(rows), groups.take(rows)
+    found[rows] = covariance(some, held)
+    if k > 1:
+        regular[rows] = _is_parabolic(some, held, found[rows])
     with np.errstate(invalid="ignore", over="ignore"):
         own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1)).T
         last = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
     described = get_family(family.name)
     errors = [np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)])]
-    size, few = np.exp(solution.state[0]) * groups.n, np.zeros(len(gain), dtype=bool)
     for name, error, parameter, logarithmic in zip(
         described.units,
         own[k - 1 :].reshape(2, k, -1),
@@ -584,14 +590,9 @@ def _standard_errors(
         few |= ~enough.all(axis=0)
         error = error * parameter if logarithmic else error
         errors.append(np.where(enough, error, np.nan))
-    reason = np.where(few, Reason.TOO_FEW, Reason.OK)
-    table = np.stack(errors)
-    if k > 1:
-        reason[(size < _FEWEST).any(axis=0)] = Reason.TOO_FEW
-        irregular = (gain < _CLEAR) | ~_is_parabolic(solution, groups, found)
-        reason[(reason == Reason.OK) & irregular] = Reason.NOT_REGULAR
-        table[..., irregular | (size < _FEWEST).any(axis=0)] = np.nan
-        table *= _WIDER
+    table = np.stack(errors) * (1 if k == 1 else _WIDER)
+    table[..., ~regular] = np.nan
+    reason = np.where(few | small, Reason.TOO_FEW, Reason.OK)
     reason[(reason == Reason.OK) & np.isnan(table).any(axis=(0, 1))] = Reason.NOT_REGULAR
     return table, reason.astype(np.int8)
 
