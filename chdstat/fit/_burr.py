@@ -39,7 +39,7 @@ from chdstat.fit.mle import maximise
 __all__ = ["BURR"]
 
 _LEAST = 1e-4
-"""Floor of q: below, d is about 1e4 or more, which is the Weibull limit to any sample."""
+"""Floor of b: below, d is about 1e4 or more, which is the Weibull limit to any sample."""
 _NEAR_LIMIT = 0.01
 _SHAPES = np.exp(np.linspace(np.log(0.02), np.log(100), 200))
 """Shapes d at which the skewness of log x is tabulated for the start."""
@@ -49,19 +49,20 @@ _SKEWNESS = (special.polygamma(2, 1) - special.polygamma(2, _SHAPES)) / (
 
 
 def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate:
-    """Maximise the profile likelihood of a = log c and q = log(1 + e^rho).
+    """Maximise the profile likelihood of a = log c and b = log(1 + q), q = log(1 + e^rho).
 
     With v = c (log x - log scale), rho is v at the log mean, and d is profiled out: ``1 / d =
     mean log(1 + e^v)``. As d and the scale go to infinity together, which is the Weibull limit, q
     goes to 0 and the profile stays smooth: where it rises all the way to q = 0 there is no Burr
     distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5). Nor is there
-    one where c goes to infinity while c d stays: to a power law above the smallest sample.
+    one where c goes to infinity while c d stays: to a power law above the smallest sample. On the
+    way there, q grows as c does, so that the ridge of the profile is straight in a and b.
     """
     start = None
     if near is not None:
         with np.errstate(invalid="ignore"):
             rho = near["c"] * (part.log_statistics.log_mean - np.log(near["scale"]))
-            start = np.log(near["c"]), np.maximum(np.logaddexp(0, rho), _LEAST)
+            start = np.log(near["c"]), np.maximum(np.log1p(np.logaddexp(0, rho)), _LEAST)
     c, d, scale, c_error, d_error, scale_error, converged, limit = maximise(
         part,
         _profile,
@@ -84,7 +85,7 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
 def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     """Return parameters, standard errors, convergence, and the code of a limit, (8, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        c, rho = np.exp(at[0]), _log_expm1(at[1])
+        c, rho = np.exp(at[0]), _log_expm1(np.expm1(at[1]))
         level, rest = _logistic(points, c, rho)
         d = 1 / level
         scale = np.exp(points.log_mean - rho / c)
@@ -118,14 +119,14 @@ def _start(points: WeightedSamples) -> Floats:
         c = np.sqrt((special.polygamma(1, 1) + special.polygamma(1, d)) / variance)
         rho = special.digamma(1) - special.digamma(d)
         weibull = np.log(np.pi / np.sqrt(6 * variance))
-    cumulants = np.stack([np.log(c), np.logaddexp(0, rho)])
+    cumulants = np.stack([np.log(c), np.log1p(np.logaddexp(0, rho))])
     return np.stack([cumulants, np.stack([weibull, np.full_like(weibull, _NEAR_LIMIT)])])
 
 
 def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log c + mean v - log L - L`` with L = 1 / d."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        c, rho = np.exp(at[0]), _log_expm1(at[1])
+        c, rho = np.exp(at[0]), _log_expm1(np.expm1(at[1]))
         level, rest = _logistic(points, c, rho)
         l_rho, l_c, _ = points.moments(1 - rest)
         l_rho_rho, l_rho_c, l_c_c = points.moments(_slope(rest))
@@ -134,12 +135,13 @@ def _profile(points: WeightedSamples, at: Floats) -> Floats:
         by_c_c = -1 / c**2 + g * l_c**2 - f * l_c_c
         by_rho_c = g * l_c * l_rho - f * l_rho_c
         by_rho_rho = g * l_rho**2 - f * l_rho_rho
-        # From (c, rho) to (log c, q): d rho / d q = 1 + e^-rho.
-        stretch = 1 + np.exp(-rho)
+        # From (c, rho) to (a, b): d rho / d q = 1 + e^-rho, and d q / d b = e^b.
+        rise, more = np.exp(at[1]), np.exp(-rho)
+        stretch = rise * (1 + more)
         value = at[0] + rho - np.log(level) - level
         mixed = c * stretch * by_rho_c
-        by_q_q = stretch**2 * by_rho_rho - (stretch - 1) * stretch * by_rho
-        curvatures = c**2 * by_c_c + c * by_c, mixed, by_q_q
+        by_b_b = stretch**2 * by_rho_rho + (1 - more * rise) * stretch * by_rho
+        curvatures = c**2 * by_c_c + c * by_c, mixed, by_b_b
         return np.stack([value, c * by_c, stretch * by_rho, *curvatures])
 
 

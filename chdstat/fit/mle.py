@@ -18,7 +18,7 @@ from chdstat.fit.family import TIGHT, WeightedSamples, of_rows
 
 __all__ = ["maximise"]
 
-_ITERATIONS = 60
+_ITERATIONS = 30
 _REACH = 2.0
 _ROUGHLY = 1e-2
 """Newton steps at which the search on a few points ends."""

@@ -47,6 +47,15 @@ def test_gamma_equation_is_solved(k):
     assert fitted.parameters["shape"] == pytest.approx(k, rel=1e-8)
 
 
+@pytest.mark.parametrize(("c", "d"), [(18, 0.05), (8, 0.05), (15, 0.08)])
+def test_burr_with_a_sharp_edge_is_found(c, d):
+    """Its likelihood is a long ridge towards the power law."""
+    x = stats.burr12(c, d, scale=2.0).rvs((20, 512), random_state=1)
+    fitted = chd.fit.burr(x)
+    assert fitted.converged.all()
+    assert np.median(fitted.parameters["c"] * fitted.parameters["d"]) == pytest.approx(c * d, rel=0.1)
+
+
 def test_gamma_shape_of_nearly_equal_samples():
     # The relative spread of gamma samples is 1/sqrt(shape): here SciPy's solver has no digits left.
     x = 1 + 1e-5 * stats.norm.ppf((np.arange(2000) + 0.5) / 2000)
