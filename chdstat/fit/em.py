@@ -312,8 +312,8 @@ def run(
         bound[active], converged[active] = value, done
         if done.all():
             break
-        # Leaving out rows costs a copy: it pays only for many of them.
-        if 8 * np.count_nonzero(done) > done.size:
+        # What is done stays as it is, however long the others take.
+        if done.any():
             active = active[~done]
             here = here.take(~done)
     return Solution(family, state, groups.origin, bound, converged)

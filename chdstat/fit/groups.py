@@ -94,9 +94,11 @@ def groups_of_each(log_sorted: Floats, n: Counts) -> SampleGroups:
 
 
 def groups_of_bins(
-    counts: Floats, log_centers: Floats, width: Floats
+    counts: Floats, log_centers: Floats, width: Floats, most: int
 ) -> tuple[SampleGroups, SampleGroups]:
     """Take over the bins of log histograms, shape (row, bin), of width h, shape (row,).
+
+    They are as many as there are bins, but at most `most`, among which the filled ones are first.
 
     The first have all samples at the centres of the bins. No component may be denser than the
     samples of one bin, spread over it: its standard deviation is at least h / sqrt(2 pi).
@@ -104,10 +106,9 @@ def groups_of_bins(
     The second have Sheppard's corrections (see `PositiveHistogram.log_statistics`): h^2 / 12
     less of mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
     """
-    # Filled bins come first: the width is that of the row that has most of them.
     filled = counts > 0
     last = np.count_nonzero(filled, axis=-1) - 1
-    order = np.argsort(~filled, axis=-1, kind="stable")[:, : int(last.max()) + 1]
+    order = np.argsort(~filled, axis=-1, kind="stable")[:, :most]
     count, centers = (np.take_along_axis(v, order, axis=-1) for v in (counts, log_centers))
     origin = np.take_along_axis(centers, last[:, np.newaxis], axis=-1)
     # Half of the samples lie in bins that hold as many as this one, or more.

@@ -219,7 +219,7 @@ def _sum(values: Floats) -> Floats:
 def _length(values: Floats, change: Floats, share: float = 1.0) -> Floats:
     """Return how much of a change is a share of what leaves all values positive; at most all."""
     way = np.where(change < 0, -values / change, np.inf).min(axis=0)
-    return np.minimum(1.0, share * way)
+    return np.asarray(np.minimum(1.0, share * way))
 
 
 def _moments(slope: Floats) -> tuple[Floats, Floats, Floats]:

@@ -18,7 +18,8 @@ from chdstat.fit.family import TIGHT, WeightedSamples, of_rows
 
 __all__ = ["maximise"]
 
-_ITERATIONS = 30
+_ITERATIONS, _FEW_ITERATIONS = 60, 30
+"""Most steps of the search on all points, and of that on a few."""
 _REACH = 2.0
 _ROUGHLY = 1e-2
 """Newton steps at which the search on a few points ends."""
@@ -82,13 +83,14 @@ def maximise(
 
     def roughly(points: WeightedSamples) -> Floats:
         first, *others = start(points).reshape(-1, 2, len(points.n))
-        one, _ = climb.from_start(points, first, _ROUGHLY)
+        one, _ = climb.from_start(points, first, _ROUGHLY, _FEW_ITERATIONS)
         two = np.full_like(one, np.nan)
         for other in others:
             # From a start next to where the first one ended, the search would end there, too.
             rows = np.flatnonzero(~(np.abs(other - one) < _NEXT).all(axis=0))
             if len(rows):
-                two[:, rows], _ = climb.from_start(points.take(rows), other[:, rows], _ROUGHLY)
+                some = points.take(rows), other[:, rows], _ROUGHLY, _FEW_ITERATIONS
+                two[:, rows], _ = climb.from_start(*some)
         if not others:
             return np.concatenate([one, two])
         # The higher end comes first; the other is kept if all points may make it the higher.
@@ -145,14 +147,14 @@ class _Climb:
         return np.stack([value, slope, zero, curvature, zero, zero - 1])
 
     def from_start(
-        self, points: WeightedSamples, start: Floats, tolerance: float
+        self, points: WeightedSamples, start: Floats, tolerance: float, most: int = _ITERATIONS
     ) -> tuple[Floats, Mask]:
         """Climb from `start`, shape (2, row), to the maximum next to it, and say where it is."""
-        best, converged = start.copy(), np.zeros(start.shape[1], dtype=bool)
+        best, (converged, closed) = start.copy(), np.zeros((2, start.shape[1]), dtype=bool)
         rows = np.arange(start.shape[1])
         at, here = start, self.value(points, start)
         damping = np.zeros(len(rows))
-        for _ in range(_ITERATIONS):
+        for _ in range(most):
             step = np.clip(self._step(at, here, damping), -_REACH, _REACH)
             small = np.abs(step) < tolerance
             if np.isfinite(self.floor):
@@ -161,9 +163,12 @@ class _Climb:
                 small[1] = np.abs(step[1]) < tolerance * np.minimum(at[1], 1)
             # The last step is taken on trust: what it leaves is of the order of its square.
             done = small.all(axis=0) & (damping == 0)
-            best[:, rows] = np.where(done, at + step, at)
-            converged[rows] = done
-            active = ~done & np.isfinite(step).all(axis=0) & (damping < 1e8)
+            # What is done stays as it is, however long the others take.
+            open_ = ~closed[rows]
+            best[:, rows[open_]] = np.where(done, at + step, at)[:, open_]
+            converged[rows[open_]] = done[open_]
+            closed[rows] |= done | ~np.isfinite(step).all(axis=0) | (damping >= 1e8)
+            active = ~closed[rows]
             if not active.any():
                 break
             if np.count_nonzero(active) < 0.7 * len(rows):

@@ -51,6 +51,8 @@ __all__ = [
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
 _LEAST_MASS = 1e-300
+_BINS = 16
+"""Histograms are padded to a multiple of so many filled bins."""
 _SAMPLE_CYCLES, _TOLERANCE = 40, 1e-6
 """Of a run of EM on the samples themselves."""
 
@@ -238,25 +240,30 @@ def search(
     where k >= 2 components beat neither that nor fewer components are not tried with more; the
     log-likelihood of what was not tried is minus infinity.
     """
-    plan, chosen = EFFORTS[effort], np.flatnonzero(usable.reshape(-1))
-    lengths = part.n
-    if isinstance(part, PositiveHistogram):
-        lengths = np.asarray(np.count_nonzero(part.counts, axis=-1))
-    # Pieces of rows of about the same length: little padding, the longest row last.
-    ordered = chosen[np.argsort(lengths.reshape(-1)[chosen], kind="stable")]
-    for span in spans(len(ordered), plan.rows):
-        rows = ordered[span]
-        if isinstance(part, PositiveHistogram):
-            some = take_part(part, rows)
-            bins = groups_of_bins(some.counts, some.log_centers, some.width)
-            piece = Piece(rows, plan, *bins, width=some.width)
-        else:
-            n = part.n.reshape(-1)[rows]
-            samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : n[-1]]
-            groups = groups_of_samples(samples, n, plan.groups)
-            piece = Piece(rows, plan, groups, groups, samples, n)
-        bar = None if unimodal is None else unimodal.reshape(-1)[rows]
+    for piece in _pieces(part, np.flatnonzero(usable.reshape(-1)), EFFORTS[effort]):
+        bar = None if unimodal is None else unimodal.reshape(-1)[piece.rows]
         yield piece, _solutions(piece, COMPONENTS[family], max_k, bar)
+
+
+def _pieces(part: Part, rows: Counts, plan: Plan) -> Iterator[Piece]:
+    """Cut rows into pieces of about the same length: little padding, the longest row last."""
+    if not isinstance(part, PositiveHistogram):
+        rows = rows[np.argsort(part.n.reshape(-1)[rows], kind="stable")]
+        for span in spans(len(rows), plan.rows):
+            n = part.n.reshape(-1)[rows[span]]
+            samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows[span], : n[-1]]
+            groups = groups_of_samples(samples, n, plan.groups)
+            yield Piece(rows[span], plan, groups, groups, samples, n)
+        return
+    # Starts depend on the number of groups, which may not depend on other rows.
+    filled = np.count_nonzero(part.counts, axis=-1).reshape(-1)[rows]
+    most = _BINS * -(-filled // _BINS)
+    for width in np.unique(most).tolist():
+        alike = rows[most == width]
+        for span in spans(len(alike), plan.rows):
+            some = take_part(part, alike[span])
+            bins = groups_of_bins(some.counts, some.log_centers, some.width, width)
+            yield Piece(alike[span], plan, *bins, width=some.width)
 
 
 def _solutions(

@@ -53,7 +53,9 @@ def test_burr_with_a_sharp_edge_is_found(c, d):
     x = stats.burr12(c, d, scale=2.0).rvs((20, 512), random_state=1)
     fitted = chd.fit.burr(x)
     assert fitted.converged.all()
-    assert np.median(fitted.parameters["c"] * fitted.parameters["d"]) == pytest.approx(c * d, rel=0.1)
+    assert np.median(fitted.parameters["c"] * fitted.parameters["d"]) == pytest.approx(
+        c * d, rel=0.1
+    )
 
 
 def test_gamma_shape_of_nearly_equal_samples():
