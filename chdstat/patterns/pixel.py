@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Self
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from chdstat.viz import Panel
+    from chdstat.viz.styling import Width
 
 __all__ = ["Pixel"]
 
@@ -191,17 +192,36 @@ class Pixel(Shown):
         """The samples; NaN in all channels where one is bad."""
         return np.where(self.bad, np.float32(np.nan), self.radiance)
 
-    def plot(self, *, fig: Figure | None = None) -> Figure:
+    def plot(
+        self,
+        *,
+        channels: str | Sequence[str] | None = None,
+        scales: Scale | Sequence[Scale] = ("linear", "log"),
+        width: Width = "page",
+        fig: Figure | None = None,
+    ) -> Figure:
         """Draw linear and log10 histograms of its channels, their best fits and their means.
 
         Parameters
         ----------
+        channels
+            Those to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
+        scales
+            "linear", "log" or both.
+        width
+            Of the figure: "column", "page" or inches.
         fig
             Where to draw; None makes a figure, which a notebook shows.
+
+        Raises
+        ------
+        InputError
+            If a channel, a scale or the width is unknown.
         """
         from chdstat import viz
 
-        return viz.chd_pair(self.panel(f"{self.scene}, y {self.y}, x {self.x}"), fig=fig)
+        panel = self.panel(f"{self.scene}, y {self.y}, x {self.x}")
+        return viz.chd_pair(panel, channels=channels, scales=scales, width=width, fig=fig)
 
     def panel(self, title: str) -> Panel:
         """Return what `chdstat.viz.chd_grid` draws of it: histograms, best fits and means."""

@@ -284,9 +284,24 @@ class Samples:
 
         return Pixel.of(self, y, x)
 
-    def plot(self, y: int, x: int, *, fig: Figure | None = None) -> Figure:
-        """Draw linear and log10 histograms of one pixel with their best fits, as `Pixel.plot`."""
-        return self.pixel(y, x).plot(fig=fig)
+    def plot(self, y: int, x: int, **options: Any) -> Figure:
+        """Draw linear and log10 histograms of one pixel with their best fits.
+
+        Parameters
+        ----------
+        y, x
+            Row and column.
+        **options
+            As for `Pixel.plot`: `channels`, `scales`, `width` and `fig`.
+
+        Examples
+        --------
+        >>> samples = Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(4, 6, 3, 256)))
+        >>> figure = samples.plot(2, 3, channels="luminance", scales="log", width="column")
+        >>> figure.get_figwidth()
+        3.4
+        """
+        return self.pixel(y, x).plot(**options)
 
     def __repr__(self) -> str:
         height, width, channels, spp = self.shape

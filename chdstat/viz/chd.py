@@ -8,9 +8,10 @@ many batches of samples superimposed, and below them the histogram of their mean
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -20,15 +21,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from chdstat._core.arrays import Array, is_bad, is_null, luminance, take_rows
-from chdstat.errors import InputError
-from chdstat.summary.histograms import Histogram, histogram
+from chdstat.errors import InputError, check_option
+from chdstat.summary.histograms import Histogram, Scale, histogram
 from chdstat.viz.styling import (
     CHANNELS,
     PALETTE,
     UNIT,
-    WIDTH,
+    Width,
     axes_in,
+    blocks,
+    fitting,
     grid,
+    inches,
+    narrow,
     page,
     panels_in,
     per_cent,
@@ -38,6 +43,8 @@ from chdstat.viz.styling import (
 )
 
 __all__ = [
+    "SCALES",
+    "Channels",
     "Density",
     "Panel",
     "batch_histograms",
@@ -45,13 +52,21 @@ __all__ = [
     "chd_axes",
     "chd_grid",
     "chd_pair",
+    "chosen",
     "colors_of",
     "draw_histograms",
     "fits",
+    "scales_of",
 ]
 
 Density = Callable[[Array], Array]
 """Of the positive samples, per unit of radiance."""
+
+Channels = str | Sequence[str] | None
+"""Those to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance."""
+
+SCALES: tuple[Scale, ...] = get_args(Scale)
+"""Of radiance: "linear" and "log"."""
 
 _CURVE_POINTS = 400
 _LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
@@ -61,36 +76,48 @@ _ROOM = 1.35
 _BINS = 40
 _VECTOR = 256
 """Batches that are drawn as outlines; more are an image inside of the figure."""
-_LUMINANCE = "#333333"
+_LUMINANCE = "luminance"
+_COLORS = {**CHANNELS, _LUMINANCE: "#333333"}
+_WORDS = {"red": "R", "green": "G", "blue": "B"}
+_LETTERS = 13
+"""Of a title, in an inch."""
 
 
 @style()
 def chd_axes(
     found: Histogram,
     *,
-    channels: Sequence[str] | None = None,
+    names: Sequence[str] | None = None,
+    channels: Channels = None,
     fits: Sequence[Density | None] = (),
+    width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the histograms of all channels of a pixel over each other.
+    """Draw the histograms of the channels of a pixel over each other.
 
     Parameters
     ----------
     found
         What `chdstat.histogram` returns for one pixel, of shape (channel, bin) or (bin,). A log
         histogram has a log axis of radiance.
+    names
+        Of its channels; those called R, G and B, as three channels are by default, have these
+        colours.
     channels
-        Their names; those called R, G and B, as three channels are by default, have these colours.
+        Those to draw, by name; "red", "green" and "blue" are R, G and B. None draws all.
     fits
-        For each channel the density of its positive samples per unit of radiance, such as
-        ``fit.pdf`` of a `chdstat.fit.Fit` of the channel; None draws none.
+        For each channel of the histogram the density of its positive samples per unit of radiance,
+        such as ``fit.pdf`` of a `chdstat.fit.Fit` of the channel; None draws none.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If the histogram is not one of a single pixel, or has another number of channels.
+        If the histogram is not one of a single pixel, has another number of channels, or not those
+        to draw.
 
     Examples
     --------
@@ -100,16 +127,58 @@ def chd_axes(
     >>> ax.get_xscale()
     'log'
     """
-    rows = by_channel(found, channels)
-    colors = colors_of(rows)
+    rows = by_channel(found, names)
+    fitted = dict(zip(rows, fits, strict=False))
+    colors = dict(zip(rows, colors_of(rows), strict=True))
+    shown = {name: rows[name] for name in chosen([*rows], channels)}
+    alone = ax is None
     spine = ax is not None and ax.spines["left"].get_visible()  # those of one's own stay
-    ax = axes_in(ax, 1.8)
-    draw_histograms(ax, rows, colors=colors)
+    ax = axes_in(ax, 1.8, width)
+    draw_histograms(ax, shown, colors=[colors[name] for name in shown])
     ax.spines["left"].set_visible(spine)
-    for counted, density, color in zip(rows.values(), fits, colors, strict=False):
-        if density is not None:
-            _draw_fit(ax, counted, density, color=color, linewidth=1.3)
+    if alone:
+        ax.set_xlabel(_axis_name(_quantity([*shown]), found.scale))
+        ax.set_ylabel("density")
+        if len(shown) > 1:
+            ax.legend(handlelength=1)
+    for name, counted in shown.items():
+        if (density := fitted.get(name)) is not None:
+            _draw_fit(ax, counted, density, color=colors[name], linewidth=1.3)
     return ax
+
+
+def chosen(names: Sequence[str], channels: Channels) -> list[str]:
+    """Return which of the names of channels are drawn.
+
+    Raises
+    ------
+    InputError
+        If a channel that is asked for is not there.
+
+    Examples
+    --------
+    >>> chosen(["R", "G", "B", "luminance"], None), chosen(["R", "G", "B"], ["blue", "G"])
+    (['R', 'G', 'B'], ['B', 'G'])
+    """
+    if channels is None:
+        return [name for name in names if name != _LUMINANCE] or [*names]
+    known = {word: name for word, name in _WORDS.items() if name in names}
+    known |= {name: name for name in names}
+    wanted = [channels] if isinstance(channels, str) else channels
+    for name in wanted:
+        check_option("channel", name, known)
+    return [known[name] for name in wanted]
+
+
+def scales_of(scales: Scale | Sequence[Scale]) -> list[Scale]:
+    """Return the scales that are drawn."""
+    wanted: Sequence[Scale] = [scales] if isinstance(scales, str) else scales
+    for scale in wanted:
+        check_option("scale", scale, SCALES)
+    if not wanted:
+        message = "expected at least one scale, 'linear' or 'log', got none"
+        raise InputError(message)
+    return [*wanted]
 
 
 def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[str, Histogram]:
@@ -204,7 +273,7 @@ def _draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> No
 
 def colors_of(channels: Sequence[str] | Mapping[str, Any]) -> list[str]:
     """Return the colours of channels by their names."""
-    return [CHANNELS.get(name, PALETTE[i % len(PALETTE)]) for i, name in enumerate(channels)]
+    return [_COLORS.get(name, PALETTE[i % len(PALETTE)]) for i, name in enumerate(channels)]
 
 
 @dataclass(frozen=True)
@@ -218,7 +287,8 @@ class Panel:
     linear, log
         What `chdstat.histogram` returns for the pixel on either scale, of shape (channel, bin).
     channels
-        Names of the channels; None for R, G and B, or for numbers where there are not three.
+        Names of the channels; None for R, G and B, or for numbers where there are not three. One
+        that is called "luminance" is drawn where it is asked for.
     fits
         Density of the positive part of each channel, as for `chd_axes`.
     mean
@@ -249,7 +319,7 @@ class Panel:
         fits: Sequence[Density | None] = (),
         note: str | None = None,
     ) -> Panel:
-        """Return the CHD of a pixel given by its samples.
+        """Return the CHD of a pixel given by its samples; of three channels with their luminance.
 
         Parameters
         ----------
@@ -267,11 +337,36 @@ class Panel:
         """
         samples = np.asarray(x)
         null, bad = is_null(samples), np.asarray(is_bad(samples).any(axis=0))
-        linear = histogram(samples, scale="linear", null=null, bad=bad)
-        log = histogram(samples, scale="log", null=null, bad=bad)
-        mean = samples[:, ~bad].astype(np.float64).mean(axis=-1).tolist() if not bad.all() else ()
         note = f"{per_cent(null.mean())} nulls" if note is None else note
+        if len(samples) == 3:
+            light = luminance(np.where(bad, 0.0, samples))
+            samples = np.concatenate([samples, light[np.newaxis]])
+            channels = [*(channels or "RGB"), _LUMINANCE]
+        linear, log = (histogram(samples, scale=s, null=null, bad=bad) for s in SCALES)
+        mean = samples[:, ~bad].astype(np.float64).mean(axis=-1).tolist() if not bad.all() else ()
         return cls(name, linear, log, channels, fits, mean, note)
+
+    def select(self, channels: Channels) -> Self:
+        """Return the panel with some of its channels, as `chd_pair` takes them.
+
+        Raises
+        ------
+        InputError
+            If one of them is not there.
+
+        Examples
+        --------
+        >>> Panel.of("wall", [[0, 1, 2], [0, 2, 4], [1, 1, 1]]).select("luminance").channels
+        ['luminance']
+        """
+        names = [*by_channel(self.log, self.channels)]
+        found = chosen(names, channels)
+        rows = np.array([names.index(name) for name in found])
+        fits, means = ([v[i] for i in rows if i < len(v)] for v in (self.fits, self.mean))
+        linear, log = (
+            h if h.counts.ndim == 1 else take_rows(h, rows, axis=0) for h in (self.linear, self.log)
+        )
+        return replace(self, linear=linear, log=log, channels=found, fits=fits, mean=means)
 
     def with_luminance(self, x: npt.ArrayLike) -> Self:
         """Return the panel with luminance beside the radiance.
@@ -307,6 +402,9 @@ def chd_grid(
     panels: Sequence[Panel] | Mapping[str, Sequence[Panel]],
     *,
     columns: int | None = None,
+    channels: Channels = None,
+    scales: Scale | Sequence[Scale] = SCALES,
+    width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
     """Draw linear and log10 CHDs of several pixels, each framed in the colour of its region.
@@ -320,15 +418,19 @@ def chd_grid(
         renderings of one view, such as its day and its night, the same pixels of each: these stand
         side by side, without the linear histograms, and a row has one axis of radiance.
     columns
-        Pixels side by side; each takes two panels, three with luminance. None takes two pixels,
-        and as many as there are renderings.
+        Pixels side by side; each takes two panels, three with luminance. None takes as many as fit,
+        at most two, and as many as there are renderings.
+    channels, scales
+        As for `chd_pair`.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If there is no panel, or renderings have different numbers of them.
+        If there is no panel, renderings have different numbers of them, or an option is unknown.
 
     Examples
     --------
@@ -343,13 +445,15 @@ def chd_grid(
     if len(set(numbers.values())) > 1:
         message = f"expected the same pixels of each rendering, got numbers of panels {numbers}"
         raise InputError(message)
-    several = len(renderings) > 1
-    columns = len(renderings) if several else columns or 2
+    several, across = len(renderings) > 1, inches(width, fig)
+    columns = len(renderings) if several else columns or (1 if narrow(across) else 2)
+    kinds: list[Scale] = ["log"] if several else scales_of(scales)
     # Pixel by pixel, and of each all renderings.
-    shown = [(i, name, those[i]) for i in range(max(numbers.values(), default=0))
+    shown = [(i, name, those[i].select(channels)) for i in range(max(numbers.values(), default=0))
              for name, those in named.items()]  # fmt: skip
-    each = (1 if several else 2) + any(panel.luminance is not None for _, _, panel in shown)
-    figure = page(fig, 1.27 * -(-len(shown) // columns) + 0.3, wspace=0.02, hspace=0.04)
+    each = len(kinds) + any(panel.luminance is not None for _, _, panel in shown)
+    height = 1.27 * -(-len(shown) // columns) + 0.3
+    figure = page(fig, height, width, wspace=0.02, hspace=0.04)
     axes = grid(figure, each * len(shown), each * columns)
     colors = qualitative(len(renderings[0]))
     for k, (i, name, panel) in enumerate(shown):
@@ -357,8 +461,8 @@ def chd_grid(
         title = f"{i + 1} {panel.name}" + (f", {name}" if name else "")
         below = k + columns >= len(shown)
         _draw_pixel(
-            own, panel, title, below=below, leftmost=k % columns == 0, linear=not several,
-            color=colors[i],
+            own, panel, title, kinds, below=below, leftmost=k % columns == 0, color=colors[i],
+            room=across / (each * columns),
         )  # fmt: skip
         for ax in own:
             ax.spines["bottom"].set(color=colors[i], linewidth=2.2)
@@ -370,25 +474,47 @@ def chd_grid(
 
 
 @style()
-def chd_pair(panel: Panel, *, fig: Figure | None = None) -> Figure:
+def chd_pair(
+    panel: Panel,
+    *,
+    channels: Channels = None,
+    scales: Scale | Sequence[Scale] = SCALES,
+    width: Width = "page",
+    fig: Figure | None = None,
+) -> Figure:
     """Draw the linear and the log10 CHD of one pixel side by side, with fits and means.
 
     Parameters
     ----------
     panel
-        The pixel; if it has luminance, that stands beside them.
+        The pixel; if it has luminance of its region, that stands beside them.
+    channels
+        Those to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
+    scales
+        "linear", "log" or both.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If a channel, a scale or the width is unknown.
 
     Examples
     --------
     >>> x = np.random.default_rng(1).gamma(2.0, size=(3, 500))
     >>> len(chd_pair(Panel.of("wall", x)).axes)
     2
+    >>> (ax,) = chd_pair(Panel.of("wall", x), channels="luminance", scales="log").axes
+    >>> ax.get_xscale()
+    'log'
     """
-    number = 2 + (panel.luminance is not None)
-    figure, axes = panels_in(fig, number, number, 2.2)
-    _draw_pixel(axes, panel, panel.name, below=True)
+    kinds, across, panel = scales_of(scales), inches(width, fig), panel.select(channels)
+    number = len(kinds) + (panel.luminance is not None)
+    figure, axes = panels_in(fig, number, number, 1.7 if narrow(across) else 2.2, width)
+    _draw_pixel(axes, panel, panel.name, kinds, below=True, room=across / number)
     _name_channels(figure, axes[0], panel)
     return figure
 
@@ -397,38 +523,53 @@ def _draw_pixel(
     axes: Sequence[Axes],
     panel: Panel,
     title: str,
+    scales: Sequence[Scale],
     *,
     below: bool,
+    room: float,
     leftmost: bool = True,
-    linear: bool = True,
     color: str = PALETTE[4],
 ) -> None:
     """Draw a pixel into its axes, which are named if nothing stands below them."""
-    scales = [panel.linear, panel.log] if linear else [panel.log]
-    for ax, counted in zip(axes, scales, strict=False):
-        chd_axes(counted, channels=panel.channels, fits=panel.fits, ax=ax)
-        for mean, shade in zip(panel.mean, colors_of(panel.channels or "RGB"), strict=False):
+    names = [*by_channel(panel.log, panel.channels)]
+    for ax, scale in zip(axes, scales, strict=False):
+        counted = panel.linear if scale == "linear" else panel.log
+        chd_axes(counted, names=names, channels=names, fits=panel.fits, ax=ax)
+        for mean, shade in zip(panel.mean, colors_of(names), strict=False):
             if np.isfinite(mean) and mean > 0:
                 ax.axvline(mean, 0, 0.92, color=shade, linewidth=0.8, linestyle=(0, (3, 2)))
-        narrow = len(axes) > 2
-        log = "radiance, log scale" if narrow else f"radiance ({UNIT}), log scale"
-        name = f"radiance ({UNIT})" if counted.scale == "linear" else log
-        ax.set_xlabel(name if below else "")
+        ax.set_xlabel(_axis_name(_quantity(names), scale, room) if below else "")
     if panel.luminance is not None:
         _draw_luminance(axes[-1], panel.luminance, color)
-        axes[-1].set_xlabel("luminance, log scale" if below else "")
-        _share_radiance(axes[-2:])
+        axes[-1].set_xlabel(_axis_name(_LUMINANCE, "log", room) if below else "")
+        if scales[-1] == "log":
+            _share_radiance(axes[-2:])
     elif len(axes) > len(scales):
         axes[-1].set_axis_off()
-    axes[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=3)
+    # Where both have no room beside each other, the title stands above the note.
+    pad = 13 if len(title) + len(panel.note) > _LETTERS * room * len(axes) else 3
+    axes[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=pad)
     axes[-1].set_title(panel.note, loc="right", pad=3, color="#444444")
     axes[0].set_ylabel("density" if leftmost else "")
+
+
+def _quantity(names: Sequence[str]) -> str:
+    return _LUMINANCE if [*names] == [_LUMINANCE] else "radiance"
+
+
+def _axis_name(quantity: str, scale: Scale, room: float = math.inf) -> str:
+    """Return what stands below an axis of radiance or luminance, so many inches wide."""
+    if scale == "linear":
+        return f"{quantity} ({UNIT})" if room > 1.4 else f"{quantity}\n({UNIT})"
+    if room > 1.9:
+        return f"{quantity} ({UNIT}), log scale"
+    return f"{quantity}, log scale" if room > 1.3 else f"{quantity},\nlog scale"
 
 
 def _draw_luminance(ax: Axes, found: Histogram, color: str) -> None:
     """Draw the luminance of a pixel, and over it that of others of its region as lines."""
     first, *others = (take_rows(found, i, axis=0) for i in range(len(found.counts)))
-    draw_histograms(ax, {"": first}, colors=[_LUMINANCE])
+    draw_histograms(ax, {"": first}, colors=[_COLORS[_LUMINANCE]])
     for other in others:
         ax.stairs(other.density, other.edges, color=color, linewidth=0.7, zorder=0.9)
     ax.set_ylim(0, 1.05 * float(np.nanmax(found.density, initial=0)) or 1.0)
@@ -452,13 +593,17 @@ def _name_channels(figure: Figure, ax: Axes, panel: Panel) -> None:
         for name, color in zip(names, colors_of(names), strict=True)
     ]
     if panel.luminance is None:
-        ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
+        if names != [_LUMINANCE]:  # which its axis says
+            ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
         return
-    handles.append(Line2D([], [], color=_LUMINANCE, label="luminance"))
-    if len(panel.luminance.counts) > 1:
-        others = "in the colour of the region: its other pixels"
+    handles.append(Line2D([], [], color=_COLORS[_LUMINANCE], label=_LUMINANCE))
+    others = "in the colour of the region: its other pixels"
+    below: dict[str, Any] = {"loc": "outside upper center", "handlelength": 1, "ncols": 5}
+    if len(panel.luminance.counts) > 1 and narrow(inches("page", figure)):
+        below |= {"title": others, "title_fontsize": "medium"}
+    elif len(panel.luminance.counts) > 1:
         handles.append(Line2D([], [], linestyle="", label=others))
-    figure.legend(handles=handles, loc="outside upper center", ncols=5, handlelength=1)
+    figure.legend(handles=handles, **below)
 
 
 @style()
@@ -468,6 +613,8 @@ def fits(
     fitted: Mapping[str, Density],
     *,
     title: str = "",
+    scales: Scale | Sequence[Scale] = SCALES,
+    width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
     """Draw several fits of one pixel over its linear and its log10 histogram.
@@ -481,13 +628,17 @@ def fits(
         `chdstat.fit.Fit`, of a mixture, or of a SciPy distribution.
     title
         What is shown.
+    scales
+        "linear", "log" or both.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If a histogram is one of several pixels or channels.
+        If a histogram is one of several pixels or channels, or an option is unknown.
 
     Examples
     --------
@@ -500,24 +651,27 @@ def fits(
     >>> len(figure.axes)
     2
     """
-    figure, axes = panels_in(fig, 2, 2, 2.2)
-    for ax, counted in zip(axes, (linear, log), strict=True):
+    kinds, across = scales_of(scales), inches(width, fig)
+    figure, axes = panels_in(fig, len(kinds), len(kinds), 1.9 if narrow(across) else 2.2, width)
+    for ax, scale in zip(axes, kinds, strict=True):
+        counted = linear if scale == "linear" else log
         draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
         for i, (name, density) in enumerate(fitted.items()):
             look = {"color": _LINES[i % len(_LINES)], "linestyle": _DASHES[i % len(_DASHES)]}
             _draw_fit(ax, counted, density, label=name, **look)
-    axes[0].set_xlabel(f"radiance ({UNIT})")
-    axes[0].set_ylabel("density per unit of radiance")
-    axes[1].set_xlabel(f"radiance ({UNIT}), log scale")
-    axes[1].set_ylabel("density per decade")
+        ax.set_xlabel(_axis_name("radiance", scale, across / len(kinds)))
+        per = "unit of radiance" if scale == "linear" else "decade"
+        ax.set_ylabel(f"density per {per}")
     if axes[0].get_legend_handles_labels()[0]:
-        axes[0].legend(loc="upper right")
+        axes[0].legend(loc="upper right", handlelength=1.6)
     axes[0].set_title(title, loc="left")
     return figure
 
 
 @style()
-def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None = None) -> Figure:
+def batch_histograms(
+    batches: Mapping[str, npt.ArrayLike], *, width: Width = "page", fig: Figure | None = None
+) -> Figure:
     """Draw superimposed histograms of batches and, below, the histogram of their means.
 
     The axis of the batches ends where 1 % of the samples are brighter: a firefly must not squeeze
@@ -528,6 +682,8 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
     batches
         Samples by the name of their pixel, radiance of shape (batch, sample), as many of each. A
         dashed line is their mean.
+    width
+        Of the figure: "column", "page" or inches; a figure of few pixels is not as wide.
     fig
         Where to draw; None makes a figure.
 
@@ -542,8 +698,11 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
     >>> len(batch_histograms({"wall": x}).axes)
     2
     """
-    count = len(batches)
-    figure, axes = panels_in(fig, 2 * count, max(1, count), 2.1, WIDTH * min(1.0, 0.26 * count))
+    count, across = len(batches), inches(width, fig)
+    columns = fitting(across, count, 1.1)
+    height = 2.1 * -(-count // columns)
+    figure = page(fig, height, min(across, 1.74 * max(1, columns)))
+    upper_row, lower_row = blocks(figure, count, columns)
     for i, (name, samples) in enumerate(batches.items()):
         x, color = np.asarray(samples, dtype=np.float64), qualitative(count)[i]
         means, expected = x.mean(axis=1), float(x.mean())
@@ -554,7 +713,7 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
         # The outlines of all batches, shape (batch, corner, 2), are drawn as one.
         y = np.pad(np.repeat(counts, 2, axis=1), ((0, 0), (1, 1)))
         outlines = np.stack([np.broadcast_to(np.repeat(edges, 2), y.shape), y], axis=-1)
-        upper, lower = axes[i], axes[count + i]
+        upper, lower = upper_row[i], lower_row[i]
         alpha = min(0.5, max(0.03, 2.5 / len(x)))
         look: dict[str, Any] = {
             "facecolor": color,
@@ -572,7 +731,8 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
             ax.set(yticks=[], xlim=(min(0.0, float(means.min())), None))
             ax.locator_params(axis="x", nbins=3)
             ax.spines["left"].set_visible(False)
-    axes[0].set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
-    axes[count].set_ylabel(f"their {len(x)}\nmeans")
+    for above, below in zip(upper_row[::columns], lower_row[::columns], strict=True):
+        above.set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
+        below.set_ylabel(f"their {len(x)}\nmeans")
     figure.supxlabel(f"radiance in {UNIT}")
     return figure

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
@@ -24,8 +25,10 @@ from chdstat.viz.estimators import called
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import (
     PALETTE,
-    WIDTH,
+    Width,
     axes_in,
+    fitting,
+    inches,
     panels_in,
     qualitative,
     style,
@@ -60,7 +63,9 @@ _LINE = 40
 
 
 @style()
-def verdict_matrix(verdicts: Mapping[str, Mapping[str, str]], *, ax: Axes | None = None) -> Axes:
+def verdict_matrix(
+    verdicts: Mapping[str, Mapping[str, str]], *, width: Width = "page", ax: Axes | None = None
+) -> Axes:
     """Draw verdicts, a row for each claim and a column for each scene.
 
     Parameters
@@ -68,6 +73,8 @@ def verdict_matrix(verdicts: Mapping[str, Mapping[str, str]], *, ax: Axes | None
     verdicts
         By claim, then by scene: "supported", "not supported" or "cannot tell"; where a scene is
         missing or has "", nothing was tested. A trailing "*" marks what another seed repeated.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -86,23 +93,26 @@ def verdict_matrix(verdicts: Mapping[str, Mapping[str, str]], *, ax: Axes | None
     if not scenes:
         message = "verdict_matrix needs at least one claim and one scene, got none"
         raise InputError(message)
-    ax = axes_in(ax, 0.215 * len(verdicts) + 1.25, WIDTH)
+    ax = axes_in(ax, 0.215 * len(verdicts) + 1.25, width)
     for y, row in enumerate(verdicts.values()):
         for scene, verdict in row.items():
             if verdict:
                 _draw_verdict(ax, scenes.index(scene), y, verdict)
     ax.set(xlim=(-0.5, len(scenes) - 0.5), ylim=(len(verdicts) - 0.5, -0.5))
-    ax.set_xticks(range(len(scenes)), map(verbatim, scenes), rotation=28, ha="left")
+    cell = inches("page", ax.get_figure(root=False)) / max(1, len(scenes))
+    ax.set_xticks(
+        range(len(scenes)), map(verbatim, scenes), rotation=28 if cell > 0.6 else 60, ha="left"
+    )
     ax.set_yticks(range(len(verdicts)), list(verdicts), ha="left")
     ax.tick_params(length=0, labeltop=True, labelbottom=False)
-    ax.tick_params(axis="y", pad=95)
+    ax.tick_params(axis="y", pad=min(95, 4 * max(map(len, verdicts))))
     ax.spines[:].set_visible(False)
     handles = [
         Line2D([], [], color=color, marker="s", markersize=9, linestyle="", label=f"{mark} {v}")
         for v, (color, mark) in VERDICTS.items()
     ]
     ax.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0), ncols=3,
+        handles=handles, loc="upper right", bbox_to_anchor=(1, 0), ncols=3, columnspacing=1,
         prop={"family": "DejaVu Sans", "size": 7},
     )  # fmt: skip
     return ax
@@ -123,7 +133,10 @@ def _draw_verdict(ax: Axes, x: int, y: int, verdict: str) -> None:
 
 @style()
 def claim_intervals(
-    tests: Mapping[str, Sequence[ClaimTest]], *, fig: Figure | None = None
+    tests: Mapping[str, Sequence[ClaimTest]],
+    *,
+    width: Width = "page",
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw the intervals of a claim's statistics over the range that the claim states, by scene.
 
@@ -132,6 +145,8 @@ def claim_intervals(
     tests
         By scene, the tests of one claim. Each statistic has a panel, where scenes without it have
         a dash.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -142,10 +157,13 @@ def claim_intervals(
     """
     known = {scene: {(t.name, t.least, t.most): t for t in found} for scene, found in tests.items()}
     kinds = list(dict.fromkeys(kind for row in known.values() for kind in row))
-    columns = min(2, len(kinds))
-    height = -(-len(kinds) // 2) * (0.155 * len(tests) + 0.62)
-    width = WIDTH if columns > 1 else 0.66 * WIDTH
-    figure, axes = panels_in(fig, len(kinds), max(1, columns), height, width, sharey=True)
+    across = inches(width, fig)
+    columns = fitting(across, min(2, len(kinds)), 2.6)
+    height = -(-len(kinds) // columns) * (0.155 * len(tests) + 0.62)
+    # A single panel is not as wide as a page.
+    figure, axes = panels_in(
+        fig, len(kinds), columns, height, min(across, 2.2 * (1 + columns)), sharey=True
+    )
     for i, (ax, kind) in enumerate(zip(axes, kinds, strict=True)):
         _draw_intervals(ax, [row.get(kind) for row in known.values()])
         ax.tick_params(axis="y", length=0, labelleft=i % columns == 0)
@@ -191,7 +209,9 @@ def _span(values: Sequence[float], test: ClaimTest) -> tuple[float, float]:
 
 
 @style()
-def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -> Figure:
+def finding_plots(
+    shown: Mapping[str, PlotData], *, width: Width = "page", fig: Figure | None = None
+) -> Figure:
     """Draw what several findings show, or one finding in several scenes, side by side.
 
     Parameters
@@ -199,6 +219,8 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
     shown
         By title, what to draw: ``plot_data`` of a `chdstat.studies.claims.Finding`. A legend, and
         labels of the axes, are drawn once where all have the same.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -216,11 +238,14 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
     """
     plots = list(shown.values())
     labels = {(plot.x_label, plot.y_label) for plot in plots}
-    columns = min(_COLUMNS if len(labels) == 1 else _COLUMNS - 1, max(1, len(plots)))
+    across = inches(width, fig)
+    most = _COLUMNS if len(labels) == 1 else _COLUMNS - 1
+    columns = fitting(across, min(most, len(plots)), 1.6)
     height = 1.45 if len(labels) == 1 else 1.6
-    width = WIDTH if columns > 2 else WIDTH * (0.42 + 0.29 * (columns - 1))
     rows = -(-len(plots) // columns)
-    figure, axes = panels_in(fig, len(plots), columns, height * rows + 0.42, width)
+    # Few panels are not as wide as a page.
+    wide = across if columns > 2 else min(across, 0.9 + 1.95 * columns)
+    figure, axes = panels_in(fig, len(plots), columns, height * rows + 0.42, wide)
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
         series = {verbatim(called(name)): xy for name, xy in plot.series.items()}
         _DRAW[plot.kind](ax, replace(plot, series=series))
@@ -242,14 +267,19 @@ def _draw_legends(figure: Figure, axes: Sequence[Axes]) -> None:
     named = [ax.get_legend_handles_labels() for ax in axes]
     handles, first = named[0]
     if 1 < len(first) <= 6 and all(names == first for _, names in named):
-        legend = figure.legend(handles, first, loc="outside upper center", ncols=len(first))
-        for handle in legend.legend_handles:
-            if isinstance(handle, Line2D):  # points are small and pale where they are many
-                handle.set(alpha=1, markersize=4.5)
+        columns = fitting(inches("page", figure), len(first), 1.0)
+        _see_points(figure.legend(handles, first, loc="outside upper center", ncols=columns))
         return
     for ax, (_, names) in zip(axes, named, strict=True):
         if 1 < len(names) <= (4 if len(axes) > 1 else 10):
-            ax.legend(handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
+            _see_points(ax.legend(handlelength=1.3, labelspacing=0.2, borderaxespad=0.1))
+
+
+def _see_points(legend: Legend) -> None:
+    """Make the points of a legend large, which are small and pale where they are many."""
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):
+            handle.set(alpha=1, markersize=4.5)
 
 
 def _axis_labels(plot: PlotData) -> tuple[str, str]:

@@ -33,8 +33,11 @@ from chdstat.viz.styling import (
     MISSING,
     PALETTE,
     UNIT,
-    WIDTH,
+    Width,
     axes_in,
+    fitting,
+    inches,
+    narrow,
     panels_in,
     per_cent,
     plain_log,
@@ -94,7 +97,7 @@ def called(name: str) -> str:
 
 
 @style()
-def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
+def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | None = None) -> Axes:
     """Draw relMSE over that of the mean, for each pattern and estimator, as a table with colours.
 
     The frame marks the smallest error of each pattern among the estimators that look at one pixel.
@@ -105,6 +108,8 @@ def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
     ----------
     found
         The measures by label.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -119,7 +124,7 @@ def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
             measures={name: measure[known] for name, measure in found.measures.items()},
         )
     ratio, best = found.measures["relmse_ratio"], found.best("relmse")
-    ax = axes_in(ax, 1.45 + 0.24 * len(found.labels), WIDTH)
+    ax = axes_in(ax, 1.45 + 0.24 * len(found.labels), width)
     with np.errstate(divide="ignore", invalid="ignore"):
         shade = np.ma.masked_invalid(np.log(ratio.value) / np.log(_EXTREME))
     colors = TwoSlopeNorm(0, -1.4, 1.4)
@@ -167,7 +172,9 @@ def _marked(found: Breakdown | Comparison) -> list[str]:
 
 
 @style()
-def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figure:
+def estimator_measures(
+    found: Comparison, *, width: Width = "page", fig: Figure | None = None
+) -> Figure:
     """Draw all measures of all estimators; a star marks those that use neighbours.
 
     Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
@@ -176,11 +183,15 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
     ----------
     found
         What `chdstat.compare` found.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
     rows = np.arange(len(found.estimators))
-    figure, axes = panels_in(fig, len(_TITLES), len(_TITLES), 0.75 + 0.165 * len(rows), sharey=True)
+    columns = fitting(inches(width, fig), len(_TITLES), 1.3)
+    height = (0.75 + 0.165 * len(rows)) * -(-len(_TITLES) // columns)
+    figure, axes = panels_in(fig, len(_TITLES), columns, height, width, sharey=True)
     for ax, (measure, title) in zip(axes, _TITLES.items(), strict=True):
         ax.set_title(title)
         ax.set_axisbelow(True)
@@ -223,7 +234,9 @@ def _draw_shares(ax: Axes, rows: Array, found: Comparison) -> None:
 
 
 @style()
-def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
+def pixel_estimates(
+    found: PixelEstimates, *, width: Width = "page", ax: Axes | None = None
+) -> Axes:
     """Draw a few pixels one by one: reference, sample mean and estimates of the luminance.
 
     This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
@@ -235,6 +248,8 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     ----------
     found
         Pixels and estimates, of `Comparison.draw_pixels`.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -252,7 +267,8 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     reference, mean, *estimates = light[:, np.argsort(light[0], kind="stable")]
     drawn = [(name, estimates[k]) for k, name in enumerate(found.estimators) if name != "mean"]
     places = np.arange(1, len(mean) + 1)
-    ax = axes_in(ax, 2.9, WIDTH)
+    ax = axes_in(ax, 2.9, width)
+    across = inches("page", ax.get_figure(root=False))
     ax.vlines(places, reference, mean, color="#BBBBBB", linewidth=0.8)
     bar: dict[str, Any] = {"color": "#111111", "linewidth": 1.6, "label": "reference"}
     ax.hlines(reference, places - 0.42, places + 0.42, **bar)
@@ -269,7 +285,11 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     ax.set(xlim=(0.3, len(mean) + 0.7), xticks=[])
     ax.set_xlabel(f"{len(mean)} random pixels, from dark to bright")
     ax.set_ylabel(f"{'luminance' if colored else verbatim(found.channels[0])}, {UNIT}")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(4, 2 + len(drawn)))
+    ax.legend(
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=fitting(across, min(4, 2 + len(drawn)), 1.6),
+    )
     return ax
 
 
@@ -290,17 +310,19 @@ def _set_radiance_axis(ax: Axes, values: Array) -> None:
 
 
 @style()
-def training(history: History, *, ax: Axes | None = None) -> Axes:
+def training(history: History, *, width: Width = "column", ax: Axes | None = None) -> Axes:
     """Draw a model's loss over its training against the error of the sample mean.
 
     Parameters
     ----------
     history
         Of a trained model, its losses and the squared error of the sample mean on the same batches.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
-    ax = axes_in(ax, 2.3)
+    ax = axes_in(ax, 2.3, width)
     lines = {
         "training": (history.train_loss, float(history.train_baseline[-1]), PALETTE[1]),
         "validation": (history.validation_loss, float(history.validation_baseline[-1]), PALETTE[4]),
@@ -323,6 +345,7 @@ def coverage(
     measured: Mapping[str, Sequence[float]],
     *,
     title: str = "",
+    width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
     """Draw how often intervals contain the reference.
@@ -335,11 +358,13 @@ def coverage(
         By name, the shares that were measured, shape (level,).
     title
         What is shown.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
     stated = np.asarray(levels, float)
-    ax = axes_in(ax, 2.4)
+    ax = axes_in(ax, 2.4, width)
     low = min(float(np.nanmin([stated, *measured.values()])), 0.5) - 0.04
     ax.plot([low, 1], [low, 1], color=_GREY, linewidth=0.9, linestyle="--")
     for k, (name, shares) in enumerate(measured.items()):
@@ -375,6 +400,7 @@ def curves(
     level: float | None = None,
     columns: int = 2,
     log: bool = False,
+    width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
     """Draw shares, or other quantities, against the number of samples.
@@ -391,10 +417,12 @@ def curves(
     level
         Drawn as a dotted line.
     columns
-        Panels side by side.
+        Panels side by side; fewer where they do not fit.
     log
         Give each panel a logarithmic axis of its own, as errors need; otherwise all share one from
         0 to 1.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -415,10 +443,10 @@ def curves(
         {"color": _COLORS[i % len(_COLORS)], "marker": _MARKERS[i % len(_MARKERS)]}
         for i in range(len(names))
     ]
-    alone = len(panels) == 1
+    across, alone = inches(width, fig), len(panels) == 1
+    columns = 1 if alone else fitting(across, columns, 1.6)
     height = 2.8 if alone else 1.85 * -(-len(panels) // columns) + 0.4
-    across = 1 if alone else columns
-    figure, axes = panels_in(fig, len(panels), across, height, sharey=not log)
+    figure, axes = panels_in(fig, len(panels), columns, height, width, sharey=not log)
     for ax, (title, panel) in zip(axes, panels.items(), strict=True):
         for name, values in panel.items():
             i = names.index(name)
@@ -438,10 +466,10 @@ def curves(
         ax.set_ylabel(ylabel)
     lines = {str(line.get_label()): line for ax in axes for line in ax.lines}
     handles = [lines[label] for label in labels]
-    if alone:
+    if alone and not narrow(across):
         figure.legend(handles=handles, loc="outside right center")
     else:
-        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+        figure.legend(handles=handles, loc="outside upper center", ncols=fitting(across, 4, 1.6))
     return figure
 
 
@@ -453,6 +481,7 @@ def averages(
     predicted: npt.ArrayLike,
     *,
     alpha: float,
+    width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
     """Draw how far averages of N samples are from Gaussian.
@@ -474,12 +503,15 @@ def averages(
         Median over the pixels of the skewness that the central limit theorem predicts, (size,).
     alpha
         The false-discovery rate, drawn as a dotted line.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
     n = np.asarray(sizes)
     low, middle, high = np.asarray(skewness, dtype=float)
-    figure, (left, right) = panels_in(fig, 2, 2, 2.3)
+    columns = 1 if narrow(inches(width, fig)) else 2
+    figure, (left, right) = panels_in(fig, 2, columns, 4.6 / columns, width)
     for i, (name, share) in enumerate(rejected.items()):
         color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
         label = verbatim(name)
@@ -503,7 +535,7 @@ def averages(
 
 
 @style()
-def error_curves(found: ErrorCurve, *, fig: Figure | None = None) -> Figure:
+def error_curves(found: ErrorCurve, *, width: Width = "page", fig: Figure | None = None) -> Figure:
     """Draw MSE and relMSE against the number of samples, on logarithmic scales.
 
     Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
@@ -513,16 +545,21 @@ def error_curves(found: ErrorCurve, *, fig: Figure | None = None) -> Figure:
     ----------
     found
         What `chdstat.comparison.error_curve` found.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
-    figure, axes = panels_in(fig, 2, 2, 2.3 + 0.17 * -(-len(found.estimators) // 4))
+    across = inches(width, fig)
+    columns, names = 1 if narrow(across) else 2, fitting(across, 4, 1.6)
+    height = 4.4 / columns + 0.1 + 0.17 * -(-len(found.estimators) // names)
+    figure, axes = panels_in(fig, 2, columns, height, width)
     for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
         _draw_error_curves(ax, found, measure, [called(name) for name in found.estimators])
         ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
         _by_number(ax, found.sizes)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.legend(handles, labels, loc="outside lower center", ncols=names)
     return figure
 
 
@@ -537,7 +574,7 @@ def _draw_error_curves(ax: Axes, found: ErrorCurve, measure: str, names: Sequenc
         band: dict[str, Any] = {"color": color, "alpha": 0.18, "linewidth": 0}
         ax.fill_between(found.sizes, values.low, values.high, **band)
         dashes = "--" if found.uses_neighbours[k] else "-"
-        look: dict[str, Any] = {"color": color, "marker": "o", "markersize": 2.5}
+        look: dict[str, Any] = {"color": color, "marker": _MARKERS[k % 8], "markersize": 3}
         order = 2.5 if name == "mean" else 2
         ax.plot(found.sizes, values.value, dashes, label=names[k], zorder=order, **look)
     noise = found.reference_noise[measure]

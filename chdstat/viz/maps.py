@@ -22,15 +22,20 @@ from chdstat._core.image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
+from chdstat.viz.chd import Channels
 from chdstat.viz.estimators import called
-from chdstat.viz.image import tonemap
+from chdstat.viz.image import one_channel, tonemap
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
-    WIDTH,
+    Width,
     axes_in,
     bare,
+    fitting,
     grid,
+    grow,
+    inches,
+    narrow,
     page,
     panels_in,
     per_cent,
@@ -58,7 +63,7 @@ _LABEL_COLORS = {
     "none": "#DDDDDD",
     "undetermined": "#DDDDDD",
     "black": "#222222",
-    "constant": "#999999",
+    "constant": "#777777",
     "bimodal": "#CC79A7",
     "long tail": "#D55E00",
     "null-heavy": "#0072B2",
@@ -66,7 +71,7 @@ _LABEL_COLORS = {
     "log-normal-like": "#009E73",
     "multimodal": "#882255",
     "firefly-dominated": "#F0E442",
-    "other": "#BBBBBB",
+    "other": "#B5B5B5",
 }
 
 _MORE = "#D55E00"
@@ -75,22 +80,31 @@ _VISIBLE = 0.01
 """Density, relative to the highest, below which no panel needs to reach."""
 _OF_MAP = 0.4
 """Share of the width that the map takes: the figure then fits below others on a page."""
+_TWO_NAMES = 2.0
+"""Inches of a map below which two names of labels have room side by side."""
+_LINE, _LINES = 0.16, 3
+"""Height of a line of a legend, in inches, and lines for which there is room."""
 _HEIGHT = 2.4
 """Of a figure with a single map, in inches."""
 
 
 @style()
 def map_grid(
-    number: int, *, columns: int = 3, aspect: float = 1.0, fig: Figure | None = None
+    number: int,
+    *,
+    columns: int = 3,
+    aspect: float = 1.0,
+    width: Width = "page",
+    fig: Figure | None = None,
 ) -> Figure:
-    """Make room for maps in a grid that fills the width of a page.
+    """Make room for maps in a grid that fills the width of a column or a page.
 
     Parameters
     ----------
     number
         Number of maps.
     columns
-        Maps in a row.
+        Maps in a row; fewer where they would be less than 1.6 inches wide.
     aspect
         Height of the image over its width.
     fig
@@ -112,8 +126,10 @@ def map_grid(
     >>> for ax, title in zip(figure.axes, ("mean", "variance"), strict=True):
     ...     _ = value_map(np.eye(4), title=title, ax=ax)
     """
+    across = inches(width, fig)
+    columns = fitting(across, columns, 1.6)
     rows = -(-number // columns)
-    figure = page(fig, WIDTH / columns * (0.86 * aspect + 0.2) * rows)
+    figure = page(fig, across / columns * (0.86 * aspect + 0.2) * rows, width, wspace=0.06)
     grid(figure, number, columns)
     return figure
 
@@ -126,6 +142,7 @@ def value_map(
     unit: str = "",
     limits: tuple[float, float] | None = None,
     diverging: bool = False,
+    width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
     """Draw one number per pixel.
@@ -141,6 +158,8 @@ def value_map(
         have its colour.
     diverging
         Give numbers below and above 0 colours of their own, and both the larger of the limits.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -151,12 +170,12 @@ def value_map(
     if diverging:
         high = max(abs(low), abs(high))
         low, colors = -high, colormaps["PuOr"].with_extremes(bad=MISSING)
-    ax = axes_in(ax, _HEIGHT)
+    ax = axes_in(ax, _HEIGHT, width)
     image = ax.imshow(array, cmap=colors, vmin=low, vmax=high, interpolation="nearest")
     bare(ax, title)
     bar = ax.figure.colorbar(image, ax=ax, fraction=0.046, pad=0.03)
     bar.outline.set_visible(False)
-    bar.set_label(unit)
+    bar.set_label(unit, labelpad=2)
     return ax
 
 
@@ -187,8 +206,9 @@ def categorical_map(
     *,
     title: str = "",
     colors: Sequence[str] | None = None,
-    columns: int = 2,
+    columns: int | None = None,
     shares: bool = True,
+    width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
     """Draw one label per pixel.
@@ -207,9 +227,11 @@ def categorical_map(
         One colour for each label, in the order of `names`; None takes those of
         `chdstat.viz.PALETTE`, and darker ones beyond its eighth.
     columns
-        Of the legend.
+        Of the legend; None for 2, or 1 where the map is narrow.
     shares
         Write the share of the pixels behind each name.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -225,7 +247,7 @@ def categorical_map(
         ]
     array = np.asarray(codes)
     shades = qualitative(len(names)) if colors is None else colors
-    ax = axes_in(ax, _HEIGHT)
+    ax = axes_in(ax, _HEIGHT, width)
     rank = np.full(array.shape, -1)
     patches = []
     for i, (code, name) in enumerate(names.items()):
@@ -234,11 +256,21 @@ def categorical_map(
             share = f" {_percent(float((array == code).mean()))}" if shares else ""
             patches.append(Patch(color=shades[i], label=f"{name}{share}"))
     _draw_labels(ax, rank, shades[: len(names)], title)
+    if columns is None:
+        columns = 2 if _room(ax) >= _TWO_NAMES else 1
+        grow(ax.get_figure(), _LINE * (-(-len(patches) // columns) - _LINES))
     ax.legend(
         handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=columns,
         handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
     )  # fmt: skip
     return ax
+
+
+def _room(ax: Axes) -> float:
+    """Return how many inches of a figure belong to axes, in the grid that they are part of."""
+    spec = ax.get_subplotspec()
+    across = inches("page", ax.get_figure(root=False))
+    return across / spec.get_gridspec().ncols if spec else across * ax.get_position().width
 
 
 def _draw_labels(
@@ -261,6 +293,7 @@ def n_needed(
     sizes: npt.ArrayLike,
     *,
     title: str = "Samples per average needed",
+    width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the number of samples that an average of each pixel needs to look Gaussian.
@@ -274,18 +307,27 @@ def n_needed(
         The sizes that were tested, shape (size,).
     title
         What is shown.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
     tested = [int(n) for n in np.sort(np.asarray(sizes).ravel())]
     shades = [to_hex(shade) for shade in sequential()(np.linspace(0.05, 1, len(tested)))]
     names = {n: f"{n}:" for n in tested} | {-1: f"> {tested[-1]}:"}
-    return categorical_map(needed, names, title=title, colors=[*shades, _MORE], columns=3, ax=ax)
+    look: dict[str, Any] = {"colors": [*shades, _MORE], "columns": 3, "width": width}
+    return categorical_map(needed, names, title=title, ax=ax, **look)
 
 
 @style()
 def image_map(
-    image: npt.ArrayLike, *, title: str = "", exposure: float | None = None, ax: Axes | None = None
+    image: npt.ArrayLike,
+    *,
+    title: str = "",
+    exposure: float | None = None,
+    channels: Channels = None,
+    width: Width = "column",
+    ax: Axes | None = None,
 ) -> Axes:
     """Draw an image.
 
@@ -293,19 +335,25 @@ def image_map(
     ----------
     image, exposure
         As in `tonemap`.
+    channels
+        A channel to draw in grey: "red", "green", "blue" or "luminance"; None draws colours.
     title
         What is shown.
+    width
+        Of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
-    ax = axes_in(ax, _HEIGHT)
+    ax = axes_in(ax, _HEIGHT, width)
+    if channels is not None:
+        image = one_channel(image, channels)
     ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
     bare(ax, title)
     return ax
 
 
 @style()
-def atlas(found: Atlas, *, fig: Figure | None = None) -> Figure:
+def atlas(found: Atlas, *, width: Width = "page", fig: Figure | None = None) -> Figure:
     """Draw where the shapes of an atlas are, and what each looks like.
 
     Numbers in the map mark the most typical pixel of each shape. The panels show the mean density
@@ -315,6 +363,8 @@ def atlas(found: Atlas, *, fig: Figure | None = None) -> Figure:
     ----------
     found
         What `chdstat.atlas` found.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -322,8 +372,15 @@ def atlas(found: Atlas, *, fig: Figure | None = None) -> Figure:
     columns = 2 if number <= 8 else 3
     rows = max(2, -(-number // columns))
     aspect = found.labels.shape[0] / found.labels.shape[1]
-    figure = page(fig, max(_OF_MAP * WIDTH * aspect + 0.2, 0.8 * rows + 0.3))
-    left, right = figure.subfigures(1, 2, width_ratios=[_OF_MAP, 1 - _OF_MAP], squeeze=False).flat
+    across = inches(width, fig)
+    if narrow(across):
+        parts = [min(across * aspect, 3.4) + 0.2, 0.8 * rows + 0.3]
+        figure = page(fig, sum(parts), width)
+        left, right = figure.subfigures(2, 1, height_ratios=parts, squeeze=False).flat
+    else:
+        figure = page(fig, max(_OF_MAP * across * aspect + 0.2, 0.8 * rows + 0.3), width)
+        ratios = [_OF_MAP, 1 - _OF_MAP]
+        left, right = figure.subfigures(1, 2, width_ratios=ratios, squeeze=False).flat
     missing = float((found.labels < 0).mean())
     note = f"   (grey: none, {_percent(missing)})" if missing else ""
     colors = qualitative(number)
@@ -369,12 +426,12 @@ def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
 
 # --- contrasts of two renders -------------------------------------------------------------------
 
-_LETTERS = 96
-"""Of a line of text across the page."""
+_LETTERS = 16
+"""Of a line of text, in an inch."""
 
 
 @style()
-def contrast(found: Contrast, *, fig: Figure | None = None) -> Figure:
+def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = None) -> Figure:
     """Draw the two images, where their means differ, p-values and efficiency, with the verdict.
 
     A rectangle marks the most significant window, solid where there is a difference. p-values of
@@ -384,18 +441,25 @@ def contrast(found: Contrast, *, fig: Figure | None = None) -> Figure:
     ----------
     found
         What `chdstat.contrast` found.
+    width
+        Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
     maps = found.maps
     bands = maps.sizes["channel"]
     shown = slice(1, None) if bands == 4 else slice(0, 1)
-    height, width = maps["reason"].shape
-    figure, axes = panels_in(fig, 6, 3, WIDTH / 3 * (0.86 * height / width + 0.24) * 2 + 0.7)
+    across = inches(width, fig)
+    columns, aspect = 2 if narrow(across) else 3, maps.sizes["y"] / maps.sizes["x"]
+    verdict = fill(found.verdict, int(_LETTERS * across))
+    rows = across / columns * (0.86 * aspect + 0.24) * 6 / columns
+    height = rows + 0.16 * (1 + verdict.count("\n")) + 0.3
+    figure, axes = panels_in(fig, 6, columns, height, width)
     means = [maps[f"mean_{name}"].to_numpy()[..., shown] for name in ("a", "b")]
     exposure = display_stops(means[0])
     for ax, mean, letter, name in zip(axes, means, "AB", found.names, strict=False):
-        short = name if len(name) <= 24 else f"...{name[-22:]}"
+        most = int(11 * across / columns)
+        short = name if len(name) <= most else f"...{name[2 - most :]}"
         image_map(mean, title=f"{letter}: {verbatim(short)}", exposure=exposure, ax=ax)
     _mark(axes[1], found)
     level = np.abs(maps["mean_a"].to_numpy()[..., 0])
@@ -413,7 +477,7 @@ def contrast(found: Contrast, *, fig: Figure | None = None) -> Figure:
         )
     else:
         axes[5].set_axis_off()
-    figure.suptitle(fill(found.verdict, _LETTERS), x=0.01, ha="left", fontsize=8.5)
+    figure.suptitle(verdict, x=0.01, ha="left", fontsize=8.5)
     return figure
 
 

@@ -1,6 +1,8 @@
 """Style: one look for all figures, as a context or decorator that leaves the user's settings alone.
 
-`page`, `axes_in` and `grid` make the figures and axes that everything is drawn into. Names that
+`page`, `axes_in` and `grid` make the figures and axes that everything is drawn into, as wide as a
+column, a page or what is asked for; where a figure is `narrow`, its panels stand below each other.
+Names that
 users chose are drawn as they wrote them, in fonts that have their letters: `verbatim` goes around
 every such name, `families` returns the fonts, and `spelt` goes around what saves figures.
 """
@@ -11,13 +13,15 @@ import contextlib
 import functools
 import io
 import logging
+import math
 import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib import colormaps, font_manager
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -26,7 +30,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, NullLocator
 
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_option
 
 __all__ = [
     "CHANNELS",
@@ -34,11 +38,17 @@ __all__ = [
     "MISSING",
     "PALETTE",
     "UNIT",
-    "WIDTH",
+    "WIDTHS",
+    "Width",
     "axes_in",
     "bare",
+    "blocks",
     "families",
+    "fitting",
     "grid",
+    "grow",
+    "inches",
+    "narrow",
     "page",
     "panels_in",
     "per_cent",
@@ -51,8 +61,14 @@ __all__ = [
     "verbatim",
 ]
 
-WIDTH = 6.7
-"""Width of a figure that fills the text of an A4 page, in inches."""
+WIDTHS = {"column": 3.4, "page": 6.7}
+"""Inches of a column of a paper in two columns, and of the text of an A4 page."""
+
+Width = Literal["column", "page"] | float
+"""Of a figure: by name, or in inches."""
+
+_NARROW = 5.0
+"""Inches below which panels stand below each other."""
 
 HEIGHT = 8.0
 """Largest height of a figure, in inches: it leaves room on the page for a heading and a caption."""
@@ -60,14 +76,15 @@ HEIGHT = 8.0
 UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
 """Unit of radiance."""
 
-PALETTE = ("#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#7F7F7F")
-"""Eight colours that colour-blind readers can distinguish (Okabe and Ito 2008), grey for black."""
+PALETTE = ("#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#4D4D4D")
+"""Eight colours that colour-blind readers can distinguish: those of Okabe and Ito 2008, but a dark
+grey for black."""
 
 MISSING = "#DDDDDD"
 """Colour of pixels without a number."""
 
-CHANNELS = {"R": "#C8423B", "G": "#2F9E62", "B": "#3B6FC9"}
-"""Colours of the radiance channels; they differ in lightness too."""
+CHANNELS = {"R": "#C8423B", "G": "#45B37A", "B": "#2C4F9E"}
+"""Colours of the radiance channels; they differ in lightness, too: one can read them in grey."""
 
 _SETTINGS: dict[Any, Any] = {
     "axes.edgecolor": "#444444",
@@ -136,10 +153,44 @@ def png_of(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
+def inches(width: Width, within: Figure | SubFigure | None = None) -> float:
+    """Return how wide a figure is: as asked for, or as the one that is drawn into.
+
+    Raises
+    ------
+    InputError
+        If the width is neither a name of `WIDTHS` nor a positive number.
+
+    Examples
+    --------
+    >>> inches("column"), inches(5)
+    (3.4, 5.0)
+    """
+    if within is not None:
+        return float(within.bbox.width / within.dpi)
+    if isinstance(width, str):
+        check_option("width", width, WIDTHS)
+        return WIDTHS[width]
+    if not 0 < width < math.inf:
+        message = f"width must be 'column', 'page' or a number of inches, got {width}"
+        raise InputError(message)
+    return float(width)
+
+
+def narrow(across: float) -> bool:
+    """Return whether a figure of so many inches has room for few panels side by side."""
+    return across < _NARROW
+
+
+def fitting(across: float, most: int, least: float) -> int:
+    """Return how many panels of at least so many inches fit side by side, from 1 to `most`."""
+    return max(1, min(most, int(across / least + 1e-6)))
+
+
 def page(
     fig: Figure | None,
     height: float,
-    width: float = WIDTH,
+    width: Width = "page",
     *,
     wspace: float | None = None,
     hspace: float | None = None,
@@ -151,19 +202,25 @@ def page(
     fig
         A figure of the user; None makes one.
     height, width
-        Size of a new figure, in inches; no higher than `HEIGHT`.
+        Size of a new figure; no higher than `HEIGHT` inches.
     wspace, hspace
         Space between axes, as a share of their width and height; None for Matplotlib's own.
     """
     if fig is not None:
         return fig
     layout = ConstrainedLayoutEngine(wspace=wspace, hspace=hspace)
-    return StyledFigure(figsize=(width, min(height, HEIGHT)), layout=layout)
+    return StyledFigure(figsize=(inches(width), min(height, HEIGHT)), layout=layout)
 
 
-def axes_in(ax: Axes | None, height: float, width: float = WIDTH / 2) -> Axes:
+def axes_in(ax: Axes | None, height: float, width: Width) -> Axes:
     """Return the axes to draw into: the given ones, or those of a new figure."""
     return page(None, height, width).subplots() if ax is None else ax
+
+
+def grow(figure: Figure | SubFigure | None, inches: float) -> None:
+    """Make a figure of ours higher, for a legend; one of the user stays as it is."""
+    if isinstance(figure, StyledFigure) and inches > 0:
+        figure.set_figheight(min(HEIGHT, figure.get_figheight() + inches))
 
 
 def grid(
@@ -197,7 +254,7 @@ def panels_in(
     number: int,
     columns: int,
     height: float,
-    width: float = WIDTH,
+    width: Width = "page",
     *,
     sharey: bool = False,
     width_ratios: Sequence[float] | None = None,
@@ -205,6 +262,16 @@ def panels_in(
     """Return the figure to draw into and its axes; see `page` and `grid`."""
     figure = page(fig, height, width)
     return figure, grid(figure, number, columns, sharey=sharey, width_ratios=width_ratios)
+
+
+def blocks(figure: Figure, number: int, columns: int, rows: int = 2) -> list[list[Axes]]:
+    """Return rows of so many axes each, broken where they reach the right: list (row, place)."""
+    parts = -(-number // columns)
+    cells = np.array(grid(figure, rows * parts * columns, columns)).reshape(-1, columns)
+    found = [list(cells[row::rows].flat) for row in range(rows)]
+    for empty in (ax for row in found for ax in row[number:]):
+        empty.remove()
+    return [row[:number] for row in found]
 
 
 def per_cent(share: float, _tick: float = 0) -> str:

@@ -41,7 +41,7 @@ def main() -> None:
 def draw(axes: Axes, x: np.ndarray, name: str, color: str) -> None:
     null = (x == 0).all(axis=0)
     histogram = chd.histogram(x[1], null=null)
-    viz.chd_axes(histogram, channels=["G"], ax=axes)
+    viz.chd_axes(histogram, names=["G"], ax=axes)
     # The mixture has a narrow peak: what it expects in each bin compares with the histogram.
     mixture = chd.fit.mixture(x[1], null=null)
     expected = np.diff(mixture.cdf(histogram.edges)) / (1 - mixture.cdf(0))

@@ -18,6 +18,7 @@ from chdstat.comparison import Interval, error_curve
 from chdstat.errors import InputError
 from chdstat.estimators.training import History
 from chdstat.studies.claims import ClaimTest, PlotData
+from tests.viz.figures import clashes, texts
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.random((12, 16, 3))
@@ -107,13 +108,57 @@ def test_alone_it_makes_a_figure_that_a_notebook_shows_and_leaves_settings_alone
 
 
 @pytest.mark.parametrize("name", DRAWING)
-def test_saved_outside_the_style_it_embeds_truetype_fonts(examples, name):
-    drawn, stream = examples[name](), io.BytesIO()
+def test_a_column_of_a_paper_has_room_for_it_and_its_fonts_are_truetype(
+    examples, name, monkeypatch
+):
+    drawn, stream = examples[name](width="column"), io.BytesIO()
     figure = drawn.figure if isinstance(drawn, Axes) else drawn
+    assert figure.get_figwidth() <= 3.4
+    assert clashes(figure, monkeypatch) == []
     figure.axes[0].set_title("radiance")
-    figure.savefig(stream, format="pdf")
+    figure.savefig(stream, format="pdf")  # outside of the style
     assert b"/FontFile2" in stream.getvalue()
     assert b"/Type3" not in stream.getvalue()
+
+
+def test_texts_that_are_cut_or_lie_over_each_other_are_seen(monkeypatch):
+    figure = Figure()
+    for x, text in ((0.5, "one"), (0.51, "two"), (0.99, "three")):
+        figure.text(x, 0.5, text)
+    assert clashes(figure, monkeypatch) == ["three", "two / one"]
+
+
+@pytest.mark.parametrize(
+    "name", ["averages", "coverage", "curves", "error_curves", "fits", "finding_plots"]
+)
+def test_series_differ_by_more_than_their_colour(examples, name):
+    if name == "finding_plots":
+        series = {str(i): (np.arange(3), np.arange(3)) for i in range(4)}
+        figure = viz.finding_plots({k: PlotData(k, series) for k in ("curves", "points")})
+    else:
+        drawn = examples[name]()
+        figure = drawn.figure if isinstance(drawn, Axes) else drawn
+    for ax in figure.axes:
+        lines = [line for line in ax.lines if not line.get_label().startswith("_")]
+        looks = {(str(line._unscaled_dash_pattern), line.get_marker()) for line in lines}
+        assert len(looks) == len(lines)
+
+
+def test_channels_and_scales_are_drawn_as_asked_for():
+    x = RNG.gamma(1.0, size=(3, 64))
+    panel = viz.Panel.of("wall", x)
+    log = chd.histogram(0.2126 * x[0] + 0.7152 * x[1] + 0.0722 * x[2], scale="log")
+    (ax,) = viz.chd_pair(panel, channels="luminance", scales="log").axes
+    np.testing.assert_allclose(ax.patches[0].get_data().values, log.density, rtol=1e-6)
+    first, second = viz.chd_pair(panel, channels=["blue", "R"], scales=["log", "linear"]).axes
+    assert (first.get_xscale(), second.get_xscale()) == ("log", "linear")
+    assert texts(first.figure) >= {"R", "B"}
+    assert "G" not in texts(first.figure)
+    assert panel.select("green").mean == [pytest.approx(x[1].mean())]
+    shown = viz.image_map(IMAGE, channels="green", exposure=0).images[0].get_array()
+    np.testing.assert_allclose(shown, viz.tonemap(IMAGE[..., [1]], exposure=0))
+    samples = chd.Samples.from_array(np.stack([[x] * 2] * 2))
+    assert samples.plot(1, 0, width=5, scales="linear").get_figwidth() == 5
 
 
 def test_a_million_samples_make_a_small_file():
@@ -143,11 +188,18 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.firefly_pair(IMAGE, {"firefly": (5, 5)}, {}, {}), "got 1 pixels"),
         (lambda: viz.view_pair({"a": IMAGE}, {}), "got 1"),
         (lambda: viz.side_by_side({}), "at least one image"),
-        (lambda: viz.chd_axes(LOG, channels=["a", "b"]), "2 channels, got one of shape"),
+        (lambda: viz.chd_axes(LOG, names=["a", "b"]), "2 channels, got one of shape"),
         (lambda: viz.fits(LINEAR, LOG, {}), r"1 channels, got one of shape \(3, 100\)"),
         (lambda: viz.categorical_map(np.zeros((4, 4), int)), "flag_meanings.*pass names="),
         (lambda: PANEL.with_luminance(np.ones((3, 8))), r"\(pixel, channel, sample\), got \(3, 8"),
         (lambda: PANEL.with_luminance(np.ones((1, 2, 8))), "1 or 3 channels"),
+        (lambda: viz.chd_pair(PANEL, channels="luminance"), "channel must be one of red, green"),
+        (lambda: viz.chd_pair(PANEL, scales="cubic"), "scale must be one of linear, log, got 'cu"),
+        (lambda: viz.chd_pair(PANEL, scales=[]), "at least one scale"),
+        (lambda: viz.chd_pair(PANEL, width="colum"), "width must be.*; did you mean 'column'?"),
+        (lambda: viz.chd_pair(PANEL, width=-1), "or a number of inches, got -1"),
+        (lambda: viz.image_map(IMAGE, channels="RG"), "channel must be one of red"),
+        (lambda: viz.image_map(IMAGE, channels=["R", "G"]), "or one channel in grey"),
         (lambda: viz.tonemap(np.ones((4, 4))), r"shape \(y, x, 1\) or \(y, x, 3\), got"),
         (lambda: viz.tonemap(np.ones((4, 4, 2))), r"shape \(y, x, 1\) or \(y, x, 3\), got"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import warnings
 
@@ -15,6 +16,7 @@ from chdstat.comparison import Interval
 from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.summary.histograms import histogram
 from chdstat.viz import styling
+from chdstat.viz.maps import _LABEL_COLORS
 from chdstat.viz.styling import families, spelt, verbatim
 
 NAME = "a $x^$ b"
@@ -60,6 +62,49 @@ def test_dollar_signs_in_a_name_begin_no_formula(draw):
     written = [text.get_text() for text in figure.findobj(mpl.text.Text)]
     assert any(verbatim(NAME) in text for text in written)
     assert not any(NAME in text for text in written)
+
+
+VISION = {
+    "protanopia": [[0.1523, 1.0526, -0.2049], [0.1145, 0.7863, 0.0992], [-0.0039, -0.0481, 1.052]],
+    "deuteranopia": [
+        [0.3673, 0.8606, -0.2280],
+        [0.2801, 0.6727, 0.0474],
+        [-0.0118, 0.0429, 0.9689],
+    ],
+    "usual": np.eye(3),
+}
+"""Linear sRGB as these people see it: Machado et al. 2009, doi:10.1109/TVCG.2009.113."""
+XYZ = np.array([[0.4125, 0.3576, 0.1804], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
+
+
+def lab(color, vision):
+    """Return CIELAB of a colour, as somebody sees it."""
+    part = np.array(mpl.colors.to_rgb(color))
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.cbrt(XYZ @ np.clip(VISION[vision] @ linear, 0, 1) / XYZ.sum(axis=1))
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("vision", VISION)
+@pytest.mark.parametrize(
+    ("colors", "least"),
+    [
+        (viz.PALETTE, 15),
+        (viz.CHANNELS.values(), 20),
+        ([color for color, _ in viz.VERDICTS.values()], 40),
+        ({**_LABEL_COLORS, "undetermined": "#DDDDDD"}.values(), 10),
+    ],
+)
+def test_colours_are_distinct_for_colour_blind_readers(colors, least, vision):
+    seen = [lab(color, vision) for color in dict.fromkeys(colors)]
+    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(seen, 2)) > least
+
+
+def test_channels_and_magnitudes_are_told_apart_in_grey():
+    red, green, blue = (lab(color, "usual")[0] for color in viz.CHANNELS.values())
+    assert green - 12 > red > blue + 12
+    lightness = [lab(color, "usual")[0] for color in styling.sequential()(np.linspace(0, 1, 64))]
+    assert np.diff(lightness).min() > 0.5
 
 
 def test_letters_that_no_font_has_are_told_once(tmp_path, caplog):

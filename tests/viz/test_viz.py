@@ -46,7 +46,7 @@ def test_chd_axes_draws_what_histogram_returns(scale):
         np.testing.assert_array_equal([p.get_data().values for p in drawn], found.density)
         np.testing.assert_array_equal([p.get_data().edges for p in drawn], found.edges)
     assert [to_hex(p.get_edgecolor()) for p in outlines] == [c.lower() for c in CHANNELS.values()]
-    gray = viz.chd_axes(histogram(x[0], scale=scale), channels=["G"])
+    gray = viz.chd_axes(histogram(x[0], scale=scale), names=["G"])
     np.testing.assert_allclose(gray.patches[0].get_data().values, found.density[0])
     assert to_hex(gray.patches[1].get_edgecolor()) == CHANNELS["G"].lower()
     assert not ax.spines["left"].get_visible()
