@@ -35,6 +35,7 @@ extensions = [
     "docstrings",
     "families",
     "figures",
+    "listed",
     "markdown",
     "mathml",
     "patterns",

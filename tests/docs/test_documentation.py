@@ -7,6 +7,7 @@ import importlib
 import inspect
 import pydoc
 import re
+import runpy
 import shlex
 import textwrap
 import tomllib
@@ -109,6 +110,9 @@ def test_every_public_name_has_its_place_in_the_reference(module: str) -> None:
     pages = "\n".join(page for name, page in PAGES.items() if name.startswith("reference/"))
     listed = {chd_name(name) for name in re.findall(r"^   ([\w.]+)$", pages, re.MULTILINE)}
     listed |= {chd_name(name) for name in re.findall(r"autodata:: ([\w.]+)", pages)}
+    lists = runpy.run_path(str(DOCS / "_ext" / "listed.py"))["LISTS"]
+    for of_kind in re.findall(r"^\.\. listed:: (.+)$", pages, re.MULTILINE):
+        listed |= set(map(chd_name, lists[of_kind]))
     documented = [pydoc.locate(name) for name in listed]
     names = importlib.import_module(module).__all__
     missing = [
