@@ -3,9 +3,8 @@
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
 is the baseline. `MLP` is the network of the paper; `Progressive` takes any number of samples and
 has a certainty and an interval. The others are order statistics and M-estimators; buckets,
-reweighting and resampling; shrinkage by `james_stein`;
-outliers, which a pixel's other samples or the pixels around do not confirm; and those that share
-statistics with similar pixels around.
+reweighting and resampling; shrinkage by `james_stein`; outliers, which a pixel's other samples or
+the pixels around do not confirm; and those that share statistics with similar pixels around.
 
 `mean_radiance` is the unit that `Progressive` measures an image in. `names` lists what is
 registered, the mean first, and `lookup` says where it comes from and what it needs;
@@ -14,17 +13,18 @@ registered, the mean first, and `lookup` says where it comes from and what it ne
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Callable
 from typing import Any
 
 import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
-from chdstat.estimators.collaborative import boughida2017
 from chdstat.estimators.combining import Combination, CombinationStream, combine
 from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
 from chdstat.estimators.estimates import estimate, refine, write_estimates
-from chdstat.estimators.neighbourhood import Fireflies, rousselle2012
+from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import (
@@ -54,7 +54,6 @@ __all__ = [
     "Model",
     "Preset",
     "Progressive",
-    "boughida2017",
     "combine",
     "estimate",
     "james_stein",
@@ -65,10 +64,11 @@ __all__ = [
     "refine",
     "register",
     "register_learned",
-    "rousselle2012",
     "train_model",
     "write_estimates",
 ]
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")  # which registers its estimators
 __all__ += [n for n in names() if isinstance(lookup(n), Estimator) and n not in __all__]
 
 

@@ -259,6 +259,8 @@ class Facts(TypedDict, total=False):
 def register(name: str, source: str, **facts: Unpack[Facts]) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`; see `Estimator` for the parameters.
 
+    A function that is defined again, as in a cell of a notebook, takes the place of the former one.
+
     Examples
     --------
     >>> from chdstat.estimators import registry
@@ -323,11 +325,19 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
 
 
 def _enter(entry: Estimator | LearnedEstimator) -> None:
-    if not owns_estimator(entry.name, held=entry.name in ENTRIES):
+    known = ENTRIES.get(entry.name)
+    held = known is not None and _defined_at(known) != _defined_at(entry)
+    if not owns_estimator(entry.name, held=held):
         message = f"an estimator called {entry.name!r} is registered already; choose another name"
         raise InputError(message)
     ENTRIES[entry.name] = entry
     LABELS[entry.name] = entry.label or entry.name.replace("_", " ")
+
+
+def _defined_at(entry: Estimator | LearnedEstimator) -> tuple[Any, ...]:
+    """Return module and name of the function that an estimator is."""
+    function = entry.function if isinstance(entry, Estimator) else entry.train
+    return function.__module__, getattr(function, "__qualname__", function)
 
 
 def mean_of_good(x: npt.NDArray[np.floating[Any]]) -> Floats:

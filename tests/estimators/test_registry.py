@@ -38,7 +38,17 @@ def test_too_few_samples_are_refused_by_the_entry(brightest):
 
 def test_a_name_is_given_once(brightest):
     with pytest.raises(InputError, match="registered already"):
-        estimators.register("brightest", source="twice")(brightest)
+        estimators.register("brightest", source="twice")(np.max)
+
+
+def test_a_cell_of_a_notebook_is_run_again():
+    """So is a module that is loaded anew; the second definition counts."""
+    cell = "@register('bright', source='a cell')\ndef bright(x):\n    return {} * x.max(axis=-1)\n"
+    names = {"register": estimators.register, "__name__": "__main__"}
+    for factor in (1, 2):
+        exec(cell.format(factor), names)
+        assert estimators.bright([1.0, 3.0]) == 3 * factor
+    registry.forget("bright")
 
 
 def test_its_row_says_what_it_is_called_and_where_it_stands():
