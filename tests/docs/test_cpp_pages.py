@@ -1,17 +1,22 @@
 """The pages for renderers in C++: all that they tell people to compile and to type is run."""
 
+import contextlib
+import io
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat.cli import main
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {
@@ -19,6 +24,9 @@ PAGES = {
 }
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not there")
+
+
+INCLUDE = Path(chd.__file__).parent / "io" / "include"  # as `chdstat include` prints, typed below
 
 
 def blocks(page, language):
@@ -32,6 +40,20 @@ def blocks(page, language):
     return found
 
 
+def chdstat(line, folder):
+    """Run a command of chdstat in this process, and return what it prints."""
+    printed = io.StringIO()
+    with (
+        mock.patch("sys.argv", shlex.split(line)),
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(printed),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    assert not ended.value.code, line
+    return printed.getvalue()
+
+
 def type_in(lines, folder):
     """Type the lines of a terminal but for reports; they must succeed. Return what they print."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -39,6 +61,9 @@ def type_in(lines, folder):
     printed = ""
     for line in lines.splitlines():
         if line.startswith("$ chdstat report"):  # as `test_guides` does
+            continue
+        if line.startswith("$ chdstat "):
+            printed += chdstat(line.removeprefix("$ "), folder)
             continue
         done = subprocess.run(
             ["bash", "-c", line.removeprefix("$ ")],
@@ -88,7 +113,7 @@ def test_every_other_block_is_compiled_and_run(tmp_path, caption):
     if "chdstat::Writer writer" not in code:
         given = '    chdstat::Writer writer("x.chds", width, height);\n'
     (tmp_path / "block.cpp").write_text(f"{FRAME}{given}{code}}}\n")
-    options = "-std=c++11 -Wall -Wextra -Werror -pthread -I$(chdstat include)"
+    options = f"-std=c++11 -Wall -Wextra -Werror -pthread -I{INCLUDE}"
     type_in(f"g++ {options} block.cpp -o block\n./block", tmp_path)
     assert list(tmp_path.glob("*.chds"))
 
@@ -105,7 +130,7 @@ def test_pbrt_writes_its_samples(tmp_path):
     for caption, name in names.items():
         (tmp_path / f"{name}.inc").write_text(code[caption])
     shutil.copy(Path(__file__).parent / "pbrt_stand_in.cpp", tmp_path)
-    options = "-std=c++17 -Wall -Wextra -Werror -pthread -I$(chdstat include)"
+    options = f"-std=c++17 -Wall -Wextra -Werror -pthread -I{INCLUDE}"
     type_in(f"g++ {options} pbrt_stand_in.cpp -o pbrt\n./pbrt", tmp_path)
     (commands,) = blocks("pbrt", "console").values()
     type_in(commands, tmp_path)
