@@ -52,7 +52,11 @@ DOWNSTREAM = {
     ("comparison.benchmark", "reporting.bench_report"),
     ("studies.run", "reporting.study_report"),
     ("samples.samples", "patterns.pixel"),
+    ("samples.samples", "patterns.regions"),
     ("patterns.pixel", "viz"),
+    ("patterns.regions", "viz"),
+    ("inference.contrasts", "viz"),
+    ("comparison.tables", "viz"),
 }
 """Imports against that order, inside methods that show or write a result."""
 

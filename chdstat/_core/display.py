@@ -29,6 +29,7 @@ __all__ = [
     "byte_size",
     "duration",
     "each",
+    "latex",
     "number",
     "percent",
     "png",
@@ -252,14 +253,14 @@ class Card:
     table: Sequence[Mapping[str, str]] = ()
     images: Mapping[str, bytes] = field(default_factory=dict)
 
-    def _known(self) -> dict[str, str]:
+    def known(self) -> dict[str, str]:
         """Return the facts as text, without empty ones."""
         texts = {name: written(value) for name, value in self.facts.items() if value is not None}
         return {name: text for name, text in texts.items() if text}
 
     def text(self) -> str:
         """Return at most ten lines: the facts, then the rows of the table."""
-        facts = self._known()
+        facts = self.known()
         width = max(map(len, facts), default=0)
         indent = " " * (width + 2)
         lines = [
@@ -295,7 +296,7 @@ class Card:
         )
         facts = "".join(
             f'<tr><th style="{_CELL}">{html.escape(name)}</th>{_cell(text)}</tr>'
-            for name, text in self._known().items()
+            for name, text in self.known().items()
         )
         parts = [f"<table>{facts}</table>"] if facts else []
         if self.table:
@@ -311,6 +312,58 @@ class Card:
             'flex-wrap: wrap; gap: 1em; align-items: flex-start">'
             f"{figures}<div>{''.join(parts)}</div></div></div>"
         )
+
+
+_LATEX = str.maketrans(
+    {
+        **{letter: f"\\{letter}" for letter in "#$%&_{}"},
+        "\\": r"\textbackslash{}",
+        "^": r"\textasciicircum{}",
+        "~": r"\textasciitilde{}",
+        "|": r"\textbar{}",
+        "<": "$<$",
+        ">": "$>$",
+        "−": "$-$",
+        "±": r"$\pm$",
+        "×": r"$\times$",
+        "÷": r"$\div$",
+        "≤": r"$\le$",
+        "≥": r"$\ge$",
+        "µ": r"$\mu$",
+        "—": "---",
+        "–": "--",
+        "…": r"\dots{}",
+        "\N{NO-BREAK SPACE}": "~",
+    }
+)
+
+
+def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
+    r"""Return rows of text as a LaTeX table with the rules of the package booktabs.
+
+    Parameters
+    ----------
+    rows
+        Text by the titles of the columns.
+    columns
+        How these are aligned; the first at the left, others at the right by default.
+
+    Examples
+    --------
+    >>> print(latex([{"estimator": "mean", "bias": "-1 %"}]))
+    \begin{tabular}{lr}
+    \toprule
+    estimator & bias \\
+    \midrule
+    mean & -1 \% \\
+    \bottomrule
+    \end{tabular}
+    """
+    texts = ([*rows[0]], *([*row.values()] for row in rows))
+    head, *body = (" & ".join(t.translate(_LATEX) for t in row) + r" \\" for row in texts)
+    begin = rf"\begin{{tabular}}{{{columns or 'l' + 'r' * (len(rows[0]) - 1)}}}"
+    lines = begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"
+    return "\n".join(lines)
 
 
 class Shown:
@@ -337,6 +390,26 @@ class Shown:
         facts = {name: value for name, value in facts.items() if not callable(value)}
         facts |= {n: reasons(codes) for n, codes in facts.items() if n.endswith("reason")}
         return Card(type(self).__name__, {n.replace("_", " "): v for n, v in facts.items()})
+
+    def to_latex(self) -> str:
+        r"""Return its table as LaTeX, with the rules of the package booktabs.
+
+        It is the table that a notebook shows; of a result without one, names and values.
+
+        Examples
+        --------
+        >>> import chdstat as chd
+        >>> rng = np.random.default_rng(0)
+        >>> found = chd.compare(rng.exponential(size=(8, 8, 3, 128)), ["mean", "median"])
+        >>> print(found.to_latex().splitlines()[4])
+        sample mean & 1.00 [1.00, 1.00] & 1.00 [1.00, 1.00] &  & 0.0~\% & --- \\
+        """
+        card = self._card()
+        if card.table:
+            return latex(card.table)
+        rows = [{"quantity": name, "value": text} for name, text in card.known().items()]
+        wide = max((len(row["value"]) for row in rows), default=0) > _SENTENCE
+        return latex(rows, r"lp{0.7\linewidth}" if wide else "ll")
 
     def __repr__(self) -> str:
         return self._card().text()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ from chdstat.estimators.registry import LABELS, Estimator, Model, lookup
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.figure import Figure
+
+    from chdstat.viz.styling import Width
 
 __all__ = [
     "Breakdown",
@@ -33,7 +36,6 @@ __all__ = [
     "ErrorCurve",
     "PixelEstimates",
     "in_words",
-    "latex",
     "notes",
     "shown_ratio",
 ]
@@ -112,9 +114,6 @@ _TITLES = {
     "bias": "bias",
     "fireflies": "fireflies left",
 }
-_LATEX = str.maketrans(
-    {"%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "−": "$-$", "—": "---", "\xa0": "~"}
-)
 
 
 def shown_ratio(row: Mapping[str, Any], name: str) -> str:
@@ -191,27 +190,6 @@ def notes(
     return found
 
 
-def latex(rows: Sequence[Mapping[str, str]]) -> str:
-    r"""Return rows of text as a LaTeX table with the rules of the package booktabs.
-
-    Examples
-    --------
-    >>> print(latex([{"estimator": "mean", "bias": "-1 %"}]))
-    \begin{tabular}{lr}
-    \toprule
-    estimator & bias \\
-    \midrule
-    mean & -1 \% \\
-    \bottomrule
-    \end{tabular}
-    """
-    texts = ([*rows[0]], *([*row.values()] for row in rows))
-    head, *body = (" & ".join(t.translate(_LATEX) for t in row) + r" \\" for row in texts)
-    begin = rf"\begin{{tabular}}{{l{'r' * (len(rows[0]) - 1)}}}"
-    lines = begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"
-    return "\n".join(lines)
-
-
 # --- results --------------------------------------------------------------------------------------
 
 
@@ -242,6 +220,13 @@ class PixelEstimates(Shown):
     mean: npt.NDArray[np.float32]
     estimates: npt.NDArray[np.float32]
     n: int
+
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw them one by one, as `chdstat.viz.pixel_estimates`."""
+        from chdstat import viz
+
+        ax = None if fig is None else fig.subplots()
+        return cast("Figure", viz.pixel_estimates(self, width=width, ax=ax).figure)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per pixel and channel: where, reference, mean, every estimate."""
@@ -305,6 +290,13 @@ class Breakdown(Shown):
             self.estimators[row.argmin()] if np.isfinite(row).any() else "" for row in errors
         )
 
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw the errors of each pattern, as `chdstat.viz.pattern_breakdown`."""
+        from chdstat import viz
+
+        ax = None if fig is None else fig.subplots()
+        return cast("Figure", viz.pattern_breakdown(self, width=width, ax=ax).figure)
+
     def _card(self) -> Card:
         return Card("Breakdown by pattern", table=_titled(self.table()))
 
@@ -324,7 +316,7 @@ class Breakdown(Shown):
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Shown):
-    """What `compare` has found.
+    """What `compare` has found; `plot` draws it, `to_latex` is its table for a paper.
 
     Attributes
     ----------
@@ -446,20 +438,11 @@ class Comparison(Shown):
         """
         return _data_frame(self.measures, (slice(None), _ALL_CHANNELS), estimator=self.estimators)
 
-    def to_latex(self) -> str:
-        r"""Return the table as LaTeX with the rules of the package booktabs.
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw all measures of all estimators, as `chdstat.viz.estimator_measures`."""
+        from chdstat import viz
 
-        Ratios to the errors of the sample mean have their 95 % interval in brackets.
-
-        Examples
-        --------
-        >>> import chdstat as chd
-        >>> rng = np.random.default_rng(0)
-        >>> found = chd.compare(rng.exponential(size=(8, 8, 3, 128)), ["mean", "median"])
-        >>> print(found.to_latex().splitlines()[4])
-        sample mean & 1.00 [1.00, 1.00] & 1.00 [1.00, 1.00] &  & 0.0~\% & --- \\
-        """
-        return latex(_titled(self.table()))
+        return viz.estimator_measures(self, width=width, fig=fig)
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
         """Draw pixels at random from those that judge, with the estimates of each.
@@ -618,6 +601,12 @@ class ErrorCurve(Shown):
             for one in _rows(columns, self, row)
             if np.isfinite(one["mse"])
         ]
+
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw errors against the number of samples, as `chdstat.viz.error_curves`."""
+        from chdstat import viz
+
+        return viz.error_curves(self, width=width, fig=fig)
 
     def _card(self) -> Card:
         return Card("Error curve", table=_titled(self.table()))

@@ -26,8 +26,10 @@ from chdstat.samples import ImageLike
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
 
     from chdstat.io.exr import ExrImage
+    from chdstat.viz.styling import Width
 
 __all__ = ["Contrast", "contrast"]
 
@@ -219,6 +221,12 @@ class Contrast(Shown):
         for name, share in self._shapes():
             found[f"{name} differ"] = f"in {percent(share)} of the pixels"
         return found
+
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw both images and where their means differ, as `chdstat.viz.contrast`."""
+        from chdstat import viz
+
+        return viz.contrast(self, width=width, fig=fig)
 
     def _card(self) -> Card:
         facts = {"verdict": self.verdict, **self.table()}

@@ -26,6 +26,7 @@ from chdstat.patterns.classification import (
 )
 from chdstat.patterns.known_chds import CHD, CHDS, Component
 from chdstat.patterns.pixel import Pixel
+from chdstat.patterns.regions import Regions
 from chdstat.patterns.simulation import (
     FIREFLY_ZONE,
     INDISTINCT_SPREAD,
@@ -59,6 +60,7 @@ __all__ = [
     "Pattern",
     "Patterns",
     "Pixel",
+    "Regions",
     "Thresholds",
     "Truth",
     "agreement",

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from chdstat.patterns.pixel import Pixel
+    from chdstat.patterns.regions import Regions
 
 __all__ = [
     "BIASED",
@@ -284,6 +285,25 @@ class Samples:
 
         return Pixel.of(self, y, x)
 
+    def regions(self, places: Mapping[str, tuple[int, int]] | None = None) -> Regions:
+        """Return pixels of several regions, as a figure and a table of a paper show them.
+
+        Parameters
+        ----------
+        places
+            (y, x) of a pixel, by the name of its region; None chooses a region for each pattern of
+            the image, as `chdstat.patterns.choose_regions`.
+
+        Examples
+        --------
+        >>> samples = Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(8, 8, 3, 256)))
+        >>> study = samples.regions({"wall": (2, 3), "floor": (6, 1)})
+        >>> figure, table = study.plot(width="column"), study.to_latex()
+        """
+        from chdstat.patterns.regions import Regions
+
+        return Regions.of(self, places)
+
     def plot(self, y: int, x: int, **options: Any) -> Figure:
         """Draw linear and log10 histograms of one pixel with their best fits.
 
@@ -298,7 +318,7 @@ class Samples:
         --------
         >>> samples = Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(4, 6, 3, 256)))
         >>> figure = samples.plot(2, 3, channels="luminance", scales="log", width="column")
-        >>> figure.get_figwidth()
+        >>> float(figure.get_figwidth())
         3.4
         """
         return self.pixel(y, x).plot(**options)

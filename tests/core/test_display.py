@@ -18,6 +18,7 @@ from chdstat._core.display import (
     between,
     byte_size,
     duration,
+    latex,
     number,
     percent,
     png,
@@ -181,3 +182,23 @@ def test_samples_show_a_thumbnail_and_where_they_come_from(samples):
 def test_a_pixel_that_cannot_be_fitted_says_why():
     dark = chd.fit.gamma(np.zeros(64))
     assert repr(dark).splitlines()[-1] == "  not fitted  all null"
+
+
+def test_latex_escapes_what_means_something_there_and_spells_what_it_has_no_letter_for():
+    rows = [{"a & b": r"50 % of $x_1^{2}$ \ #", "c": "−1.5 ± 0.2 < 3 × 10 — … ~|"}]
+    _, _, head, _, row, *_ = latex(rows).splitlines()
+    assert head == r"a \& b & c \\"
+    left, right = row.removesuffix(r" \\").split(" & ")
+    assert left == r"50 \% of \$x\_1\textasciicircum{}\{2\}\$ \textbackslash{} \#"
+    assert right == (r"$-$1.5 $\pm$ 0.2 $<$ 3 $\times$ 10 --- \dots{} \textasciitilde{}\textbar{}")
+
+
+def test_a_result_without_a_table_is_one_of_names_and_values_in_latex():
+    @dataclass(frozen=True, repr=False)
+    class Found(Shown):
+        share: str
+
+    lines = Found("50 %").to_latex().splitlines()
+    assert lines[0] == r"\begin{tabular}{ll}"
+    assert lines[4] == r"share & 50 \% \\"
+    assert lines[-1] == r"\end{tabular}"

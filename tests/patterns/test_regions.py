@@ -1,0 +1,36 @@
+"""Regions: pixels of an image side by side, as a figure and a table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError
+from tests.viz.figures import texts
+
+X = np.random.default_rng(0).lognormal(size=(10, 12, 3, 128))
+X[:, :6] *= np.random.default_rng(1).random((10, 6, 1, 128)) < 0.1
+SAMPLES = chd.Samples.from_array(X, scene="hall")
+
+
+def test_a_region_study_is_one_figure_and_one_table():
+    study = SAMPLES.regions({"dark & old wall": (4, 2), "floor": (9, 11)})
+    figure = study.plot(width="column", scales="log")
+    assert figure.get_figwidth() == 3.4
+    assert texts(figure) >= {"dark & old wall", "floor", "null-heavy", "1", "2"}
+    begin, _, head, _, first, second, *_ = study.to_latex().splitlines()
+    assert begin == r"\begin{tabular}{lrrrrrrr}"
+    assert head.count(" & ") == first.replace(r"\&", "").count(" & ") == 7
+    assert first.startswith(r"dark \& old wall & 4, 2 & null-heavy & ")
+    pixel = study.pixels["floor"]
+    mean = max(pixel.radiance.mean(axis=-1, dtype=float))
+    assert f"& {mean:.2f} $\\pm$" in second
+
+
+def test_without_places_there_is_one_for_each_pattern():
+    labels = chd.classify(SAMPLES, progress=False)["label"]
+    study = SAMPLES.regions()
+    assert len(study.pixels) == len(np.unique(labels))
+    with pytest.raises(InputError, match="at least one region"):
+        SAMPLES.regions({})
