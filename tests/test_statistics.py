@@ -6,7 +6,8 @@ Warnings are errors in this project's tests, so that each call here also shows t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,13 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.positive import PositivePart
+from chdstat._core.statistic import Statistic
 from chdstat.errors import Reason
 from chdstat.fit.families import FamilyFit
 from chdstat.fit.goodness_of_fit import GoodnessOfFit
-from chdstat.fit.mixtures import MixtureFit
 from chdstat.fit.selection import FamilySelection
-from chdstat.fit.tail import TailIndex
 from chdstat.inference import TESTS, TRANSFORMS, gaussianity_of_means
 from chdstat.inference.averages import NormalityOfMeans
-from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.inference.normality import Normality
 from chdstat.summary.runner import run
 
@@ -69,18 +68,34 @@ HOPELESS = {
 """Rows of which nothing can be said, and why."""
 NULLS_COUNT = {"one sample", "constant but for nulls"}
 """Those of which averages can be looked at: a null is a sample like any other there."""
+
+
+def _declared(kind: type[Any] = Statistic) -> Iterator[type[Any]]:
+    """Yield the statistics of channels that are declared, those below a class after it."""
+    for each in kind.__subclasses__():
+        yield from (each, *_declared(each)) if each.rows == "channels" else ()
+
+
+def _optional(kind: type[Any]) -> bool:
+    """Return whether all options of a statistic have defaults."""
+    return is_dataclass(kind) and all(f.default is not MISSING for f in fields(kind))
+
+
+STATISTICS: dict[str, Any] = {
+    **{kind.__name__: kind() for kind in _declared() if _optional(kind)},
+    "FamilyFit": FamilyFit(chd.fit.FAMILIES["gamma"]),
+    "FamilySelection": FamilySelection(held_out=True),
+    "GoodnessOfFit": GoodnessOfFit(resamples=9),
+    "Normality of all": Normality(tuple(TRANSFORMS), tuple(TESTS)),
+    "NormalityOfMeans": NormalityOfMeans((1, 2, 4)),
+}
+"""A new one is tested with its defaults, and needs no line here."""
 FUNCTIONS: dict[str, Callable[[np.ndarray], Any]] = {
     **{name: getattr(chd.fit, name) for name in chd.fit.FAMILIES},
-    "select": chd.fit.select,
-    "mixture": chd.fit.mixture,
-    "tail_index": chd.fit.tail_index,
-    "goodness": lambda x: chd.fit.goodness(x, "gamma", resamples=5),
-    "gaussianity": chd.gaussianity,
-    "gaussianity_of_means": gaussianity_of_means,
-    "modality": chd.modality,
+    **{name: partial(run, statistic) for name, statistic in STATISTICS.items()},
+    "NormalityOfMeans": gaussianity_of_means,
     "classify": lambda x: chd.classify(x[..., np.newaxis, :]),
 }
-
 
 SAID_ANYWAY = (".null_share", ".null_interval", ".atom_weights", ".atoms", ".tested")
 """Fields that do not need what the reason says is missing."""
@@ -107,7 +122,7 @@ def test_a_batch_of_hard_pixels(name, dtype):
     for path, values in _arrays(together):
         assert not np.isinf(values).any(), path
     for row, reason in HOPELESS.items():
-        if name == "gaussianity_of_means" and row in NULLS_COUNT:
+        if name == "NormalityOfMeans" and row in NULLS_COUNT:
             continue
         at = list(ROWS).index(row)
         if name == "classify":  # whose shares and spreads are known for some of them
@@ -217,20 +232,6 @@ def test_nulls_bad_samples_and_order_take_no_part(name):
     np.testing.assert_allclose(other, one, rtol=2e-5, atol=1e-6)
 
 
-STATISTICS = {
-    "fit": FamilyFit(chd.fit.FAMILIES["gamma"]),
-    "select": FamilySelection(held_out=True),
-    "mixture": MixtureFit(),
-    "modal mixture": ModalMixture(),
-    "goodness": GoodnessOfFit(resamples=9),
-    "tail": TailIndex(),
-    "modes": Modes(),
-    "normality": Normality(),
-    "normality of all": Normality(tuple(TRANSFORMS), tuple(TESTS)),
-    "means": NormalityOfMeans((1, 2, 4)),
-}
-
-
 @pytest.mark.parametrize("name", STATISTICS)
 def test_an_image_has_what_its_pixels_have_with_names_and_units(name):
     statistic = STATISTICS[name]
@@ -251,9 +252,9 @@ def test_an_image_has_what_its_pixels_have_with_names_and_units(name):
         assert ((dataset[own] >= p_value) | p_value.isnull()).all()
 
 
-@pytest.mark.parametrize("name", ["fit", "select", "mixture", "goodness"])
+@pytest.mark.parametrize("name", [name for name, s in STATISTICS.items() if s.binned])
 def test_histograms_of_an_image_go_the_way_of_its_pixels(name):
-    statistic = FamilySelection() if name == "select" else STATISTICS[name]
+    statistic = FamilySelection() if name == "FamilySelection" else STATISTICS[name]
     x = np.random.default_rng(11).gamma(2.0, size=(2, 3, 3, 256))
     x[..., ::3] *= 5
     samples = chd.Samples.from_array(x)

@@ -144,8 +144,8 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
         product = xi[:, np.newaxis] * x
         # Near xi = 0, log(1 + xi x) / xi is x less a term of second order.
         ratio = np.where(np.abs(product) < 1e-9, x, np.log1p(product) / xi[:, np.newaxis])
-        inside = np.where(product > -1, log - (1 + xi)[:, np.newaxis] * ratio, -np.inf)
-    return np.asarray(inside)
+        density = np.where(product <= -1, -np.inf, log - (1 + xi)[:, np.newaxis] * ratio)
+    return np.asarray(density)
 
 
 PARETO = Family(

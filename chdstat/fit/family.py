@@ -72,7 +72,8 @@ class Family:
         Sum over the positive samples of the log density in linear radiance, at given parameters.
     log_density
         Log density of log x at the points of some rows, shape (row, point), given the parameters of
-        these rows, shape (row,). That of x is smaller by log x.
+        these rows, shape (row,). That of x is smaller by log x. A row without a fit has
+        parameters that are NaN, of which it must not warn.
     distribution
         SciPy's frozen distribution with given parameters, which may be arrays.
     mean

@@ -402,11 +402,9 @@ def _compare(
     for to, (family, fit) in zip(density, fits, strict=True):
         near = take(fit.parameters, both)
         near = {name: value.reshape(halves.n.shape) for name, value in near.items()}
+        # Where a family cannot be fitted to all samples, it is fitted to no half, and no candidate.
         fitted = estimate_part(halves, family, near, _LOOSE)[0].parameters
-        # A family that cannot be fitted to all samples is no candidate.
-        known = np.isfinite(np.stack([*near.values()])).all(axis=0).ravel()
         to[:] = family.log_density(points, take(fitted, other))
-        to[~known] = np.nan
     np.copyto(density, 0, where=points.weight == 0)
     n = halves.n.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):

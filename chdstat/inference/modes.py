@@ -141,6 +141,8 @@ class ModalMixture(MixtureFit):
     where two are worse than one or than the best distribution of one mode.
     """
 
+    binned: ClassVar = False
+
     def measure(self, part: Any) -> Mixture:
         """Return the mixtures of each row; its modes are then found, too."""
         atoms = split(part)

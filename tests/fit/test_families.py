@@ -234,3 +234,15 @@ def test_a_row_without_a_fit_does_not_make_another_overflow():
     density = FAMILIES["burr"].log_density(points, parameters)
     assert np.isfinite(density[0]).all()
     assert np.isnan(density[1]).all()
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_a_row_without_a_fit_has_no_density(family):
+    """Nor does it warn, or change that of another."""
+    known = BY_SCIPY.parameters_at(family, 0.5)
+    x = FAMILIES[family].distribution(known).ppf([0.2, 0.4, 0.6, 0.8])
+    (points,) = blocks(PositivePart.of(np.stack([x, x])), np.ones(2, bool))
+    parameters = {name: np.array([float(value), np.nan]) for name, value in known.items()}
+    density = FAMILIES[family].log_density(points, parameters)
+    assert np.isfinite(density[0]).all()
+    assert np.isnan(density[1]).all()

@@ -7,6 +7,7 @@ from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
 from chdstat.errors import InputError, Reason
+from chdstat.fit.families import SELECTED
 
 ROWS = 400
 
@@ -148,7 +149,7 @@ def test_image():
     radiance = draws("lognormal")[:12].reshape(2, 2, 3, 512)
     radiance[0, 0] = 0
     dataset = chd.fit.select(chd.Samples.from_array(radiance), held_out=True, progress=False)
-    assert dataset["best_family"].attrs["flag_meanings"] == "none gamma lognormal weibull burr"
+    assert dataset["best_family"].attrs["flag_meanings"].split() == ["none", *SELECTED]
     np.testing.assert_array_equal(dataset["best_family"][0, 0], -1)
     np.testing.assert_array_equal(dataset["best_family"][1, 1], 1)
     alone = chd.fit.select(radiance[1, 1], held_out=True)
@@ -197,3 +198,14 @@ def test_histograms_of_an_image():
     assert (dataset["best_family"] == 1).mean() > 0.7
     shares = chd.fit.family_shares(dataset)
     np.testing.assert_allclose(shares["family_share"].sum("family"), 1)
+
+
+def test_a_family_without_a_fit_to_a_half_has_no_held_out_loss():
+    """An infinite one is of a sample beyond the end of a distribution that was fitted."""
+    x = stats.genpareto(-0.8).rvs((100, 64), random_state=1)
+    loss = chd.fit.select(x, ("gamma", "pareto"), held_out=True).held_out.loss[:, 1]
+    failed = [chd.fit.pareto(x[:, i::2]).reason != Reason.OK for i in (0, 1)]
+    without = failed[0] | failed[1]
+    assert 50 < without.sum() < 100
+    assert np.isnan(loss[without]).all()
+    assert not np.isnan(loss[~without]).all()
