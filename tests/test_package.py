@@ -55,7 +55,10 @@ DOWNSTREAM = {
     ("samples.samples", "patterns.regions"),
     ("patterns.pixel", "viz"),
     ("patterns.regions", "viz"),
+    ("fit.families", "viz"),
+    ("fit.tail", "viz"),
     ("inference.contrasts", "viz"),
+    ("inference.modes", "viz"),
     ("comparison.tables", "viz"),
 }
 """Imports against that order, inside methods that show or write a result."""

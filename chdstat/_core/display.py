@@ -7,6 +7,7 @@ ten lines. A class says what is worth seeing in a `Card`.
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import html
 import math
@@ -14,13 +15,13 @@ import struct
 import textwrap
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.errors import Reason
+from chdstat.errors import InputError, Reason
 
 __all__ = [
     "Card",
@@ -29,6 +30,7 @@ __all__ = [
     "byte_size",
     "duration",
     "each",
+    "in_unit",
     "latex",
     "number",
     "percent",
@@ -191,6 +193,17 @@ def with_error(value: float, error: float) -> str:
     ('2.83 ± 0.473', '2.83')
     """
     return f"{number(value)} ± {number(error)}" if math.isfinite(error) else number(value)
+
+
+def in_unit(text: str, unit: str) -> str:
+    """Return a number with its unit; alone where it has none, or is missing.
+
+    Examples
+    --------
+    >>> in_unit("0.5", "W sr-1 m-2"), in_unit("0.5", "1"), in_unit("—", "W sr-1 m-2")
+    ('0.5 W sr-1 m-2', '0.5', '—')
+    """
+    return text if text == "—" or unit == "1" else f"{text} {unit}"
 
 
 def reasons(codes: npt.ArrayLike) -> str:
@@ -383,6 +396,9 @@ class Shown:
     2
     """
 
+    _drawn: ClassVar[str] = ""
+    """What ``plot`` draws, of results whose figure a notebook shows."""
+
     def _card(self) -> Card:
         """Return what is worth seeing; by default, every field of a dataclass but functions."""
         fields: Any = dataclasses.fields(self)  # type: ignore[arg-type]
@@ -415,7 +431,12 @@ class Shown:
         return self._card().text()
 
     def _repr_html_(self) -> str:
-        return self._card().html()
+        card = self._card()
+        if self._drawn:
+            with contextlib.suppress(InputError):  # such as a fit of too many pixels
+                figure = cast("Any", self).plot()
+                card = replace(card, images={**card.images, self._drawn: figure._repr_png_()})
+        return card.html()
 
 
 def png(values: npt.ArrayLike, about: str = "") -> bytes:

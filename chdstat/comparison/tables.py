@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -260,6 +260,7 @@ class Breakdown(Shown):
         By the names of `MEASURES`: intervals over blocks, shape (label, estimator).
     """
 
+    _drawn: ClassVar[str] = "relMSE over that of the mean"
     labels: tuple[str, ...]
     estimators: tuple[str, ...]
     uses_neighbours: npt.NDArray[np.bool_]
@@ -582,6 +583,7 @@ class ErrorCurve(Shown):
         How many pixels count.
     """
 
+    _drawn: ClassVar[str] = "errors against the number of samples"
     estimators: tuple[str, ...]
     uses_neighbours: npt.NDArray[np.bool_]
     sizes: tuple[int, ...]

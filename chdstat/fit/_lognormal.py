@@ -22,7 +22,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats
 from chdstat._core.positive import Part
-from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples
 
 __all__ = ["LOGNORMAL"]
 
@@ -61,7 +61,7 @@ LOGNORMAL = Family(
     name="lognormal",
     label="log-normal",
     documentation=__doc__,
-    units={"mu": "1", "sigma": "1"},
+    units={"mu": f"ln({RADIANCE})", "sigma": "1"},
     estimate=_estimate,
     log_likelihood=_log_likelihood,
     log_density=_log_density,

@@ -13,14 +13,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
-from chdstat._core.display import Card, each, reasons, with_error, with_interval, written
+from chdstat._core.display import Card, each, in_unit, reasons, with_error, with_interval, written
 from chdstat._core.positive import Part
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
@@ -37,6 +37,9 @@ from chdstat.summary.runner import OfSource, Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
+
+    from chdstat.viz.styling import Width
 
 __all__ = [
     "FAMILIES",
@@ -130,6 +133,7 @@ class Fit(Result):
     converged: Mask = variable("{} fit converged")
     reason: npt.NDArray[np.int8] = variable("why there is no {} fit")
     error_reason: npt.NDArray[np.int8] = variable("why {} has no standard errors")
+    _drawn: ClassVar[str] = "density per decade of radiance"
 
     @property
     def name(self) -> str:
@@ -182,10 +186,27 @@ class Fit(Result):
             mean = self._distribution(0).mean() if own is None else own(self.parameters)
             return np.asarray((1 - self.zero_share) * mean)
 
+    def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
+        """Draw the density, as `chdstat.viz.fit_curve`.
+
+        Raises
+        ------
+        InputError
+            If there are more than six rows.
+        """
+        from chdstat import viz
+
+        ax = None if fig is None else fig.subplots()
+        return cast("Figure", viz.fit_curve(self, width=width, ax=ax).figure)
+
     def _card(self) -> Card:
         errors = {name: np.full_like(v, np.nan) for name, v in self.parameters.items()}
         errors |= self.standard_errors
-        facts = {name: each(with_error, v, errors[name]) for name, v in self.parameters.items()}
+        units = get_family(self.family).units
+        facts = {
+            name: in_unit(each(with_error, v, errors[name]), units[name])
+            for name, v in self.parameters.items()
+        }
         ends = np.moveaxis(self.null_interval, -1, 0)
         facts["null share"] = each(with_interval, self.null_share, *ends)
         facts |= {"n": written(self.n), "BIC": written(self.bic)}

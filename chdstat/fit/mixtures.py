@@ -143,6 +143,16 @@ class Mixture(Fit):
         zero = self.zero_share[..., np.newaxis]
         return np.asarray(np.where(rng.random(shape) < zero, 0 * drawn, drawn))
 
+    def component_pdf(self, x: npt.ArrayLike) -> Floats:
+        """Return the density of each component times its share, which add up to `pdf`.
+
+        Shape (component, ...), that of the batch, then that of `x`; NaN beyond the components.
+        """
+        points = np.asarray(x, np.float64)
+        mixed = self._distribution(points.ndim)
+        with np.errstate(all="ignore"):
+            return np.asarray(mixed.weights * mixed.components.pdf(points))
+
     @property
     def _continuous_share(self) -> Floats:
         """Share of the components among the positive samples, shape (...)."""

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, special
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.display import Card, each, reasons, with_interval
+from chdstat._core.display import Card, each, in_unit, reasons, with_interval, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
@@ -30,6 +30,9 @@ from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
+
+    from chdstat.viz.styling import Width
 
 __all__ = ["FAR", "Tail", "TailIndex", "effective_tail_index", "tail_index"]
 
@@ -134,6 +137,20 @@ class Tail(Result):
         "the samples do not determine whether the variance is finite"
     )
     reason: npt.NDArray[np.int8] = variable("why there is no tail index")
+    _drawn: ClassVar[str] = "share of the positive samples above it; dotted: an exponential tail"
+
+    def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
+        """Draw the tail, as `chdstat.viz.tail_curve`.
+
+        Raises
+        ------
+        InputError
+            If there are more than six rows.
+        """
+        from chdstat import viz
+
+        ax = None if fig is None else fig.subplots()
+        return cast("Figure", viz.tail_curve(self, width=width, ax=ax).figure)
 
     def _card(self) -> Card:
         cases = {
@@ -145,7 +162,7 @@ class Tail(Result):
         facts = {
             "tail index": each(with_interval, self.xi, low, high),
             "excesses": self.n,
-            "above": self.threshold,
+            "above": in_unit(written(self.threshold), RADIANCE),
             "variance": np.select([*cases.values()], [*cases], "not known"),
             "not fitted": reasons(self.reason),
         }

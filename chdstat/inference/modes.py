@@ -19,14 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.display import Card, each, reasons, with_error, written
 from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import Result, Statistic, result, variable
+from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import Reason
 from chdstat.fit.atoms import before_clamps, split
 from chdstat.fit.em import Solution
@@ -39,6 +40,9 @@ from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
+
+    from chdstat.viz.styling import Width
 
 __all__ = [
     "MODES",
@@ -111,6 +115,32 @@ class Modality(Result):
     )
     n: Counts
     reason: npt.NDArray[np.int8] = variable("why no modes were counted")
+    _drawn: ClassVar[str] = "modes, and the share of each"
+
+    def _card(self) -> Card:
+        facts = {
+            "modes": self.modes,
+            f"at log10 of {RADIANCE}": self.places,
+            "share of each": self.weights,
+            "separation": each(with_error, self.ashman_d, self.ashman_d_se),
+            "p-value of the dip": self.dip_p_value,
+            "n": written(self.n),
+            "not counted": reasons(self.reason),
+        }
+        return Card("Modality", facts)
+
+    def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
+        """Draw where the modes are, as `chdstat.viz.mode_stems`.
+
+        Raises
+        ------
+        InputError
+            If there are more than six rows.
+        """
+        from chdstat import viz
+
+        ax = None if fig is None else fig.subplots()
+        return cast("Figure", viz.mode_stems(self, width=width, ax=ax).figure)
 
 
 _MINIMUM = 20

@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -76,6 +76,7 @@ class Pixel(Shown):
     scene: str
     parts: Mapping[LightPart, npt.NDArray[np.float32]] = field(default_factory=dict)
     sequence: int = 1
+    _drawn: ClassVar[str] = "histograms, best fits and means"
 
     @classmethod
     def of(cls, samples: Samples, y: int, x: int) -> Self:
@@ -234,12 +235,6 @@ class Pixel(Shown):
         named = dict.fromkeys(FAMILIES[name].label for name in self.families.values() if name)
         note = f"{percent(self.null_share)} null, {' / '.join(named) or 'no fit'}"
         return viz.Panel.of(title, self.radiance, channels=self.channels, fits=fits, note=note)
-
-    def _repr_html_(self) -> str:
-        from chdstat.viz.styling import png_of
-
-        shown = {"histograms, best fits and means": png_of(self.plot())}
-        return replace(self._card(), images=shown).html()
 
     def _card(self) -> Card:
         mean, error = (self.statistics[name].values for name in ("mean", "standard_error"))

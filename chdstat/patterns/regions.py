@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class Regions(Shown):
 
     samples: Samples
     pixels: Mapping[str, Pixel]
+    _drawn: ClassVar[str] = "regions, and the histograms of their pixels"
 
     @classmethod
     def of(cls, samples: Samples, places: Mapping[str, tuple[int, int]] | None = None) -> Self:

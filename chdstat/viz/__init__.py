@@ -39,6 +39,7 @@ from chdstat.viz.maps import (
     n_needed,
     value_map,
 )
+from chdstat.viz.results import fit_curve, mode_stems, tail_curve
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [
@@ -62,15 +63,18 @@ __all__ = [
     "estimator_measures",
     "finding_plots",
     "firefly_pair",
+    "fit_curve",
     "fits",
     "image_map",
     "map_grid",
+    "mode_stems",
     "n_needed",
     "pattern_breakdown",
     "pixel_estimates",
     "region_study",
     "side_by_side",
     "style",
+    "tail_curve",
     "tonemap",
     "training",
     "value_map",

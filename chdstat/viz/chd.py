@@ -43,6 +43,8 @@ from chdstat.viz.styling import (
 )
 
 __all__ = [
+    "DASHES",
+    "LINES",
     "SCALES",
     "Channels",
     "Density",
@@ -69,8 +71,9 @@ SCALES: tuple[Scale, ...] = get_args(Scale)
 """Of radiance: "linear" and "log"."""
 
 _CURVE_POINTS = 400
-_LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
-_DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
+LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
+DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
+"""Colours and line styles of curves, in turn."""
 _ROOM = 1.35
 """Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
 _BINS = 40
@@ -657,7 +660,7 @@ def fits(
         counted = linear if scale == "linear" else log
         draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
         for i, (name, density) in enumerate(fitted.items()):
-            look = {"color": _LINES[i % len(_LINES)], "linestyle": _DASHES[i % len(_DASHES)]}
+            look = {"color": LINES[i % len(LINES)], "linestyle": DASHES[i % len(DASHES)]}
             _draw_fit(ax, counted, density, label=name, **look)
         ax.set_xlabel(_axis_name("radiance", scale, across / len(kinds)))
         per = "unit of radiance" if scale == "linear" else "decade"

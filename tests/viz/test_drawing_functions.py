@@ -60,6 +60,9 @@ def examples():
             viz.finding_plots, {"fog": PlotData("bars", {"wall": (np.zeros(1), np.ones(1))})}
         ),
         "firefly_pair": partial(viz.firefly_pair, IMAGE, pair, linear, two),
+        "fit_curve": partial(viz.fit_curve, chd.fit.mixture(RNG.gamma(2.0, size=64))),
+        "mode_stems": partial(viz.mode_stems, chd.modality(RNG.gamma(2.0, size=(2, 64)))),
+        "tail_curve": partial(viz.tail_curve, chd.fit.tail_index(RNG.pareto(2.0, size=256))),
         "fits": partial(viz.fits, ONE["linear"], ONE["log"], {"flat": np.ones_like}),
         "image_map": partial(viz.image_map, IMAGE),
         "map_grid": partial(viz.map_grid, 2),
