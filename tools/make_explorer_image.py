@@ -2,8 +2,8 @@
 
     python tools/make_explorer_image.py [--browser /usr/bin/chromium]
 
-Renders the built-in bathroom, 128 x 128 pixels at 1024 spp, and opens its page in a headless
-Chromium, with two pixels and all figures in view.
+Renders the built-in bathroom, 128 x 128 pixels at 256 spp, with all paths and with short ones, and
+a reference, and opens their page in a headless Chromium, with two pixels and all figures in view.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from playwright.sync_api import sync_playwright
 import chdstat as chd
 
 OUT = Path(__file__).parents[1] / "docs" / "_static" / "explorer.png"
+SIDE = 128, 128
 SIZE = {"width": 1600, "height": 1000}
-VIEW = "?p=60,70&p=115,46&f=best"
+VIEW = "?p=60,70&p=115,46&f=best&a=0"
 PATIENCE = 120_000
 
 
@@ -42,9 +43,18 @@ def main() -> None:
     parser.add_argument("--browser", help="Chromium to use; playwright's own without.")
     arguments = parser.parse_args()
     with TemporaryDirectory() as folder:
-        store = Path(folder) / "bathroom.zarr"
-        chd.render("bathroom", spp=1024, size=(128, 128), seed=1, out=store)
-        explorer = chd.explore(store, port=0, browser=False)
+        names = {"path": None, "path-depth-3": 3}
+        stores = [
+            chd.render(
+                "bathroom", spp=256, size=SIDE, seed=i, max_depth=depth,
+                out=Path(folder) / f"{name}.zarr",
+            ).path
+            for i, (name, depth) in enumerate(names.items())
+        ]  # fmt: skip
+        converged = chd.render("bathroom", spp=1024, size=SIDE, seed=9)
+        mean = chd.summarize(converged)["mean"].to_numpy()
+        image = chd.io.write_exr(Path(folder) / "reference.exr", mean)
+        explorer = chd.explore([*stores, image], port=0, browser=False)
         try:
             photograph(explorer.url, arguments.browser)
         finally:

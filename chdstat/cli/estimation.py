@@ -272,7 +272,7 @@ def contrast(
         output.print_sentences([found.verdict])
         typer.echo()
         output.print_table(found.table())
-    output.say_next(asked.quiet, f"chdstat explore {a} --other {b}")
+    output.say_next(asked.quiet, f"chdstat explore {a} {b}")
     if code := _CODES[found.outcome]:
         raise typer.Exit(code)
 

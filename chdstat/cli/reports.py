@@ -221,11 +221,16 @@ def study(
     output.say_next(asked.quiet, f"chdstat report {first} -o {first}.pdf")
 
 
-@command("explore bathroom.zarr", "size", "seed", "max_depth", "define", "plugin")
+@command("explore path.zarr guided.zarr", "size", "seed", "max_depth", "define", "plugin")
 def explore(
-    source: SceneOrStore,
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENE|STORE|EXR...",
+            help="Built-in name, Mitsuba XML file, store or EXR image; several are compared.",
+        ),
+    ],
     asked: CommonOptions,
-    other: Annotated[Path | None, option("A second store to compare with.", unset="none")] = None,
     reference: Annotated[
         Path | None,
         option("Store that errors are measured against.", unset="the source's own samples"),
@@ -246,8 +251,7 @@ def explore(
 
     settings: dict[str, Any] = {**asked.settings}
     explorer = chdstat.explore(
-        asked.source(source),
-        other=other,
+        [one if one.lower().endswith(".exr") else asked.source(one) for one in sources],
         reference=reference,
         models=model or (),
         maps=maps,

@@ -27,7 +27,7 @@ from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.view import Box, Pixel
+from chdstat.explorer.view import BATCHES, Box, Pixel
 
 __all__ = [
     "BATCHES_AROUND",
@@ -152,7 +152,7 @@ def batches_of(
     reference
         True radiance, shape (..., channel). Without, that of a batch is the mean of all other
         samples, as in `chdstat.compare`: no reference contains the batch that is scored against
-        it. NaN where there are fewer than 2 n samples, or the batch holds a bad one.
+        it. NaN where there are fewer than `BATCHES` n samples, or the batch holds a bad one.
     most
         Batches at most.
     """
@@ -162,7 +162,7 @@ def batches_of(
     x = np.where(is_bad(x).any(axis=-2, keepdims=True), np.float32(np.nan), x)
     batches = np.moveaxis(x[..., : count * n].reshape(*x.shape[:-1], count, n), -2, 0)
     truth = np.full(batches.shape[:-1], np.nan if reference is None else reference)
-    if reference is None and x.shape[-1] >= 2 * n:
+    if reference is None and x.shape[-1] >= BATCHES * n:
         good = np.isfinite(x).all(axis=-2)
         totals = Totals(np.nansum(x, axis=-1, dtype=np.float64), good.sum(axis=-1))
         truth = np.stack([totals.mean_without(batch) for batch in batches])

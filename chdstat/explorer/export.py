@@ -1,25 +1,26 @@
 """Export: the selection as a file.
 
-Samples are exported as CSV or npz, figures as PNG or SVG, both together as a PDF page.
+Samples are exported as CSV or npz, figures as PNG or SVG, both together as a PDF page; of several
+images, their comparison as one figure. Python is the code that draws the same figure.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from chdstat import viz
-from chdstat._core.arrays import take_rows
+from chdstat._core.arrays import Image, take_rows
 from chdstat._core.display import percent
 from chdstat._core.files import scratch
 from chdstat.explorer.selection import SelectionPlots
-from chdstat.explorer.sources import Overall
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
-from chdstat.explorer.view import Box, Pixel
+from chdstat.explorer.view import Box, Pixel, is_image
 from chdstat.reporting.typst import Document, typeset
 from chdstat.viz.estimators import called
 
@@ -34,6 +35,7 @@ EXPORTS = {
     "png": "image/png",
     "svg": "image/svg+xml",
     "pdf": "application/pdf",
+    "py": "text/x-python",
 }
 """Media types of the formats of exports."""
 _MOST_ROWS = 2**17
@@ -42,11 +44,10 @@ _MOST_ROWS = 2**17
 
 def exported(
     format: str,  # noqa: A002
-    source: str,
     plots: SelectionPlots,
-    overall: Overall,
+    images: Mapping[str, Image],
+    paths: Mapping[str, Path | None],
     exposure: float,
-    origin: Mapping[str, str | int],
 ) -> tuple[str, bytes]:
     """Return name and content of a file with the selection.
 
@@ -54,16 +55,14 @@ def exported(
     ----------
     format
         One of `EXPORTS`.
-    source
-        Name of the store or scene.
     plots
         The selection.
-    overall, exposure
-        The image, and the stops that it is shown with.
-    origin
-        Where the samples come from, as the npz file says: scene, spp, seed.
+    images, paths
+        Mean radiance (y, x, channel) of each source by its name, and where it is; None in memory.
+    exposure
+        Stops that the images are shown with.
     """
-    kept = "".join(c if c.isalnum() or c in "._" else "-" for c in source)
+    kept = "".join(c if c.isalnum() or c in "._" else "-" for c in plots.name)
     keys = ("_".join(map(str, key)) for key in plots.keys)
     stem = "-".join([kept.removesuffix(".zarr") or "selection", *keys])[:80]
     stream = io.BytesIO()
@@ -71,16 +70,71 @@ def exported(
         stream.write(_csv(plots).encode("ascii"))
     elif format == "npz":
         arrays: dict[str, Any] = {"selection": np.array([str(key) for key in plots.keys])}
-        arrays |= {name: np.array(value) for name, value in origin.items()}
+        arrays |= {name: np.array(value) for name, value in plots.source.origin.items()}
         for i, p in enumerate(plots.places):
             arrays |= {f"radiance_{i}": p.samples, f"null_{i}": p.null, f"bad_{i}": p.bad}
         np.savez_compressed(stream, **arrays)
-    elif format == "pdf":
-        stream.write(_pdf(source, plots, overall, exposure))
+    elif format == "py":
+        stream.write(_python(plots, paths, exposure).encode())
+    elif format == "pdf" and len(images) == 1:
+        stream.write(_pdf(plots, images[plots.name], exposure))
     else:
-        metadata = {"Date": None} if format == "svg" else None
-        _figure(plots).savefig(stream, format=format, metadata=metadata)
+        figure = _figure(plots) if len(images) == 1 else _compared(plots, images, exposure)
+        metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(format)
+        figure.savefig(stream, format=format, metadata=metadata)
     return f"{stem}.{format}", stream.getvalue()
+
+
+def _compared(plots: SelectionPlots, images: Mapping[str, Image], exposure: float) -> Figure:
+    names = list(images)
+    shown, reference = plots.view.of_images(len(names))
+    samples = {names[i]: [p.samples for p in those] for i, those in plots.found.items()}
+    return viz.renders_compared(
+        images, samples, [_mark(key) for key in plots.keys], exposure=exposure,
+        difference=(names[shown], names[reference]) if shown != reference else None,
+    )  # fmt: skip
+
+
+def _python(plots: SelectionPlots, paths: Mapping[str, Path | None], exposure: float) -> str:
+    """Return Python that draws the same figure of stores and files that are where they were."""
+    marks = [_mark(key) for key in plots.keys]
+    images = {name: str(path) for name, path in paths.items() if path and is_image(path)}
+    stores = {name: str(path) for name, path in paths.items() if name not in images}
+    names = list(paths)
+    shown, reference = plots.view.of_images(len(names))
+    lines = [
+        "import chdstat as chd",
+        "from chdstat import viz",
+        "",
+        f"paths = {stores!r}",
+        "stores = {name: chd.open(path) for name, path in paths.items()}",
+    ]
+    if len(names) == 1:
+        lines += [
+            f"pixels = {[mark.pixel for mark in marks]}",
+            f"samples = stores[{plots.name!r}]",
+            'panels = [samples.pixel(y, x).panel(f"y {y}, x {x}") for y, x in pixels]',
+            f"figure = viz.chd_grid(panels, columns={1 if len(marks) == 1 else 2})",
+        ]
+    else:
+        pair = (names[shown], names[reference]) if shown != reference else None
+        lines += [
+            f"files = {images!r}",
+            "images = {name: chd.io.read_exr(file).image for name, file in files.items()}",
+            'images |= {name: chd.summarize(x)["mean"] for name, x in stores.items()}',
+            "marks = [",
+            *(f"    viz.Mark({m.name!r}, {m.ys}, {m.xs}, {m.pixel})," for m in marks),
+            "]",
+            "samples = {name: [x[mark.pixel] for mark in marks] for name, x in stores.items()}",
+            "figure = viz.renders_compared(",
+            f"    {{name: images[name] for name in {names!r}}},",
+            "    samples,",
+            "    marks,",
+            f"    difference={pair!r},",
+            f"    exposure={exposure:.4g},",
+            ")",
+        ]
+    return "\n".join([*lines, 'figure.savefig("selection.pdf")', ""])
 
 
 def _csv(plots: SelectionPlots) -> str:
@@ -126,13 +180,13 @@ def _mark(key: Pixel | Box) -> viz.Mark:
     return viz.Mark(name, slice(top, bottom), slice(left, right), center)
 
 
-def _pdf(source: str, plots: SelectionPlots, overall: Overall, exposure: float) -> bytes:
-    image = np.nan_to_num(overall.mean, nan=0.0, posinf=0.0, neginf=0.0)
+def _pdf(plots: SelectionPlots, mean: Image, exposure: float) -> bytes:
+    image = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
     marks = [_mark(key) for key in plots.keys]
     figures = {"image": viz.with_marks(image, marks, exposure=exposure), "chds": _figure(plots)}
     columns, count = columns_of([plots.place], "all"), len(plots.places)
     content = {
-        "title": source,
+        "title": plots.name,
         "place": plots.title,
         "rows": -(-count // (1 if count == 1 else 2)),
         "statistics": statistics_table(columns),

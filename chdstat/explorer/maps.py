@@ -29,6 +29,7 @@ from chdstat.fit.families import SELECTED
 from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
+from chdstat.inference.contrasts import Contrast
 from chdstat.io.writing import open_maps
 from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import Mapped, assemble
@@ -36,10 +37,12 @@ from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of
 
 __all__ = [
+    "CONTRASTS",
     "DIFFERENCES",
     "IMAGES",
     "MAPS",
     "Map",
+    "contrast_of",
     "difference_of",
     "map_kind",
     "of_overall",
@@ -96,6 +99,8 @@ class Map:
         Shape (y, x), float32; NaN where there is nothing to say. Empty in `MAPS`.
     done
         Share of the image that is computed.
+    note
+        What is said of it below the colour bar.
     """
 
     name: str
@@ -108,6 +113,7 @@ class Map:
     diverging: bool = False
     values: Image = field(default_factory=lambda: _NONE)
     done: float = 1.0
+    note: str = ""
 
     @property
     def colors(self) -> list[str]:
@@ -160,14 +166,26 @@ MAPS: dict[str, Map] = {
 DIFFERENCES: dict[str, Map] = {
     kind.name: kind
     for kind in (
-        Map("diff:signed", "Difference", "second minus first, luminance", diverging=True),
+        Map("diff:signed", "Difference", "shown minus reference, luminance", diverging=True),
         Map("diff:absolute", "Absolute difference", "luminance"),
         Map("diff:squared", "Squared difference", "log10, luminance", log=True),
         Map("diff:relative", "Relative difference",
-            "second minus first, over their mean, luminance", ends=(-1, 1), diverging=True),
+            "shown minus reference, over their mean, luminance", ends=(-1, 1), diverging=True),
     )
 }  # fmt: skip
-"""Maps of two stores."""
+"""Maps of two images."""
+CONTRASTS: dict[str, Map] = {
+    kind.name: kind
+    for kind in (
+        Map("contrast:difference", "Difference over reference", "%, luminance", ends=(-100, 100),
+            diverging=True),
+        Map("contrast:p", "Significance of the difference", "−log10 p, least over channels",
+            ends=(0, 4)),
+        Map("contrast:efficiency", "Efficiency over that of the reference", "log2", ends=(-3, 3),
+            diverging=True),
+    )
+}  # fmt: skip
+"""Maps of what `chdstat.contrast` says of two renders."""
 
 
 def map_kind(name: str, spp: int = 0) -> Map:
@@ -184,8 +202,9 @@ def map_kind(name: str, spp: int = 0) -> Map:
         sizes = inference.sizes_of_means(spp)
         names = {i: f"N = {n}" for i, n in enumerate(sizes)} | {len(sizes): f"N > {sizes[-1]}"}
         return replace(MAPS[name], names=names, ordered=True)
-    if name in MAPS:
-        return MAPS[name]
+    known = {**MAPS, **DIFFERENCES, **CONTRASTS}
+    if name in known:
+        return known[name]
     estimator = name.removeprefix(_ERROR)
     if name.startswith(_ERROR) and estimator in fixed():
         if estimator == "mean":
@@ -261,6 +280,22 @@ def difference_of(one: Overall, other: Overall, name: str) -> Map | None:
         most = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
         kind = replace(kind, ends=(-most or -1.0, most or 1.0))
     return replace(kind, values=values)
+
+
+def contrast_of(found: Contrast, name: str) -> Map:
+    """Return one of `CONTRASTS`, with the verdict; of an exact image, that is the reference."""
+    maps, sign = found.maps, -1.0 if found.spp[1] is None else 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if name == "contrast:p":
+            values = -np.log10(maps["p_value"].min("channel").to_numpy())
+        elif name == "contrast:efficiency":
+            values = np.log2(maps["efficiency"].to_numpy())
+        else:
+            base = maps["mean_a" if sign > 0 else "mean_b"].to_numpy()[..., 0]
+            values = 100 * sign * maps["difference"].to_numpy()[..., 0] / np.abs(base)
+    values = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
+    note = f"A {found.names[0]}, B {found.names[1]}. {found.verdict}"
+    return replace(CONTRASTS[name], values=values, note=note)
 
 
 def of_overall(overall: Overall, name: str) -> Map | None:

@@ -30,7 +30,7 @@ from chdstat._core.display import png
 from chdstat._core.image_scales import tonemap
 from chdstat.explorer.estimators import fixed
 from chdstat.explorer.export import EXPORTS
-from chdstat.explorer.maps import DIFFERENCES, IMAGES, MAPS, Map, ramp
+from chdstat.explorer.maps import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
 from chdstat.explorer.sources import Source, StoreSource
@@ -60,8 +60,8 @@ class Page:
     ----------
     document
         Where the models go.
-    source, other
-        What the page shows; `other` beside it, or None.
+    sources, names
+        What the page shows, and what each is called.
     given
         Maps that were computed before.
     coarse
@@ -78,15 +78,15 @@ class Page:
     def __init__(
         self,
         document: Document,
-        source: Source,
-        other: Source | None,
+        sources: Sequence[Source],
+        names: Sequence[str],
         given: Mapping[str, Map],
         coarse: Sequence[str],
         gone: Callable[[], None],
     ) -> None:
         self._document, self._gone, self._closed = document, gone, False
-        self._size, self._channels = source.size, source.channels
-        self._titles = [shown.name for shown in (source, other) if shown is not None]
+        self._size, self._channels = sources[0].size, sources[0].channels
+        self._titles = list(names)
         self._numbers = itertools.count(1)
         with document.models.freeze():  # else, all models are gathered anew after each change
             self.inbox = models.TextInput(name="inbox", visible=False)
@@ -105,10 +105,12 @@ class Page:
             plots += [panel for panel, _ in self._panels.values()]
             for root in (*plots, self.inbox, self.outbox):
                 document.add_root(root)
-            heading = " and ".join([*self._titles[:-1], (other or source).title])
+            heading = sources[0].title if len(sources) == 1 else ", ".join(names)
             document.title = f"{heading} · chdstat"
             document.template = _template()
-            variables = self._variables(given, in_store=isinstance(source, StoreSource))
+            variables = self._variables(
+                given, in_store=any(isinstance(source, StoreSource) for source in sources)
+            )
             variables |= {"heading": heading, "coarse": coarse}
             document.template_variables.update(variables)
             self._connect()
@@ -169,8 +171,8 @@ class Page:
             "figures": [image["figure"] for image in self._images],
             "radiances": [image["source"] for image in self._images],
             "values": [image["values"] for image in self._images],
-            "map": self._images[0]["map"].data_source,
-            "over": self._images[0]["map"].glyph,
+            "maps": [image["map"].data_source for image in self._images],
+            "overs": [image["map"].glyph for image in self._images],
             "x_range": self._x_range,
             "y_range": self._y_range,
             "pans": [image["pan"] for image in self._images],
@@ -199,7 +201,7 @@ class Page:
             "aspect": self._size[1] / self._size[0],
             "exports": list(EXPORTS),
             "maps": [(k.name, k.title) for k in MAPS.values() if in_store or k.name in IMAGES],
-            "differences": [(k.name, k.title) for k in DIFFERENCES.values()],
+            "differences": [(k.name, k.title) for k in {**DIFFERENCES, **CONTRASTS}.values()],
             "light": LIGHT,
             "given": [(name, found.title) for name, found in given.items()],
             "errors": [(f"error:{n}", called(n)) for n in fixed()] if in_store else [],
@@ -230,12 +232,13 @@ class Page:
         }
         self._images[index]["source"].data = {"image": [packed], **radiance}
 
-    def show_map(self, shown: Map | None) -> None:
-        """Put a map in the place of the first image; None takes it away."""
-        renderer = self._images[0]["map"]
-        renderer.visible = shown is not None
+    def show_map(self, shown: Map | None, index: int) -> None:
+        """Put a map in the place of an image; None takes it away."""
+        for i, image in enumerate(self._images):
+            image["map"].visible = shown is not None and i == index
         if shown is None:
             return
+        renderer = self._images[index]["map"]
         low, high = shown.limits
         self._mapper.update(palette=shown.colors, low=low, high=high)
         # A pass goes on to write into its values: Bokeh would see no change.
@@ -288,7 +291,7 @@ def colorbar(shown: Map | None) -> dict[str, Any] | None:
     """Return what the shell needs to draw the scale of a map."""
     if shown is None:
         return None
-    bar: dict[str, Any] = {"title": shown.title, "unit": shown.unit}
+    bar: dict[str, Any] = {"title": shown.title, "unit": shown.unit, "note": shown.note}
     if shown.names:
         codes, counts = np.unique(shown.values[np.isfinite(shown.values)], return_counts=True)
         share = dict(zip(codes.astype(int).tolist(), counts / max(1, counts.sum()), strict=True))
@@ -320,7 +323,7 @@ def isolated(mean: Image, channel: str) -> Image:
     return np.repeat(grey[..., np.newaxis], mean.shape[-1], axis=-1).astype(np.float32)
 
 
-def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
+def rgba(mean: Image, exposure: float, tone: str, gamma: float = 1.0) -> npt.NDArray[np.uint32]:
     """Return an image as a browser wants it: packed RGBA, shape (y, x).
 
     Parameters
@@ -331,6 +334,8 @@ def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
         Stops.
     tone
         'srgb' clips, 'reinhard' maps v to v / (1 + v), 'filmic' is Hable's curve.
+    gamma
+        What is shown is raised to 1 / gamma.
 
     References
     ----------
@@ -353,14 +358,14 @@ def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
             )
     shown = tonemap(value, exposure=0)
     packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
-    packed[..., :3] = np.round(255 * shown)
+    packed[..., :3] = np.round(255 * shown ** (1 / gamma))
     return packed.view(np.uint32)[..., 0]
 
 
-def coarse_png(mean: Image, exposure: float, tone: str) -> str:
+def coarse_png(mean: Image, exposure: float, tone: str, gamma: float = 1.0) -> str:
     """Return an image with few pixels, as a PNG file in base64; parameters as for `rgba`."""
     step = -(-max(mean.shape[:2]) // COARSE)
-    packed = np.ascontiguousarray(rgba(mean[::step, ::step], exposure, tone))
+    packed = np.ascontiguousarray(rgba(mean[::step, ::step], exposure, tone, gamma))
     colors = packed.view(np.uint8).reshape(*packed.shape, 4)[..., :3]
     return base64.b64encode(png(colors / 255)).decode("ascii")
 

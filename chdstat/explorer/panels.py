@@ -156,23 +156,18 @@ class Series:
         Of the channel or of the pixel.
     name
         As in the legend.
-    other
-        Whether it belongs to the store that is compared with: drawn as dashed outlines.
     pixel
         Number of the pixel, from 1, where there are several; else 0.
+    dash
+        Of its lines, but for those of fits.
     """
 
     place: PlaceStatistics
     row: int
     color: str
     name: str
-    other: bool
     pixel: int = 0
-
-    @property
-    def dash(self) -> str:
-        """Dash of its lines."""
-        return "dashed" if self.other else "solid"
+    dash: str = "solid"
 
     @property
     def constant(self) -> float | None:
@@ -182,23 +177,32 @@ class Series:
         return float(self.place.moments.maximum[self.row])
 
 
-def series_of(
-    view: View, places: Sequence[PlaceStatistics], others: Sequence[PlaceStatistics] = ()
-) -> list[Series]:
-    """Return what the panels show of the selected places, those of a second store beside them."""
+def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> list[Series]:
+    """Return what the panels show of the selected places, by the name of the store or scene.
+
+    One place of one store shows its channels; else each has one row: luminance or the channel of
+    the view, in the colour of the pixel, or of the store where there are several.
+    """
     found = []
-    several = len(places) > 1
-    for is_other, group in ((False, places), (True, others)):
-        for i, place in enumerate(group):
-            rows = [place.row("luminance" if view.channel == "all" else view.channel)]
-            if view.channel == "all" and not several:
-                rows = list(range(len(place.channels)))
-            for row in rows:
-                name, color = f"pixel {i + 1}", PIXEL_COLORS[i]
-                if not several:
-                    name = place.names[row]
-                    color = CHANNEL_COLORS.get(name, BLENDED)
-                found.append(Series(place, row, color, name, is_other, (i + 1) * several))
+    row = "luminance" if view.channel == "all" else view.channel
+    for k, (name, those) in enumerate(places.items()):
+        if view.channel == "all" and len(those) == len(places) == 1:
+            return [
+                Series(those[0], i, CHANNEL_COLORS.get(channel, BLENDED), channel)
+                for i, channel in enumerate(those[0].channels)
+            ]
+        for i, place in enumerate(those):
+            pixel = i + 1 if len(those) > 1 else 0
+            if len(places) > 1:
+                color, dash = PIXEL_COLORS[k % 6], "solid" if k < 6 else "dashed"
+                found.append(Series(place, place.row(row), color, name, pixel, dash))
+            elif pixel:
+                name = f"pixel {pixel}"
+                found.append(Series(place, place.row(row), PIXEL_COLORS[i], name, pixel))
+            else:
+                name = place.names[place.row(row)]
+                color = CHANNEL_COLORS.get(name, BLENDED)
+                found.append(Series(place, place.row(row), color, name))
     return found
 
 
@@ -279,7 +283,7 @@ def _row(group: Sequence[tuple[Series, Density]], base: int | None, *, own_x: bo
     areas, lines, marks = [], [], []
     for s, x, y in outlines:
         lines.append(put(x, y, s.color, s.dash, 1.2))
-        areas += [] if s.other else [put(x, y, s.color)]
+        areas.append(put(x, y, s.color))
     for s, d in group:
         top = 1.2 * peak if base is not None else np.inf
         for curve in d.curves:
@@ -308,7 +312,8 @@ def _labels(
         note = " – ".join(dict.fromkeys(number(end) for end in span))
     # Above the upper tail, where there is room.
     above = base + 0.7 * _ROW_HEIGHT
-    return [("left", base, str(s.pixel), s.color), ("right", above, note, s.color)]
+    color = PIXEL_COLORS[s.pixel - 1]
+    return [("left", base, str(s.pixel), color), ("right", above, note, color)]
 
 
 def _histograms(scale: str, view: View, series: Sequence[Series]) -> PanelData:
@@ -322,8 +327,6 @@ def _histogram(view: View, scale: str, s: Series) -> Density:
     x, y = _steps(counted.edges, counted.density, s.row)
     if not x.size:
         return Density()
-    if s.other:
-        return Density((x, y))
     mean = float(s.place.moments.mean[s.row])
     mean = mean if scale == "linear" or mean > 0 else float("nan")
     return Density((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
@@ -364,9 +367,9 @@ def _uncounted(series: Sequence[Series], scale: str) -> list[str]:
     """Return what is not in the bins: nulls, bad samples, those beyond the support."""
     if not series:
         return []
-    place, second = series[0].place, series[-1]
-    if second.other:
-        return [f"{_counts(place)} (second: {_counts(second.place)})"]
+    place = series[0].place
+    if series[-1].place is not place:
+        return [f"{s.name}: {_counts(s.place)}" for s in series if scale == "log"]
     counted, rows = place.histograms[scale], [s.row for s in series]
     outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
     return [f"{_counts(place)} · {percent(outside)} outside the bins"]
@@ -421,9 +424,8 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
         mean, error = means[s.row], Z_95 * errors[s.row]
         if several and mean[-1] > 0:
             mean, error = mean / mean[-1], error / mean[-1]
-        if not s.other:
-            band = np.concatenate([mean - error, (mean + error)[::-1]])
-            areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
+        band = np.concatenate([mean - error, (mean + error)[::-1]])
+        areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
         lines.append(Trace(at, mean, s.color, s.dash, 1.6))
         tails += [(s.place.tail, s.row)] if s.constant is None else []
     caution = ""
@@ -454,8 +456,6 @@ def _averaged(n: int, s: Series) -> Density:
     edges = np.linspace(low, end, bins + 1)
     heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
     outline = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
-    if s.other:
-        return Density(outline)
     means, note = s.place.means, ""
     if means is not None and n in means.sizes:
         p = float(means.p_value[s.row, list(means.sizes).index(n)])
@@ -501,12 +501,12 @@ class PanelKind:
 
 
 PANELS = {
-    "linear": PanelKind(
-        "Linear histogram", "radiance", "density", partial(_histograms, "linear"), from_zero=True
-    ),
     "log": PanelKind(
         "Log10 histogram", "radiance", "density per decade", partial(_histograms, "log"), "log",
         from_zero=True,
+    ),
+    "linear": PanelKind(
+        "Linear histogram", "radiance", "density", partial(_histograms, "linear"), from_zero=True
     ),
     "qq": PanelKind("Quantiles", "quantiles of the family", "of the samples", _qq, "log", "log"),
     "running": PanelKind("Running mean", "spp", "radiance", _running, "log"),
@@ -548,8 +548,8 @@ def panel_plot(name: str) -> tuple[Any, list[models.Model]]:
         tools="",
         toolbar_location=None,
         sizing_mode="stretch_both",
-        min_border_left=52,
-        min_border_right=20,
+        min_border_left=48,
+        min_border_right=12,
         min_border_top=4,
         background_fill_color=GROUND,
         border_fill_color=None,
@@ -633,7 +633,8 @@ def encode_panels(panels: Mapping[str, PanelData]) -> dict[str, Any]:
             "marks": _columns(_MARKS, marks),
             "texts": _columns(_TEXTS, texts),
             "extent": shown,
-            "rows": panel.rows > 0,
+            "empty": not panel.lines,
+            "rows": panel.rows,
             "own_x": panel.own_x,
             "y": panel.y or PANELS[name].y,
         }

@@ -18,7 +18,7 @@ _EVERY = 0.4
 """Seconds between two reports."""
 
 Pass = Iterator[tuple[str, float]]
-"""After each step, what is being done, and the share that is done."""
+"""After each step, what is being done, and the share that is done; NaN where it is not known."""
 
 
 class Passes:
@@ -103,7 +103,7 @@ class Passes:
             else:
                 if time.monotonic() - self._told >= _EVERY:
                     self._told = time.monotonic()
-                    self._say(f"{text}, {100 * share:.0f} %", name)
+                    self._say(text + (f", {100 * share:.0f} %" if share >= 0 else ""), name)
 
     def _latest(self) -> tuple[str, Pass] | None:
         """Wait for something to do; return None at the end."""

@@ -26,7 +26,7 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
-from chdstat.explorer.sources import MOST_POOLED, Overall, Source
+from chdstat.explorer.sources import MOST_POOLED, Overall, Sampled
 from chdstat.explorer.view import Pixel
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, get_family
@@ -308,7 +308,7 @@ def first_pixel(overall: Overall) -> Pixel:
     return brightest // width, brightest % width
 
 
-def suggest(source: Source) -> Iterator[tuple[float, list[tuple[str, Pixel]]]]:
+def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, Pixel]]]]:
     """Look for a pixel with a long tail, one with several modes and one that is null-heavy.
 
     Yields the share that is done, and in the end what was found. Of a grid of pixels, those whose

@@ -7,20 +7,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from chdstat._core.display import percent
 from chdstat.comparison.tables import notes
 from chdstat.explorer import estimators, tables
-from chdstat.explorer.panels import BLENDED, PanelData, panels, series_of
+from chdstat.explorer.panels import PanelData, panels, series_of
 from chdstat.explorer.place import PlaceStatistics, goodness
 from chdstat.explorer.shared import Shared
-from chdstat.explorer.sources import SceneSource, Source, StoreSource, drop_oldest
+from chdstat.explorer.sources import (
+    ImageSource,
+    Sampled,
+    SceneSource,
+    StoreSource,
+    drop_oldest,
+)
 from chdstat.explorer.tables import Table
-from chdstat.explorer.view import Box, Pixel, View
+from chdstat.explorer.view import BATCHES, Box, Pixel, View
 from chdstat.inference.differences import Difference, difference
 
 __all__ = ["SelectionPlots", "SelectionResults"]
+
+_ROUGH = 0.2
+"""Relative standard error of a reference from which on scores against it are called rough."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +44,37 @@ class SelectionPlots:
         The view.
     keys
         (y, x) of pixels, or (top, left, bottom, right) of a region; none where nothing is selected.
-    places
-        Statistics of each.
-    others
-        Statistics of the same places of the store that is compared with.
+    found
+        Statistics of each by the index of a source that has samples.
+    index
+        Which of these tables describe: the one that is shown, else the first.
+    source, name
+        What it is, and what it is called.
     panels
         What each panel draws, by name.
     legend
         Names and colours of what is drawn.
-    live_spp
-        Samples of the active pixel where more of them can be drawn, else None.
     """
 
     view: View
     keys: Sequence[Pixel | Box]
-    places: Sequence[PlaceStatistics]
-    others: Sequence[PlaceStatistics]
+    found: Mapping[int, Sequence[PlaceStatistics]]
+    index: int
+    source: Sampled
+    name: str
     panels: Mapping[str, PanelData]
     legend: Sequence[tuple[str, str]]
-    live_spp: int | None
+
+    @property
+    def places(self) -> Sequence[PlaceStatistics]:
+        """Statistics of the places that tables describe."""
+        return self.found[self.index]
+
+    @property
+    def live_spp(self) -> int | None:
+        """Samples of the active pixel where more of them can be drawn, else None."""
+        live = isinstance(self.source, SceneSource) and bool(self.view.pixels)
+        return self.place.spp if live else None
 
     @property
     def key(self) -> Pixel | Box:
@@ -67,6 +90,7 @@ class SelectionPlots:
     def title(self) -> str:
         """Name of the place that tables describe, and how many samples it has."""
         samples = f"{self.place.spp:,} samples".replace(",", "\u2009")
+        samples += f" of {self.name}" if len(self.found) > 1 else ""
         if len(self.key) == 4:
             top, left, bottom, right = self.key
             return f"Region y {top}–{bottom - 1}, x {left}–{right - 1} · {samples}"
@@ -94,8 +118,8 @@ class SelectionResults:
         self._shared = shared
         self._places: dict[tuple[int, Pixel | Box], PlaceStatistics] = {}
 
-    def plots(self, view: View) -> SelectionPlots:
-        """Return what the panels of a view show.
+    def plots(self, view: View) -> SelectionPlots | None:
+        """Return what the panels of a view show; None where nothing is selected or has samples.
 
         Raises
         ------
@@ -104,32 +128,37 @@ class SelectionResults:
         StoreError
             If a store is damaged or gone.
         """
-        source, other = self._shared.source, self._shared.other
+        shared = self._shared
         keys: list[Pixel | Box] = list(view.pixels) if view.region is None else [view.region]
-        places = [self._statistics(source, 0, key) for key in keys]
-        others = [] if other is None else [self._statistics(other, 1, key) for key in keys]
-        series = series_of(view, places, others)
-        legend = [(s.name, s.color) for s in series if not s.other]
-        if other is not None:
-            legend.append((f"dashed: {other.name}", BLENDED))
-        live = isinstance(source, SceneSource) and bool(view.pixels)
-        live_spp = places[view.active].spp if live else None
-        return SelectionPlots(view, keys, places, others, panels(view, series), legend, live_spp)
+        found = {
+            i: [self._statistics(source, i, key) for key in keys]
+            for i, source in enumerate(shared.sources)
+            if not isinstance(source, ImageSource) and keys
+        }
+        if not found:
+            return None
+        shown, _ = view.of_images(len(shared.sources))
+        index = shown if shown in found else next(iter(found))
+        view = view.of_samples(min(place.spp for those in found.values() for place in those))
+        series = series_of(view, {shared.names[i]: those for i, those in found.items()})
+        legend = list(dict.fromkeys((s.name, s.color) for s in series))
+        source: Any = shared.sources[index]
+        name = shared.names[index]
+        return SelectionPlots(view, keys, found, index, source, name, panels(view, series), legend)
 
     def describe(
         self, plots: SelectionPlots
     ) -> tuple[dict[str, Table], list[estimators.ScoredEstimate]]:
         """Return the tables of the active place by name, and the estimates of quick estimators."""
-        if not plots.places:
-            return {}, []
-        source, other, batches = self._shared.source, self._shared.other, self._batches(plots)
+        source, shared = plots.source, self._shared
+        batches, said = self._batches(plots)
         quick = estimators.fixed().keys() - estimators.SLOW
         scored = estimators.scored(batches, names=quick) if batches else []
         columns = tables.columns_of(plots.places, plots.view.channel)
         found = {
             "statistics": tables.statistics_table(columns),
             "patterns": tables.patterns_table(columns),
-            "estimates": self._estimates_table(plots, scored),
+            "estimates": self._estimates_table(plots, scored, said),
         }
         if isinstance(source, StoreSource) and source.samples.parts and len(plots.key) == 2:
             pixel = source.samples.pixel(*plots.key)
@@ -137,9 +166,11 @@ class SelectionResults:
             for name, title, rows in (light, ("lights", "Light by its source", pixel.lights)):
                 if rows:
                     found[name] = self._of(plots, tables.light_table(title, rows))
-        if other is not None:
+        _, reference = plots.view.of_images(len(shared.sources))
+        if reference in plots.found and reference != plots.index:
+            names = shared.names[reference], plots.name
             table = tables.compared_table(
-                self._difference(plots, other), plots.place.channels, (source.name, other.name)
+                self._difference(plots, reference), plots.place.channels, names
             )
             found["compared"] = self._of(plots, table)
         return found, scored
@@ -154,31 +185,32 @@ class SelectionResults:
 
         `step` is called before each of them; whatever it raises ends the computation.
         """
-        shared, key, batches = self._shared, plots.key, self._batches(plots)
+        shared, key = self._shared, plots.key
+        batches, said = self._batches(plots)
         if batches is None:
-            return self._estimates_table(plots, quick)
-        overall = shared.overall
+            return self._estimates_table(plots, quick, said)
+        overall = shared.overalls[plots.index]
         unit = overall.unit if np.isfinite(overall.mean).any() else None
-        store = shared.source if isinstance(shared.source, StoreSource) else None
+        store = plots.source if isinstance(plots.source, StoreSource) else None
         found = [*quick, *estimators.scored(batches, names=estimators.SLOW, step=step)]
         for learner in shared.learners:
             step()
             learned = learner.score(batches, store, key, unit)
             found += [] if learned is None else [learned]
         if store is None or len(key) != 2:
-            return self._estimates_table(plots, found)
+            return self._estimates_table(plots, found, said)
         around = estimators.scored_around(batches, store, key, step=step)
         count = estimators.BATCHES_AROUND
         more = f"; {len(around)} look at the pixels around, in {count} batches"
-        said = notes([estimate.name for estimate in around])
-        more += "".join(f". The {name} is {text}" for name, text in said.items()).rstrip(".")
-        return self._estimates_table(plots, [*found, *around], more)
+        about = notes([estimate.name for estimate in around])
+        more += "".join(f". The {name} is {text}" for name, text in about.items()).rstrip(".")
+        return self._estimates_table(plots, [*found, *around], said, more)
 
     def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> Table:
         """Return the goodness of fit of every family; `step` is called with the share done."""
         return self._of(plots, tables.goodness_table(plots.place, goodness(plots.place, step)))
 
-    def _statistics(self, source: Source, which: int, key: Pixel | Box) -> PlaceStatistics:
+    def _statistics(self, source: Sampled, which: int, key: Pixel | Box) -> PlaceStatistics:
         x = source.pixel(*key) if len(key) == 2 else source.region(key)
         found = self._places.pop((which, key), None)
         if found is None or found.spp != x.shape[1]:
@@ -189,11 +221,11 @@ class SelectionResults:
         drop_oldest(self._places, lambda place: place.rows.nbytes)
         return found
 
-    def _difference(self, plots: SelectionPlots, other: StoreSource) -> Difference:
-        """Compare a place of the two stores, in pairs where these share random numbers."""
-        source, key = self._shared.source, plots.key
-        one, two = plots.place.samples, plots.others[plots.view.active].samples
-        if not isinstance(source, StoreSource):
+    def _difference(self, plots: SelectionPlots, reference: int) -> Difference:
+        """Compare a place with that of the reference, in pairs if these share random numbers."""
+        source, other, key = plots.source, self._shared.sources[reference], plots.key
+        one, two = plots.found[reference][plots.view.active].samples, plots.place.samples
+        if not isinstance(source, StoreSource) or not isinstance(other, StoreSource):
             return difference(one, two)
         paired = source.samples.shares_numbers_with(other.samples)
         if paired and one.shape != two.shape:
@@ -201,16 +233,16 @@ class SelectionResults:
             if len(key) == 2:
                 one, two = one[:, :spp], two[:, :spp]
             else:  # as many of each pixel, so that pairs stay together
-                one, two = source.region(key, spp), other.region(key, spp)
+                one, two = other.region(key, spp), source.region(key, spp)
         return difference(one, two, paired=paired)
 
-    def _reference(self) -> tuple[StoreSource | None, int]:
+    def _reference(self, source: Sampled) -> tuple[StoreSource | None, int]:
         """Return the reference and its first sample with random numbers of its own; None if none.
 
         In a reference of the seed of the source, the noise of those before is that of the source:
         errors against them would be too small.
         """
-        source, reference = self._shared.source, self._shared.reference
+        reference = self._shared.reference
         if reference is None:
             return None, 0
         samples = reference.samples
@@ -219,24 +251,37 @@ class SelectionResults:
             first = source.samples.spp
         return (reference, first) if first < samples.spp else (None, 0)
 
-    def _batches(self, plots: SelectionPlots) -> estimators.ScoringBatches | None:
-        """Return the batches of the active place, which are scored against the reference."""
+    def _batches(self, plots: SelectionPlots) -> tuple[estimators.ScoringBatches | None, str]:
+        """Return the batches of the active place, and what their estimates are scored against."""
         place, key, truth = plots.place, plots.key, None
-        reference, first = self._reference()
+        reference, first = self._reference(plots.source)
+        said, of = "error against the mean of the other samples, which no batch contains", place
+        of_what = f"{place.spp} samples"
         if reference is not None and len(key) == 2:
-            moments = PlaceStatistics(reference.pixel(*key)[:, first:], place.channels).moments
-            truth = moments.seen(moments.mean)[: len(place.channels)]
-        return estimators.batches_of(place.samples, plots.n, truth)
+            of = PlaceStatistics(reference.pixel(*key)[:, first:], place.channels)
+            said = f"error against {reference.name}"
+            # The first ones share their random numbers with what is scored.
+            said += f" from sample {first} on" if first else ""
+            truth = of.moments.seen(of.moments.mean)[: len(place.channels)]
+            of_what = f"the {of.spp} samples of {reference.name}"
+            if of.spp < (BATCHES - 1) * plots.n:
+                truth = np.full_like(truth, np.nan)
+        batches = estimators.batches_of(place.samples, plots.n, truth)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = float((of.moments.standard_error / np.abs(of.moments.mean))[-1])
+        if batches is not None and np.isnan(batches.truth).all():
+            said = f"{of_what} are too few to score estimates from {plots.n}"
+        elif error > _ROUGH:
+            said += f"; it is itself uncertain by {percent(error)}, and scores are rough"
+        return batches, said
 
     def _estimates_table(
-        self, plots: SelectionPlots, found: Sequence[estimators.ScoredEstimate], more: str = ""
+        self,
+        plots: SelectionPlots,
+        found: Sequence[estimators.ScoredEstimate],
+        note: str,
+        more: str = "",
     ) -> Table:
-        note = "error against the mean of the other samples, which no batch contains"
-        reference, first = self._reference()
-        if reference is not None:
-            note = f"error against {reference.name}"
-            # The first ones share their random numbers with what is scored.
-            note += f" from sample {first} on" if first else ""
         if plots.place.constant.all() and not plots.place.null.any():
             note, more = "the samples are constant: every estimator gives the same", ""
             none = float("nan")

@@ -32,6 +32,7 @@ from chdstat._core.files import place_of
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.explorer.render_process import COARSE, RenderProcess
+from chdstat.explorer.view import MOST_IMAGES, is_image
 from chdstat.rendering.options import Job, RenderOptions
 from chdstat.samples import Samples, is_store
 from chdstat.scenes import Scene
@@ -51,7 +52,7 @@ DEFAULT_PORT = 5006
 """Of the command line, so that an address stays the same from day to day."""
 _ADDRESS = "127.0.0.1"
 Explored = str | Path | dict[str, Any] | Scene | Samples
-"""A store or its path, samples in memory, or a scene."""
+"""A store or its path, samples in memory, a scene, or the path of an EXR image."""
 _HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
 """What this machine calls itself in the header of a request."""
 _EVERY = 3000
@@ -214,9 +215,8 @@ def _serve(startup: Startup, port: int, started: Future[tuple[Any, Any]]) -> Non
 
 
 def explore(
-    source: Explored,
+    source: Explored | Sequence[Explored],
     *,
-    other: str | Path | Samples | None = None,
     reference: str | Path | Samples | None = None,
     models: Sequence[TrainedModel[Any] | str | Path] = (),
     maps: str | Path | None = None,
@@ -235,10 +235,9 @@ def explore(
     ----------
     source
         A store or its path, samples in memory, or anything that `chdstat.load_scene` takes: a scene
-        is drawn coarsely, and each pixel sampled when it is picked.
-    other
-        A second store of as many pixels, to be compared with; in pairs of samples where both were
-        rendered with the same seed, and so with the same random numbers.
+        is drawn coarsely, and each pixel sampled when it is picked. Or several of one size, to be
+        compared: stores, EXR images, and a scene as the first. Samples are compared in pairs where
+        two stores have the same seed, and so the same random numbers.
     reference
         A store of the same scene with more samples: errors of estimators are measured against it,
         instead of against the samples that an estimate does not see. If it has the seed of the
@@ -263,7 +262,7 @@ def explore(
     Raises
     ------
     InputError
-        If the port is taken, or the stores do not fit each other.
+        If the port is taken, the sources do not fit each other, or there are more than nine.
     StoreError, SceneError, RenderError
         If the source or a model cannot be read, or the scene not rendered.
 
@@ -272,18 +271,26 @@ def explore(
     >>> import chdstat as chd
     >>> import numpy as np
     >>> samples = chd.Samples.from_array(np.ones((4, 6, 3, 32)), scene="flat")
-    >>> with chd.explore(samples) as explorer:  # doctest: +SKIP
+    >>> with chd.explore([samples, "reference.exr"]) as explorer:  # doctest: +SKIP
     ...     print(explorer.url)
     http://127.0.0.1:38671/
     """
+    sources: list[Any] = [source]
+    if isinstance(source, Sequence) and not isinstance(source, str):
+        sources = list(source)
+    if not 1 <= len(sources) <= MOST_IMAGES:
+        message = f"the explorer shows from 1 to {MOST_IMAGES} stores or images, got {len(sources)}"
+        raise InputError(message)
     render = explorer = coarse = None
-    if isinstance(source, Samples) or is_store(source):
-        stored = source
-        name = source.name if isinstance(source, Samples) else place_of(source).name
+    first = sources[0]
+    if isinstance(first, Samples):
+        name = first.name
+    elif is_image(first) or is_store(first):
+        name = place_of(first).name
     else:
         options = RenderOptions(size=size, seed=seed, max_depth=max_depth, backend="scalar")
-        job = Job.of(source, options)
-        render, name, stored = RenderProcess(job), job.scene.name, None
+        job = Job.of(first, options)
+        render, name = RenderProcess(job), job.scene.name
     drawing = ThreadPoolExecutor(1, thread_name_prefix="chdstat-startup")
     try:
         explorer = Explorer(port, name)
@@ -295,10 +302,9 @@ def explore(
         from chdstat.explorer.shared import opened
         from chdstat.explorer.sources import SceneSource
 
-        first: Any = stored
         if render is not None and coarse is not None:
-            first = SceneSource(render, coarse.result())
-        explorer._show(opened(first, other, reference, models, maps=maps))
+            sources[0] = SceneSource(render, coarse.result())
+        explorer._show(opened(sources, reference, models, maps=maps))
     except BaseException:
         if render is not None:
             render.close()
@@ -430,6 +436,5 @@ def _open(document: Document, shared: Shared | None) -> None:
         if not name.startswith("bokeh")
     }
     Session(document, shared, arguments)
-    source = shared.source
-    if isinstance(source, StoreSource) and not source.complete:
+    if any(isinstance(one, StoreSource) and not one.complete for one in shared.sources):
         document.add_periodic_callback(shared.refresh, _EVERY)

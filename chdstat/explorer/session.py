@@ -31,9 +31,9 @@ from chdstat.explorer.panels import PIXEL_COLORS, encode_panels
 from chdstat.explorer.place import first_pixel
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
 from chdstat.explorer.shared import Shared
-from chdstat.explorer.sources import MOST_SPP, SceneSource, StoreSource
+from chdstat.explorer.sources import MOST_SPP, ImageSource, SceneSource, StoreSource
 from chdstat.explorer.tables import Table, headline
-from chdstat.explorer.view import View, box_between, check_pixel, parse_view
+from chdstat.explorer.view import BATCHES, View, box_between, check_pixel, parse_view
 
 __all__ = ["Session"]
 
@@ -46,8 +46,11 @@ _LOOK = 0.4
 _OWN_ACCORD = -1
 """In place of the number of a command, for an update that follows from none."""
 
+_LOOKS = frozenset({"map", "limits", "exposure", "tone", "gamma"})
+"""Options that change the image, and nothing of the selection."""
+
 T = TypeVar("T")
-Found = tuple[SelectionPlots, dict[str, Table], list[ScoredEstimate]]
+Found = tuple[SelectionPlots, dict[str, Table], list[ScoredEstimate]] | None
 Check = Callable[[], None]
 
 
@@ -72,21 +75,21 @@ class Session:
         self, document: Document, shared: Shared, arguments: Mapping[str, list[str]]
     ) -> None:
         self._shared = shared
-        self._size = shared.source.size
+        self._size = shared.sources[0].size
         self._results = SelectionResults(shared)
         self._shown: SelectionPlots | None = None
         self._is_new = True
         self._generation = 0
         self._live_spp: int | None = None
-        self._paused, self._visible = False, True
+        self._paused, self._visible = True, True
         self._makes_image = self._image_is_old = False
-        self._seq = _OWN_ACCORD
+        self._seq, self._refused = _OWN_ACCORD, ""
         self.view, self._notes = parse_view(arguments, *self._size)
         if not self.view.pixels and self.view.region is None:
-            self.view = self.view.pick(*first_pixel(shared.overall))
+            self.view = self.view.pick(*first_pixel(shared.overalls[0]))
         # A map or a part of the image has another look: then there is nothing to be seen at first.
         coarse = [] if self.view.map != "image" or "z" in arguments else self._coarse()
-        self._page = Page(document, shared.source, shared.other, shared.given, coarse, self._gone)
+        self._page = Page(document, shared.sources, shared.names, shared.given, coarse, self._gone)
         self._page.inbox.on_change("value", self._received)
         self._end = shared.listen(lambda what: self._page.next(partial(self._heard, what)))
 
@@ -116,12 +119,11 @@ class Session:
         self._describe()
         self._show_image()
         notes = list(self._notes)
-        if self.view.map != "image":
-            try:
-                self._shared.want(self, self.view.map)
-            except InputError as error:
-                notes.append(str(error))
-                self.view = self.view.changed("map", "image")
+        try:
+            self._shared.want(self, self.view)
+        except InputError as error:
+            notes.append(str(error))
+            self.view = self.view.changed("map", "image")
         self._show_map()
         if notes:
             self._page.alert("; ".join(notes))
@@ -148,22 +150,30 @@ class Session:
         self._go(self.view.drop(int(index)))
 
     def _on_set(self, *, option: str, value: Any) -> None:
-        if option == "map":
-            self._shared.want(self, str(value))
         view = self.view.changed(str(option), value)
         if option == "map":
             view = view.changed("limits", None)
-        if option not in {"map", "limits", "exposure", "tone"}:
-            self._go(view)
-            if option == "channel":
-                self._show_image()
-            return
-        self.view = view
-        if option in {"map", "limits"}:
-            self._show_map()
+            self._shared.want(self, view)
+        if option in _LOOKS:
+            self.view = view
+            self._show_view()
         else:
+            self._go(view)
+        if option in {"exposure", "tone", "gamma", "channel"}:
             self._show_image()
-        self._show_view()
+        elif option in {"shown", "reference"}:
+            self._want()
+        elif option in {"map", "limits"}:
+            self._show_map()
+
+    def _want(self) -> None:
+        """Wait for the map of the view, or say why there is none."""
+        self._refused = ""
+        try:
+            self._shared.want(self, self.view if self._visible else View())
+        except InputError as error:
+            self._refused = str(error)
+        self._show_map()
 
     def _on_export(self, *, format: str) -> None:  # noqa: A002 - its name on the page
         if format not in EXPORTS:
@@ -173,9 +183,9 @@ class Session:
             message = "nothing is selected: click a pixel before exporting"
             raise InputError(message)
         self._page.send({"kind": "working", "text": f"exporting {format}"})
-        source, overall = self._shared.source, self._shared.overall
-        given = source.name, self._shown, overall, self._exposure, source.origin
-        work = partial(exported, format, *given)
+        images = dict(zip(self._shared.names, self._means, strict=True))
+        paths = {n: s.path for n, s in zip(self._shared.names, self._shared.sources, strict=True)}
+        work = partial(exported, format, self._shown, images, paths, self._exposure)
         self._page.run(self._shared.exports, work, self._exported)
 
     def _on_pause(self) -> None:
@@ -187,7 +197,7 @@ class Session:
     def _on_visible(self, *, on: bool) -> None:
         """Take note of whether anyone can see the page, and so waits for its map."""
         self._visible = bool(on)
-        self._shared.want(self, self.view.map if on else "image")
+        self._want()
         self._draw_more()
 
     def _on_goodness(self) -> None:
@@ -210,10 +220,10 @@ class Session:
 
     def _on_near(self, *, y: int, x: int) -> None:
         """Read the pixels around the pointer, so that they are there when one is clicked."""
-        source = self._shared.source
-        if isinstance(source, StoreSource):
-            with suppress(RuntimeError):  # the explorer is closing
-                self._shared.exports.submit(source.pixel, int(y), int(x))
+        for source in self._shared.sources:
+            if isinstance(source, StoreSource):
+                with suppress(RuntimeError):  # the explorer is closing
+                    self._shared.exports.submit(source.pixel, int(y), int(x))
 
     # --- what they change -----------------------------------------------------------------------
 
@@ -236,55 +246,54 @@ class Session:
             self._show_view()
             self._show_map()
         elif what == "source":
-            self._shared.want(self, self.view.map)
+            self._want()
             self._describe()
             self._show_view()
             self._compute()
-        elif what == self.view.map:
+        elif what == self._shared.key(self.view):
             self._show_map()
 
     def _describe(self) -> None:
-        source, other = self._shared.source, self._shared.other
-        against = f"  |  against {other.name}: {other.describe()}" if other else ""
-        self._page.send({"kind": "described", "text": source.describe() + against})
+        texts = [source.describe() for source in self._shared.sources]
+        sampled = any(not isinstance(source, ImageSource) for source in self._shared.sources)
+        self._page.send({"kind": "described", "texts": texts, "samples": sampled})
 
     def _show_view(self) -> None:
         view = {"view": asdict(self.view), "query": self.view.query(), "exposure": self._exposure}
+        view["images"] = self.view.of_images(len(self._shared.sources))
         self._page.send({"kind": "view", **view, "colors": PIXEL_COLORS})
 
     @property
     def _exposure(self) -> float:
         """Stops that the image is shown with."""
         exposure = self.view.exposure
-        return self._shared.overall.exposure if exposure is None else exposure
+        return self._shared.overalls[0].exposure if exposure is None else exposure
 
     @property
     def _means(self) -> list[Any]:
-        """Mean radiance of the image, or of both, shape (y, x, channel)."""
-        means = [self._shared.overall.mean]
-        if self._shared.other is not None:
-            means.append(self._shared.other_overall.mean)
+        """Mean radiance of the images, shape (y, x, channel)."""
+        means = [overall.mean for overall in self._shared.overalls]
         # Where nothing is drawn yet there is no error.
         return [m if np.isfinite(m).any() else np.zeros_like(m) for m in means]
 
     def _coarse(self) -> list[str]:
         """Return what the page has of its images in its HTML, as PNG files in base64."""
-        exposure, tone, channel = self._exposure, self.view.tone, self.view.channel
-        return [coarse_png(isolated(m, channel), exposure, tone) for m in self._means]
+        look = self._exposure, self.view.tone, self.view.gamma
+        return [coarse_png(isolated(m, self.view.channel), *look) for m in self._means]
 
     def _show_image(self) -> None:
-        """Show the image, or both; while one is made, only the latest request is kept."""
+        """Show the images; while they are made, only the latest request is kept."""
         self._image_is_old = True
         if self._makes_image:
             return
         self._image_is_old, self._makes_image = False, True
-        shared, exposure, tone = self._shared, self._exposure, self.view.tone
+        look = self._exposure, self.view.tone, self.view.gamma
         means, channel = self._means, self.view.channel
 
         def work() -> list[tuple[Any, Any]]:
-            return [(rgba(isolated(mean, channel), exposure, tone), mean) for mean in means]
+            return [(rgba(isolated(mean, channel), *look), mean) for mean in means]
 
-        self._page.run(shared.images, work, self._made_image)
+        self._page.run(self._shared.images, work, self._made_image)
 
     def _made_image(self, future: Future[list[tuple[Any, Any]]]) -> None:
         for i, (packed, mean) in enumerate(future.result()):
@@ -295,15 +304,15 @@ class Session:
 
     def _show_map(self) -> None:
         """Show what there is of the map and how far it is, or take it away."""
-        name, said = self.view.map, ""
-        found = self._shared.map(name)
-        if name != "image" and (found is None or found.done < 1):
-            failed = self._shared.passes.failures.get(name)
-            done = f"{100 * found.done:.0f} %" if found else "waiting"
-            said = f"{map_kind(name).title}: {failed or done}"
+        said = self._refused
+        found = None if said or self.view.map == "image" else self._shared.map(self.view)
+        if self.view.map != "image" and not said and (found is None or found.done < 1):
+            failed = self._shared.passes.failures.get(self._shared.key(self.view))
+            done = f"{100 * found.done:.0f} %" if found else "being computed"
+            said = f"{map_kind(self.view.map).title}: {failed or done}"
         if found is not None and self.view.limits:
             found = replace(found, ends=self.view.limits)
-        self._page.show_map(found)
+        self._page.show_map(found, self.view.of_images(len(self._shared.sources))[0])
         self._page.send({"kind": "colorbar", "bar": colorbar(found), "said": said})
 
     def _exported(self, future: Future[tuple[str, bytes]]) -> None:
@@ -337,17 +346,19 @@ class Session:
         """Compute results in the thread of clicks; send the panels before there are tables."""
         check()
         plots = self._results.plots(view)
-        if plots.places:
-            notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
-            drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
-            drawn["title"] = plots.title
-            self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
+        if plots is None:
+            return None
+        notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
+        drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
+        spp = min(place.spp for place in plots.places)
+        drawn["names"] = self._shared.names
+        drawn |= {"title": plots.title, "batch": plots.view.batch, "most": spp // BATCHES}
+        self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
         return plots, *self._results.describe(plots)
 
-    def _found_with_more(self, view: View, check: Check) -> Found:
+    def _found_with_more(self, source: SceneSource, view: View, check: Check) -> Found:
         """Sample the active pixel for a while, then compute the results again."""
-        source, start = self._shared.source, time.monotonic()
-        assert isinstance(source, SceneSource)
+        start = time.monotonic()
         while time.monotonic() - start < _LOOK and not self._paused:
             check()
             if source.more(*view.pixels[view.active]).shape[1] >= MOST_SPP:
@@ -377,17 +388,19 @@ class Session:
             self._alert(error)
             self._page.send(done)
             return
-        plots, tables, quick = future.result()
+        found, self._is_new = future.result(), False
         done["took"] = time.perf_counter() - start
-        self._shown, self._is_new = (plots if plots.places else None), False
-        if tables:
-            self._page.send({"kind": "headline", "numbers": headline(plots.place)})
-            self._page.send({"kind": "tables", "tables": tables})
-        self._page.send(done)
-        self._live_spp = plots.live_spp
+        self._shown = self._live_spp = None
+        if found is None:
+            self._page.send({"kind": "live", "shown": False}, done)
+            return
+        plots, tables, quick = found
+        self._shown, self._live_spp = plots, plots.live_spp
+        shown = {"kind": "headline", "numbers": headline(plots.place)}
+        self._page.send(shown, {"kind": "tables", "tables": tables}, done)
         self._tell_live()
         self._draw_more()
-        if plots.places and plots.live_spp is None:  # else it changes all the time
+        if plots.live_spp is None or self._paused:  # else it changes all the time
             work = partial(self._results.slow_estimates, plots, quick)
             self._page.next(_guarded(self._check(), self._add, "estimates", work), _PAUSE)
 
@@ -404,21 +417,22 @@ class Session:
 
     def _draw_more(self) -> None:
         """Draw more samples of the active pixel, unless paused, hidden, or done."""
-        spp = self._live_spp
-        if self._paused or not self._visible or spp is None or spp >= MOST_SPP:
+        spp, plots = self._live_spp, self._shown
+        if self._paused or not self._visible or spp is None or spp >= MOST_SPP or plots is None:
             return
+        assert isinstance(plots.source, SceneSource)
         self._live_spp = None  # until the plots are here
         finish = partial(self._finished, _OWN_ACCORD, time.perf_counter())
-        self._start(self._shared.clicks, partial(self._found_with_more, self.view), finish)
+        work = partial(self._found_with_more, plots.source, self.view)
+        self._start(self._shared.clicks, work, finish)
 
     def _tell_live(self) -> None:
-        if not isinstance(self._shared.source, SceneSource):
+        if self._shown is None or self._shown.live_spp is None:
+            self._page.send({"kind": "live", "shown": False})
             return
-        if (spp := self._live_spp) is None:
-            if not self.view.pixels:
-                self._page.send({"kind": "live", "shown": False})
-            return
-        text = f"{spp:,} of {MOST_SPP:,} samples".replace(",", " ")
+        spp = self._shown.live_spp
+        of = "" if self._paused else f" of {MOST_SPP:,}"
+        text = f"{spp:,} samples{of}".replace(",", " ")
         state = {"share": spp / MOST_SPP, "text": text, "paused": self._paused}
         self._page.send({"kind": "live", "shown": True, **state})
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Generator, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -26,7 +26,11 @@ from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.estimators import Learner, learners
 from chdstat.explorer.maps import (
+    CONTRASTS,
+    DIFFERENCES,
+    IMAGES,
     Map,
+    contrast_of,
     difference_of,
     map_kind,
     of_overall,
@@ -35,8 +39,16 @@ from chdstat.explorer.maps import (
 )
 from chdstat.explorer.passes import Pass, Passes
 from chdstat.explorer.place import suggest
-from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource, stream
-from chdstat.explorer.view import Pixel
+from chdstat.explorer.sources import (
+    ImageSource,
+    Overall,
+    SceneSource,
+    Source,
+    StoreSource,
+    stream,
+)
+from chdstat.explorer.view import Pixel, View, is_image
+from chdstat.inference.contrasts import Contrast, contrast
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
@@ -78,8 +90,7 @@ def kept(
 
 
 def opened(
-    source: str | Path | Samples | SceneSource,
-    other: str | Path | Samples | None = None,
+    sources: Sequence[str | Path | Samples | SceneSource],
     reference: str | Path | Samples | None = None,
     models: Sequence[TrainedModel[Any] | str | Path] = (),
     *,
@@ -90,26 +101,32 @@ def opened(
     Raises
     ------
     InputError
-        If the stores do not fit each other.
+        If the sources do not fit each other.
     StoreError, SceneError, RenderError
         If something cannot be read or rendered.
     """
     trained = learners(models)
-    first: Source = source if isinstance(source, SceneSource) else _store(source)
-    second, truth = (None if s is None else _store(s) for s in (other, reference))
-    for store in (second, truth):
-        if store is not None and (store.size, store.channels) != (first.size, first.channels):
+    found = [one if isinstance(one, SceneSource) else _opened(one) for one in sources]
+    truth = None if reference is None else _store(reference)
+    for one in (*found[1:], *([] if truth is None else [truth])):
+        if (one.size, one.channels) != (found[0].size, found[0].channels):
             expected, got = (
                 f"{s.size[1]} x {s.size[0]} pixels and channels {', '.join(s.channels)}"
-                for s in (first, store)
+                for s in (found[0], one)
             )
             message = (
-                f"{store.name} must have the size and channels of {first.name}: expected "
+                f"{one.name} must have the size and channels of {found[0].name}: expected "
                 f"{expected}, got {got}"
             )
             raise InputError(message)
-    given = {} if maps is None else read_maps(maps, first.size)
-    return Shared(first, second, truth, trained, given)
+    given = {} if maps is None else read_maps(maps, found[0].size)
+    return Shared(found, truth, trained, given)
+
+
+def _opened(source: str | Path | Samples) -> StoreSource | ImageSource:
+    if not isinstance(source, Samples) and is_image(source):
+        return ImageSource(Path(source))
+    return _store(source)
 
 
 def _store(source: str | Path | Samples) -> StoreSource:
@@ -126,10 +143,8 @@ class Shared:
 
     Parameters
     ----------
-    source
-        The store or scene on the page.
-    other
-        A second store that it is compared with.
+    sources
+        What is on the page: stores, a scene, images.
     reference
         A store of the same scene with more samples, which errors are measured against.
     learners
@@ -139,10 +154,12 @@ class Shared:
 
     Attributes
     ----------
-    overall, other_overall
-        Images of `source` and `other` so far.
+    names
+        Of the sources, each another one.
+    overalls
+        Their images so far.
     maps
-        Maps by name, finished or not.
+        Maps by what `key` says, finished or not.
     suggested
         Names and places of pixels that are worth a first look.
     passes
@@ -154,45 +171,45 @@ class Shared:
 
     def __init__(
         self,
-        source: Source,
-        other: StoreSource | None = None,
+        sources: Sequence[Source],
         reference: StoreSource | None = None,
         learners: Sequence[Learner] = (),
         given: Mapping[str, Map] = MappingProxyType({}),
     ) -> None:
-        self.source, self.other, self.reference = source, other, reference
+        self.sources, self.reference = list(sources), reference
+        self.names = _distinct(self.sources)
         self.learners, self.given = tuple(learners), given
-        self.overall = Overall.empty(*source.size, len(source.channels))
-        self.other_overall = self.overall
+        empty = Overall.empty(*sources[0].size, len(sources[0].channels))
+        self.overalls = [empty for _ in sources]
+        self._contrasts: dict[tuple[int, int], Contrast] = {}
         self.maps: dict[str, Map] = {}
         self.suggested: list[tuple[str, Pixel]] = []
-        self.clicks, self.exports, self.additions, self.images = (
+        self.clicks, self.exports, self.additions, self.images, self._others = self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
-            for name in ("clicks", "exports", "additions", "images")
-        )
+            for name in ("clicks", "exports", "additions", "images", "others")
+        ]
         self._listeners: set[Listener] = set()
         self._urgent = 0
         self._lock = threading.Lock()
         self.passes = Passes(lambda: self._urgent > 0, self.tell)
 
     def start(self) -> None:
-        """Show the first image, then begin to improve it."""
-        if isinstance(self.source, SceneSource):
-            self.overall = self.source.overall()
-        if isinstance(self.source, StoreSource):
-            # The first samples take a second where all take minutes.
-            self.overall = _first(self.source)
-            if self.other is not None:
-                self.other_overall = _first(self.other)
+        """Show the first images, then begin to improve them."""
+        # The first samples take a second where all take minutes.
+        self.overalls = [
+            _first(source) if isinstance(source, StoreSource) else source.overall()
+            for source in self.sources
+        ]
         self.passes.ask(self, "start", self._begin())
 
     def stop(self) -> None:
         """End all threads, now or at the next tile."""
         self.passes.stop()
-        for pool in (self.clicks, self.exports, self.additions, self.images):
+        for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
-        if isinstance(self.source, SceneSource):
-            self.source.close()
+        for source in self.sources:
+            if isinstance(source, SceneSource):
+                source.close()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Call a listener with the name of what changes; return what to call to end that.
@@ -212,80 +229,123 @@ class Shared:
         with self._lock:
             self._urgent += change
 
-    def want(self, who: Hashable, name: str) -> None:
-        """Let a page wait for a map, and for no other one; "image" waits for none.
+    def key(self, view: View) -> str:
+        """Return what a map is called here: its name and what it is of."""
+        shown, reference = view.of_images(len(self.sources))
+        return f"{view.map} {shown}" + (f" {reference}" if view.map in CONTRASTS else "")
+
+    def want(self, who: Hashable, view: View) -> None:
+        """Let a page wait for the map of its view, and for no other one.
 
         Raises
         ------
         InputError
-            If there is no such map, or it needs a store and there is none.
+            If there is no such map, or it needs samples and there are none.
         """
         self.passes.leave(who)
-        if self.map(name) is not None and name not in self.maps:
+        found = self.map(view)
+        if view.map == "image" or (found is not None and found.done >= 1):
             return
-        if name == "image" or (name in self.maps and self.maps[name].done >= 1):
-            return
-        kind = map_kind(name)
-        if not isinstance(self.source, StoreSource):
-            how = "render the scene with 'chdstat render SCENE -o STORE'"
-            message = f"{kind.title!r} needs a store: {how}"
+        kind, key = map_kind(view.map), self.key(view)
+        shown, reference = view.of_images(len(self.sources))
+        source = self.sources[shown]
+        if view.map in (*DIFFERENCES, *CONTRASTS) and shown == reference:
+            message = "this image is the reference: choose another one"
             raise InputError(message)
-        self.passes.ask(who, name, self._walk(self.source, name))
+        if view.map in CONTRASTS:
+            self.passes.ask(who, key, self._contrast(key, view.map, shown, reference))
+        elif isinstance(source, StoreSource):
+            self.passes.ask(who, key, self._walk(source, key, view.map))
+        else:
+            how = "render the scene with 'chdstat render SCENE -o STORE'"
+            message = f"{kind.title!r} needs samples, which {source.name} does not have: {how}"
+            raise InputError(message)
 
-    def map(self, name: str) -> Map | None:
-        """Return what there is of a map."""
-        of_two = difference_of(self.overall, self.other_overall, name) if self.other else None
-        found = self.given.get(name) or of_two or of_overall(self.overall, name)
-        return found or self.maps.get(name)
+    def map(self, view: View) -> Map | None:
+        """Return what there is of the map of a view."""
+        shown, reference = view.of_images(len(self.sources))
+        name, overall = view.map, self.overalls[shown]
+        if name in self.given:
+            return self.given[name]
+        if name in DIFFERENCES and shown != reference:
+            return difference_of(self.overalls[reference], overall, name)
+        if name in IMAGES and not isinstance(self.sources[shown], ImageSource):
+            return of_overall(overall, name)
+        return self.maps.get(self.key(view))
 
     def refresh(self) -> None:
-        """Go on with the samples that were added to the store since, if there are any."""
-        grown = self.source.refreshed() if isinstance(self.source, StoreSource) else None
-        if grown is not None:
-            self.source = grown
+        """Go on with the samples that were added to stores since, if there are any."""
+        grown = [
+            source.refreshed() if isinstance(source, StoreSource) and not source.complete else None
+            for source in self.sources
+        ]
+        if any(grown):
+            self.sources = [new or old for new, old in zip(grown, self.sources, strict=True)]
             self.passes.forget()
             self.maps.clear()
+            self._contrasts.clear()
             self.passes.ask(self, "start", self._draw())
             self.tell("source")
 
     # --- passes ---------------------------------------------------------------------------------
 
     def _begin(self) -> Pass:
-        """Draw the image, then look for pixels that are worth a look."""
+        """Draw the images, then look for pixels that are worth a look."""
         yield from self._draw()
-        for share, found in suggest(self.source):
+        sampled = next((one for one in self.sources if not isinstance(one, ImageSource)), None)
+        for share, found in suggest(sampled) if sampled else ():
             self.suggested = found
             yield "looking for typical pixels", share
         self.tell("suggested")
 
     def _draw(self) -> Pass:
-        source = self.source
-        if isinstance(source, SceneSource):
-            shown = start = time.monotonic()
-            for share in source.passes():
-                now = time.monotonic()
-                # The later, the less it changes; a large image takes long to send and to show.
-                if now - shown > _SHOWN_EVERY * (now - start) + 0.4 or share >= 1:
-                    self._image(source.overall())
-                    shown = now
-                yield "drawing the image", share
-            return
-        if self.other is not None:
-            self.other_overall = yield from _read(self.other)
-        self._image((yield from _read(source)))
+        for i, source in enumerate(self.sources):
+            if isinstance(source, StoreSource):
+                for share, so_far in kept(source.samples, "overall", Overall, stream(source)):
+                    found = so_far
+                    yield f"reading all of {source.name}", share
+                self._image(i, found)
+            elif isinstance(source, SceneSource):
+                shown = start = time.monotonic()
+                for share in source.passes():
+                    now = time.monotonic()
+                    # The later, the less it changes; a large image takes long to send and to show.
+                    if now - shown > _SHOWN_EVERY * (now - start) + 0.4 or share >= 1:
+                        self._image(i, source.overall())
+                        shown = now
+                    yield "drawing the image", share
 
-    def _image(self, overall: Overall) -> None:
+    def _image(self, index: int, overall: Overall) -> None:
         """Show an image; what takes long is found here and not in the thread of the server."""
         _ = overall.exposure
-        self.overall = overall
+        self.overalls[index] = overall
         self.tell("image")
 
-    def _walk(self, source: StoreSource, name: str) -> Pass:
+    def _walk(self, source: StoreSource, key: str, name: str) -> Pass:
         kind, array = map_kind(name, source.samples.spp), npt.NDArray[np.float32]
         for share, values in kept(source.samples, name, array, walk(source, name)):
-            if source is self.source:  # else it has grown
-                self.maps[name] = replace(kind, values=values, done=share)
+            if source in self.sources:  # else it has grown
+                self.maps[key] = replace(kind, values=values, done=share)
             yield f"mapping {kind.title}", share
+
+    def _contrast(self, key: str, name: str, shown: int, reference: int) -> Pass:
+        """Contrast two renders in a thread of its own, as it takes long and has no steps."""
+        pair = reference, shown
+        if isinstance(self.sources[reference], ImageSource):
+            pair = shown, reference  # what is exact comes second
+        a, b = (self.sources[i] for i in pair)
+        if not isinstance(a, StoreSource) or isinstance(b, SceneSource):
+            message = f"a contrast of {a.name} and {b.name} needs the samples of a store"
+            raise InputError(message)
+        if pair not in self._contrasts:
+            other: Any = b.samples if isinstance(b, StoreSource) else self.overalls[pair[1]].mean
+            work = self._others.submit(contrast, a.samples, other)
+            while not work.done():
+                time.sleep(0.02)
+                yield f"contrasting {a.name} and {b.name}", float("nan")
+            self._contrasts[pair] = work.result()
+        names = self.names[pair[0]], self.names[pair[1]]
+        self.maps[key] = contrast_of(replace(self._contrasts[pair], names=names), name)
 
 
 def _first(source: StoreSource) -> Overall:
@@ -294,9 +354,7 @@ def _first(source: StoreSource) -> Overall:
     return found
 
 
-def _read(source: StoreSource) -> Generator[tuple[str, float], None, Overall]:
-    """Return the image of all samples."""
-    for share, so_far in kept(source.samples, "overall", Overall, stream(source)):
-        found = so_far
-        yield f"reading all of {source.name}", share
-    return found
+def _distinct(sources: Sequence[Source]) -> list[str]:
+    """Return names of sources; those that are called alike have a number."""
+    names = [source.name for source in sources]
+    return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]

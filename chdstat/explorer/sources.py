@@ -1,4 +1,4 @@
-"""Sources of samples: a store, never loaded as a whole, or a scene, sampled where it is clicked."""
+"""Sources: a store, never loaded as a whole, a scene, sampled where it is clicked, or an image."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from itertools import product
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
 from chdstat.explorer.render_process import COARSE, RenderProcess
 from chdstat.explorer.view import Box, Pixel, check_pixel
+from chdstat.io.exr import read_exr
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
 from chdstat.samples.dependence import sequence_of
@@ -29,7 +31,9 @@ __all__ = [
     "MOST_POOLED",
     "MOST_SPP",
     "ImageAccumulator",
+    "ImageSource",
     "Overall",
+    "Sampled",
     "SceneSource",
     "Source",
     "StoreSource",
@@ -183,6 +187,8 @@ class StoreSource:
         (height, width) in pixels.
     channels
         Names of the channels.
+    path
+        Where the store is; None in memory.
     name
         Name of the store, or of the scene where it is in memory.
     title
@@ -195,6 +201,7 @@ class StoreSource:
         self.samples = samples
         self.size = samples.shape[:2]
         self.channels = samples.channels
+        self.path = samples.path
         self.name = samples.path.name if samples.path else samples.name
         self.title = " · ".join(dict.fromkeys((self.name, samples.name)))
         self._asked_spp = int(samples.attrs.get("spp", samples.spp))
@@ -333,7 +340,7 @@ class SceneSource:
         drawn; None for none.
     """
 
-    channels = ("R", "G", "B")
+    channels, path = ("R", "G", "B"), None
 
     def __init__(self, render: RenderProcess, coarse: Image | None = None) -> None:
         self._seed, self._render = seed_number(render.job.options.seed), render
@@ -434,4 +441,35 @@ class SceneSource:
         drop_oldest(self._pixels, lambda held: held.nbytes)
 
 
-Source = StoreSource | SceneSource
+# --- an image -----------------------------------------------------------------------------------
+
+
+class ImageSource:
+    """An image without samples, such as an EXR file.
+
+    Attributes
+    ----------
+    path
+        The file.
+    size, channels, name
+        As of a store.
+    """
+
+    def __init__(self, path: Path) -> None:
+        found = read_exr(path)
+        self.path, self.channels, self._image = path, found.channels, found.image
+        self.size: tuple[int, int] = (found.image.shape[0], found.image.shape[1])
+        self.name = self.title = path.name
+
+    def describe(self) -> str:
+        """Return its size in one line."""
+        height, width = self.size
+        return f"{width} × {height} px · an image without samples"
+
+    def overall(self) -> Overall:
+        """Return the image."""
+        return replace(Overall.empty(*self.size, len(self.channels)), mean=self._image)
+
+
+Sampled = StoreSource | SceneSource
+Source = Sampled | ImageSource

@@ -72,13 +72,14 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     clear = {"suspect": "at least: the tail is heavy", "not identified": "if the tail allows it"}
     count = int(modes.modes[-1])
     low, high = map(percent, map(float, place.patterns.intervals["null_heavy"]))
-    rest = float(place.patterns.statistics["long_tail"])
-    if place.is_firefly and np.isfinite(rest):
-        verdict += f"; {number(rest)} without the largest sample"
+    xi = float(tail.xi[-1])
+    if place.is_firefly:  # as in the patterns
+        xi = float(place.patterns.statistics["long_tail"])
+        verdict += "; the sample that outweighs the others is left out"
     return [
         ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
         ("Null samples", percent(place.null_share), f"{low} to {high}"),
-        ("Tail index", "—" if constant else number(tail.xi[-1]), verdict),
+        ("Tail index", "—" if constant else number(xi), verdict),
         (
             "Modes",
             "—" if constant or not count else str(count),
@@ -295,7 +296,7 @@ _STATISTICS: tuple[tuple[str, Callable[[PlaceStatistics, int], str], bool], ...]
     ("parameters", _parameters, False),
     ("BIC margin", lambda p, i: number(p.selection.margin[i]), True),
     (
-        "tail index ξ",
+        "tail index ξ of all samples",
         lambda p, i: with_interval(p.tail.xi[i], *p.tail.interval[i]),
         True,
     ),

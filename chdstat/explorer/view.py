@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -19,29 +20,39 @@ from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
 
 __all__ = [
+    "BATCHES",
     "BATCH_SIZES",
     "FITS",
+    "MOST_IMAGES",
     "Box",
     "Pixel",
     "View",
     "box_between",
     "check_pixel",
+    "is_image",
     "parse_view",
 ]
 
 MOST_PIXELS = 6
+MOST_IMAGES = 9
+"""As many as there are digits to choose them by."""
 FITS = ("best", *FAMILIES, "mixture")
 """What can be drawn over the histograms."""
 TONES = ("srgb", "reinhard", "filmic")
 BATCH_SIZES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-"""N of the averages whose distribution is shown."""
+"""N of the averages whose distribution is shown, and of estimates."""
+BATCHES = 4
+"""Averages of N at least: of fewer, there is no distribution, and nothing to score estimates by."""
 _CHOICES: Mapping[str, Sequence[object]] = {
     "families": FITS,
     "batch": BATCH_SIZES,
     "tone": TONES,
     "channel": ("all", "luminance", "0", "1", "2"),
+    "shown": range(MOST_IMAGES),
+    "reference": (None, *range(MOST_IMAGES)),
 }
-_MOST_STOPS = 32.0
+_RANGES = {"exposure": (-32.0, 32.0, "stops"), "gamma": (0.1, 10.0, "as an exponent")}
+"""Ends and unit of what is any number between them."""
 _MAP_CHARACTERS = set("abcdefghijklmnopqrstuvwxyz0123456789_:")
 
 Pixel = tuple[int, int]
@@ -73,8 +84,10 @@ class View:
         N of the averages whose distribution is shown.
     exposure
         Stops; None for automatic.
-    tone
-        One of `TONES`.
+    tone, gamma
+        One of `TONES`, and the exponent by which it is brightened after that, 1 for none.
+    shown, reference
+        Of several images, those that are looked at and compared with, from 0; None for the last.
 
     Examples
     --------
@@ -95,6 +108,9 @@ class View:
     batch: int = 32
     exposure: float | None = None
     tone: str = "srgb"
+    gamma: float = 1.0
+    shown: int = 0
+    reference: int | None = None
 
     def pick(self, y: int, x: int, *, add: bool = False) -> View:
         """Select a pixel; with `add`, beside the others, or no more if it is one of them.
@@ -156,10 +172,13 @@ class View:
             if not (set(value) <= set(known) if many else value in known):
                 message = f"{option} must be one of {', '.join(map(str, known))}; got {value!r}"
                 raise InputError(message)
-            value = tuple(family for family in FITS if family in value) if many else value
-        elif option == "exposure":
-            if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:
-                message = f"exposure must be within {_MOST_STOPS:g} stops of 0, got {value}"
+            chosen: Any = tuple(family for family in FITS if many and family in value)
+            value = chosen if many else known[known.index(value)]
+        elif option in _RANGES:
+            low, high, unit = _RANGES[option]
+            automatic = value is None and option == "exposure"
+            if not (automatic or low <= value <= high):
+                message = f"{option} must be from {low:g} to {high:g} {unit}, got {value}"
                 raise InputError(message)
         elif option == "limits":
             value = None if value is None else tuple(map(float, value))
@@ -170,6 +189,28 @@ class View:
             message = f"there is no option {option!r} with the value {value!r}"
             raise InputError(message)
         return replace(self, **{option: value})
+
+    def of_samples(self, spp: int) -> View:
+        """Lower N to what so many samples allow.
+
+        Examples
+        --------
+        >>> View(batch=32).of_samples(64).batch
+        16
+        """
+        allowed = [n for n in BATCH_SIZES if n <= min(self.batch, spp // BATCHES)]
+        return replace(self, batch=max(allowed, default=1))
+
+    def of_images(self, count: int) -> tuple[int, int]:
+        """Return which of so many images is looked at, and which it is compared with.
+
+        Examples
+        --------
+        >>> View().of_images(3), View(shown=5, reference=1).of_images(3)
+        ((0, 2), (2, 1))
+        """
+        last = count - 1
+        return min(self.shown, last), last if self.reference is None else min(self.reference, last)
 
     def query(self) -> str:
         """Return the part of the address after '?', without what is the default."""
@@ -210,6 +251,11 @@ def box_between(
     return y0, x0, y1, x1
 
 
+def is_image(source: object) -> bool:
+    """Return whether a source is the path of an image without samples."""
+    return isinstance(source, str | Path) and Path(source).suffix.lower() == ".exr"
+
+
 def check_pixel(y: int, x: int, height: int, width: int) -> None:
     """Refuse a pixel outside the image.
 
@@ -248,6 +294,9 @@ OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "n": ("batch", lambda text: _integers(text, 1)[0]),
     "ev": ("exposure", lambda text: _numbers(text, "exposure must be a number of stops")[0]),
     "tone": ("tone", str),
+    "g": ("gamma", lambda text: _numbers(text, "gamma must be a number")[0]),
+    "i": ("shown", lambda text: _integers(text, 1)[0]),
+    "ref": ("reference", lambda text: _integers(text, 1)[0]),
 }
 """By name in an address: the option that it sets, and how its text is read."""
 
@@ -278,7 +327,8 @@ def parse_view(
                 view = _followed(view, key, text, height, width)
             except InputError as error:
                 notes.append(str(error))
-    unknown = sorted(arguments.keys() - {*keys, "z"})  # the page itself knows how it is zoomed
+    # The page itself knows how it is zoomed, how opaque a map is, and what stands side by side.
+    unknown = sorted(arguments.keys() - {*keys, "z", "o", "side"})
     notes += [f"the address has {name!r}, which means nothing here" for name in unknown]
     return view, notes
 

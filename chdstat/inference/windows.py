@@ -433,7 +433,8 @@ def _independent(largest: Floats) -> float:
 def _log_p(largest: Floats, windows: float) -> Floats:
     """Return the logarithm of the probability of a largest of so many, or of a larger one."""
     below = np.log1p(-2 * special.ndtr(-np.maximum(largest, _ROUNDING)))
-    return np.asarray(np.log(-np.expm1(windows * below)))
+    with np.errstate(divide="ignore"):  # of one too small for a float, that of 0
+        return np.asarray(np.log(-np.expm1(windows * below)))
 
 
 def _detectable(log_p: float, windows: float, terms: int) -> float:

@@ -39,6 +39,7 @@ from chdstat.viz.maps import (
     n_needed,
     value_map,
 )
+from chdstat.viz.renderings import renders_compared
 from chdstat.viz.results import fit_curve, mode_stems, tail_curve
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
@@ -72,6 +73,7 @@ __all__ = [
     "pattern_breakdown",
     "pixel_estimates",
     "region_study",
+    "renders_compared",
     "side_by_side",
     "style",
     "tail_curve",

@@ -45,6 +45,7 @@ from chdstat.viz.styling import (
 
 __all__ = [
     "Mark",
+    "draw_marked",
     "firefly_pair",
     "one_channel",
     "region_study",
@@ -131,7 +132,7 @@ def with_marks(
         figure = page(fig, max(across * share * aspect, 1.05 * rows), width)
         cells = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
         main, places = cells[:, 0], [cells[i % rows, 1 + i // rows] for i in range(len(marks))]
-    _marked(figure.add_subplot(main), shown, marks)
+    draw_marked(figure.add_subplot(main), shown, marks)
     for i, (mark, cell) in enumerate(zip(marks, places, strict=True)):
         _inset(figure.add_subplot(cell), shown, mark, i, letters=letters)
     return figure
@@ -156,7 +157,7 @@ def one_channel(image: npt.ArrayLike, channels: Channels) -> Array:
     return array[..., [names.index(found[0])]]
 
 
-def _marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
+def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
     """Show an image with the frames and numbers of its marks."""
     ax.imshow(shown, interpolation="nearest")
     bare(ax)
@@ -253,7 +254,7 @@ def region_study(
         overview, names = upper.subplots(2, 1, height_ratios=[high, listed])
     else:
         overview, names = upper.subplots(1, 2)
-    _marked(overview, shown, marks)
+    draw_marked(overview, shown, marks)
     _list_regions(names, marks, notes, least=1 if columns == 1 else 6)
     each = 1 + len(kinds)
     ratios = [1, *[2.9 / len(kinds)] * len(kinds)] * columns

@@ -242,7 +242,7 @@ def test_contrast_has_a_verdict_an_exit_code_and_a_page(run, store, tmp_path):
     code, out, err = run("contrast", store, again, "-o", page)
     assert (code, out.split(" (")[0]) == (0, "No difference found")
     assert "efficiency of B over A" in out
-    assert f"next: chdstat explore {store} --other {again}" in err
+    assert f"next: chdstat explore {store} {again}" in err
     assert len(PdfDocument(page)) == 1
     code, out, err = run("contrast", store, dark, "--json", "-q")
     assert (code, json.loads(out)["outcome"], err) == (3, "differ", "")

@@ -16,6 +16,7 @@ import chdstat as chd
 from chdstat._core.display import percent
 from chdstat.analysis import save
 from chdstat.explorer.maps import IMAGES
+from chdstat.io import write_exr
 from chdstat.samples.store import Store
 
 SIZE = 32
@@ -98,7 +99,7 @@ def person(context, explored, store_path, served):
     people = []
 
     def come(source, **options):
-        same = source == store_path and not options
+        same = not isinstance(source, list) and source == store_path and not options
         page = context.new_page()
         page.set_viewport_size({"width": 1280, "height": 900})
         people.append(Person(page, served if same else explored(source, **options)))
@@ -184,11 +185,7 @@ def test_selections_by_mouse_and_keys(person, store_path):
     assert one.query["a"] == ["1"]
     one.click(8, 8)
     assert one.chips == ["1: y 8 x 8"]
-
-
-def test_fast_clicks_are_all_clicks(person, store_path):
-    one = person(store_path).open()
-    for x in (3, 9, 15, 21):
+    for x in (3, 9, 15, 21):  # fast clicks are all clicks
         one.page.mouse.click(*one.place(12, x))
     one.waits_for("document.querySelector('#chips').innerText.includes('x 21')")
 
@@ -205,24 +202,19 @@ def test_a_box_picks_a_region(person, store_path):
     assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
     assert one.query == {"r": ["4,6,12,16"]}
     assert one.text("#headline h2").startswith("Region y 4–11, x 6–15 · 5\u2009120 samples")
-
-
-def test_a_press_that_is_held_is_a_click_unless_it_becomes_a_drag(person, store_path):
-    one = person(store_path).open()
-    with one.answered():
+    with one.answered():  # a press that is held is a click ...
         one.page.mouse.move(*one.place(12, 9))
         one.page.mouse.down()
         one.page.wait_for_timeout(600)
         one.page.mouse.up()
     assert one.chips == ["1: y 12 x 9"]
-    one.page.get_by_role("button", name="Select a box").click()
-    with one.answered():
+    with one.answered():  # ... unless it becomes a drag
         one.page.mouse.move(*one.place(4, 6))
         one.page.mouse.down()
         one.page.wait_for_timeout(600)
         one.page.mouse.move(*one.place(11, 15), steps=4)
         one.page.mouse.up()
-    one.page.wait_for_timeout(200)
+    one.waits_for("document.querySelector('#chips').innerText.includes('region')")
     assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
 
 
@@ -287,16 +279,35 @@ def test_keys_change_exposure_channel_and_map(person, store_path):
     one = person(store_path).open("?p=20,10&ev=1")
     one.page.locator(".image").focus()
     for key, name, value in (
-        ("e", "ev", "1.5"), ("E", "ev", "1"), ("c", "c", "0"), ("i", "map", "null_share"),
+        ("e", "ev", "1.5"), ("Shift+E", "ev", "1"), ("g", "g", "1.1"), ("c", "c", "0"),
+        ("i", "map", "null_share"), ("l", "p", "20,11"), ("Shift+K", "p", "10,11"),
+        ("ArrowLeft", "p", "10,10"),
     ):  # fmt: skip
         one.page.keyboard.press(key)
         one.waits_for(
             "([n, v]) => new URLSearchParams(location.search).get(n) === v", arg=[name, value]
         )
     one.page.keyboard.press("r")
-    one.waits_for("!location.search.includes('ev=')")
+    one.waits_for("!location.search.includes('ev=') && !location.search.includes('g=')")
     one.page.keyboard.press("?")
     assert "next channel" in one.text("#help")
+    assert "reference" not in one.text("#help")
+
+
+def test_the_pixel_under_the_pointer_stands_beside_a_pinned_one(person, store_path):
+    one = person(store_path).open("?p=20,10")
+    one.page.keyboard.press("v")
+    chips = "document.querySelector('#chips').innerText"
+    for y, x in ((5, 6), (8, 9)):
+        one.point(y, x)
+        one.waits_for(f"{chips}.includes('2: y {y} x {x}')")
+    assert one.chips[0] == "1: y 20 x 10"
+    one.page.mouse.click(*one.place(8, 9))  # pinned: the next one is a third
+    one.point(12, 25)
+    one.waits_for(f"{chips}.includes('3: y 12 x 25')")
+    one.page.keyboard.press("v")
+    one.waits_for(f"!{chips}.includes('3:')")
+    assert one.chips == ["1: y 20 x 10", "2: y 8 x 9"]
 
 
 def test_zoom_is_in_the_address_and_large_pixels_show_their_values(person, store_path):
@@ -333,6 +344,9 @@ def test_options_change_what_is_drawn(person, store_path):
         one.page.locator(f"[data-family={name}]").check()
         one.waits_for(f"location.search.includes('{name}')")
     one.page.locator("[data-family=best]").uncheck()
+    batches = one.page.locator("select[data-option=batch]")
+    assert batches.input_value() == "16"  # a quarter of the samples, though 32 is the default
+    assert batches.locator("option:not([disabled])").all_inner_texts() == ["1", "2", "4", "8", "16"]
     one.page.locator("select[data-option=batch]").select_option("8")
     one.waits_for("document.querySelector('#estimates h2').innerText.includes('from 8')")
     one.page.locator("select[data-option=channel]").select_option("luminance")
@@ -413,32 +427,90 @@ def test_exports_are_files(person, store_path):
         assert len(document) == 1
 
 
-def test_two_stores_are_compared(person, store_path, tmp_path):
-    path = tmp_path / "other.zarr"
-    chd.render("cornell-box", spp=64, size=(32, 32), max_depth=2, out=path, backend="scalar")
-    one = person(store_path, other=path).open()
-    one.click(20, 10, image=1)
-    assert one.chips == ["1: y 20 x 10"]
-    assert "p of equal CHDs" in one.text("#compared")
+@pytest.fixture(scope="module")
+def several(store_path, tmp_path_factory):
+    """Return the store, one with shorter paths, and an image without samples."""
+    folder = tmp_path_factory.mktemp("several")
+    other = chd.render(
+        "cornell-box", spp=64, size=(32, 32), max_depth=2, seed=5, out=folder / "other.zarr",
+        backend="scalar", progress=False,
+    )  # fmt: skip
+    image = np.asarray(chd.summarize(other, progress=False)["mean"], np.float32)
+    return [store_path, other.path, write_exr(folder / "reference.exr", image)]
+
+
+FRONT = "[...document.querySelectorAll('figure')].findIndex((f) => f.classList.contains('front'))"
+
+
+def test_several_images_are_compared(person, several):
+    one = person(several).open("?p=20,10")
+    assert one.text("h1") == "box.zarr, other.zarr, reference.exr"
+    assert one.page.locator("#reference").input_value() == "2"  # the last
+    assert one.text("#legend").split() == ["box.zarr", "other.zarr"]
+    assert "64 samples of box.zarr" in one.text("#headline h2")
+    one.page.locator("h1").click()
+    for key, front in (("2", 1), ("ArrowDown", 2), ("ArrowDown", 0), ("ArrowUp", 2), ("1", 0)):
+        one.page.keyboard.press(key)
+        assert one.page.evaluate(FRONT) == front  # at once
+    one.page.keyboard.down("Shift")
+    assert one.page.evaluate(FRONT) == 2
+    one.page.keyboard.up("Shift")
+    assert one.page.evaluate(FRONT) == 0
+    one.page.keyboard.press("2")
+    one.page.keyboard.press("Shift+Digit1")
+    one.waits_for("location.search.includes('i=1') && location.search.includes('ref=0')")
+    one.waits_for("document.querySelector('#headline').innerText.includes('of other.zarr')")
+    one.waits_for("!document.querySelector('#compared').hidden")
     assert "other.zarr against box.zarr" in one.text("#compared")
-    assert "second:" in one.text("#note-log")
-    one.page.locator("select[data-option=map]").select_option("diff:signed")
-    one.waits_for("document.querySelector('#colorbar').innerText.includes('second minus first')")
-    clip = "document.querySelectorAll('figure')[1].style.clipPath"
-    for expected in ("0%", "100%"):
-        one.page.keyboard.press("x")
-        assert one.page.evaluate(clip).endswith(f" {expected})")
+    one.page.keyboard.press("d")
+    bar = "document.querySelector('#colorbar').innerText"
+    one.waits_for(f"{bar}.includes('shown minus reference')")
+    one.page.locator("select[data-option=map]").select_option("contrast:difference")
+    one.waits_for(f"{bar}.includes('A box.zarr, B other.zarr.')", timeout=60000)
+    one.page.keyboard.press("x")  # exchanged
+    one.waits_for(f"{bar}.includes('A other.zarr, B box.zarr.')", timeout=60000)
+    one.page.keyboard.press("3")
+    one.page.locator("select[data-option=map]").select_option("image")
+    one.page.keyboard.press("s")
+    one.waits_for("location.search.includes('side=1')")
+    boxes = [figure.bounding_box() for figure in one.page.locator("figure").all()]
+    assert boxes[0]["x"] + boxes[0]["width"] <= boxes[1]["x"]
+    one.click(5, 6, image=1)
+    assert one.chips == ["1: y 5 x 6"]
+    assert one.page.evaluate("document.documentElement.scrollWidth") <= 1280
+    assert one.page.evaluate(OVERLAPS) == []
+    content = {}
+    for kind in ("pdf", "py"):
+        with one.page.expect_download(timeout=60000) as coming:
+            one.page.locator(f"[data-export={kind}]").click()
+        content[kind] = Path(coming.value.path()).read_bytes()
+    assert content["pdf"].startswith(b"%PDF")
+    drawn = {}
+    exec(content["py"].decode().replace("figure.savefig", "str"), drawn)
+    axes = drawn["figure"].axes  # three images, a difference with its colours, and the pixel
+    titles = [ax.get_title(loc) for ax in axes for loc in ("center", "left")]
+    assert {"box.zarr", "reference.exr − other.zarr", "1 y 5, x 6"} <= set(titles)
+
+
+def test_images_without_samples_are_looked_at(person, several):
+    one = person([several[2], several[2]])
+    one.page.goto(one.url + "?map=tail_index")
+    assert "needs samples" in one.alert()
+    one.waits_for("document.querySelector('main').classList.contains('imageonly')")
+    assert one.page.locator("[data-show]").all_inner_texts()[1].endswith("reference.exr (2)")
 
 
 def test_a_scene_is_sampled_where_it_is_clicked(person):
     one = person("cornell-box", size=(32, 32)).open()
     one.click(20, 10)
     one.page.wait_for_selector("#live:not([hidden])")
+    assert one.text("#live span").startswith("2 048 samples")
+    one.page.get_by_role("button", name="Draw more").click()
     one.waits_for(
         "parseInt(document.querySelector('#live span').innerText.replace(/\\s/g, '')) > 2048"
     )
     one.page.get_by_role("button", name="Pause").click()
-    one.page.wait_for_selector("#live button:text('Continue')")
+    one.page.wait_for_selector("#live button:text('Draw more')")
     maps = one.page.locator("select[data-option=map]")
     assert maps.locator("option").count() == 1 + len(IMAGES)  # what the image gives
     maps.select_option("relative_error")
@@ -482,6 +554,25 @@ def test_a_server_that_stops_is_told(person, store_path, explored):
     assert "server has stopped" in one.alert()
 
 
+def test_no_state_of_the_page_shuts_anyone_out(browser, explored, several):
+    """Rules of axe-core for each state, in both themes."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe-core").Axe()
+    explorer = explored(several)
+    for theme in ("dark", "light"):
+        with browser.new_context(color_scheme=theme) as context:
+            one = Person(context.new_page(), explorer)
+            for query in (
+                "?p=20,10",
+                "?p=5,6&p=8,9&side=1&map=diff:signed",
+                "?r=2,2,9,9&map=pattern",
+            ):
+                one.open(query)
+                one.page.get_by_text("All statistics").click()
+                one.page.locator("#keys").click()
+                found = axe.run(one.page).response["violations"]
+                assert [(v["id"], [n["html"] for n in v["nodes"]]) for v in found] == []
+
+
 def test_nothing_overlaps_or_sticks_out(person, store_path):
     one = person(store_path).open("?p=20,10&p=5,6&p=8,9&map=pattern")
     one.waits_for("document.querySelector('#working').innerText === ''")
@@ -517,7 +608,7 @@ def test_headings_axes_and_keys_are_a_readers(person, store_path):
         assert len(one.text("#help")) > 100
         one.page.keyboard.press("Escape")
     ticks = (
-        "([low, high]) => Bokeh.documents[0].get_model_by_name('log').below[0].ticker"
+        "([low, high]) => Bokeh.documents[0].get_model_by_name('running').below[0].ticker"
         ".get_ticks(low, high, null, 0).major"
     )
     for ends, expected in TICKS.items():

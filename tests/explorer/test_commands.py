@@ -36,7 +36,7 @@ ODD = [
 
 @pytest.fixture(scope="module")
 def session(store_path: Path) -> Iterator[Session]:
-    shared = opened(store_path, None, None, ())
+    shared = opened([store_path, store_path])
     yield Session(Document(), shared, {})
     shared.stop()
 

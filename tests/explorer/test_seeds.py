@@ -18,7 +18,7 @@ def noise(seed, spp=128):
 
 
 def held(x, seed):
-    return chd.Samples.from_array(x, seed=seed, scene="noise")
+    return chd.Samples.from_array(x, axes="yxcs", seed=seed, scene="noise")
 
 
 @pytest.fixture
@@ -27,7 +27,8 @@ def told():
     shared = []
 
     def asked(view, source, other=None, reference=None):
-        shared.append(opened(source, other, reference))
+        sources = [source] if other is None else [other, source]
+        shared.append(opened(sources, reference))
         results = SelectionResults(shared[-1])
         return results.describe(results.plots(view))[0]
 
@@ -79,3 +80,12 @@ def test_a_reference_without_noise_of_its_own_is_none(told):
     found = told(PIXEL, source, reference=source)["estimates"]
     assert "which no batch contains" in found["note"]
     assert found["rows"] == told(PIXEL, source)["estimates"]["rows"]
+
+
+def test_no_estimator_is_praised_for_nearness_to_a_few_samples(told):
+    """One sample of a skewed pixel is mostly darker than its mean: so are biased estimators."""
+    source = held(noise(1) ** 4, 0)
+    for spp, scored in ((1, False), (92, False), (96, True)):  # three times the 32 of an estimate
+        table = told(PIXEL, source, reference=held(noise(5, spp=spp) ** 4, 5))["estimates"]
+        assert ("too few to score" in table["note"]) != scored
+        assert {row[3] != "—" for row in table["rows"][1:]} == {scored}

@@ -156,7 +156,7 @@ def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
 def test_a_source_that_cannot_be_opened_frees_the_port(store_path):
     before = set(threading.enumerate())
     with pytest.raises(StoreError):
-        explore(store_path, other="no such store")
+        explore([store_path, "no such store"])
     with pytest.raises((SceneError, RenderError)):
         explore({"type": "scene", "shape": {"type": "no such shape"}})
     left = [t for t in set(threading.enumerate()) - before if "chdstat-explorer" in t.name]
@@ -211,11 +211,13 @@ def test_it_stops_and_frees_its_port_and_threads(store_path):
 def test_stores_that_do_not_fit_are_refused(store_path):
     other = chd.Samples.from_array(np.ones((4, 4, 3, 8)))
     with pytest.raises(InputError, match="expected 32 x 32 pixels.*got 4 x 4"):
-        explore(store_path, other=other)
+        explore([store_path, other])
     with pytest.raises(InputError, match="1 or 3 channels, got 2"):
         explore(chd.Samples.from_array(np.ones((4, 4, 2, 8))))
-    with pytest.raises(StoreError, match="no store"):
-        explore(store_path, other=store_path.with_name("none.zarr"))
+    with pytest.raises(InputError, match="from 1 to 9"):
+        explore([store_path] * 10)
+    with pytest.raises(StoreError, match="no EXR file"):
+        explore([store_path, store_path.with_name("none.exr")])
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

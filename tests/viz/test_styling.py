@@ -45,6 +45,7 @@ def one_channel():
         lambda: viz.region_study(IMAGE, [MARK], [PANEL]),
         lambda: viz.batch_histograms({NAME: np.ones((2, 4))}),
         lambda: viz.view_pair({"short": IMAGE, NAME: IMAGE}, {NAME: {NAME: one_channel()}}),
+        lambda: viz.renders_compared({NAME: IMAGE}, {NAME: [np.ones((3, 4))]}, [MARK]),
         lambda: viz.averages([1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05),
         lambda: viz.verdict_matrix({"nulls": {NAME: "supported"}}).figure,
         lambda: viz.claim_intervals(

@@ -28,6 +28,7 @@ window.chdstat = (() => {
 
   function tap(event) {
     const [x, y] = [Math.floor(event.x), Math.floor(event.y)];
+    if (following && added) { added = false; return; }  // it is there: from here on it stays
     send("pick", { y, x, add: Boolean(event.modifiers && event.modifiers.shift) });
   }
 
@@ -73,12 +74,13 @@ window.chdstat = (() => {
     const [x, y] = [Math.floor(event.x), Math.floor(event.y)];
     if (!inside(x, y)) { $("#readout").textContent = "outside the image"; return; }
     near(y, x);
+    if (following) followed(y, x);
     const at = y * models.width + x, which = Math.max(0, models.figures.indexOf(event.origin));
     const data = models.radiances[which].data;
     const parts = models.channels.map((c) => `${c} ${number(data[c][0][at])}`);
     let text = `y ${y}  x ${x}  ·  ${parts.join("  ")}`;
     if (label) {
-      const value = models.map.data.image[0][at];
+      const value = models.maps[front].data.image[0]?.[at];
       const word = label.names ? (label.names[value] ?? "none") : number(value);
       text += `  ·  ${label.title}: ${word}`;
     }
@@ -105,21 +107,68 @@ window.chdstat = (() => {
     for (const b of all("[data-drag]")) b.setAttribute("aria-pressed", String(b.dataset.drag === how));
   }
 
-  // --- two images ---
-  function stack(on) {
-    $("main").classList.toggle("stacked", on);
-    $("#stack").setAttribute("aria-pressed", String(on));
-    $("#swiping").hidden = !on;
-    swipe();
+  // --- several images ---
+  let front = 0, back = 0, peeking = false;
+  const several = () => all("figure").length > 1;
+  const next = (i, by) => (i + by + all("figure").length) % all("figure").length;
+  function arrange() {
+    const top = peeking ? back : front, side = $("main").classList.contains("side");
+    for (const [i, figure] of all("figure").entries()) {
+      figure.classList.toggle("front", i === top);
+      figure.classList.toggle("behind", i === back);
+      figure.style.clipPath = !side && several() && i === top && i !== back ? `inset(0 0 0 ${$("#swipe").value}%)` : "";
+      const role = figure.querySelector(".role");
+      if (role) role.textContent = i === back ? " · reference" : "";
+    }
+    for (const b of all("[data-show]")) b.setAttribute("aria-pressed", String(Number(b.dataset.show) === top));
+    if (several()) $("#reference").value = String(back);
   }
-  function swipe() {
-    const on = $("main").classList.contains("stacked");
-    all("figure")[1].style.clipPath = on ? `inset(0 0 0 ${$("#swipe").value}%)` : "";
+  function show(i) {
+    if (i >= all("figure").length || i === front) return;
+    front = i;
+    arrange();
+    send("set", { option: "shown", value: i });
   }
-  function flip() {
-    if (!$("main").classList.contains("stacked")) stack(true);
-    $("#swipe").value = Number($("#swipe").value) < 50 ? 100 : 0;
-    swipe();
+  function refer(i) {
+    if (i >= all("figure").length || i === back) return;
+    back = i;
+    arrange();
+    send("set", { option: "reference", value: i });
+  }
+  function peek(on) {
+    if (!several() || on === peeking) return;
+    peeking = on;
+    arrange();
+  }
+  function side(on) {
+    $("main").classList.toggle("side", on);
+    $("#side").setAttribute("aria-pressed", String(on));
+    $("#swiping").hidden = on;
+    arrange();
+    address();
+  }
+  function differ() {
+    const names = ["image", ...[...$("select[data-option=map]").options].map((o) => o.value).filter((v) => v.startsWith("diff:"))];
+    send("set", { option: "map", value: names[(names.indexOf(view.map) + 1) % names.length] });
+  }
+
+  // The pixel under the pointer beside those that are pinned: one request at a time, the latest next.
+  let following = false, added = false, pending = 0, wanted = null;
+  function follow(on) {
+    if (!on && added) send("drop", { index: view.active });
+    following = on;
+    added = false;
+    pending = 0;
+    wanted = null;
+    $("#follow").setAttribute("aria-pressed", String(on));
+  }
+  function followed(y, x) {
+    wanted = [y, x];
+    if (pending || view.pixels.some((p, i) => p[0] === y && p[1] === x && !(added && i === view.active))) return;
+    const [ay, ax] = view.pixels[view.active] ?? [null, null];
+    if (added && ay === y && ax === x) return;
+    pending = added ? send("move", { dy: y - ay, dx: x - ax }) : send("pick", { y, x, add: true });
+    added = true;
   }
 
   // --- what is in view ---
@@ -129,9 +178,10 @@ window.chdstat = (() => {
     const parts = query ? [query] : [], now = seen().map((v) => Math.round(10 * v) / 10);
     if (String(now) !== String(whole())) parts.push(`z=${now}`);
     if ($("#opacity").value !== "1") parts.push(`o=${$("#opacity").value}`);
+    if ($("main").classList.contains("side")) parts.push("side=1");
     history.replaceState(null, "", parts.length ? `?${parts.join("&")}` : location.pathname);
   }
-  const fade = () => models.over.setv({ global_alpha: Number($("#opacity").value) }, { sync: false });
+  const fade = () => { for (const over of models.overs) over.setv({ global_alpha: Number($("#opacity").value) }, { sync: false }); };
   let resized = 0;
   function zoomed() {
     clearTimeout(resized);
@@ -153,28 +203,41 @@ window.chdstat = (() => {
   const brief = (v) => (Number.isFinite(v) ? (Math.abs(v) >= 1e-3 && Math.abs(v) < 1e4 || v === 0 ? String(Number(v.toPrecision(3))) : v.toExponential(1)) : "none");
 
   const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
+  const LETTERS = { k: "ArrowUp", j: "ArrowDown", h: "ArrowLeft", l: "ArrowRight" };
+  const set = (option, value) => send("set", { option, value });
+  function channel(by) {
+    const values = [...$("select[data-option=channel]").options].map((o) => o.value);
+    set("channel", values[(values.indexOf(view.channel) + by + values.length) % values.length]);
+  }
 
   function key(event) {
     const target = event.composedPath()[0];
     if (event.ctrlKey || event.altKey || event.metaKey) return;
     if (target.closest && target.closest("input, select, textarea")) return;
-    if (event.key in ARROWS) {
-      const [dy, dx] = ARROWS[event.key], step = event.shiftKey ? 10 : 1;
-      send("move", { dy: dy * step, dx: dx * step });
-    } else if (event.key === "+" || event.key === "=") zoom("in");
+    const name = event.key.toLowerCase(), shift = event.shiftKey, digit = /^Digit([1-9])$/.exec(event.code);
+    const arrow = LETTERS[name] ?? (several() ? null : event.key), [dy, dx] = ARROWS[arrow] ?? [];
+    if (event.key === "Shift") { peek(true); return; }
+    if (dy !== undefined) send("move", { dy: dy * (shift ? 10 : 1), dx: dx * (shift ? 10 : 1) });
+    else if (event.key in ARROWS) {
+      const [down, right] = ARROWS[event.key];
+      if (right) channel(right);
+      else if (shift) refer(next(back, down));
+      else show(next(front, down));
+    } else if (digit && several()) (shift ? refer : show)(Number(digit[1]) - 1);
+    else if (event.key === "+" || event.key === "=") zoom("in");
     else if (event.key === "-") zoom("out");
-    else if (event.key === "0") zoom("reset");
-    else if (event.key === "e" || event.key === "E") {
-      const stops = Number($("#exposure").value) + (event.key === "e" ? 0.5 : -0.5);
-      send("set", { option: "exposure", value: stops });
-    } else if (event.key === "r") send("set", { option: "exposure", value: null });
-    else if (event.key === "c") {
-      const values = [...$("select[data-option=channel]").options].map((o) => o.value);
-      send("set", { option: "channel", value: values[(values.indexOf(view.channel) + 1) % values.length] });
-    } else if (event.key === "i") {
+    else if (name === "f" || event.key === "0") zoom("reset");
+    else if (name === "e") set("exposure", Number($("#exposure").value) + (shift ? -0.5 : 0.5));
+    else if (name === "g") set("gamma", Math.round(10 * view.gamma + (shift ? -1 : 1)) / 10);
+    else if (name === "r") for (const [option, value] of [["exposure", null], ["gamma", 1], ["tone", "srgb"]]) set(option, value);
+    else if (name === "c") channel(1);
+    else if (name === "i") {
       const value = view.map === "image" ? lastMap : "image";
-      if (value !== view.map) send("set", { option: "map", value });
-    } else if (event.key === "x" && $("#swipe")) flip();
+      if (value !== view.map) set("map", value);
+    } else if (name === "v") follow(!following);
+    else if (name === "x" && several()) { const [one, other] = [front, back]; show(other); refer(one); }
+    else if (name === "s" && several()) side(!$("main").classList.contains("side"));
+    else if (name === "d" && several()) differ();
     else if (event.key === "?") explain("keys", $("#keys"));
     else if (event.key === "b") drag("box");
     else if (event.key === "p") drag("pan");
@@ -187,16 +250,22 @@ window.chdstat = (() => {
     view(item) {
       const selected = JSON.stringify([item.view.pixels, item.view.active, item.view.region]);
       if (selected !== asked) { asked = selected; untested(); }
+      const first = !view;
       view = item.view;
       if (view.map !== "image") lastMap = view.map;
+      if (first) [front, back] = item.images;  // from then on, the page knows it before the server
+      if (first) arrange();
       query = item.query;
       address();
-      for (const s of all("select[data-option]")) s.value = String(view[s.dataset.option]);
+      // N is what the samples allow, which comes with the panels.
+      for (const s of all("select[data-option]")) if (s.dataset.option !== "batch") s.value = String(view[s.dataset.option]);
       for (const c of all("[data-family]")) c.checked = view.families.includes(c.dataset.family);
       const automatic = view.exposure === null;
       $("#exposure").value = automatic ? item.exposure : view.exposure;
       $("#stops").textContent = `${item.exposure >= 0 ? "+" : "−"}${Math.abs(item.exposure).toFixed(2)}`;
       $("#auto").setAttribute("aria-pressed", String(automatic));
+      $("#gamma").hidden = view.gamma === 1;
+      $("#gamma").textContent = `gamma ${view.gamma}`;
       pixelColors = item.colors;
       marks(item.colors);
       chips(item.colors);
@@ -208,7 +277,18 @@ window.chdstat = (() => {
       drawn = item;
       draw(item);
       heading($("#headline h2"), item.title, "headline");
+      // Many rows need some height each.
+      const rows = Math.max(...Object.values(item.panels).map((p) => p.rows));
+      $(".panels").style.setProperty("--taller", String(Math.max(1, rows / 3)));
+      const batch = $("select[data-option=batch]");
+      for (const o of batch.options) o.hidden = o.disabled = Number(o.value) > Math.max(1, item.most);
+      batch.value = String(item.batch);
       for (const [name, notes] of Object.entries(item.notes)) $(`#note-${name}`).textContent = notes.join("  |  ");
+      for (const [i, b] of all("#sources [data-show]").entries()) {
+        const color = (item.legend.find(([text]) => text === item.names[i]) ?? [])[1];
+        b.querySelector("i").hidden = !color;
+        b.querySelector("i").style.background = color ? tint(color) : "";
+      }
       $("#legend").replaceChildren(...item.legend.map(([text, color]) => {
         const s = make("span"); s.append(swatch(color), text); return s;
       }));
@@ -231,9 +311,8 @@ window.chdstat = (() => {
     },
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
-      if ("compared" in item.tables) $("#compared").hidden = false;
       if ("statistics" in item.tables) {
-        for (const name of ["paths", "lights"]) $("#" + name).hidden = !(name in item.tables);
+        for (const name of ["paths", "lights", "compared"]) $("#" + name).hidden = !(name in item.tables);
       }
     },
     goodness(item) {
@@ -245,7 +324,12 @@ window.chdstat = (() => {
       $("#progress").textContent = item.said;
       $("#progress").hidden = !item.said;
     },
-    described(item) { $("#described").textContent = item.text; },
+    described(item) {
+      $("#described").textContent = item.texts.length === 1 ? item.texts[0] : "";
+      for (const [i, button] of all("[data-show]").entries()) button.title = item.texts[i];
+      $("main").classList.toggle("imageonly", !item.samples);
+      $("header .group").hidden = !item.samples;  // there is nothing to export
+    },
     working(item) { $("#working").textContent = item.text; },
     alert(item) {
       $("#alert span").textContent = item.text;
@@ -256,7 +340,7 @@ window.chdstat = (() => {
       if (!item.shown) return;
       $("#live progress").value = item.share;
       $("#live span").textContent = item.text;
-      $("#live button").textContent = item.paused ? "Continue" : "Pause";
+      $("#live button").textContent = item.paused ? "Draw more" : "Pause";
       $("#live button").hidden = item.share >= 1;
     },
     file(item) {
@@ -269,6 +353,10 @@ window.chdstat = (() => {
       setTimeout(() => URL.revokeObjectURL(url), 10000);
     },
     done(item) {
+      if (item.seq === pending) {
+        pending = 0;
+        if (following && wanted) followed(...wanted);
+      }
       const timing = timings.find((t) => t.seq === item.seq);
       // Two frames later, what was drawn in the first is on the screen.
       requestAnimationFrame(() => requestAnimationFrame(() => {
@@ -337,6 +425,7 @@ window.chdstat = (() => {
         const both = traces.map((t) => [take(t.n), take(t.n)]);
         return { xs: both.map((b) => b[0]), ys: both.map((b) => b[1]), color: traces.map((t) => tint(t.color)) };
       };
+      $(`#panel-${name}`).hidden = panel.empty;
       put(areas, columns(panel.areas));
       const drawn = columns(panel.lines);
       put(lines, { ...drawn, dash: panel.lines.map((t) => t.dash), width: panel.lines.map((t) => t.width) });
@@ -466,13 +555,14 @@ window.chdstat = (() => {
       ends.append(...bar.ticks.map((t) => make("span", t)));
       parts.push(ramp, ends);
     }
+    if (bar.note) parts.push(make("p", bar.note, { class: "note" }));
     parent.replaceChildren(...parts);
   }
 
   // --- ticks ---
   // No more labels than there is room for, of one size: when an axis grows or shrinks, Bokeh lays the
   // plot out anew and paints twice.
-  const LABEL_WIDTH = 7;  // characters, along a vertical axis
+  const LABEL_WIDTH = 5;  // characters, along a vertical axis
   function tickLabel(tick, index, ticks, across, most) {
     if (index % Math.ceil(ticks.length / most)) return "";
     const largest = Math.max(...ticks.map(Math.abs));
@@ -546,9 +636,15 @@ window.chdstat = (() => {
     });
     $("#theme").addEventListener("click", switchTheme);
     $("#keys").addEventListener("click", () => explain("keys", $("#keys")));
-    if ($("#stack")) {
-      $("#stack").addEventListener("click", () => stack(!$("main").classList.contains("stacked")));
-      $("#swipe").addEventListener("input", swipe);
+    $("#follow").addEventListener("click", () => follow(!following));
+    if (several()) {
+      $("#side").addEventListener("click", () => side(!$("main").classList.contains("side")));
+      $("#swipe").addEventListener("input", arrange);
+      $("#reference").addEventListener("change", (e) => refer(Number(e.target.value)));
+      for (const b of all("[data-show]")) b.addEventListener("click", (e) => (e.shiftKey ? refer : show)(Number(b.dataset.show)));
+      document.addEventListener("keyup", (e) => { if (e.key === "Shift") peek(false); });
+      addEventListener("blur", () => peek(false));
+      if (new URLSearchParams(location.search).has("side")) side(true);
     }
     models.outbox.properties.value.change.connect(receive);
     receive();
