@@ -28,7 +28,7 @@ class Claim:
     Attributes
     ----------
     number, name
-        1 to 29, and a few words.
+        Its place in the order of the study, and a few words.
     claim
         One sentence.
     measure
@@ -40,6 +40,9 @@ class Claim:
         Whether it compares scenes.
     paired
         Whether it compares renders of one scene.
+    once
+        Whether it needs the whole analysis, a training or a render of its own: it is not repeated
+        with another seed.
     subject
         What a verdict is about where that is neither the image nor two renders nor scenes.
     """
@@ -51,6 +54,7 @@ class Claim:
     spp: int = 128
     across: bool = False
     paired: bool = False
+    once: bool = False
     subject: str = ""
 
     @property

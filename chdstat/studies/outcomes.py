@@ -257,7 +257,7 @@ class Finding(Shown):
     Attributes
     ----------
     number, name
-        Which claim, 1 to 29.
+        Which claim; see `chdstat.studies.claims.FINDINGS`.
     scene
         Name of the scene, or of the scenes.
     claim

@@ -61,7 +61,7 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     >>> from chdstat.rendering.recipes import Region
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=16)
     >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
-    >>> len(found), found[1].verdict, found[1].reason
-    (29, 'cannot tell', 'Needs 128 spp, has 16.')
+    >>> found[1].name, found[1].verdict, found[1].reason
+    ('diffuse objects', 'cannot tell', 'Needs 128 spp, has 16.')
     """
     return [claim.find(data, others) for claim in FINDINGS]

@@ -47,6 +47,7 @@ _EARLY = 0.1
     "The learned model improves a majority of the estimates, suppresses fireflies, gains early "
     "in training, and gives a denoiser a better start.",
     subject="this training on this image, judged on its other pixels: other scenes may differ",
+    once=True,
 )
 def learned_model(data: SceneData) -> Outcome:
     """Read majority, fireflies, training and denoising off a comparison."""
@@ -184,6 +185,7 @@ _FEWER_LEVELS = (LEVELS[0], 1.0, LEVELS[-1])
     "samples keep their value, neither the order of samples nor the unit of radiance matters.",
     spp=32,
     subject="this training on this image: the network itself, whatever the scene shows",
+    once=True,
 )
 def reduction(data: SceneData) -> Outcome:
     """Give the model constant images, the samples in another order, and in another unit."""

@@ -218,6 +218,7 @@ exist, and a test with enough samples would find them, but they change nothing i
     "CHDs depend on how paths are sampled; where lights are sampled, too, averages are "
     "Gaussian sooner, at equal time, than where surfaces alone are.",
     paired=True,
+    once=True,
 )
 def integrators(data: SceneData) -> Outcome:
     """Compare the shapes of integrators, and the time until their averages are Gaussian."""
@@ -298,6 +299,7 @@ _SHUFFLES = 999
     "as many independent samples.",
     spp=32,
     paired=True,
+    once=True,
 )
 def correlated(data: SceneData) -> Outcome:
     """Compare the variance of averages of spread samples with that of as many independent ones."""

@@ -297,6 +297,7 @@ def symmetry(data: SceneData) -> Outcome:
     14,
     "families",
     "The most frequent elementary distribution is the gamma distribution.",
+    once=True,
 )
 def families(data: SceneData) -> Outcome:
     """Compare the share of gamma among the best families with that of the next frequent one.
