@@ -35,6 +35,7 @@ extensions = [
     "docstrings",
     "families",
     "figures",
+    "formats",
     "listed",
     "markdown",
     "mathml",

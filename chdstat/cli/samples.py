@@ -130,7 +130,12 @@ def import_samples(
     ],
     asked: CommonOptions,
     format: Annotated[  # noqa: A002 - what users call it
-        str | None, option("Format.", metavar="NAME", unset="by the names of the files")
+        str | None,
+        option(
+            "Format, one that 'chdstat list formats' names.",
+            metavar="NAME",
+            unset="by the names of the files",
+        ),
     ] = None,
     axes: Annotated[
         str | None,

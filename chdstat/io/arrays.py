@@ -44,7 +44,21 @@ def load_npy(path: Path) -> Array:
 
 
 def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open .npy files, whose samples follow each other."""
+    """Open .npy files, whose samples follow each other.
+
+    Notes
+    -----
+    Read
+        As of arrays; of several files one behind the other.
+    Converted
+        As of arrays; any order of bytes and of axes in memory.
+    Warned of
+        Copies.
+    Ignored
+        Nothing.
+    Refused
+        As of arrays; pickled objects; files of other sizes; ``variable``, features by name.
+    """
     arrays = [Remapped(partial(load_npy, path)) for path in paths]
     given = zip(arrays, paths, strict=True)
     sources = [ArraySource(a, axes_of(a, path.name, options.axes), path) for a, path in given]
@@ -52,7 +66,21 @@ def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
 
 def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open .npz archives: their largest array, or `variable`, and features by their names."""
+    """Open .npz archives: their largest array, or `variable`, and features by their names.
+
+    Notes
+    -----
+    Read
+        The largest array of 3 or 4 axes, or ``variable``; features by name.
+    Converted
+        As of arrays.
+    Warned of
+        Copies.
+    Ignored
+        Other arrays.
+    Refused
+        As of arrays; names that are not there.
+    """
     sources = []
     for path in paths:
         arrays = _unpacked(path)
@@ -63,7 +91,22 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
 
 def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open what xarray opens: the largest variable or `variable`, and features by their names."""
+    """Open what xarray opens: the largest variable or `variable`, and features by their names.
+
+    Notes
+    -----
+    Read
+        The largest variable of 3 or 4 axes, or ``variable``, by the names of its dims or ``axes``;
+        attributes of the file, and the variable's ``units``, as provenance; features by name.
+    Converted
+        Packed values (``scale_factor``, ``add_offset``); ``_FillValue`` to NaN.
+    Warned of
+        Copies.
+    Ignored
+        Other variables, coordinates.
+    Refused
+        As of arrays; HDF5 and netCDF 4 without the package ``h5netcdf``.
+    """
     import xarray as xr
 
     sources, attrs = [], {}

@@ -28,6 +28,28 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
     The samples are the colours of the image, or the layer `variable`; alpha is left out. Features
     are layers, and averages over all files, for what a pixel sees differs from sample to sample.
+
+    Notes
+    -----
+    Read
+        Float and half; scanlines and tiles; every lossless or lossy compression; several parts; R,
+        G and B, in capitals or not, also as ``red``, ``green``, ``blue``; else ``Y``; else the only
+        layer of such channels, or ``variable``; the number of averaged samples.
+    Converted
+        Data windows: placed in the display window, 0 outside of them; colours of other primaries:
+        to linear Rec. 709; ``X``, ``Y``, ``Z`` without a layer: CIE XYZ to linear Rec. 709.
+    Warned of
+        Both conversions of colours; overscan, which is cut; a colour space that is not known or not
+        linear; chromaticities that are none; pixels that are no squares; half floats of 65504 or
+        infinity; copies.
+    Ignored
+        Alpha, other layers, levels but the first of mipmaps, ``whiteLuminance``, ``expTime``,
+        ``adoptedNeutral`` and other attributes.
+    Refused
+        Several layers that could be the image; luminance and chroma (``RY``, ``BY``); whole numbers
+        as radiance; deep channels and those of lower resolution, if they are asked for; data
+        windows outside of the display window; files of one stack that differ in display window,
+        channels, or number of averaged samples; damaged files.
     """
     first, told = read_planes(paths[0]), set[str]()
     names = (

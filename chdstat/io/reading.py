@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import importlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -44,9 +44,14 @@ class Format:
     title
         What it is, for help and documentation.
     module
-        What opens it with a function ``open_NAME``; it is loaded when it is used.
+        Module beside this one with its `opener`, ``open_NAME``; it is loaded when it is used.
     takes
         Those of `ReadOptions` that it leaves to the caller.
+
+    Notes
+    -----
+    What opens it says in its notes what is read, converted, warned of, ignored and refused: the
+    documentation has that from there.
     """
 
     name: str
@@ -54,6 +59,15 @@ class Format:
     title: str
     module: str
     takes: tuple[str, ...] = ()
+
+    @property
+    def opener(self) -> Callable[[Sequence[Path], ReadOptions], Opened]:
+        """The function that opens files of this format."""
+        module = importlib.import_module(f"chdstat.io.{self.module}")
+        found: Callable[[Sequence[Path], ReadOptions], Opened] = getattr(
+            module, f"open_{self.name}"
+        )
+        return found
 
     def open(self, paths: Sequence[Path], options: ReadOptions) -> Opened:
         """Open files of this format."""
@@ -65,9 +79,7 @@ class Format:
                     f"{option.name} out{instead}"
                 )
                 raise InputError(message)
-        module = importlib.import_module(f"chdstat.io.{self.module}")
-        opened: Opened = getattr(module, f"open_{self.name}")(paths, options)
-        return opened
+        return self.opener(paths, options)
 
 
 _NAMED = ("variable", "features")

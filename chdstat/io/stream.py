@@ -73,7 +73,22 @@ def get_include() -> Path:
 
 
 def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open streams of one image, whose samples follow each other in every pixel."""
+    """Open streams of one image, whose samples follow each other in every pixel.
+
+    Notes
+    -----
+    Read
+        Samples of 1 to 64 channels, as many as each pixel has; features; attributes.
+    Converted
+        Sums of features to averages.
+    Warned of
+        A stream without an end, whose whole blocks are read; copies.
+    Ignored
+        Blocks of kinds that are not known.
+    Refused
+        Bytes that are not what was written; streams of other sizes; one seed in two files;
+        ``axes``, ``variable``.
+    """
     source = StreamSource(paths)
     for name in options.features.values():
         if name not in source.header.features:
