@@ -30,7 +30,7 @@ from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat.fit._gamma import gap_of_shape
-from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups
+from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups, take_last
 
 __all__ = [
     "COMPONENTS",
@@ -283,7 +283,7 @@ class Solution:
         """Return some of the rows."""
         return Solution(
             self.family,
-            self.state[..., rows],
+            take_last(self.state, rows),
             self.origin[rows],
             self.log_likelihood[rows],
             self.converged[rows],
@@ -307,7 +307,7 @@ def run(
     for _ in range(cycles):
         # Extrapolation may leave the numbers; what it reached is then not taken.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            state[..., active], value = _cycle(here, family, state[..., active])
+            state[..., active], value = _cycle(here, family, take_last(state, active))
         done = value - bound[active] < tolerance * here.n
         bound[active], converged[active] = value, done
         if done.all():

@@ -501,13 +501,13 @@ def _distances(
     else:
         # Rows have from few to all samples: distribution functions are dear, so of those alone.
         present = some.valid
-        below, above = np.zeros(present.shape), np.ones(present.shape)
+        below, above = np.ones((2, *present.shape))
         x, each = some.sorted[present].astype(np.float64), take(parameters, np.repeat(rows, some.n))
         with np.errstate(all="ignore"):
             of_samples = np.asarray(family.distribution(each).cdf(x))
-            below[present], beyond, far = of_samples, 1 - of_samples, of_samples > _FAR
+            beyond, far = 1 - of_samples, of_samples > _FAR
             beyond[far] = family.distribution(take(each, far)).sf(x[far])
-        above[present] = beyond
+        below[present], above[present] = of_samples, beyond
         statistics = _of_samples(below, above, present, some.n, free)
     found[rows] = np.stack([statistics[test]() for test in tests], axis=-1)
     return found
@@ -530,21 +530,25 @@ def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Para
 def _of_samples(
     below: Floats, above: Floats, present: Mask, n: Counts, parameters: int
 ) -> Distances:
-    """Return statistics of samples, ascending, of which F and 1 - F have shape (row, sample)."""
-    rank, total = np.arange(1, below.shape[-1] + 1), n[:, np.newaxis]
+    """Return statistics of samples, ascending, of which F and 1 - F have shape (row, sample).
+
+    What is not present is 1.
+    """
+    rank = np.arange(1.0, below.shape[-1] + 1)
+    # From the middle of each step of the empirical distribution function.
+    gap = below - (rank - 0.5) * (1 / n)[:, np.newaxis]
+    gap *= present
 
     def kolmogorov_smirnov() -> Floats:
-        gap = np.maximum(rank / total - below, below - (rank - 1) / total)
-        return np.asarray(np.where(present, gap, 0).max(axis=-1))
+        return np.asarray(np.abs(gap).max(axis=-1) + 0.5 / n)
 
     def cramer_von_mises() -> Floats:
-        gap = below - (rank - 0.5) / total
-        return np.asarray(1 / (12 * n) + np.where(present, gap**2, 0).sum(axis=-1))
+        return np.asarray(1 / (12 * n) + np.vecdot(gap, gap))
 
     def anderson_darling() -> Floats:
         log_below, log_above = (np.log(np.maximum(f, _LEAST)) for f in (below, above))
-        terms = (2 * rank - 1) * log_below + (2 * (total - rank) + 1) * log_above
-        return np.asarray(-n - np.where(present, terms, 0).sum(axis=-1) / n)
+        both = np.vecdot(2 * rank - 1, log_below - log_above) + 2 * n * log_above.sum(axis=-1)
+        return np.asarray(-n - both / n)
 
     def chi_square() -> Floats:
         # There are 2 n^(2/5) equiprobable cells (Moore 1986, in D'Agostino and Stephens,

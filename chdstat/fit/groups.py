@@ -57,7 +57,7 @@ class SampleGroups:
 
     def take(self, rows: npt.NDArray[Any]) -> SampleGroups:
         """Select some of the rows."""
-        return SampleGroups(*(getattr(self, field.name)[..., rows] for field in fields(self)))
+        return SampleGroups(*(take_last(getattr(self, field.name), rows) for field in fields(self)))
 
     @cached_property
     def n(self) -> Floats:
@@ -195,6 +195,15 @@ def _sums(values: Floats, edges: Counts) -> Floats:
     starts = edges + values.shape[-1] * np.arange(len(values))[:, np.newaxis]
     sums = np.add.reduceat(np.append(values, 0.0), starts.reshape(-1)).reshape(edges.shape)
     return np.where(edges[:, 1:] > edges[:, :-1], sums[:, :-1], 0.0)
+
+
+def take_last(values: npt.NDArray[Any], rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Select rows along the last axis, by their numbers or by a mask.
+
+    They lie next to each other in memory, as before: `values[..., rows]` would put the axis first,
+    and every operation on the result would take up to three times as long.
+    """
+    return np.take(values, np.flatnonzero(rows) if rows.dtype == bool else rows, axis=-1)
 
 
 def cumulative(values: npt.NDArray[Any], axis: int = -1) -> Floats:

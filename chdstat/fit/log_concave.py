@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat.fit.groups import cumulative
+from chdstat.fit.groups import cumulative, take_last
 
 __all__ = ["log_concave_likelihood"]
 
@@ -61,7 +61,8 @@ class _Problem:
         return total
 
     def take(self, rows: Mask) -> _Problem:
-        return _Problem(*(v[:, rows] for v in (self.step, self.weight, self.below, self.above)))
+        values = self.step, self.weight, self.below, self.above
+        return _Problem(*(take_last(v, rows) for v in values))
 
 
 def log_concave_likelihood(ascending: Floats, n: Counts) -> Floats:
@@ -110,7 +111,7 @@ def _maximum(ascending: Floats, n: Counts) -> Floats:
             density = _normalized(problem.take(done), best)
             value[rows[done]] = _sum(problem.weight[:, done] * density)
             problem, rows = problem.take(~done), rows[~done]
-            further, force, slack = (v[:, ~done] for v in (further, force, slack))
+            further, force, slack = (take_last(v, ~done) for v in (further, force, slack))
         if not rows.size:
             break
         p = further

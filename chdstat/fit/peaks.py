@@ -32,7 +32,7 @@ from chdstat._core.positive import PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, Solution
 from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, Fit, zero_log_likelihood
-from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups
+from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups, take_last
 from chdstat.fit.log_concave import log_concave_likelihood
 from chdstat.fit.mixtures import covariance, directions
 from chdstat.fit.search import Piece, log_samples, score, search
@@ -76,7 +76,8 @@ def _peaks_of(solution: Solution, groups: SampleGroups) -> tuple[Counts, Floats]
     if several.size:
         # A few steps count modes, but their places and widths would still move.
         state, family = solution.state.copy(), solution.family
-        further = em.run(some, family, state[..., several], cycles=_CYCLES, tolerance=_TOLERANCE)
+        start = take_last(state, several)
+        further = em.run(some, family, start, cycles=_CYCLES, tolerance=_TOLERANCE)
         state[..., several] = further.state
         solution = replace(solution, state=state)
     share, moments = np.exp(solution.state[0]), solution.family.moments(solution.state)

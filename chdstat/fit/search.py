@@ -35,6 +35,7 @@ from chdstat.fit.groups import (
     groups_of_bins,
     groups_of_each,
     groups_of_samples,
+    take_last,
 )
 
 __all__ = [
@@ -191,7 +192,7 @@ class Piece:
         blurred = np.flatnonzero(value - solution.log_likelihood > self.plan.loss * n)
         for piece in spans(len(blurred), max(1, _CHUNK // samples.shape[-1])):
             rows = blurred[piece]
-            singles, start = groups_of_each(samples[rows], n[rows]), state[..., rows]
+            singles, start = groups_of_each(samples[rows], n[rows]), take_last(state, rows)
             further = em.run(singles, family, start, cycles=_SAMPLE_CYCLES, tolerance=_TOLERANCE)
             state[..., rows], converged[rows] = further.state, further.converged
             value[rows] = em.bound_at(singles, family, further.state)
@@ -281,7 +282,7 @@ def _solutions(
             scores = [score(solution, log_n) for solution in solutions]
             rows = np.flatnonzero(scores[-1] > np.maximum(unimodal, np.max(scores[:-1], axis=0)))
         here = piece if rows.size == len(piece.rows) else piece.take(rows)
-        last = solutions[-1].state[..., rows]
+        last = take_last(solutions[-1].state, rows)
         starts = [
             *segmentations(here.groups, family, k),
             *_insertions(here.groups, family, last, windows),
@@ -394,14 +395,15 @@ def _best_window(
     best = np.full(len(floor), -np.inf)
     start, stop = np.zeros((2, len(floor)), dtype=np.int64)
     for length in (length for length in lengths if length <= last):
-        a, b = np.arange(last - length + 1), np.arange(length, last + 1)
+        a, b = slice(last - length + 1), slice(length, last + 1)
         n = below[0, b] - below[0, a]
         peak = _LOG_PEAK - 0.5 * np.log(_variance(below, floor, a, b))
         gain = n * (np.log(np.maximum(n, _LEAST) / below[0, -1]) + peak)
         gain -= old_below[b] - old_below[a]
         gain[n == 0] = -np.inf
         place, value = gain.argmax(axis=0), gain.max(axis=0)
-        start, stop = (np.where(value > best, p, q) for p, q in ((place, start), (b[place], stop)))
+        start = np.where(value > best, place, start)
+        stop = np.where(value > best, place + length, stop)
         best = np.maximum(best, value)
     return start, stop
 
@@ -418,7 +420,7 @@ def _sums_below(groups: SampleGroups, family: ComponentFamily) -> Floats:
     return np.stack([cumulative(groups.count * mean, axis=0) for mean in means])
 
 
-def _variance(below: Floats, floor: Floats, start: Counts, stop: Counts) -> Floats:
+def _variance(below: Floats, floor: Floats, start: Counts | slice, stop: Counts | slice) -> Floats:
     n, log, square = (below[i, stop] - below[i, start] for i in (0, 1, 3))
     np.maximum(n, _LEAST, out=n)
     square /= n
