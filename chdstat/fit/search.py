@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import combinations
 from math import comb
 from typing import Any, Literal
 
@@ -332,15 +332,12 @@ def segmentations(groups: SampleGroups, family: ComponentFamily, k: int) -> Iter
     if len(groups.count) < k:
         return
     below = _sums_below(groups, family)
-    edges = _cuts(len(groups.count), k)
-    sizes = [below[0, b] - below[0, a] for a, b in pairwise(edges)]
-    spread = [_variance(below, groups.floor, a, b) for a, b in pairwise(edges)]
-    pairs = list(zip(sizes, spread, strict=True))
-    possible = np.where(np.min(sizes, axis=0) >= 1, 0.0, -np.inf)
-    likelihood = sum((n * (np.log(n + _LEAST) - 0.5 * np.log(v)) for n, v in pairs), possible)
-    compactness = sum((-n * v for n, v in pairs), possible)
-    for value in (likelihood, compactness):
-        ends = below[:, edges[:, value.argmax(axis=0)], np.arange(len(groups.floor))]
+    edges, (start, stop), segments = _cuts(len(groups.count), k)
+    n, variance = below[0, stop] - below[0, start], _variance(below, groups.floor, start, stop)
+    for value in (n * (np.log(n + _LEAST) - 0.5 * np.log(variance)), -n * variance):
+        value[n < 1] = -np.inf
+        best = sum((value[each] for each in segments[1:]), value[segments[0]]).argmax(axis=0)
+        ends = below[:, edges[:, best], np.arange(len(best))]
         yield _state(groups, family, np.diff(ends, axis=1))
 
 
@@ -430,10 +427,17 @@ def _variance(below: Floats, floor: Floats, start: Counts | slice, stop: Counts 
 
 
 @cache
-def _cuts(groups: int, k: int) -> Counts:
-    """Return edges of k segments, shape (k + 1, choice), on as fine a grid as there is time for."""
+def _cuts(groups: int, k: int) -> tuple[Counts, Counts, Counts]:
+    """Return edges of k segments, on as fine a grid as there is time for, shape (k + 1, choice).
+
+    Then where each of all these segments starts and stops, shape (2, segment), and which of them
+    each choice has, shape (k, choice).
+    """
     grid = next(g for g in range(groups - 1, 0, -1) if comb(g, k - 1) <= _CHOICES or g <= k)
     places = np.unique(np.linspace(1, groups - 1, grid).round().astype(np.int64))
     inner = np.array(list(combinations(places, k - 1))).T
     outer = np.zeros((1, inner.shape[-1]), dtype=np.int64)
-    return np.concatenate([outer, inner, outer + groups])
+    edges = np.concatenate([outer, inner, outer + groups])
+    ends = np.stack([edges[:-1].reshape(-1), edges[1:].reshape(-1)])
+    segments, which = np.unique(ends, axis=1, return_inverse=True)
+    return edges, segments, which.reshape(k, -1)
