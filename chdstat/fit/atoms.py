@@ -30,7 +30,7 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.positive import Part, PositivePart
+from chdstat._core.positive import LogStatistics, Part, PositivePart
 from chdstat.errors import Reason
 from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import take_part
@@ -140,6 +140,7 @@ def split(part: Part) -> Atoms:
             positive=np.asarray(positive.reshape(part.x.shape)),
             n=(n - counts.sum(axis=-1)).reshape(shape),
         )
+        _keep_statistics(rest, part, rows)
     return Atoms(
         values=values.reshape(*shape, MOST_ATOMS),
         counts=counts.reshape(*shape, MOST_ATOMS),
@@ -147,6 +148,15 @@ def split(part: Part) -> Atoms:
         tied=tied.reshape(shape),
         discrete=discrete.reshape(shape),
     )
+
+
+def _keep_statistics(rest: PositivePart, part: PositivePart, changed: Counts) -> None:
+    """Take over the sums of a part of which only some rows are changed."""
+    known = {n: np.array(v).reshape(-1) for n, v in vars(part.log_statistics).items()}
+    for name, values in vars(take_part(rest, changed).log_statistics).items():
+        known[name][changed] = values
+    shaped = {name: values.reshape(part.n.shape) for name, values in known.items()}
+    vars(rest)["log_statistics"] = LogStatistics(**shaped)
 
 
 def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
@@ -386,9 +396,11 @@ def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
     n = atoms.rest.n.reshape(-1).copy()
     n[rows] = filled.n
     shape = part.x.shape
-    return PositivePart(
+    imputed = PositivePart(
         np.asarray(x.reshape(shape), dtype=np.float64),
         np.asarray(positive.reshape(shape), dtype=bool),
         n.reshape(part.n.shape),
         *(part.n_null, part.n_zero, part.n_negative, part.n_bad),
     )
+    _keep_statistics(imputed, atoms.rest, rows)
+    return imputed

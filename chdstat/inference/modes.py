@@ -31,6 +31,7 @@ from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variabl
 from chdstat.errors import Reason
 from chdstat.fit.atoms import before_clamps, split
 from chdstat.fit.em import Solution
+from chdstat.fit.family import take_part
 from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
 from chdstat.fit.search import Piece, search
@@ -186,9 +187,10 @@ class ModalMixture(MixtureFit):
 
         part.found[Modes()] = _modality(part, also=enter)
         # Where samples are equal, mixtures are searched for once more, without the atoms.
-        tied = atoms.tied & (reason == Reason.OK)
-        for piece, solutions in search(atoms.rest, tied, "lognormal", MODES, effort="fast"):
-            chosen.enter(piece, solutions)
+        tied = np.flatnonzero(atoms.tied & (reason == Reason.OK))
+        rest, every = take_part(atoms.rest, tied), np.ones(len(tied), dtype=bool)
+        for piece, solutions in search(rest, every, "lognormal", MODES, effort="fast"):
+            chosen.enter(replace(piece, rows=tied[piece.rows]), solutions)
         return chosen.result("lognormal")
 
 
