@@ -99,7 +99,7 @@ def test_commands_in_the_documentation_can_be_typed() -> None:
         _, name, *arguments = shlex.split(line, comments=True)
         known[name].make_context(name, arguments)  # refuses what it does not know
     with pytest.raises(Exception, match="unexpected extra argument"):
-        known["explore"].make_context("explore", ["one.zarr", "two.zarr"])
+        known["analyze"].make_context("analyze", ["one.zarr", "two.zarr"])
 
 
 PUBLIC = [f"chdstat.{name}" for name in chd.__all__ if inspect.ismodule(getattr(chd, name))]
