@@ -16,7 +16,7 @@ left.plot(
 middle.vlines(np.arange(64), 0, pixel[:64], color="#0072B2", linewidth=1)
 middle.axhline(pixel.mean(), color="#D55E00", linestyle="--")
 middle.set(title="64 of its samples, and the mean", xlabel="sample", ylabel="radiance")
-viz.chd_axes(chd.histogram(pixel), channels=["luminance"], ax=right)
+viz.chd_axes(chd.histogram(pixel), names=["luminance"], ax=right)
 right.axvline(pixel.mean(), color="#D55E00", linestyle="--")
 right.set_title("its distribution", loc="left")
 right.set_title(f"{np.mean(pixel == 0):.0%} null", loc="right", color="#666666")

@@ -8,10 +8,10 @@ from chdstat.patterns import CHDS
 x = CHDS["long-tail"].draw(samples=512, seed=1)
 linear, log = chd.histogram(x, scale="linear"), chd.histogram(x)
 fig, axes = plt.subplots(1, 2, figsize=(6.7, 2.2), layout="constrained")
-viz.chd_axes(linear, channels=["samples"], ax=axes[0])
+viz.chd_axes(linear, names=["samples"], ax=axes[0])
 axes[0].set_title(f"linear: {int(linear.overflow)} of 512 samples lie beyond its end")
 fits = {"fit to the samples": chd.fit.fit(x, "burr"), "fit to the counts": chd.fit.fit(log, "burr")}
-viz.chd_axes(log, channels=["samples"], ax=axes[1])
+viz.chd_axes(log, names=["samples"], ax=axes[1])
 t = np.geomspace(*axes[1].get_xlim(), 300)
 for (name, fit), style in zip(
     fits.items(), ({"color": "#0072B2"}, {"color": "#D55E00", "linestyle": "--"}), strict=True

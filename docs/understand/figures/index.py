@@ -9,7 +9,7 @@ body = Component("lognormal", 0.5, 0.05, 0.55), Component("gamma", 2.0, 1.0, 0.4
 known = CHD(body, tail_index=0.5, tail_share=0.06, null_share=0.4)
 x = known.draw(samples=4096, seed=1)
 fig, ax = plt.subplots(figsize=(6.7, 2.5), layout="constrained")
-viz.chd_axes(chd.histogram(x), channels=["samples"], fits=[chd.fit.mixture(x).pdf], ax=ax)
+viz.chd_axes(chd.histogram(x), names=["samples"], fits=[chd.fit.mixture(x).pdf], ax=ax)
 top = ax.get_ylim()[1]
 ax.axvline(x.mean(), color="#0072B2", linestyle="--")
 arrow = {"arrowstyle": "-", "color": "#D55E00"}

@@ -9,7 +9,7 @@ fig, axes = plt.subplots(1, 3, figsize=(6.7, 2), layout="constrained")
 for ax, name in zip(axes, ("lognormal", "bimodal", "multimodal"), strict=True):
     x = CHDS[name].draw(samples=512, seed=1)
     mixed = chd.fit.mixture(x)  # 1, 2 or 3 components, chosen by BIC
-    viz.chd_axes(chd.histogram(x), channels=["samples"], fits=[mixed.pdf], ax=ax)
+    viz.chd_axes(chd.histogram(x), names=["samples"], fits=[mixed.pdf], ax=ax)
     ax.lines[-1].set_color("black")
     t = np.geomspace(*ax.get_xlim(), 400)
     for j, color in zip(range(mixed.k), ("#0072B2", "#D55E00", "#009E73"), strict=False):

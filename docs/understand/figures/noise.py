@@ -34,7 +34,7 @@ named["too few samples"] = x[Label.NULL_HEAVY][:, :16]
 
 def chd_of(ax, samples):
     light = samples.mean(axis=0)
-    viz.chd_axes(chd.histogram(light), channels=["luminance"], ax=ax)
+    viz.chd_axes(chd.histogram(light), names=["luminance"], ax=ax)
     ax.axvline(light.mean() or 1e-9, color="#0072B2", linestyle="--", linewidth=1)
     ax.tick_params(axis="x", which="minor", labelbottom=False)
 

@@ -29,7 +29,7 @@ for ax, pattern in zip(axes.flat, PATTERNS, strict=True):
     x = CHDS[shown[pattern.name]].draw(samples=1024, seed=2)
     found = chd.classify(x[None])  # of one channel
     assert found.flags[pattern.name]
-    viz.chd_axes(chd.histogram(x), channels=["samples"], ax=ax)
+    viz.chd_axes(chd.histogram(x), names=["samples"], ax=ax)
     value = f"{short[pattern.name]} {found.statistics[pattern.name]:.2g}"
     ax.set_title(pattern.name.replace("_", "-"), loc="left", fontweight="bold")
     ax.set_xlabel(value)

@@ -8,7 +8,7 @@ from chdstat.patterns import CHD, NULL_ZONE, Component
 lamp = CHD((Component("gamma", 2.0),), tail_index=0.5, tail_share=0.1, null_share=0.3)
 x = lamp.draw(samples=512, seed=1)
 fig, axes = plt.subplots(1, 2, figsize=(6.7, 2.2), layout="constrained")
-viz.chd_axes(chd.histogram(x), channels=["samples"], fits=[lamp.pdf], ax=axes[0])
+viz.chd_axes(chd.histogram(x), names=["samples"], fits=[lamp.pdf], ax=axes[0])
 axes[0].axvline(lamp.threshold, color="#D55E00", linestyle="--")
 axes[0].annotate(
     " tail", (lamp.threshold, 0.9), xycoords=("data", "axes fraction"), color="#D55E00"
