@@ -35,6 +35,7 @@ from chdstat.viz.styling import (
     fitting,
     grid,
     inches,
+    ink_on,
     narrow,
     page,
     panels_in,
@@ -127,7 +128,7 @@ def with_marks(
             [cells[1 + i // columns, i % columns] for i in range(len(marks))],
         )
     else:
-        rows, letters = max(1, -(-len(marks) // 2)), 99
+        rows, letters = max(1, -(-len(marks) // 2)), int(14 * across / 6.2)
         share, columns = (0.64, 2) if marks else (1.0, 0)
         figure = page(fig, max(across * share * aspect, 1.05 * rows), width)
         cells = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
@@ -168,7 +169,7 @@ def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
             ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
         ax.annotate(
             str(i + 1), corner, xytext=(-1, 1), textcoords="offset points", ha="right", va="bottom",
-            fontweight="bold", annotation_clip=True,
+            fontweight="bold", color=ink_on(color), annotation_clip=True,
             bbox={"boxstyle": "round,pad=0.12", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
 
@@ -302,7 +303,7 @@ def _list_regions(ax: Axes, marks: Sequence[Mark], notes: Sequence[str], *, leas
     for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
         y = 1 - (i + 0.5) / max(len(marks), least)
         ax.text(
-            0.01, y, str(i + 1), fontweight="bold", ha="center", va="center",
+            0.01, y, str(i + 1), fontweight="bold", color=ink_on(color), ha="center", va="center",
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
         ax.text(0.06, y, verbatim(mark.name), fontweight="bold", va="center")

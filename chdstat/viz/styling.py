@@ -48,6 +48,7 @@ __all__ = [
     "grid",
     "grow",
     "inches",
+    "ink_on",
     "narrow",
     "page",
     "panels_in",
@@ -308,6 +309,17 @@ def qualitative(number: int) -> list[str]:
 def _darker(color: str) -> str:
     red, green, blue = (0.55 * part for part in to_rgb(color))
     return to_hex((red, green, blue))
+
+
+def ink_on(color: str) -> str:
+    """Return black, or white where it is read better on a colour.
+
+    Examples
+    --------
+    >>> ink_on("#F0E442"), ink_on("#4D4D4D")
+    ('black', 'white')
+    """
+    return "black" if float(np.dot((0.299, 0.587, 0.114), to_rgb(color))) > 0.42 else "white"
 
 
 def sequential() -> Colormap:
