@@ -37,7 +37,6 @@ from chdstat.viz.styling import (
     inches,
     narrow,
     page,
-    panels_in,
     per_cent,
     qualitative,
     sequential,
@@ -454,7 +453,8 @@ def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = Non
     verdict = fill(found.verdict, int(_LETTERS * across))
     rows = across / columns * (0.86 * aspect + 0.24) * 6 / columns
     height = rows + 0.16 * (1 + verdict.count("\n")) + 0.3
-    figure, axes = panels_in(fig, 6, columns, height, width)
+    figure = page(fig, height, width, wspace=0.06)
+    axes = grid(figure, 6, columns)
     means = [maps[f"mean_{name}"].to_numpy()[..., shown] for name in ("a", "b")]
     exposure = display_stops(means[0])
     for ax, mean, letter, name in zip(axes, means, "AB", found.names, strict=False):
