@@ -57,6 +57,8 @@ BLENDED = "#d0d3d6"
 CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
 PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
 """After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
+_SOURCE_COLORS = tuple(PIXEL_COLORS[i] for i in (3, 2, 5, 4, 1, 0))
+"""Of stores that are compared: others than those of the first pixels."""
 LIGHT = {
     BLENDED: "#4a4f55",
     **dict(zip(CHANNEL_COLORS.values(), ("#b3261e", "#0f7039", "#1257b0"), strict=True)),
@@ -194,7 +196,7 @@ def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> li
         for i, place in enumerate(those):
             pixel = i + 1 if len(those) > 1 else 0
             if len(places) > 1:
-                color, dash = PIXEL_COLORS[k % 6], "solid" if k < 6 else "dashed"
+                color, dash = _SOURCE_COLORS[k % 6], "solid" if k < 6 else "dashed"
                 found.append(Series(place, place.row(row), color, name, pixel, dash))
             elif pixel:
                 name = f"pixel {pixel}"
