@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,8 +50,21 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from chdstat.rendering import Rendering
+    from chdstat.samples import Samples
 
-__all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
+__all__ = [
+    "Noise",
+    "Overview",
+    "Share",
+    "analyze",
+    "key_intervals",
+    "noise_of",
+    "overview",
+    "patterns_of",
+    "pooled_shares",
+    "save",
+    "to_dataframe",
+]
 
 _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables carry their name."""
@@ -130,8 +144,6 @@ def analyze(
     >>> found["null_share"].shape, found["mean"].dims
     ((2, 2), ('y', 'x', 'channel'))
     """
-    import xarray as xr
-
     resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
     given: Any = samples
     summarised = hasattr(given, "on_demand") or hasattr(given, "data_vars")
@@ -167,11 +179,45 @@ def analyze(
     }
     if samples.spp >= N_MEANS:
         statistics["averages"] = NormalityOfMeans(tuple(sizes_of_means(samples.spp).tolist()))
-    of_block = functools.partial(_of_block, statistics)
-    known = functools.partial(checkpoint_key, samples)
-    with checkpoints(checkpoint, known, thresholds, held_out, resamples, seed) as kept:
+    known = thresholds, held_out, resamples, seed
+    merged = _measured(samples, statistics, known, progress, client, checkpoint)
+    for name in ("skewness", "kurtosis"):
+        if "averages" in statistics:
+            merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
+    return merged
+
+
+def patterns_of(
+    samples: Samples, *, progress: bool | None = None, checkpoint: str | Path | None = None
+) -> xr.Dataset:
+    """Return the part of an analysis that says where the noise is, in a tenth of the time.
+
+    That is `summarize`, and of luminance its mean, its variation and `classify`; the numbers are
+    those of `analyze`.
+    """
+    statistics: dict[str, Statistic[Any]] = {
+        "luminance": _LuminanceMoments(),
+        "patterns": Classification(),
+    }
+    return _measured(samples, statistics, ("patterns",), progress, None, checkpoint)
+
+
+def _measured(
+    samples: Samples,
+    statistics: Mapping[str, Statistic[Any]],
+    known: tuple[Any, ...],
+    progress: bool | None,
+    client: Client | None,
+    checkpoint: str | Path | None,
+) -> xr.Dataset:
+    """Return the summary of samples with the variables of all statistics, by their stages."""
+    import xarray as xr
+
+    key = functools.partial(checkpoint_key, samples)
+    with checkpoints(checkpoint, key, *known) as kept:
         work: Work = {"progress": progress, "client": client, "checkpoint": kept}
         summary = summarize(samples, **work)
+        of_block = functools.partial(_of_block, statistics)
         found = samples.map(of_block, logarithms=True, description="analysing", **work)
     # The parts count the same samples; the summary's word on nulls and bad samples stands.
     merged = xr.merge(
@@ -180,14 +226,15 @@ def analyze(
         combine_attrs="drop_conflicts",
         join="override",
     )
-    for name in ("skewness", "kurtosis"):
-        if "averages" in statistics:
-            merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
 
 
 def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
     """Return the variables of all statistics of a tile, by their stages."""
+    if all(statistic.rows == "luminance" for statistic in statistics.values()):
+        return _variables(
+            statistics, {"luminance": PositivePart.of_pixels(block, rows="luminance")}
+        )
     both = PositivePart.of_pixels(block, rows="both")
     for shared in (FamilySelection(), TailIndex(), ModalMixture()):
         both.measured(shared)
@@ -362,10 +409,6 @@ def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
     yield batch
 
 
-_TEST = {"transform": "log", "test": "anderson-darling"}
-"""Which of the tests of normality is in the overview."""
-
-
 @dataclass(frozen=True)
 class Overview:
     """A scene in a few numbers, from what `analyze` finds of its pixels.
@@ -441,10 +484,16 @@ class Overview:
 
 
 def overview(found: xr.Dataset) -> Overview:
-    """Return the numbers of the whole scene from the dataset of `analyze`."""
-    log = found[["normality_p_value", "normality_rejected", "normality_skewness"]].sel(_TEST)
-    distance = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov")
-    known = found["tail_index"].notnull()
+    """Return the numbers of the whole scene from the dataset of `analyze`.
+
+    What is about variables that the dataset lacks is NaN, or empty.
+    """
+    p_value, rejected, skewness = (
+        _values(found, f"normality_{name}", transform="log", test="anderson-darling")
+        for name in ("p_value", "rejected", "skewness")
+    )
+    distance = _values(found, "best_goodness_effect", fit_test="kolmogorov-smirnov")
+    margin, known = _values(found, "margin"), np.isfinite(_values(found, "tail_index"))
     sizes = [found.isel(size=i) for i in range(found.sizes.get("size", 0))]
     families, held_out = (
         {name: pooled.share for name, pooled in pooled_shares(found, variable).items()}
@@ -463,18 +512,18 @@ def overview(found: xr.Dataset) -> Overview:
         null_share=_share(found["null_count"], found["count"]),
         null_pixels=float((found["null_share"].values > 0.5).mean()),
         bad_samples=int(found["bad_count"].sum()),
-        variation=_quartiles(found["coefficient_of_variation"]),
+        variation=_quartiles(found["coefficient_of_variation"].values),
         families=families,
         families_held_out=held_out,
-        decided=_share(found["margin"] > 10, found["margin"].notnull()),
+        decided=_share(margin > 10, np.isfinite(margin)),
         misfit=_quartiles(distance),
-        log_rejected=_share(log["normality_rejected"] == 1, log["normality_p_value"].notnull()),
-        log_skewness=_quartiles(log["normality_skewness"]),
+        log_rejected=_share(rejected == 1, np.isfinite(p_value)),
+        log_skewness=_quartiles(skewness),
         patterns={p.name: float(found[p.name].mean()) for p in PATTERNS},
         label_agreement=float(found["label_agreement"].attrs["kappa"]),
-        doubtful_variance=_share(found["tail_variance_suspect"], known),
-        unidentified_variance=_share(found["tail_variance_unidentified"], known),
-        modes=_counted(found["modality_modes"].values, missing=0),
+        doubtful_variance=_share(_values(found, "tail_variance_suspect"), known),
+        unidentified_variance=_share(_values(found, "tail_variance_unidentified"), known),
+        modes=_counted(_values(found, "modality_modes"), missing=0),
         n_needed=needed,
         averages={
             int(part["size"]): _share(
@@ -482,11 +531,11 @@ def overview(found: xr.Dataset) -> Overview:
             )
             for part in sizes
         },
-        skewness=np.array([_quartiles(part["averages_skewness"]) for part in sizes])
+        skewness=np.array([_quartiles(part["averages_skewness"].values) for part in sizes])
         .reshape(-1, 3)
         .T,
         predicted_skewness=np.array(
-            [_quartiles(part["averages_predicted_skewness"])[1] for part in sizes]
+            [_quartiles(part["averages_predicted_skewness"].values)[1] for part in sizes]
         ),
     )
 
@@ -505,17 +554,25 @@ class Noise:
     Attributes
     ----------
     noisiest
-        Share of the relative variance that the noisiest tenth of the pixels holds.
-    label
-        The primary pattern whose pixels hold most of it.
-    share, pixels
-        How much these hold, and what share of the image they are.
+        Share of the relative variance that the noisiest tenth of the pixels holds; NaN where there
+        is none.
+    pixels, share
+        By the primary patterns that occur: what share of the image shows it, and of the relative
+        variance these pixels hold, the largest first.
     """
 
     noisiest: float
-    label: str
-    share: float
-    pixels: float
+    pixels: dict[str, float]
+    share: dict[str, float]
+
+    @property
+    def label(self) -> str:
+        """The primary pattern whose pixels hold most of it."""
+        return next(iter(self.share))
+
+    def __bool__(self) -> bool:
+        """Return whether the samples of any pixel vary."""
+        return math.isfinite(self.noisiest)
 
 
 def noise_of(found: xr.Dataset) -> Noise:
@@ -528,15 +585,18 @@ def noise_of(found: xr.Dataset) -> Noise:
     variance = np.where(np.isfinite(variance), variance, 0.0)
     total = float(variance.sum()) or np.nan
     count = max(1, round(_NOISIEST * variance.size))
-    labels, attrs = found["label"].values, found["label"].attrs
-    names = dict(zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True))
-    held = {code: float(variance[labels == code].sum()) for code in names}
-    most = max(held, key=lambda code: held[code])
+    attrs = found["label"].attrs
+    shown = {
+        name: found["label"].values == code
+        for code, name in zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True)
+    }
+    shown = {name: here for name, here in shown.items() if here.any()}
+    held = {name: float(variance[here].sum()) / total for name, here in shown.items()}
+    held = dict(sorted(held.items(), key=lambda item: -item[1]))
     return Noise(
         noisiest=float(np.sort(variance, axis=None)[::-1][:count].sum()) / total,
-        label=names[most],
-        share=held[most] / total,
-        pixels=float((labels == most).mean()),
+        pixels={name: float(shown[name].mean()) for name in held},
+        share=held,
     )
 
 
@@ -583,8 +643,16 @@ def _share(part: Any, whole: Any) -> float:
     return float(np.asarray(part).sum()) / total if total else float("nan")
 
 
-def _quartiles(of: xr.DataArray) -> tuple[float, float, float]:
-    finite = of.values[np.isfinite(of.values)]
+def _values(found: xr.Dataset, name: str, **where: str) -> npt.NDArray[Any]:
+    """Return the values of a variable; none where it was not measured."""
+    if name not in found:
+        return np.zeros(0)
+    there = {dim: value for dim, value in where.items() if dim in found[name].dims}
+    return np.asarray(found[name].sel(there))
+
+
+def _quartiles(of: npt.NDArray[np.floating[Any]]) -> tuple[float, float, float]:
+    finite = of[np.isfinite(of)]
     if not finite.size:
         return (np.nan, np.nan, np.nan)
     low, middle, high = np.percentile(finite, (25, 50, 75))

@@ -118,6 +118,11 @@ def report(
     recipe: Annotated[
         Path | None, option("Recipe with the regions to show.", unset="the scene's own")
     ] = None,
+    full: Annotated[
+        bool,
+        flag("--full", "Add the case study, the claims of the paper, averages and trainings."),
+    ] = False,
+    claims: Annotated[bool, flag("--claims", "Only test the claims of the paper.")] = False,
     as_published: Annotated[
         bool,
         flag(
@@ -126,12 +131,15 @@ def report(
         ),
     ] = False,
 ) -> None:
-    """Render, analyse, train, compare and typeset: a PDF on the sample distributions of a scene."""
+    """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps."""
     import chdstat
     from chdstat.reporting.typst import pages_of
     from chdstat.scenes import Scene
 
     asked.target(out, ".pdf")
+    if full and claims:
+        message = "--full has the claims, too: give it or --claims"
+        raise InputError(message)
     given = asked.source(source)
     if as_published and isinstance(given, Scene):
         from chdstat.reporting.scene_report import published_seconds
@@ -147,6 +155,7 @@ def report(
     path = chdstat.report(
         given,
         out,
+        contents="full" if full else "claims" if claims else "short",
         recipe=recipe,
         store=asked.store,
         estimators=asked.estimator or None,

@@ -173,7 +173,7 @@ def import_samples(
         ),
     ] = None,
     scene: Annotated[
-        str | None, option("Name of the scene.", unset="that of the first file")
+        str | None, option("Name of the scene.", unset="the files', or OUT's of several files")
     ] = None,
     renderer: Annotated[str | None, option("What rendered it.", unset="unknown")] = None,
     seed: Annotated[int | None, option("Seed that it was rendered with.", unset="unknown")] = None,
@@ -198,6 +198,15 @@ def import_samples(
             sequence=sequence,
         ),
     )  # fmt: skip
+    about = samples.attrs
+    if about["files"] > 1 and scene is None and samples.name == Path(about["scene_source"]).stem:
+        # One of many frames is no name for all of them.
+        samples = chdstat.Samples(
+            samples.source or samples.read(),
+            attrs=about | {"scene": out.stem},
+            features=samples.features,
+            counts=samples.counts,
+        )
     saved = samples.save(out, append=append, progress=asked.progress)
     output.say_samples(saved, as_json=asked.as_json, quiet=asked.quiet)
 

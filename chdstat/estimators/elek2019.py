@@ -170,6 +170,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         *,
         seed: int = 0,
         iterations: int | None = None,
+        patience: int | None = None,
         pixels: npt.ArrayLike | None = None,
         progress: bool | None = None,
     ) -> Self:
@@ -183,6 +184,9 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             Draws the pixels, the validation part, the first weights and the minibatches.
         iterations
             Other than the preset says.
+        patience
+            Stop after so many iterations without a smaller validation loss, and take the weights
+            that had the smallest; None trains to the end, as published.
         pixels
             Train on these, rows (y, x), and draw none.
         progress
@@ -221,6 +225,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             batches,
             references.astype(np.float32),
             iterations=config.iterations if iterations is None else iterations,
+            patience=patience,
             rng=generator(seed).spawn(1)[0],
             progress=progress,
         )
@@ -235,6 +240,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             batches_used=len(batches),
             batches_excluded=len(chosen) * (samples.spp // config.inputs) - len(batches),
             iterations=int(history[-1, 0]) if len(history) else 0,
+            **({} if patience is None else {"patience": patience}),
         )
         self._trained = _TrainedMLP(
             weights=weights,
@@ -368,6 +374,7 @@ def _fit(
     references: npt.NDArray[np.float32],
     *,
     iterations: int,
+    patience: int | None,
     rng: np.random.Generator,
     progress: bool | None,
 ) -> tuple[Weights, npt.NDArray[np.float64]]:
@@ -376,7 +383,8 @@ def _fit(
     Returns
     -------
     weights : list of ndarray
-        As after the last record at which all of them were finite.
+        As after the last record at which all of them were finite, or, with a patience, after that
+        of the smallest validation loss.
     history : ndarray
         Rows of `History`.
     """
@@ -407,7 +415,7 @@ def _fit(
 
     weights = initial_weights(preset.sizes, rng)
     parameters = [torch.tensor(w, requires_grad=True) for w in weights]
-    history = []
+    history, smallest, best = [], np.inf, 0
     with training.threads(1), track("training", iterations, unit="it", show=progress) as advance:
         for iteration, seen in training.descend(
             parameters,
@@ -420,10 +428,13 @@ def _fit(
             current = [p.detach().numpy().copy() for p in parameters]
             if not all(np.isfinite(w).all() for w in current):
                 break
-            weights = current
             with torch.inference_mode():
-                held_out_loss = loss(*outside)
+                held_out_loss = float(loss(*outside))
+            if patience is None or held_out_loss < smallest:
+                weights, smallest, best = current, held_out_loss, iteration
             minibatch_losses, rows = zip(*seen, strict=True)
             fit, baseline = torch.stack(minibatch_losses).mean(), of_mean[np.stack(rows)].mean()
             history.append((iteration, fit, held_out_loss, baseline, of_mean[validation].mean()))
+            if patience is not None and iteration - best >= patience:
+                break
     return weights, np.array(history, np.float64).reshape(-1, 5)

@@ -384,8 +384,9 @@ def _joins(
 def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tuple[Region, ...]:
     """Choose one region for every pattern of an image, where the pattern is purest.
 
-    That is the window of `edge` x `edge` pixels with the most pixels of the label; of equal ones,
-    the one deepest inside its patch, so that marks do not sit on borders.
+    That is the window of `edge` x `edge` pixels with the most pixels of the label, around a pixel
+    that has it; of equal ones, the one deepest inside its patch, so that marks do not sit on
+    borders. At the border of the image it is smaller.
 
     Parameters
     ----------
@@ -418,6 +419,10 @@ def _purest(mask: npt.NDArray[np.bool_], edge: int) -> tuple[float, float, float
     depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     score = ndimage.uniform_filter(mask.astype(float), edge, mode="constant") + 1e-3 * depth
     y, x = np.unravel_index(np.argmax(np.where(mask, score, -1)), mask.shape)
-    top = int(np.clip(y - edge // 2, 0, height - edge))
-    left = int(np.clip(x - edge // 2, 0, width - edge))
-    return left / width, top / height, (left + edge) / width, (top + edge) / height
+    # Around that pixel, so that the one in the middle has the label.
+    half = int(min((edge - 1) // 2, y, x, height - 1 - y, width - 1 - x))
+    ends = x - half, y - half, x + half + 1, y + half + 1
+    left, top, right, bottom = (
+        float(end / length) for end, length in zip(ends, (width, height) * 2, strict=True)
+    )
+    return left, top, right, bottom

@@ -78,7 +78,7 @@ class Regions(Shown):
         self,
         *,
         channels: str | Sequence[str] | None = None,
-        scales: Scale | Sequence[Scale] = ("linear", "log"),
+        scales: Scale | Sequence[Scale] = "log",
         width: Width = "page",
         fig: Figure | None = None,
     ) -> Figure:
@@ -87,7 +87,7 @@ class Regions(Shown):
         Parameters
         ----------
         channels, scales, width, fig
-            As for `Pixel.plot`.
+            As for `Pixel.plot`; None takes luminance where it is known.
         """
         from chdstat import viz
 

@@ -1,6 +1,6 @@
 """Content of reports: from results to words and tables, ready for JSON.
 
-First the report on a scene: `scene_content`, and of an analysis alone `analysis_content`. Then
+First the report on a scene: `report_content`, and of an analysis alone `analysis_content`. Then
 findings on claims, and the tables of regions, families, patterns and estimators.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -18,10 +18,10 @@ from chdstat.analysis import (
     Noise,
     Overview,
     key_intervals,
-    noise_of,
     pooled_shares,
 )
 from chdstat.comparison import Comparison
+from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.comparison.tables import in_words, shown_ratio
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
@@ -32,67 +32,100 @@ from chdstat.samples.samples import provenance
 from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding, SceneData
 from chdstat.studies.run import SceneStudy
 from chdstat.viz.estimators import called
-from chdstat.viz.maps import names_of
+from chdstat.viz.maps import LABEL_COLORS, names_of
 from chdstat.viz.styling import qualitative
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "FEW_PIXELS",
+    "FEW_SAMPLES",
     "PUBLISHED_SIZE",
     "PUBLISHED_SPP",
+    "Contents",
     "analysis_content",
     "atlas_content",
     "claim_content",
     "finding_content",
+    "in_report",
     "remake_note",
-    "scene_content",
+    "report_content",
     "with_others",
 ]
 
+Contents = Literal["short", "full", "claims"]
+"""What a report on a scene holds."""
+
 PUBLISHED_SPP, PUBLISHED_SIZE = 2000, 800
 """Samples per pixel, and pixels along each edge, of the images of Elek et al. 2019."""
+FEW_SAMPLES, FEW_PIXELS = 32, 64
+"""From fewer samples, no report describes distributions; of fewer pixels, none draws maps."""
+_MANY_NULLS = 0.25
+"""Share of null samples from which they are a finding."""
+_LITTLE = 5e-4
+"""Share that is written as none."""
 _TINY = 1e-4
-_MEANING = {p.name: p.meaning for p in PATTERNS}
+_LABELS = {
+    "black": ("no path finds light", "make sure that nothing is lit there"),
+    "undetermined": ("too few samples that find light", "more samples"),
+    "other": ("one mode without a long tail, of another shape", "more samples, at the usual rate"),
+} | {p.name: (p.meaning, p.cure) for p in PATTERNS}
+"""What each primary label means, and what helps."""
 
 
 # --- the report on a scene ----------------------------------------------------------------------
 
 
-def scene_content(found: SceneStudy) -> dict[str, Any]:
+def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
     """Return the entries of the report, by their names, ready for JSON."""
     data, scene, dataset = found.data, found.overview, found.data.analysis
-    prefix = "threshold_"
-    noise = noise_of(dataset)
-    entries = {
+    height, width, channels, spp = data.samples.shape
+    about = f"{width} × {height} pixels, {spp} sample{'s' * (spp > 1)} each"
+    entries: dict[str, Any] = {
         "title": data.samples.name,
         "remake": remake_note([data.samples]),
-        "spp": data.samples.spp,
-        "luminance": data.samples.shape[2] == 3,
-        "abstract": _abstract(found, noise),
-        "key_figures": _key_figures(found),
-        "findings": _headlines(found, noise),
-        "claims": [finding_content(finding) for finding in found.findings],
-        "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
-        "regions": _region_table(data),
-        "families": _family_table(dataset),
-        "fit": _fit_content(scene),
-        "patterns": _pattern_table(scene),
-        "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
-        "thresholds": {
-            str(name).removeprefix(prefix): number(float(value))
-            for name, value in dataset.attrs.items()
-            if str(name).startswith(prefix)
-        },
-        "n_means": int(dataset.attrs.get("n_means", 0)),
-        "agreement": number(scene.label_agreement),
+        "about": about + ", one channel" * (channels == 1),
         "bad_samples": _bad_samples(scene),
-        "deviations": _deviations(found),
+        "rendered": "mitsuba_version" in data.samples.attrs,
+        "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
     }
-    if found.atlas is not None:
-        entries["atlas"] = atlas_content(found.atlas)
-    if found.comparison is not None:
-        entries["estimators"] = _estimator_table(found.comparison)
+    if contents != "claims":
+        entries |= {
+            "spp": spp,
+            "key_figures": _key_figures(found),
+            "findings": _headlines(found),
+            "regions": _region_table(data),
+            "regions_chosen": found.chosen,
+            "alpha": percent(float(dataset.attrs["threshold_alpha"])),
+        }
+        if found.noise and spp >= FEW_SAMPLES and scene.pixels >= FEW_PIXELS:
+            entries["noise"] = _noise_table(found.noise, found.comparison)
+        if found.comparison is not None:
+            entries["estimators"] = _estimator_table(found.comparison)
+    if contents != "short":
+        tested = [finding for finding in found.findings if finding.tests]
+        entries |= {
+            "claims": [finding_content(finding) for finding in tested],
+            "untested": _untested(found.findings),
+            "deviations": _deviations(found),
+        }
+    if contents == "full":
+        prefix = "threshold_"
+        entries |= {
+            "families": _family_table(dataset),
+            "fit": _fit_content(scene),
+            "patterns": _pattern_table(scene),
+            "thresholds": {
+                str(name).removeprefix(prefix): number(float(value))
+                for name, value in dataset.attrs.items()
+                if str(name).startswith(prefix)
+            },
+            "n_means": int(dataset.attrs.get("n_means", 0)),
+            "agreement": number(scene.label_agreement),
+        }
+        if found.atlas is not None:
+            entries["atlas"] = atlas_content(found.atlas)
     return entries
 
 
@@ -102,110 +135,105 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
     `dataset` is what `chdstat.analyze` returned for the samples.
     """
     found = SceneStudy(SceneData(samples.name, samples, given=dataset), ())
-    scene, noise = found.overview, noise_of(dataset)
+    scene, noise = found.overview, found.noise
+    where = (
+        f"The noisiest tenth of the pixels holds {percent(noise.noisiest)} of the relative "
+        f"variance; {_pixels(noise.label)} hold {percent(noise.share[noise.label])} of it."
+    )
     return {
         "sentences": [
             f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
             "samples each.",
-            *_on_noise(scene, noise),
+            f"In the median pixel their standard deviation is {number(scene.variation[1])} times "
+            f"their mean, and {percent(scene.null_share)} of all samples carry no light.",
+            where if noise else "The samples of no pixel vary.",
             _bad_samples(scene),
         ],
-        "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found, noise)],
+        "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found)],
         "families": _family_table(dataset),
         "patterns": _pattern_table(scene),
     }
 
 
-def _abstract(found: SceneStudy, noise: Noise) -> list[str]:
-    """Return the report in four sentences."""
-    height, width, _, spp = found.data.samples.shape
-    sentences = [
-        f"This report looks at the {spp} samples of radiance that each of the {width} × {height} "
-        f"pixels of {found.data.samples.name} received before they are averaged.",
-        *_on_noise(found.overview, noise),
-    ]
-    best = _best(found.comparison)
-    if best is None or found.comparison is None:
-        return [*sentences, "There are too few samples to compare estimators."]
-    return [
-        *sentences,
-        f"From {found.comparison.n} samples, {called(best['estimator'])} estimates best, "
-        f"with {number(best['relmse_ratio'])} times the relative and "
-        f"{number(best['mse_ratio'])} times the squared error of the sample mean.",
-    ]
-
-
-def _on_noise(scene: Overview, noise: Noise) -> list[str]:
-    """Return two sentences on how much the samples vary, and where."""
-    where = (
-        f"The noisiest tenth of the pixels holds {percent(noise.noisiest)} of the relative "
-        f"variance; {_pixels(noise.label)} hold {percent(noise.share)} of it."
-    )
-    return [
-        f"In the median pixel their standard deviation is {number(scene.variation[1])} times their "
-        f"mean, and {percent(scene.null_share)} of all samples carry no light.",
-        where if math.isfinite(noise.share) else "The samples of no pixel vary.",
-    ]
-
-
 def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
-    """Return four numbers with 95 % intervals, three of the samples and one of the estimators."""
+    """Return up to four numbers, with 95 % intervals over blocks of pixels where there are some."""
+    scene = found.overview
     of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
-    labels: dict[str, tuple[Callable[[float], str], str]] = {
-        "null_share": (percent, "of the samples are null"),
-        "coefficient_of_variation": (number, "standard deviation over mean, median pixel"),
-        "long_tail": (percent, "of the pixels have a long tail"),
-    }
-    shown = [
-        (write(of_image[name].value), label, _between(of_image[name], write))
-        for name, (write, label) in labels.items()
-    ]
-    best = _best(found.comparison)
-    if best is not None and found.comparison is not None:
-        name, n = called(best["estimator"]), found.comparison.n
-        low, high = (number(best[f"relmse_ratio_{end}"]) for end in ("low", "high"))
-        label = f"relative squared error of {name} over that of the mean of {n} samples"
-        shown.append((f"{number(best['relmse_ratio'])}×", label, f"{low} to {high}"))
-    return [dict(zip(("value", "label", "interval"), row, strict=True)) for row in shown]
+    nulls = _between(of_image["null_share"], percent)
+    shown = [(percent(scene.null_share), "of the samples find no light", nulls)]
+    if scene.spp >= FEW_SAMPLES:
+        spread = _between(of_image["coefficient_of_variation"], number)
+        label = "standard deviation of the samples over their mean, in the median pixel"
+        shown.append((number(scene.variation[1]), label, spread))
+        if scene.pixels >= FEW_PIXELS:
+            label = "of the relative variance is in the noisiest tenth of the pixels"
+            shown.append((percent(found.noise.noisiest), label, ""))
+    row = _row_of(found.comparison, DEFAULT_ESTIMATE)
+    if found.comparison is not None and row is not None:
+        low, high = (number(row[f"mse_ratio_{end}"]) for end in ("low", "high"))
+        label = f"squared error of the default estimate over the mean's, {found.comparison.n} "
+        shown.append((number(row["mse_ratio"]), f"{label}samples", f"{low} to {high}"))
+    names = ("value", "label", "interval")
+    return [dict(zip(names, row, strict=True)) for row in shown if row[0] != "—"]
 
 
-def _headlines(found: SceneStudy, noise: Noise) -> list[dict[str, str]]:
+def _headlines(found: SceneStudy) -> list[dict[str, str]]:
     """Return at most six findings in plain words, each with what stands behind it.
 
     What is noisy, why, what helps, and by how much.
     """
-    scene = found.overview
-    rows = [
-        *_where_noise_is(noise),
-        *_which_paths(found.data),
-        (
-            f"{percent(scene.null_share)} of all samples find no light.",
-            f"In {percent(scene.patterns['null_heavy'])} of the pixels null samples are "
-            "significantly more than half: better light sampling would help there.",
-        ),
-        *_trust(scene),
-    ]
-    if scene.patterns["firefly_dominated"] > 0 and noise.label != "firefly_dominated":
-        rows.append(
+    scene, noise = found.overview, found.noise
+    if scene.spp < FEW_SAMPLES:
+        rows = [
             (
-                f"One sample decides {percent(scene.patterns['firefly_dominated'])} of the pixels.",
-                f"There a single one of {scene.spp} samples carries so much of the mean that the "
-                "pixel is a firefly, or would be one without it.",
+                f"{scene.spp} sample{'s' * (scene.spp > 1)} per pixel tell no distribution.",
+                f"From {FEW_SAMPLES} on, a report describes where the noise is and why, from "
+                f"{2 * FEW_SAMPLES} on, what helps against it.",
             )
-        )
+        ]
+    else:
+        rows = [*_where_noise_is(scene, noise), *_which_paths(found.data)]
+        rows += [] if noise.label == "null_heavy" else _nulls(scene)
+        rows += [*_trust(scene), *_fireflies(scene, noise)]
     if found.comparison is not None:
         rows += _what_helps(found.comparison)
     return [dict(zip(("finding", "because"), row, strict=True)) for row in rows[:6]]
 
 
-def _where_noise_is(noise: Noise) -> Iterator[tuple[str, str]]:
-    """Yield which pattern holds most of the noise; nothing where there is none."""
-    if math.isfinite(noise.share):
+def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
+    """Yield which pattern holds most of the noise, and what it means."""
+    meaning, _ = _LABELS[noise.label]
+    if scene.bad_samples == scene.pixels * scene.spp:
+        yield "No sample is a number.", "All are NaN or infinite: nothing can be said of the image."
+    elif not noise:
+        yield "Nothing is noisy here.", "The samples of no pixel vary."
+    elif len(noise.share) == 1:
+        which = "The pixel is" if scene.pixels == 1 else "All pixels are"
+        yield f"{which} {called(noise.label)}.", f"{meaning[0].upper()}{meaning[1:]}."
+    else:
         yield (
             f"The largest part of the noise is in {_pixels(noise.label)}.",
-            f"By the first pattern of each, they are {percent(noise.pixels)} of the image and "
-            f"hold {percent(noise.share)} of its relative variance: "
-            f"{_MEANING.get(noise.label, 'no pattern of the table applies')}.",
+            f"By the first pattern of each, they are {percent(noise.pixels[noise.label])} of the "
+            f"image and hold {percent(noise.share[noise.label])} of its relative variance: "
+            f"{meaning}.",
+        )
+
+
+def _nulls(scene: Overview) -> Iterator[tuple[str, str]]:
+    if scene.null_share >= _MANY_NULLS:
+        yield (
+            f"{percent(scene.null_share)} of all samples find no light.",
+            "They cost as much as the others: better light sampling would help.",
+        )
+
+
+def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
+    share = scene.patterns["firefly_dominated"]
+    if share > 0 and noise.label != "firefly_dominated":
+        yield (
+            f"One sample decides {percent(share)} of the pixels.",
+            f"There a single one of {scene.spp} samples carries so much of the mean that the "
+            "pixel is a firefly, or would be one without it.",
         )
 
 
@@ -230,11 +258,12 @@ def _which_paths(data: SceneData) -> Iterator[tuple[str, str]]:
 
 def _pixels(label: str) -> str:
     """Return what to call the pixels of a primary label."""
-    return f"{called(label)} pixels" if label in _MEANING else f"pixels labelled '{called(label)}'"
+    own = label not in {"black", "undetermined", "other"}
+    return f"{called(label)} pixels" if own else f"pixels labelled '{called(label)}'"
 
 
 def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
-    """Yield how far error bars can be trusted."""
+    """Yield how far error bars can be trusted, where averages were tested."""
     if not any(math.isfinite(share) for share in scene.averages.values()):
         return
     most = max(scene.averages)
@@ -248,23 +277,38 @@ def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
 
 
 def _what_helps(comparison: Comparison) -> Iterator[tuple[str, str]]:
-    best = _best(comparison)
-    if best is None:
-        return
-    name = called(best["estimator"])
-    if not best["relmse_ratio_high"] < 1:
-        yield (
-            "No estimator is clearly better than the mean.",
-            f"The best, {name}, has {shown_ratio(best, 'relmse_ratio')} times its relative "
-            "squared error.",
-        )
-        return
-    yield (
-        f"{name[0].upper()}{name[1:]} helps most.",
-        f"From {comparison.n} samples it has {shown_ratio(best, 'relmse_ratio')} times the "
-        f"relative and {shown_ratio(best, 'mse_ratio')} times the squared error of the mean, "
-        f"and improves {percent(best['improved'])} of the estimates, with a bias of "
-        f"{percent(best['bias'], sign=True)}.",
+    """Yield what the default estimate gains over the mean, and which other one gains more."""
+    own = _row_of(comparison, DEFAULT_ESTIMATE)
+    others = [
+        row for row in comparison.table() if row["estimator"] not in (DEFAULT_ESTIMATE, "mean")
+    ]
+    others = [row for row in others if math.isfinite(row["relmse_ratio"])]
+    # Those that raise the squared error stand back, as they buy the one error with the other.
+    others = [row for row in others if not row["mse_ratio_low"] > 1] or others
+    best = min(others, key=lambda row: row["relmse_ratio"], default=None)
+    if own is not None:
+        yield _gain(own, "the default estimate", comparison.n)
+    if best is not None and not (
+        own is not None and best["relmse_ratio_high"] >= own["relmse_ratio_low"]
+    ):
+        yield _gain(best, called(best["estimator"]), comparison.n)
+
+
+def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
+    """Return what an estimator gains over the mean of n samples, as a finding."""
+    name = name[0].upper() + name[1:]
+    surely = row["mse_ratio_high"] < 1
+    equal = f", that of a mean of {n / row['mse_ratio']:.0f}" if surely else ""
+    errors = (
+        f"From {n} samples, its squared error is {shown_ratio(row, 'mse_ratio')} times the mean's"
+        f"{equal}; its relative squared error is {shown_ratio(row, 'relmse_ratio')} times."
+    )
+    if not (surely or row["relmse_ratio_high"] < 1):
+        return f"{name} is not clearly better than the mean.", errors
+    return (
+        f"{name} helps.",
+        f"{errors} It improves {percent(row['improved'])} of the estimates, with a bias of "
+        f"{percent(row['bias'], sign=True)}.",
     )
 
 
@@ -273,15 +317,11 @@ def _between(interval: Interval[float], write: Callable[[float], str]) -> str:
     return f"{write(interval.low)} to {write(interval.high)}" if known else ""
 
 
-def _best(comparison: Comparison | None) -> dict[str, Any] | None:
-    """Return the row of the estimator with the least relative squared error; None without any.
-
-    Those that raise the squared error stand back, as they buy the one error with the other.
-    """
+def _row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
+    """Return the row of an estimator that has errors to speak of; None where there is none."""
     rows = [] if comparison is None else comparison.table()
-    rows = [row for row in rows if row["estimator"] != "mean"]
-    rows = [row for row in rows if not row["mse_ratio_low"] > 1] or rows
-    return min(rows, key=lambda row: row["relmse_ratio"], default=None)
+    known = (row for row in rows if row["estimator"] == name and math.isfinite(row["mse_ratio"]))
+    return next(known, None)
 
 
 def _bad_samples(scene: Overview) -> str:
@@ -336,9 +376,6 @@ def with_others(found: Mapping[str, Finding]) -> dict[str, Finding]:
     return rows
 
 
-# --- claims ----------------------------------------------------------------------------
-
-
 def claim_content(claim: Claim, found: Mapping[str, Finding]) -> dict[str, Any]:
     """Return a claim with its verdicts and reasons in several scenes, ready for JSON.
 
@@ -384,7 +421,9 @@ def finding_content(finding: Finding) -> dict[str, Any]:
         "number": finding.number,
         "name": finding.name,
         "claim": finding.claim,
-        "about": next(f"About {c.about}." for c in FINDINGS if c.number == finding.number),
+        "about": next(
+            f"About {c.about}." * bool(c.subject) for c in FINDINGS if c.number == finding.number
+        ),
         "verdict": finding.verdict,
         "parts": [_test_content(test) for test in finding.tests],
         "needs": finding.reason if finding.verdict == "cannot tell" else "",
@@ -394,6 +433,24 @@ def finding_content(finding: Finding) -> dict[str, Any]:
             for name, other in finding.other_models.items()
         ],
     }
+
+
+def _untested(findings: Iterable[Finding]) -> list[str]:
+    """Return which claims were not tested in a scene and why, those of one reason together."""
+    reasons: dict[str, list[str]] = {
+        "compare renders or scenes, as a study does": [
+            _numbered(claim) for claim in FINDINGS if not claim.alone
+        ]
+    }
+    for finding in findings:
+        if not finding.tests:
+            reason = f"{finding.reason[0].lower()}{finding.reason[1:].rstrip('.')}"
+            reasons.setdefault(reason, []).append(_numbered(finding))
+    return [f"{', '.join(names)} {reason}" for reason, names in reasons.items() if names]
+
+
+def _numbered(claim: Claim | Finding) -> str:
+    return f"{claim.number} ({claim.name})"
 
 
 def _test_content(test: ClaimTest) -> dict[str, str]:
@@ -433,7 +490,6 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
     for region, color in zip(data.regions, colors, strict=True):
         y, x = region.center(*data.samples.shape[:2])
         found = data.analysis.isel(y=y, x=x)
-        family = names_of(found["luminance_family"])[int(found["luminance_family"])]
         rows.append(
             {
                 "name": region.name,
@@ -446,10 +502,31 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
                 "tail": between(
                     float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])
                 ),
-                "family": family,
+                "family": names_of(found["luminance_family"])[int(found["luminance_family"])],
             }
         )
     return rows
+
+
+def _noise_table(noise: Noise, comparison: Comparison | None) -> list[dict[str, str]]:
+    """Return a row for each primary label: its share of image and noise, and what helps."""
+    by_label = None if comparison is None else comparison.breakdown
+    rows = [] if by_label is None else by_label.table()
+    ratio = {
+        row["label"]: row["relmse_ratio"] for row in rows if row["estimator"] == DEFAULT_ESTIMATE
+    }
+    return [
+        {
+            "name": called(label),
+            "color": LABEL_COLORS[called(label)],
+            "pixels": percent(noise.pixels[label]),
+            "share": percent(share) if share >= _LITTLE else "0 %",
+            "meaning": _LABELS[label][0],
+            "cure": _LABELS[label][1],
+            "estimate": f"{ratio[label]:.2f}" if math.isfinite(ratio.get(label, math.nan)) else "—",
+        }
+        for label, share in noise.share.items()
+    ]
 
 
 def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
@@ -489,17 +566,28 @@ def atlas_content(found: Atlas) -> dict[str, str]:
     }
 
 
+def in_report(estimator: str) -> str:
+    """Return what a report calls an estimator."""
+    name = called(estimator)
+    return f"default estimate ({name})" if estimator == DEFAULT_ESTIMATE else name
+
+
 def _estimator_table(comparison: Comparison) -> dict[str, Any]:
     """Return the measures of each estimator, and the settings of the comparison."""
     trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
+    rows = [
+        in_words(row) | {"name": in_report(row["estimator"]) + " *" * row["uses_neighbours"]}
+        for row in comparison.table()
+    ]
     return {
-        "rows": [in_words(row) for row in comparison.table()],
-        "notes": comparison.notes,
+        "rows": rows,
+        "left_out": comparison.notes.get("left out", ""),
         "n": comparison.n,
         "batches": comparison.batches,
         "excluded": comparison.excluded,
         "test_pixels": int(comparison.test_pixels.sum()),
         "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
+        "patience": int(trained[0].provenance.get("patience") or 0) if trained else 0,
         "train_pixels": len(trained[0].train_pixels) if trained else 0,
         "fewer_pixels": bool(trained) and len(trained[0].train_pixels) < trained[0].config.pixels,
     }

@@ -7,9 +7,8 @@ writes a comparison to a folder, as numbers, maps and figures.
 
 from __future__ import annotations
 
-import itertools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,22 +16,26 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import viz
-from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.arrays import is_bad, luminance, take_rows
 from chdstat._core.display import number, percent
 from chdstat._core.files import replacing, unused, writing
 from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
+from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
+from chdstat.estimators.registry import Estimates
+from chdstat.fit import mixture, select
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
-from chdstat.rendering.recipes import Region
-from chdstat.reporting.content import with_others
+from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, in_report, with_others
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.run import SceneStudy
 from chdstat.summary.histograms import Histogram, histogram
+from chdstat.viz.estimators import called
+from chdstat.viz.maps import names_of
 from chdstat.viz.styling import spelt
 
 if TYPE_CHECKING:
@@ -43,9 +46,8 @@ __all__ = [
     "analysis_figures",
     "claim_figures",
     "depth_of",
+    "estimates_of",
     "of_comparison",
-    "panels_of",
-    "plot_findings",
     "region_figure",
     "report_figures",
     "save_comparison",
@@ -55,47 +57,84 @@ __all__ = [
 
 _BATCH, _BATCHES = 32, 64
 """Samples of a batch, and batches of a pixel, as in the first figure of Elek et al. 2019."""
-_SHOWN = {14, 15}
-"""Claims whose plots would repeat the table of families and the figure of the training."""
 _PIXELS = 5
 """Pixels whose batches are shown."""
+_SEVERAL = ("bimodal", "multimodal")
+"""Labels of pixels whose curve is that of a mixture."""
+_INSETS, _INSET = 2, 6
+"""Parts of an image that are magnified, and their edge as a part of its shorter one."""
 
 
 # --- one scene ----------------------------------------------------------------------------------
 
 
-def report_figures(found: SceneStudy, curve: ErrorCurve | None) -> dict[str, Figure]:
-    """Draw the figures of a report, by name, as far as the scene has what they show."""
+def report_figures(
+    found: SceneStudy, estimate: Estimates | None, curve: ErrorCurve | None, *, full: bool
+) -> dict[str, Figure]:
+    """Draw the figures of a report, by name, as far as the scene has what they show.
+
+    Parameters
+    ----------
+    found
+        The scene.
+    estimate
+        The default estimate of all samples, shown where there is no comparison.
+    curve
+        Errors against the number of samples.
+    full
+        Whether all of them are wanted.
+    """
     data = found.data
-    panels = panels_of(data)
-    drawn = scene_figures(data, atlas=found.atlas)
-    drawn["image"] = viz.with_marks(data.summary["mean"].values, _marks(data))
-    if panels:
-        drawn["chds"] = viz.chd_grid(panels)
-    drawn |= analysis_figures(data.analysis, found.overview)
-    shown = {f"{f.number} {f.name}": f for f in found.findings if f.number not in _SHOWN}
-    plots = plot_findings(shown)
-    if plots is not None:
-        drawn["plots"] = plots
+    drawn: dict[str, Figure] = {}
+    height, width, _, spp = data.samples.shape
+    small, image = height * width < FEW_PIXELS, data.summary["mean"].values
+    if spp >= FEW_SAMPLES and small:
+        panels = [data.samples.pixel(*mark.pixel).panel(mark.name) for mark in _marks(data)]
+        drawn["alone"] = viz.chd_grid(panels, columns=min(2, len(panels)))
+    elif spp >= FEW_SAMPLES:
+        drawn["regions"] = region_figure(data)
+    if small or not found.noise:
+        return drawn
+    if spp >= FEW_SAMPLES:
+        drawn["noise"] = _noise_maps(data.analysis)
+    if full:
+        drawn |= scene_figures(data, atlas=found.atlas)
+        drawn |= analysis_figures(data.analysis, found.overview)
     if found.comparison is not None:
-        drawn |= of_comparison(found.comparison, curve)
+        if full:
+            drawn |= of_comparison(found.comparison, curve)
+        else:
+            drawn["estimates"] = estimates_of(found.comparison, found.comparison.estimators[:2])
+    elif estimate is not None:
+        images = {f"mean of {spp}": image, "default estimate": estimate.radiance}
+        drawn["estimates"] = viz.side_by_side(images, insets=_noisy_parts(*images.values()))
     return drawn
 
 
-def panels_of(data: SceneData) -> list[viz.Panel]:
-    """Return the CHD of the pixel in the middle of each region: histograms and best fits.
+def _luminance_panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
+    """Return the CHD of the luminance of a region's pixel, with the curve that describes it best.
 
-    Beside those of three channels the luminance of this pixel and of those in the corners.
+    That is a mixture where the pixel has several modes, else a family.
     """
-    samples, panels = data.samples, []
-    for mark in _marks(data):
-        panel = samples.pixel(*mark.pixel).panel(mark.name)
-        if samples.shape[2] == 3:
-            corners = itertools.product(*((s.start, s.stop - 1) for s in (mark.ys, mark.xs)))
-            pixels = dict.fromkeys((mark.pixel, *corners))
-            panel = panel.with_luminance(np.stack([samples[pixel] for pixel in pixels]))
-        panels.append(panel)
-    return panels
+    y, x = mark.pixel
+    here = data.analysis.isel(y=y, x=x)
+    block = data.samples[y, x]
+    bad = is_bad(block).any(axis=0)
+    light = np.where(bad, np.nan, luminance(block.astype(np.float64)))[np.newaxis]
+    fitted: Any = None
+    if names_of(here["label"])[int(here["label"])] in _SEVERAL:
+        fitted, words = mixture(light[0]), "mixture"
+    else:
+        selected = select(light)
+        name = str(selected.names[0])
+        fitted = take_rows(selected.fits[name], 0, axis=0) if name else None
+        words = called(name)
+    spread = float(here["coefficient_of_variation"])
+    known = f"SD {number(spread)} × mean" if np.isfinite(spread) else ""
+    nulls = f"{percent(float(here['null_share']))} null"
+    note = ", ".join(filter(None, (nulls, known, words)))
+    fits = [] if fitted is None else [fitted.pdf]
+    return viz.Panel.of(mark.name, light, channels=["luminance"], fits=fits, note=note)
 
 
 def _marks(data: SceneData) -> list[viz.Mark]:
@@ -105,9 +144,60 @@ def _marks(data: SceneData) -> list[viz.Mark]:
 
 def region_figure(data: SceneData) -> Figure:
     """Draw the regions of a scene, each with the CHD of the pixel in its middle."""
-    notes = [_note(region, data.summary) for region in data.regions]
     image = data.summary["mean"].values
-    return viz.region_study(image, _marks(data), panels_of(data), notes=notes)
+    panels = [_luminance_panel(data, mark) for mark in _marks(data)]
+    return viz.region_study(image, _marks(data), panels)
+
+
+def _noise_maps(found: xr.Dataset) -> Figure:
+    """Draw how noisy each pixel is, and which pattern it shows first of all."""
+    aspect = found.sizes["y"] / found.sizes["x"]
+    figure = viz.map_grid(2, columns=2, aspect=aspect)
+    left, right = figure.axes
+    title = "Standard deviation over mean"
+    viz.value_map(found["coefficient_of_variation"].values, title=title, ax=left)
+    viz.categorical_map(found["label"], title="First pattern", shares=False, columns=3, ax=right)
+    return figure
+
+
+def estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figure:
+    """Draw the image from the first samples by estimators, with parts where the mean is far off.
+
+    None of the `names` takes all estimators; the mean comes first, the default estimate second.
+    """
+    images = dict(zip(found.estimators, found.estimates, strict=True))
+    order = ["mean", DEFAULT_ESTIMATE, *images]
+    chosen = [n for n in dict.fromkeys(order) if n in images and (names is None or n in names)]
+    notes = {
+        in_report(row["estimator"]): f"relMSE {number(row['relmse'])}, "
+        f"{number(row['relmse_ratio'])} × the mean's"
+        for row in found.table()
+    }
+    shown: dict[str, npt.ArrayLike] = {in_report(name): images[name] for name in chosen}
+    return viz.side_by_side(
+        shown | {"reference": found.reference},
+        insets=_noisy_parts(found.first_mean, found.reference),
+        notes=notes | {"reference": "mean of all samples"},
+        columns=3,
+    )
+
+
+def _noisy_parts(image: npt.ArrayLike, better: npt.ArrayLike) -> list[tuple[slice, slice]]:
+    """Return the parts of an image that have its brightest errors against a better one."""
+    seen, truth = (np.asarray(i, np.float64).mean(axis=-1) for i in (image, better))
+    level = float(np.nanmean(truth)) or 1.0  # of excess that is seen, not only in the dark
+    excess = np.nan_to_num((seen - truth) / (np.abs(truth) + level))
+    height, width = excess.shape
+    edge = min(height, width, max(8, min(height, width) // _INSET))
+    parts: list[tuple[slice, slice]] = []
+    while len(parts) < _INSETS and excess.max() > 0:
+        y, x = np.unravel_index(excess.argmax(), excess.shape)
+        top = int(np.clip(y - edge // 2, 0, height - edge))
+        left = int(np.clip(x - edge // 2, 0, width - edge))
+        parts.append((slice(top, top + edge), slice(left, left + edge)))
+        excess[max(0, top - edge // 2) : top + 3 * edge // 2,
+               max(0, left - edge // 2) : left + 3 * edge // 2] = 0  # fmt: skip
+    return parts
 
 
 def scene_figures(data: SceneData, *, atlas: Atlas | None = None) -> dict[str, Figure]:
@@ -137,13 +227,6 @@ def scene_figures(data: SceneData, *, atlas: Atlas | None = None) -> dict[str, F
     if atlas is not None:
         drawn["atlas"] = viz.atlas(atlas)
     return drawn
-
-
-def _note(region: Region, summary: xr.Dataset) -> str:
-    null = summary["null_share"].values
-    here = f"{percent(float(null[region.pixels(*null.shape)].mean()))} null"
-    kind = region.phenomenon.replace("-", " ")
-    return f"{kind}, {here}" if kind != region.name else here
 
 
 def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
@@ -209,20 +292,14 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
         drawn[f"claim{claim}"] = viz.claim_intervals(tests)
     # What is about all scenes, or the only one, needs no title.
     titles = found if len(found) > 1 else [""] * len(found)
-    shown = plot_findings(dict(zip(titles, found.values(), strict=True)))
-    if shown is not None:
-        drawn[f"plots{claim}"] = shown
-    return drawn
-
-
-def plot_findings(found: Mapping[str, Finding]) -> Figure | None:
-    """Draw what findings show, each under its title; None where none has anything to show."""
     shown = {
         title: finding.plot_data
-        for title, finding in found.items()
+        for title, finding in zip(titles, found.values(), strict=True)
         if any(np.isfinite(np.asarray(y)).any() for _, y in finding.plot_data.series.values())
     }
-    return viz.finding_plots(shown) if shown else None
+    if shown:
+        drawn[f"plots{claim}"] = viz.finding_plots(shown)
+    return drawn
 
 
 # --- the analysis of an image -------------------------------------------------------------------
@@ -245,35 +322,24 @@ def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
 
 
 def _maps(found: xr.Dataset) -> Figure:
-    skewness = found["normality_skewness"].sel(transform="log").mean("channel")
-    misfit = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov").mean("channel")
-    shown: dict[str, tuple[xr.DataArray, tuple[float, float] | None]] = {
-        "Share of null samples": (found["null_share"], (0, 1)),
-        "Coefficient of variation": (found["coefficient_of_variation"], None),
-        "Tail index ξ without fireflies": (found["long_tail_statistic"], (-0.5, 1.0)),
-        "Best family": (found["luminance_family"], None),
-        "Misfit of the best family": (misfit, (0, 0.2)),
-        "Skewness of log samples": (skewness, None),
-        "Primary pattern": (found["label"], None),
-        "Agreement with neighbours": (found["label_agreement"], (0, 1)),
-    }
+    """Draw nulls, tails and families, and the samples that an average needs to be Gaussian."""
     averaged = "averages_n_needed" in found
-    aspect = found.sizes["y"] / found.sizes["x"]
-    figure = viz.map_grid(len(shown) + averaged, aspect=aspect)
-    axes = figure.axes
-    for ax, (title, (values, limits)) in zip(axes, shown.items(), strict=False):
-        if "flag_meanings" in values.attrs:
-            # Tables have the shares, of channels and of all patterns that a pixel shows.
-            viz.categorical_map(values, title=title, shares=False, ax=ax)
-        else:
-            signed = title.startswith("Skewness")
-            viz.value_map(values.values, title=title, limits=limits, diverging=signed, ax=ax)
+    figure = viz.map_grid(3 + averaged, columns=2, aspect=found.sizes["y"] / found.sizes["x"])
+    nulls, tails, families, *needed = figure.axes
+    viz.value_map(
+        found["null_share"].values, title="Share of null samples", limits=(0, 1), ax=nulls
+    )
+    title = "Tail index ξ without fireflies"
+    tail = found["long_tail_statistic"].values
+    viz.value_map(tail, title=title, limits=(-0.5, 1.0), ax=tails)
+    named = found["luminance_family"]
+    viz.categorical_map(named, title="Best family", shares=False, columns=3, ax=families)
     if averaged:
         # Of the channel that needs most: -1 where that is more than was tested.
         n = found["averages_n_needed"].transpose("y", "x", "channel").values
         more = (n == MORE_THAN_TESTED).any(axis=-1)
         slowest = np.where(more, MORE_THAN_TESTED, n.max(axis=-1))
-        viz.n_needed(slowest, found["size"], ax=axes[-1])
+        viz.n_needed(slowest, found["size"], ax=needed[0])
     return figure
 
 
@@ -282,14 +348,8 @@ def _maps(found: xr.Dataset) -> Figure:
 
 def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
     """Draw everything that a comparison found, by name, as far as it has been measured."""
-    names = found.estimators
-    images: dict[str, npt.ArrayLike] = dict(zip(names, found.estimates, strict=True))
-    squares = [error.mean(axis=-1) for error in found.squared_error]
     drawn: dict[str, Any] = {
-        "estimates": viz.side_by_side(
-            images | {"reference": found.reference}, errors=dict(zip(names, squares, strict=True))
-        ),
-        "measures": viz.estimator_measures(found),
+        "estimates": estimates_of(found),
         "pixels": viz.pixel_estimates(found.draw_pixels()).figure,
     }
     if found.breakdown is not None:
@@ -340,7 +400,8 @@ def save_comparison(
             (partial / "comparison.json").write_text(text, encoding="utf-8")
             save(found.to_dataset(), partial / "comparison.zarr")
             with spelt():
-                for name, figure in of_comparison(found, curve).items():
+                measures = {"measures": viz.estimator_measures(found)}
+                for name, figure in (measures | of_comparison(found, curve)).items():
                     figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
             for name, model in found.models.items():
                 if isinstance(model, (MLP, Progressive)):

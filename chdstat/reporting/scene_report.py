@@ -1,31 +1,34 @@
-"""Report on a scene: render, analyse, train, compare and typeset, with no other input.
+"""Report on a scene: render, analyse, compare and typeset, with no other input.
 
-Estimators are trained in processes of their own while the samples are analysed.
+The short report needs the patterns of luminance and what needs no training; the full one also tests
+the paper's claims, for which the whole analysis is needed and the network of the paper.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack, get_args
 
-from joblib import Parallel, delayed
+import numpy as np
 
 from chdstat._core.files import checked_target, scratch
-from chdstat._core.work import cores, kept_until_written, track
-from chdstat.analysis import analyze
+from chdstat._core.work import kept_until_written
+from chdstat.analysis import Noise, analyze, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.entries import (
     DEFAULT_ESTIMATORS,
     Entry,
+    choose,
     entry_of,
     without_denoiser,
 )
-from chdstat.errors import InputError
-from chdstat.estimators import LearnedEstimator
-from chdstat.estimators.registry import Model
+from chdstat.errors import InputError, check_option
+from chdstat.estimators import LearnedEstimator, estimate
+from chdstat.estimators.registry import Estimates, Model
 from chdstat.estimators.training import check_iterations, first_samples
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas, choose_regions
@@ -42,6 +45,7 @@ from chdstat.rendering.recipes import (
     regions_of,
 )
 from chdstat.reporting import content, figures
+from chdstat.reporting.content import Contents
 from chdstat.reporting.typst import Document, typeset
 from chdstat.samples import Samples, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
@@ -49,6 +53,10 @@ from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
 from chdstat.studies.run import SceneStudy
 from chdstat.viz import VERDICTS
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 __all__ = ["published_seconds", "report"]
 
@@ -59,16 +67,24 @@ _PILOT = 32
 """Samples per pixel from which the time of many is told."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-_ITERATIONS = {"elek2019": 10_000, "progressive": 1200}
-"""Minibatches of each training unless all is as published; more take longer and gain little."""
+_BATCHES = {"short": 4, "full": 16, "claims": 16}
+"""Most estimates of each pixel."""
+_TRAINING: dict[str, dict[str, Any]] = {
+    "elek2019": {"patience": 1000},
+    "progressive": {"iterations": 1200},
+}
+"""How long networks train, unless all is as published: more takes long and gains little."""
 _CURVE_SPP, _CURVE_BATCHES = 256, 2
 """Samples from which errors are shown against N, and batches per pixel for each N."""
+_REGIONS = 6
+"""Regions of a short report."""
 
 
 def report(
     source: str | Path | dict[str, Any] | Scene | Samples,
     path: str | Path,
     *,
+    contents: Contents = "short",
     recipe: str | Path | None = None,
     store: str | Path | None = None,
     estimators: Sequence[str | Entry] | None = None,
@@ -85,6 +101,10 @@ def report(
         What `chdstat.load_scene` takes, the path of a finished store, or `Samples`.
     path
         The PDF to write.
+    contents
+        "short", for three or four pages on what is noisy, why, and what helps by how much; "full",
+        for the case study of the paper, its claims, families, averages, error curves and trainings
+        as well; or "claims", for the claims of the paper alone.
     recipe
         A recipe file; None takes the scene's own where there is one in the same proportions.
         Without a recipe, the library chooses a region for each pattern that it finds.
@@ -92,9 +112,11 @@ def report(
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
     estimators
-        As for `chdstat.compare`; those that learn are trained on these samples.
+        As for `chdstat.compare`; those that learn are trained on these samples. None takes those
+        that are compared by default, in a short report without those that learn.
     iterations
-        Minibatches of each training; None takes as many as pay in a report.
+        Minibatches of each training; None takes as many as pay: the network of the paper stops
+        where its validation error no longer falls.
     as_published
         Render and train as Elek et al. 2019 did: 2000 spp, 800 pixels along the longer edge, 30,000
         minibatches, unless told otherwise. It takes hours; the samples are kept beside the PDF, so
@@ -120,6 +142,7 @@ def report(
         As for `chdstat.render` and `chdstat.open`.
     """
     target = checked_target(path, ".pdf")
+    check_option("contents", contents, get_args(Contents))
     for name in estimators or ():
         entry_of(name)  # an unknown one is refused before the work
     check_iterations(iterations)
@@ -140,11 +163,11 @@ def report(
         samples = render(scene, **given, out=store, progress=progress)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
-    regions = named.regions if named else regions_of(samples)
-    trained = _trainings(samples, estimators, iterations, as_published=as_published)
+    training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
+    report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)
     # What is analysed is in files beside the report until that is there: it may not fit in memory.
     with kept_until_written(target) as checkpoint:
-        document = _document(samples, regions, estimators, trained, progress, checkpoint)
+        document = report_.document(named.regions if named else regions_of(samples), checkpoint)
         with scratch() as folder:
             return typeset(document, folder, target)
 
@@ -172,114 +195,119 @@ def published_seconds(
     return float(small.attrs["render_seconds"] / part)
 
 
-def _trainings(
-    samples: Samples,
-    estimators: Sequence[str | Entry] | None,
-    iterations: int | None,
-    *,
-    as_published: bool,
-) -> dict[str, Any]:
-    """Return what has to be trained, by name, to be called in a process of its own."""
+@dataclass(frozen=True)
+class _Report:
+    """What a report is about and what it is to hold; as for `report`.
 
-    def number_of(name: str) -> int | None:
-        return iterations or (None if as_published else _ITERATIONS.get(name))
-
-    calls = {}
-    for name in DEFAULT_ESTIMATORS if estimators is None else estimators:
-        entry = without_denoiser(entry_of(name))
-        if entry.name in _ITERATIONS and isinstance(entry, LearnedEstimator):
-            calls[entry.name] = delayed(_train)(samples, entry, number_of(entry.name))
-    return calls
-
-
-def _train(samples: Samples, entry: LearnedEstimator, iterations: int | None) -> Model | None:
-    """Train an estimator on the pixels that a comparison draws.
-
-    Return None where the samples are too few: the comparison then says why.
+    Attributes
+    ----------
+    training
+        Options of trainings, by the name of what is trained.
     """
-    pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=0)
-    try:
-        return entry.train(samples, seed=0, pixels=pixels, iterations=iterations, progress=False)
-    except InputError:
-        return None
 
+    samples: Samples
+    contents: Contents
+    estimators: Sequence[str | Entry] | None
+    training: Mapping[str, dict[str, Any]]
+    progress: bool | None
 
-def _document(
-    samples: Samples,
-    regions: tuple[Region, ...],
-    estimators: Sequence[str | Entry] | None,
-    trainings: Mapping[str, Any],
-    progress: bool | None,
-    checkpoint: Path | None,
-) -> Document:
-    """Compute everything that the report shows, and return it ready to typeset."""
-    jobs = max(1, min(len(trainings), cores()))
-    training = Parallel(n_jobs=jobs, return_as="generator")(trainings.values())
-    with contextlib.closing(training) as results:
-        dataset = analyze(samples, progress=progress, checkpoint=checkpoint)
-        shapes = atlas(samples, progress=progress)
-        models = _trained(trainings, results, progress)
-    comparison, curve, why_not = None, None, ""
-    try:
-        comparison = compare(
+    def document(self, regions: tuple[Region, ...], checkpoint: Path | None) -> Document:
+        """Compute everything that is shown, and return it ready to typeset."""
+        samples, full, short = self.samples, self.contents == "full", self.contents == "short"
+        analysed = patterns_of if short else analyze
+        dataset = analysed(samples, progress=self.progress, checkpoint=checkpoint)
+        noise = noise_of(dataset)
+        comparison, why_not = self.compared(dataset, noise)
+        shown = regions or choose_regions(dataset)
+        data = SceneData(
+            samples.name,
             samples,
-            estimators,
-            n=_BATCH,
-            labels=dataset["label"],
-            model=models,
-            progress=progress,
+            _some(shown, dataset) if short else shown,
+            given=dataset,
+            comparison=comparison,
         )
-    except InputError as error:
-        why_not = str(error)
-    if comparison is not None:
-        curve = _curve(samples, comparison, progress)
-    data = SceneData(
-        samples.name,
-        samples,
-        regions or choose_regions(dataset),
-        given=dataset,
-        comparison=comparison,
-    )
-    found = SceneStudy(
-        data,
-        tuple(claim.find(data) for claim in FINDINGS if claim.alone),
-        chosen=not regions,
-        atlas=shapes if len(shapes.share) else None,
-    )
-    entries = content.scene_content(found) | {
-        "regions_chosen": found.chosen,
-        "no_estimators": why_not,
-        "verdicts": VERDICTS,
-        "untested": [f"{claim.number} ({claim.name})" for claim in FINDINGS if not claim.alone],
-    }
-    return Document("report.typ", entries, figures.report_figures(found, curve))
+        shapes = atlas(samples, progress=self.progress) if full else None
+        found = SceneStudy(
+            data,
+            () if short else tuple(claim.find(data) for claim in FINDINGS if claim.alone),
+            chosen=not regions,
+            atlas=shapes if shapes is not None and len(shapes.share) else None,
+        )
+        entries = content.report_content(found, self.contents)
+        entries |= {"verdicts": VERDICTS, "no_estimators": why_not}
+        drawn: Mapping[str, Figure] = {}
+        if self.contents != "claims":
+            curve = self.curve(comparison) if full and comparison is not None else None
+            alone = self.estimated() if comparison is None and noise else None
+            drawn = figures.report_figures(found, alone, curve, full=full)
+        return Document("report.typ", entries, drawn)
 
+    def compared(self, dataset: xr.Dataset, noise: Noise) -> tuple[Comparison | None, str]:
+        """Return the estimators side by side, or why they cannot be compared."""
+        samples, estimators = self.samples, self.estimators
+        if not noise:
+            return None, ""
+        if samples.shape[0] * samples.shape[1] < content.FEW_PIXELS:
+            return None, "There are too few pixels to compare estimators."
+        try:
+            if self.contents == "short" and estimators is None:
+                entries = choose(None, (_BATCH,), samples=samples).entries.values()
+                estimators = [e for e in entries if not isinstance(e, LearnedEstimator)]
+            found = compare(
+                samples,
+                estimators,
+                n=_BATCH,
+                max_batches=_BATCHES[self.contents],
+                labels=dataset["label"],
+                model=self.trained(estimators),
+                progress=self.progress,
+            )
+        except InputError as error:
+            return None, f"Estimators were not compared: {error}."
+        return found, ""
 
-def _trained(
-    names: Iterable[str], results: Iterator[Any], progress: bool | None
-) -> dict[str, Model]:
-    """Return the trained models by name."""
-    names, models = list(names), {}
-    with track("training", len(names), unit="models", show=progress) as advance:
-        for name in names:
-            model = next(results)
-            advance(1)
-            if model is not None:
-                models[name] = model
-    return models
+    def trained(self, estimators: Sequence[str | Entry] | None) -> dict[str, Model]:
+        """Return models that are trained in another way than a comparison trains them."""
+        models, samples = {}, self.samples
+        for name in DEFAULT_ESTIMATORS if estimators is None else estimators:
+            entry = without_denoiser(entry_of(name))
+            if isinstance(entry, LearnedEstimator) and entry.name in self.training:
+                pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=0)
+                options = self.training[entry.name] | {"progress": self.progress}
+                with contextlib.suppress(InputError):  # the comparison says why
+                    models[entry.name] = entry.train(samples, seed=0, pixels=pixels, **options)
+        return models
 
-
-def _curve(samples: Samples, comparison: Comparison, progress: bool | None) -> ErrorCurve | None:
-    """Return errors of the compared estimators against N; None where there is only one N."""
-    if samples.spp < _CURVE_SPP:
+    def estimated(self) -> Estimates | None:
+        """Return the default estimate of all samples; None of those that it cannot take."""
+        with contextlib.suppress(InputError):
+            return estimate(self.samples, progress=self.progress)
         return None
-    model = comparison.models.get("progressive", next(iter(comparison.models.values()), None))
-    # Another that learns would have to learn again, and takes one N only.
-    others = comparison.models.keys() - {"" if model is None else model.name}
-    return error_curve(
-        samples,
-        [name for name in comparison.estimators if name not in others],
-        max_batches=_CURVE_BATCHES,
-        model=model,
-        progress=progress,
-    )
+
+    def curve(self, comparison: Comparison) -> ErrorCurve | None:
+        """Return errors of the compared estimators against N; None where there is only one N."""
+        if self.samples.spp < _CURVE_SPP:
+            return None
+        model = comparison.models.get("progressive", next(iter(comparison.models.values()), None))
+        # Another that learns would have to learn again, and takes one N only.
+        others = comparison.models.keys() - {"" if model is None else model.name}
+        return error_curve(
+            self.samples,
+            [name for name in comparison.estimators if name not in others],
+            max_batches=_CURVE_BATCHES,
+            model=model,
+            progress=self.progress,
+        )
+
+
+def _some(regions: tuple[Region, ...], dataset: xr.Dataset) -> tuple[Region, ...]:
+    """Return some of many regions, from the calmest to the noisiest, in their order.
+
+    Those that lie in one pixel are one.
+    """
+    spread = dataset["coefficient_of_variation"].values
+    regions = tuple({region.center(*spread.shape): region for region in regions}.values())
+    calm = sorted(regions, key=lambda region: spread[region.center(*spread.shape)])
+    places = np.linspace(0, len(calm) - 1, min(len(calm), _REGIONS)).round().astype(int)
+    kept = [calm[i] for i in places]
+    return tuple(region for region in regions if region in kept)

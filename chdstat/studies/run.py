@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from chdstat._core.arrays import plain
 from chdstat._core.display import Card, Shown, duration
 from chdstat._core.files import checked_target, writing
-from chdstat.analysis import Overview, overview
+from chdstat.analysis import Noise, Overview, noise_of, overview
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import Entry, entry_of
 from chdstat.errors import InputError, StoreError
@@ -97,6 +97,11 @@ class SceneStudy(Shown):
     def overview(self) -> Overview:
         """The scene in a few numbers."""
         return overview(self.data.analysis)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Where its noise is."""
+        return noise_of(self.data.analysis)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but arrays, ready for JSON."""

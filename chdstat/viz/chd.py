@@ -56,9 +56,11 @@ __all__ = [
     "chd_pair",
     "chosen",
     "colors_of",
+    "draw_fit",
     "draw_histograms",
     "fits",
     "scales_of",
+    "share_radiance",
 ]
 
 Density = Callable[[Array], Array]
@@ -146,7 +148,7 @@ def chd_axes(
             ax.legend(handlelength=1)
     for name, counted in shown.items():
         if (density := fitted.get(name)) is not None:
-            _draw_fit(ax, counted, density, color=colors[name], linewidth=1.3)
+            draw_fit(ax, counted, density, color=colors[name], linewidth=1.3)
     return ax
 
 
@@ -213,6 +215,7 @@ def draw_histograms(
     colors: Sequence[Any],
     outlines: Sequence[Any] | None = None,
     dashes: Sequence[Any] = ("-",),
+    opacity: float = 0.22,
 ) -> tuple[float, float]:
     """Draw histograms of one scale over each other, over the radiance that holds samples.
 
@@ -226,6 +229,8 @@ def draw_histograms(
         Colours of their areas and, where these are not the same, of their outlines.
     dashes
         Line styles of their outlines, in turn.
+    opacity
+        Of their areas.
 
     Returns
     -------
@@ -240,7 +245,7 @@ def draw_histograms(
         if not filled.size:
             continue
         ends += [edges[filled[0]], edges[filled[-1] + 1]]
-        ax.stairs(density, edges, fill=True, color=colors[i], alpha=0.22)
+        ax.stairs(density, edges, fill=True, color=colors[i], alpha=opacity)
         look = {"color": (outlines or colors)[i], "linestyle": dashes[i % len(dashes)]}
         ax.stairs(density, edges, linewidth=0.7, label=verbatim(name), **look)
     if not ends:
@@ -259,7 +264,7 @@ def draw_histograms(
     return low, high
 
 
-def _draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
+def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
     """Draw a density over a histogram, per unit of radiance or per decade as its bins are."""
     space = np.geomspace if counted.scale == "log" else np.linspace
     x = space(*ax.get_xlim(), _CURVE_POINTS)
@@ -471,7 +476,7 @@ def chd_grid(
             ax.spines["bottom"].set(color=colors[i], linewidth=2.2)
     if several:
         for row in range(0, len(axes), each * columns):
-            _share_radiance(axes[row : row + each * columns])
+            share_radiance(axes[row : row + each * columns])
     _name_channels(figure, axes[0], shown[0][2])
     return figure
 
@@ -546,7 +551,7 @@ def _draw_pixel(
         _draw_luminance(axes[-1], panel.luminance, color)
         axes[-1].set_xlabel(_axis_name(_LUMINANCE, "log", room) if below else "")
         if scales[-1] == "log":
-            _share_radiance(axes[-2:])
+            share_radiance(axes[-2:])
     elif len(axes) > len(scales):
         axes[-1].set_axis_off()
     # Where both have no room beside each other, the title stands above the note.
@@ -579,7 +584,7 @@ def _draw_luminance(ax: Axes, found: Histogram, color: str) -> None:
     ax.spines["left"].set_visible(True)
 
 
-def _share_radiance(axes: Sequence[Axes]) -> None:
+def share_radiance(axes: Sequence[Axes]) -> None:
     """Give axes with samples one range of radiance."""
     ends = [ax.get_xlim() for ax in axes if ax.patches]
     if ends:
@@ -661,7 +666,7 @@ def fits(
         draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
         for i, (name, density) in enumerate(fitted.items()):
             look = {"color": LINES[i % len(LINES)], "linestyle": DASHES[i % len(DASHES)]}
-            _draw_fit(ax, counted, density, label=name, **look)
+            draw_fit(ax, counted, density, label=name, **look)
         ax.set_xlabel(_axis_name("radiance", scale, across / len(kinds)))
         per = "unit of radiance" if scale == "linear" else "decade"
         ax.set_ylabel(f"density per {per}")

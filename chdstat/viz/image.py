@@ -14,24 +14,34 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure, FigureBase
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Patch, Rectangle
 
 from chdstat._core.arrays import Array, luminance
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram, Scale
-from chdstat.viz.chd import SCALES, Channels, Panel, by_channel, chosen, draw_histograms, scales_of
+from chdstat.viz.chd import (
+    Channels,
+    Panel,
+    by_channel,
+    chosen,
+    colors_of,
+    draw_fit,
+    draw_histograms,
+    scales_of,
+    share_radiance,
+)
 from chdstat.viz.estimators import called
 from chdstat.viz.styling import (
     PALETTE,
     UNIT,
     Width,
     bare,
-    blocks,
     fitting,
     grid,
     inches,
@@ -61,10 +71,16 @@ _PAIR = (PALETTE[5], PALETTE[4])
 """Colours of two things that are compared."""
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 0.8)))
 """Of the channels, where the colour is that of the region."""
-_ROW = 0.8
-"""Height of a row of regions in a study, in inches."""
-_LINE = 0.17
-"""Height of a line of its list."""
+_FRAMES = (PALETTE[0], PALETTE[1], PALETTE[2])
+"""Colours of parts that are magnified."""
+_MEAN: Any = (0, (3, 2))
+"""Dashes of the line of a mean."""
+_OF_IMAGE = 0.43
+"""Share of the width that the image of a study takes."""
+_ROW, _ROWS = 0.68, 4.1
+"""Largest height of a region, and of all of them, in inches."""
+_FILLED = 0.55
+"""Opacity of the histogram of a region."""
 _MARGIN = 7
 """Pixels shown around a firefly."""
 
@@ -163,25 +179,25 @@ def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
     ax.imshow(shown, interpolation="nearest")
     bare(ax)
     for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
-        corner = (mark.xs.start - 0.5, mark.ys.start - 0.5)
-        extent = (mark.xs.stop - mark.xs.start, mark.ys.stop - mark.ys.start)
-        for edge, width in (("black", 2.4), (color, 1.4)):
-            ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
+        _outline(ax, mark.ys, mark.xs, color)
         ax.annotate(
-            str(i + 1), corner, xytext=(-1, 1), textcoords="offset points", ha="right", va="bottom",
+            str(i + 1), (mark.xs.start - 0.5, mark.ys.start - 0.5), xytext=(-1, 1),
+            textcoords="offset points", ha="right", va="bottom",
             fontweight="bold", color=ink_on(color), annotation_clip=True,
             bbox={"boxstyle": "round,pad=0.12", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
 
 
-def _inset(ax: Axes, shown: Array, mark: Mark, place: int, *, letters: int = 99) -> None:
+def _inset(
+    ax: Axes, shown: Array, mark: Mark, place: int, *, letters: int = 99, titled: bool = True
+) -> None:
     """Show a region and what is around it, with the pixel whose distribution is of interest."""
     color = qualitative(place + 1)[place]
     half = max(4, mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start)
     _magnify(ax, shown, mark.pixel, half)
     _frame(ax, mark.pixel, color, linewidth=1.2)
     ax.spines[:].set(visible=True, color=color, linewidth=2)
-    title = fill(f"{place + 1} {verbatim(mark.name)}", letters)
+    title = fill(f"{place + 1} {verbatim(mark.name)}", letters) if titled else ""
     ax.set_title(title, loc="left", pad=2, fontweight="bold")
 
 
@@ -207,11 +223,14 @@ def region_study(
     *,
     notes: Sequence[str] = (),
     channels: Channels = None,
-    scales: Scale | Sequence[Scale] = SCALES,
+    scales: Scale | Sequence[Scale] = "log",
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw an image with its regions, and the CHD of one pixel of each.
+    """Draw an image with its regions and, beside or below it, each with the CHD of its pixel.
+
+    The log CHDs have one axis of radiance. Areas are histograms of the samples that are not null,
+    in the colour of the region where there is one channel.
 
     Parameters
     ----------
@@ -220,11 +239,11 @@ def region_study(
     marks
         Regions, each with the pixel whose distribution is shown.
     panels
-        CHDs of these pixels, in the same order; fits are not drawn.
+        CHDs of these pixels, in the same order, with what fits and means they have.
     notes
-        A line of text for each region, beside or below the image.
+        A few words on each region, above its CHD; without, those of the panels.
     channels, scales
-        Of the CHDs, as for `chd_pair`.
+        Of the CHDs, as for `chd_pair`; None takes luminance where it is known.
     width
         Of the figure: "column", "page" or inches.
     fig
@@ -239,92 +258,104 @@ def region_study(
         message = f"expected a panel for each region, got {len(panels)} for {len(marks)}"
         raise InputError(message)
     shown, across, kinds = tonemap(image), inches(width, fig), scales_of(scales)
-    panels = [panel.select(channels) for panel in panels]
+    lit = all("luminance" in by_channel(panel.log, panel.channels) for panel in panels)
+    panels = [
+        panel.select("luminance" if channels is None and lit else channels) for panel in panels
+    ]
+    rows, below, columns = len(marks), narrow(across), 1 + len(kinds)
     aspect = shown.shape[0] / shown.shape[1]
-    columns = 1 if narrow(across) else 2
-    rows = -(-len(marks) // columns)
-    bottom = _ROW * rows + 0.3
-    if columns == 1:
-        high, listed = min(across * aspect, 0.9 * across), _LINE * len(marks)
-        top = high + listed
-    else:
-        top = min(0.38 * across * aspect, 0.5 * across)
-    figure = page(fig, top + bottom, width, wspace=0.01, hspace=0.02)
-    upper, lower = figure.subfigures(2, 1, height_ratios=[top, bottom], squeeze=False).flat
-    if columns == 1:
-        overview, names = upper.subplots(2, 1, height_ratios=[high, listed])
-    else:
-        overview, names = upper.subplots(1, 2)
-    draw_marked(overview, shown, marks)
-    _list_regions(names, marks, notes, least=1 if columns == 1 else 6)
-    each = 1 + len(kinds)
-    ratios = [1, *[2.9 / len(kinds)] * len(kinds)] * columns
-    axes = lower.subplots(rows, each * columns, squeeze=False, width_ratios=ratios)
-    # Regions are numbered down the columns.
-    cells = np.concatenate(np.split(axes, columns, axis=1))
+    share = 1.0 if below else _OF_IMAGE
+    seen, listed = share * across * aspect, min(_ROW * rows, _ROWS) + 0.4
+    explained = 0.2 * (1 + len(panels[0].log.counts)) + 0.3
+    figure = page(
+        fig,
+        seen + explained + listed if below else max(listed, seen + explained),
+        width,
+        hspace=0.01,
+    )
+    parts: Any = (2, 1) if below else (1, 2)
+    outer = figure.add_gridspec(
+        *parts,
+        **(
+            {"height_ratios": [seen + explained, listed]}
+            if below
+            else {"width_ratios": [share, 1 - share]}
+        ),
+    )
+    ratios = [0.2, *[0.8 / len(kinds)] * len(kinds)]
+    cells = outer[1].subgridspec(rows, columns, width_ratios=ratios)
+    whole = figure.add_subplot(outer[0])
+    draw_marked(whole, shown, marks)
+    whole.set_anchor("N")
+    colors = qualitative(rows)
+    axes = []
     for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
-        inset, *own = cells[i]
-        _inset(inset, shown, mark, i)
-        _region_chds(own, panel, kinds, qualitative(len(marks))[i])
-    for empty in cells[len(marks) :].flat:
-        empty.set_axis_off()
-    _name_dashes(lower, list(by_channel(panels[0].log, panels[0].channels)), kinds, across)
+        _inset(figure.add_subplot(cells[i, 0]), shown, mark, i, titled=False)
+        axes.append([figure.add_subplot(cells[i, 1 + k]) for k in range(len(kinds))])
+        for ax, scale in zip(axes[-1], kinds, strict=True):
+            _draw_region(ax, panel, scale, colors[i])
+            ax.tick_params(pad=1.5, labelbottom=i == rows - 1 or scale == "linear")
+        title = f"{i + 1} {verbatim(mark.name)}"
+        axes[-1][0].set_title(title, loc="left", pad=2, fontweight="bold")
+        axes[-1][-1].set_title(
+            notes[i] if i < len(notes) else panel.note, loc="right", pad=2, color="#444444"
+        )
+    for k, scale in enumerate(kinds):
+        if scale == "log":
+            share_radiance([row[k] for row in axes])
+        axes[-1][k].set_xlabel(f"radiance in {UNIT}" + ", log scale" * (scale == "log"))
+    for row, panel in zip(axes, panels, strict=True):
+        for ax, scale in zip(row, kinds, strict=True):
+            found = by_channel(panel.linear if scale == "linear" else panel.log, panel.channels)
+            for (_, counted), density, color in zip(
+                found.items(), panel.fits, _lines(found), strict=False
+            ):
+                if density is not None:
+                    draw_fit(ax, counted, density, color=color, linewidth=1.3)
+    whole.legend(
+        handles=_explained(panels, colors[0]), loc="upper left", bbox_to_anchor=(-0.01, -0.01),
+        borderaxespad=0.2, handlelength=1.6,
+    )  # fmt: skip
     return figure
 
 
-def _name_dashes(
-    figure: FigureBase, channels: Sequence[str], kinds: Sequence[Scale], across: float
-) -> None:
-    """Say below the CHDs of regions what they show, and which line is which channel."""
-    scales = " and ".join("logarithmic" if scale == "log" else scale for scale in kinds)
-    quantity = channels[0] if channels == ["luminance"] else "radiance"
-    title = f"densities of {quantity} in {UNIT}, {scales}"
-    handles = []
-    if len(channels) > 1:
-        look: dict[str, Any] = {"color": "#333333", "linewidth": 0.9}
-        handles = [
-            Line2D([], [], linestyle=_DASHES[i % 3], label=verbatim(name), **look)
-            for i, name in enumerate(channels)
-        ]
-    if narrow(across):
-        below: dict[str, Any] = {"title": title, "title_fontsize": 8, "ncols": max(1, len(handles))}
-    else:
-        handles.insert(
-            0, Line2D([], [], linestyle="", label=f"{title}; channels:" if handles else title)
-        )
-        below = {"ncols": len(handles)}
-    figure.legend(handles=handles, loc="outside lower center", handlelength=2, **below)
+def _lines(found: Mapping[str, Histogram]) -> list[str]:
+    """Return the colours of curves over the histograms of a region."""
+    return ["#111111"] if len(found) == 1 else colors_of(found)
 
 
-def _list_regions(ax: Axes, marks: Sequence[Mark], notes: Sequence[str], *, least: int) -> None:
-    """List numbers and names of regions with their notes."""
-    ax.set_axis_off()
-    ax.set(xlim=(0, 1), ylim=(0, 1))
-    for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
-        y = 1 - (i + 0.5) / max(len(marks), least)
-        ax.text(
-            0.01, y, str(i + 1), fontweight="bold", color=ink_on(color), ha="center", va="center",
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
-        )  # fmt: skip
-        ax.text(0.06, y, verbatim(mark.name), fontweight="bold", va="center")
-        if i < len(notes):
-            ax.text(0.40, y, notes[i], va="center", color="#333333")
-
-
-def _region_chds(axes: Sequence[Axes], panel: Panel, kinds: Sequence[Scale], color: str) -> None:
-    """Draw the CHD of a region's pixel in the colour of the region."""
+def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
+    """Draw the histogram and the mean of a pixel, in the colour of its region or in theirs."""
+    found = by_channel(panel.linear if scale == "linear" else panel.log, panel.channels)
+    alone = len(found) == 1
     dark = tuple(0.6 * part for part in to_rgb(color))
-    for ax, scale in zip(axes, kinds, strict=True):
-        found = by_channel(panel.linear if scale == "linear" else panel.log, panel.channels)
-        several = len(found)
-        draw_histograms(
-            ax, found, colors=[color] * several, outlines=[dark] * several, dashes=_DASHES
-        )
-        ax.spines["bottom"].set(color=color, linewidth=2)
-        ax.tick_params(pad=1.5)
-        if scale == "linear":
-            ax.locator_params(axis="x", nbins=3)
-    axes[-1].set_title(panel.note, loc="right", pad=2, color="#444444")
+    lines = [dark] if alone else colors_of(found)
+    draw_histograms(
+        ax, found, colors=[color] if alone else lines, outlines=lines, opacity=_FILLED * alone
+    )
+    ax.spines["bottom"].set(color=color, linewidth=2)
+    if scale == "linear":
+        ax.locator_params(axis="x", nbins=3)
+    for mean, line in zip(panel.mean, lines, strict=False):
+        if np.isfinite(mean) and mean > 0:
+            ax.axvline(mean, 0, 0.92, color=line, linewidth=0.9, linestyle=_MEAN)
+
+
+def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
+    """Return a legend's swatches of what `region_study` draws."""
+    names = list(by_channel(panels[0].log, panels[0].channels))
+    seen = "samples that are not null"
+    handles: list[Artist] = [Patch(color=color, alpha=_FILLED, label=f"{seen}, {names[0]}")]
+    if len(names) > 1:
+        handles = [
+            Line2D([], [], color=shade, label=f"{seen}, {verbatim(name)}")
+            for name, shade in zip(names, colors_of(names), strict=True)
+        ]
+    if any(fit is not None for panel in panels for fit in panel.fits):
+        handles.append(Line2D([], [], color="#111111", linewidth=1.3, label="best fit"))
+    if any(panel.mean for panel in panels):
+        handles.append(Line2D([], [], color="#444444", linestyle=_MEAN, label="mean"))
+    return handles
 
 
 @style()
@@ -332,10 +363,13 @@ def side_by_side(
     images: Mapping[str, npt.ArrayLike],
     *,
     errors: Mapping[str, npt.ArrayLike] | None = None,
+    insets: Sequence[tuple[slice, slice]] = (),
+    notes: Mapping[str, str] | None = None,
+    columns: int | None = None,
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw images side by side under one exposure, each with its squared error below.
+    """Draw images side by side under one exposure, each with its parts and its squared error below.
 
     Parameters
     ----------
@@ -344,6 +378,12 @@ def side_by_side(
         exposure.
     errors
         Squared error (y, x) by the same titles; drawn on one logarithmic colour scale.
+    insets
+        Rows and columns of parts to magnify below each image; frames mark them there.
+    notes
+        A line below a title, by the same titles, such as an error.
+    columns
+        Most images in a row; None puts as many as have an inch.
     width
         Of the figure: "column", "page" or inches.
     fig
@@ -358,21 +398,48 @@ def side_by_side(
         message = "expected at least one image, got none"
         raise InputError(message)
     last = np.asarray(list(images.values())[-1])
-    exposure = display_stops(last)
-    count, rows, across = len(images), 2 if errors else 1, inches(width, fig)
-    columns = fitting(across, count, 1.0)
-    parts = -(-count // columns)
-    aspect = last.shape[0] / last.shape[1]
-    figure = page(fig, parts * (rows * 0.92 * across / columns * aspect + 0.35), width)
-    seen, *below = blocks(figure, count, columns, rows)
-    for ax, (title, image) in zip(seen, images.items(), strict=True):
-        ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
-        bare(ax, verbatim(called(title)))
+    exposure, across = display_stops(last), inches(width, fig)
+    columns = fitting(across, min(columns or len(images), len(images)), 1.0)
+    rows, aspect = -(-len(images) // columns), last.shape[0] / last.shape[1]
+    parts = [aspect] + [aspect] * bool(errors)
+    if insets:
+        parts.insert(1, max(map(_aspect, insets)) / len(insets))
+    each = 0.92 * across / columns * sum(parts) + 0.35
+    figure = page(fig, rows * each, width, hspace=0.02, wspace=0.02)
+    cells, below = figure.add_gridspec(rows, columns), {}
+    for i, (title, image) in enumerate(images.items()):
+        shown = tonemap(image, exposure=exposure)
+        own = cells[i].subgridspec(len(parts), max(1, len(insets)), height_ratios=parts)
+        ax = figure.add_subplot(own[0, :])
+        ax.imshow(shown, interpolation="nearest")
+        note = (notes or {}).get(title, "")
+        bare(ax, verbatim(called(title)) + (f"\n{note}" if note else ""))
+        for k, (ys, xs) in enumerate(insets):
+            color = _FRAMES[k % len(_FRAMES)]
+            _outline(ax, ys, xs, color)
+            part = figure.add_subplot(own[1, k])
+            part.imshow(shown[ys, xs], interpolation="nearest")
+            part.set(xticks=[], yticks=[])
+            part.spines[:].set(visible=True, color=color, linewidth=1.6)
+        if errors:
+            below[title] = figure.add_subplot(own[-1, :])
+            bare(below[title])
     if errors:
-        for ax in below[0]:
-            bare(ax)
-        _draw_errors(figure, dict(zip(images, below[0], strict=True)), errors)
+        _draw_errors(figure, below, errors)
     return figure
+
+
+def _aspect(part: tuple[slice, slice]) -> float:
+    ys, xs = part
+    return float((ys.stop - ys.start) / (xs.stop - xs.start))
+
+
+def _outline(ax: Axes, ys: slice, xs: slice, color: str) -> None:
+    """Frame a part of an image, legibly on any ground."""
+    corner = (xs.start - 0.5, ys.start - 0.5)
+    extent = (xs.stop - xs.start, ys.stop - ys.start)
+    for edge, width in (("black", 2.4), (color, 1.4)):
+        ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
 
 
 def _draw_errors(

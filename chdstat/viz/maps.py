@@ -58,7 +58,7 @@ __all__ = [
     "value_map",
 ]
 
-_LABEL_COLORS = {
+LABEL_COLORS = {
     "none": "#DDDDDD",
     "undetermined": "#DDDDDD",
     "black": "#222222",
@@ -242,7 +242,7 @@ def categorical_map(
     if names is None:
         names = names_of(codes)
         colors = colors or [
-            _LABEL_COLORS.get(name, PALETTE[i % 8]) for i, name in enumerate(names.values())
+            LABEL_COLORS.get(name, PALETTE[i % 8]) for i, name in enumerate(names.values())
         ]
     array = np.asarray(codes)
     shades = qualitative(len(names)) if colors is None else colors

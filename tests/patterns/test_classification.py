@@ -365,7 +365,16 @@ def test_the_library_chooses_one_pure_region_for_each_pattern():
     assert [r.name for r in regions] == ["gamma-like", "bimodal", "long-tail"]
     for region, code in zip(regions[:2], (Label.GAMMA_LIKE, Label.BIMODAL), strict=True):
         assert (label[region.pixels(32, 32)] == code).all()
-    assert (label[regions[2].pixels(32, 32)] == Label.LONG_TAIL).any()
+    assert label[regions[2].center(32, 32)] == Label.LONG_TAIL
+
+
+def test_the_pixel_in_the_middle_of_a_region_has_its_label():
+    label = np.full((9, 12), Label.OTHER, dtype=np.int8)
+    label[:2, :3] = Label.BLACK
+    label[8, 11] = Label.CONSTANT
+    regions = choose_regions(xr.Dataset({"label": (("y", "x"), label, FLAGS)}))
+    names = {r.name: Label(label[r.center(9, 12)]).name.lower() for r in regions}
+    assert names == {"other": "other", "black": "black", "constant": "constant"}
 
 
 def test_choosing_works_on_a_single_pixel():

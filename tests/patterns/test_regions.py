@@ -18,7 +18,7 @@ def test_a_region_study_is_one_figure_and_one_table():
     study = SAMPLES.regions({"dark & old wall": (4, 2), "floor": (9, 11)})
     figure = study.plot(width="column", scales="log")
     assert figure.get_figwidth() == 3.4
-    assert texts(figure) >= {"dark & old wall", "floor", "null-heavy", "1", "2"}
+    assert texts(figure) >= {"1 dark & old wall", "2 floor", "null-heavy", "1", "2"}
     begin, _, head, _, first, second, *_ = study.to_latex().splitlines()
     assert begin == r"\begin{tabular}{lrrrrrrr}"
     assert head.count(" & ") == first.replace(r"\&", "").count(" & ") == 7

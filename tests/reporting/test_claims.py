@@ -10,7 +10,7 @@ import pytest
 
 from chdstat.comparison import Interval
 from chdstat.reporting.content import claim_content, finding_content, with_others
-from chdstat.reporting.figures import claim_figures, plot_findings
+from chdstat.reporting.figures import claim_figures
 from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, PlotData
 
 CLAIM = FINDINGS[14]
@@ -82,6 +82,6 @@ def test_plots_of_several_claims_have_labels_that_fit_their_panels():
     x = np.arange(5.0)
     one = finding("supported", plot_data=PlotData("curves", {"a": (x, x)}, "x", long))
     two = replace(one, plot_data=PlotData("bars", {"a": (x[:1], x[:1])}, y_label="share"))
-    figure = plot_findings({"1": one, "2": two})
+    figure = claim_figures(15, {"1": one, "2": two})["plots15"]
     assert max(len(line) for line in figure.axes[0].get_ylabel().splitlines()) < 30
-    assert plot_findings({"none": finding("supported")}) is None
+    assert claim_figures(15, {"none": finding("supported")}) == {}

@@ -93,13 +93,25 @@ def test_a_peak_does_not_squeeze_a_curve_and_nan_draws_nothing():
 # --- scenes -------------------------------------------------------------------------------------
 
 
-def test_every_region_has_an_inset_and_two_histograms_in_a_colour_of_its_own(image, marks):
-    figure = viz.region_study(image, marks, [panel(m.name) for m in marks], notes=["note"] * 9)
+def test_regions_stand_beside_their_distributions_on_one_axis_of_radiance(image, marks):
+    light = np.random.default_rng(0).gamma(1.0, size=(1, 64))
+    panels = [
+        viz.Panel.of(m.name, light * 10.0**i, channels=["luminance"]) for i, m in enumerate(marks)
+    ]
+    figure = viz.region_study(image, marks, panels, notes=["note"] * 9)
     found = texts(figure)
     assert {f"{i + 1} region {i}" for i in range(9)} <= found
-    assert "note" in found
-    insets = [a for a in figure.axes if a.get_title("left").startswith(tuple("123456789"))]
-    assert len({to_hex(a.spines["top"].get_edgecolor()) for a in insets}) == 9
+    assert {"note", "samples that are not null, luminance", "mean"} <= found
+    assert "best fit" not in found
+    _, *others = figure.axes
+    insets, chds = others[::2], others[1::2]
+    assert len({to_hex(ax.spines["top"].get_edgecolor()) for ax in insets}) == 9
+    assert len({ax.get_xlim() for ax in chds}) == 1
+    figure.draw_without_rendering()
+    for inset, ax in zip(insets, chds, strict=True):
+        of_crop, of_chd = inset.get_window_extent(), ax.get_window_extent()
+        assert of_crop.x1 < of_chd.x0
+        assert of_crop.y0 < (of_chd.y0 + of_chd.y1) / 2 < of_crop.y1
 
 
 def test_all_batches_and_their_means_are_drawn():

@@ -16,7 +16,7 @@ from chdstat.comparison import Interval
 from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.summary.histograms import histogram
 from chdstat.viz import styling
-from chdstat.viz.maps import _LABEL_COLORS
+from chdstat.viz.maps import LABEL_COLORS
 from chdstat.viz.styling import families, spelt, verbatim
 
 NAME = "a $x^$ b"
@@ -93,7 +93,7 @@ def lab(color, vision):
         (viz.PALETTE, 15),
         (viz.CHANNELS.values(), 20),
         ([color for color, _ in viz.VERDICTS.values()], 40),
-        ({**_LABEL_COLORS, "undetermined": "#DDDDDD"}.values(), 10),
+        ({**LABEL_COLORS, "undetermined": "#DDDDDD"}.values(), 10),
     ],
 )
 def test_colours_are_distinct_for_colour_blind_readers(colors, least, vision):

@@ -172,6 +172,19 @@ def test_images_share_an_exposure_and_show_errors(image):
     assert {"a", "reference", "log10 squared error"} <= texts(figure)
 
 
+def test_parts_of_images_are_magnified_below_each(image):
+    parts = [(slice(0, 2), slice(0, 2)), (slice(2, 4), slice(1, 3))]
+    images = {name: image * k for k, name in enumerate("abcd", 1)}
+    figure = viz.side_by_side(images, insets=parts, columns=2, notes={"a": "error 1"})
+    figure.draw_without_rendering()
+    first, one, two, second, *_ = figure.axes
+    assert "a\nerror 1" in texts(figure)
+    assert len(figure.axes) == 4 * 3
+    assert one.images[0].get_array().shape[:2] == (2, 2)
+    assert one.get_window_extent().y1 < first.get_window_extent().y0
+    assert two.get_window_extent().x1 < second.get_window_extent().x0 + 1
+
+
 def test_the_legend_of_a_training_is_beside_its_curves():
     rows = np.array([[1, 2, 3], [3, 2, 1], [3, 2.5, 2.2], [2.9] * 3, [3.0] * 3])
     ax = viz.training(History(*rows))
