@@ -28,7 +28,7 @@ from chdstat.fit.families import (
     get_family,
     zero_log_likelihood,
 )
-from chdstat.fit.family import halves_of
+from chdstat.fit.family import halves_of, take_part
 from chdstat.fit.groups import SampleGroups
 from chdstat.fit.search import EFFORTS, Effort, Piece, log_likelihood, log_samples, score, search
 from chdstat.summary.runner import Source, of_source, run
@@ -312,6 +312,13 @@ class ChosenMixtures:
             self._k[rows] = k + 1
             self._converged[rows] = solution.converged
 
+    def search_rest(self, family: MixtureFamily, effort: Effort) -> None:
+        """Enter the mixtures of rows of which samples are equal: of what atoms leave of them."""
+        tied = np.flatnonzero(self.atoms.tied & (self.reason == Reason.OK))
+        rest, every = take_part(self.atoms.rest, tied), np.ones(len(tied), dtype=bool)
+        for piece, solutions in search(rest, every, family, self.largest, effort=effort):
+            self.enter(replace(piece, rows=tied[piece.rows]), solutions)
+
     def result(self, family: MixtureFamily) -> Mixture:
         """Return all of it."""
         part, atoms, largest = self.part, self.atoms, self.largest
@@ -423,8 +430,10 @@ class MixtureFit(ParametricFit[Mixture]):
             held_out = _held_out(atoms.rest, reason == Reason.OK, family, largest, effort)
         atoms = replace(atoms, rest=before_clamps(part, atoms, family))
         chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
-        for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
+        whole = (reason == Reason.OK) & ~atoms.tied
+        for found in search(part, whole, family, largest, effort=effort):
             chosen.enter(*found)
+        chosen.search_rest(family, effort)
         return chosen.result(family)
 
 

@@ -31,10 +31,9 @@ from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variabl
 from chdstat.errors import Reason
 from chdstat.fit.atoms import before_clamps, split
 from chdstat.fit.em import Solution
-from chdstat.fit.family import take_part
 from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
-from chdstat.fit.search import Piece, search
+from chdstat.fit.search import Piece
 from chdstat.fit.selection import FamilySelection
 from chdstat.inference.dip import dip_p, dips
 from chdstat.summary.runner import Source, of_source, run
@@ -186,11 +185,7 @@ class ModalMixture(MixtureFit):
             chosen.enter(piece.take(at), [solution.take(at) for solution in solutions])
 
         part.found[Modes()] = _modality(part, also=enter)
-        # Where samples are equal, mixtures are searched for once more, without the atoms.
-        tied = np.flatnonzero(atoms.tied & (reason == Reason.OK))
-        rest, every = take_part(atoms.rest, tied), np.ones(len(tied), dtype=bool)
-        for piece, solutions in search(rest, every, "lognormal", MODES, effort="fast"):
-            chosen.enter(replace(piece, rows=tied[piece.rows]), solutions)
+        chosen.search_rest("lognormal", "fast")
         return chosen.result("lognormal")
 
 
