@@ -16,7 +16,7 @@ import textwrap
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from chdstat.errors import InputError, Reason
 __all__ = [
     "Card",
     "Shown",
+    "Width",
     "between",
     "byte_size",
     "duration",
@@ -40,6 +41,9 @@ __all__ = [
     "with_interval",
     "written",
 ]
+
+Width = Literal["column", "page"] | float
+"""Of a figure: that of a column or a page of a paper, or in inches."""
 
 _LINES, _WIDTH = 10, 108
 """Largest size of a representation as text."""

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, generator, plain, whole
-from chdstat._core.display import Card, Shown, number, percent, png, with_interval, written
+from chdstat._core.display import Card, Shown, Width, number, percent, png, with_interval, written
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.viz.styling import Width
 
 __all__ = [
     "Breakdown",

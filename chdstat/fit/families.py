@@ -20,7 +20,16 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
-from chdstat._core.display import Card, each, in_unit, reasons, with_error, with_interval, written
+from chdstat._core.display import (
+    Card,
+    Width,
+    each,
+    in_unit,
+    reasons,
+    with_error,
+    with_interval,
+    written,
+)
 from chdstat._core.positive import Part
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
@@ -39,7 +48,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.viz.styling import Width
 
 __all__ = [
     "FAMILIES",

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy import interpolate, special
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.display import Card, each, in_unit, reasons, with_interval, written
+from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.viz.styling import Width
 
 __all__ = ["FAR", "Tail", "TailIndex", "effective_tail_index", "tail_index"]
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, Seed, plain, seed_number
-from chdstat._core.display import Card, Shown, number, percent, png, with_interval
+from chdstat._core.display import Card, Shown, Width, number, percent, png, with_interval
 from chdstat._core.image_scales import tonemap
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from chdstat.io.exr import ExrImage
-    from chdstat.viz.styling import Width
 
 __all__ = ["Contrast", "contrast"]
 

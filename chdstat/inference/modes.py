@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat._core.display import Card, each, reasons, with_error, written
+from chdstat._core.display import Card, Width, each, reasons, with_error, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import Reason
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.viz.styling import Width
 
 __all__ = [
     "MODES",

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad, is_null, take_rows
-from chdstat._core.display import Card, Shown, number, percent, with_interval
+from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import Selection, select
 from chdstat.fit.tail import Tail, tail_index
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from chdstat.viz import Panel
-    from chdstat.viz.styling import Width
 
 __all__ = ["Pixel"]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from chdstat._core.display import Card, Shown, number, percent, with_interval
+from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
 from chdstat.patterns.classification import Label, choose_regions, classify
@@ -24,7 +24,6 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from chdstat.viz.styling import Width
 
 __all__ = ["Regions"]
 

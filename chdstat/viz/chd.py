@@ -21,13 +21,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from chdstat._core.arrays import Array, is_bad, is_null, luminance, take_rows
+from chdstat._core.display import Width
 from chdstat.errors import InputError, check_option
 from chdstat.summary.histograms import Histogram, Scale, histogram
 from chdstat.viz.styling import (
     CHANNELS,
     PALETTE,
     UNIT,
-    Width,
     axes_in,
     blocks,
     fitting,

@@ -19,13 +19,13 @@ from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from chdstat._core.display import Width
 from chdstat.errors import InputError
 from chdstat.studies.outcomes import ClaimTest, PlotData
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import (
     PALETTE,
-    Width,
     axes_in,
     fitting,
     inches,

@@ -22,6 +22,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from chdstat._core.arrays import Array, luminance
+from chdstat._core.display import Width
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
 from chdstat.errors import InputError
@@ -33,7 +34,6 @@ from chdstat.viz.styling import (
     MISSING,
     PALETTE,
     UNIT,
-    Width,
     axes_in,
     fitting,
     inches,

@@ -22,6 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from chdstat._core.arrays import Array, luminance
+from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram, Scale
@@ -40,7 +41,6 @@ from chdstat.viz.estimators import called
 from chdstat.viz.styling import (
     PALETTE,
     UNIT,
-    Width,
     bare,
     fitting,
     grid,

@@ -18,6 +18,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
@@ -28,7 +29,6 @@ from chdstat.viz.image import one_channel, tonemap
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
-    Width,
     axes_in,
     bare,
     fitting,

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import histogram
@@ -19,7 +20,6 @@ from chdstat.viz.image import Mark, draw_marked
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import (
     UNIT,
-    Width,
     bare,
     fitting,
     inches,

@@ -13,13 +13,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from chdstat._core.arrays import Array
-from chdstat._core.display import number, percent
+from chdstat._core.display import Width, number, percent
 from chdstat.errors import InputError
 from chdstat.fit import Fit, Mixture, Tail
 from chdstat.inference.modes import Modality
 from chdstat.viz.chd import DASHES, LINES
 from chdstat.viz.estimators import called
-from chdstat.viz.styling import UNIT, Width, axes_in, style
+from chdstat.viz.styling import UNIT, axes_in, style
 
 __all__ = ["fit_curve", "mode_stems", "tail_curve"]
 

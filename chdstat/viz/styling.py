@@ -18,7 +18,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -30,6 +30,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, NullLocator
 
+from chdstat._core.display import Width
 from chdstat.errors import InputError, check_option
 
 __all__ = [
@@ -39,7 +40,6 @@ __all__ = [
     "PALETTE",
     "UNIT",
     "WIDTHS",
-    "Width",
     "axes_in",
     "bare",
     "blocks",
@@ -64,9 +64,6 @@ __all__ = [
 
 WIDTHS = {"column": 3.4, "page": 6.7}
 """Inches of a column of a paper in two columns, and of the text of an A4 page."""
-
-Width = Literal["column", "page"] | float
-"""Of a figure: by name, or in inches."""
 
 _NARROW = 5.0
 """Inches below which panels stand below each other."""

@@ -52,12 +52,12 @@ def test_light_that_proposals_lose_is_given_back_but_not_to_what_is_certain():
     mean = np.broadcast_to(1 + 0.1 * rng.random((32, 32, 1)), (32, 32, 3))
     error, moved = np.full_like(mean, 0.1), np.ones((32, 32, 1))
     moved[:8], dark = 0, 0.993 * mean
-    found = weighting._balanced(dark, mean, error, moved)
-    of_sum = weighting._error_of_sum(error)
+    found = weighting.give_back(dark, mean, error, moved)
+    of_sum = weighting.error_of_sum(error)
     assert (mean - found).sum() == pytest.approx(1.5 * of_sum)
     assert np.array_equal(found[:8], dark[:8])
     # More than a twentieth of what may be moved would be guessed at.
-    least = weighting._balanced(0.5 * mean, mean, error, moved)
+    least = weighting.give_back(0.5 * mean, mean, error, moved)
     assert (least - 0.5 * mean).max() == pytest.approx(0.05 * 0.2)
 
 
@@ -331,10 +331,10 @@ def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
     x = rng.exponential(size=(4000, 16))
     mean, error = x.mean(axis=-1), x.std(axis=-1, ddof=1) / 4
     count = np.full(4000, 16)
-    low, high = weighting._interval_of_mean(mean, error, count, 0.9, signed=False)
+    low, high = weighting.interval_of_mean(mean, error, count, 0.9, signed=False)
     missed = np.mean(high < 1), np.mean(low > 1)
     assert max(missed) < 0.09
-    student = weighting._interval_of_mean(mean, error, count, 0.9, signed=True)[1]
+    student = weighting.interval_of_mean(mean, error, count, 0.9, signed=True)[1]
     assert np.mean(student < 1) > missed[0] + 0.02
 
 

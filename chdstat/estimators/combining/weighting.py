@@ -44,6 +44,9 @@ __all__ = [
     "Combination",
     "combination",
     "combine",
+    "error_of_sum",
+    "give_back",
+    "interval_of_mean",
 ]
 
 
@@ -258,7 +261,7 @@ def _combine_measured(
     made = [candidates(start, features, client) for start in measured.starts]
     names, unit = list(made[0]), unit_of(made[0])
     mean, error = measured.mean, measured.errors[0]
-    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
+    ends = interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
     if len(names) > 2:
         weighting = Weighting.shipped(with_features="albedo" in features)
         weights, width = weighting(made, measured, unit)
@@ -280,7 +283,7 @@ def _combine_measured(
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
     proposal = proposed[0].image
     radiance = proposal + of_mean * (mean - proposal)
-    balanced = _balanced(radiance, mean, error, 1 - of_mean)
+    balanced = give_back(radiance, mean, error, 1 - of_mean)
     # Where no light was found, the mean has no interval.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
@@ -369,7 +372,7 @@ def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
     return found
 
 
-def _interval_of_mean(
+def interval_of_mean(
     mean: Reals, error: Reals, count: Reals, level: float, *, signed: bool
 ) -> Reals:
     """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
@@ -402,7 +405,7 @@ def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
     return np.asarray(mean - certain[place] * error)
 
 
-def _balanced(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals:
+def give_back(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals:
     """Return an image whose sum agrees with that of the mean, which has no bias.
 
     What proposals lose or add beyond `_AGREES` standard errors of that sum is given back in
@@ -411,12 +414,12 @@ def _balanced(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals
     it: more would be guessed at.
     """
     apart = float(radiance.sum(dtype=np.float64) - mean.sum())
-    lost = np.sign(apart) * max(abs(apart) - _AGREES * _error_of_sum(error), 0)
+    lost = np.sign(apart) * max(abs(apart) - _AGREES * error_of_sum(error), 0)
     share = np.clip(radiance, 0, 2 * error) * moved
     return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -_MOST, _MOST) * share)
 
 
-def _error_of_sum(error: Reals) -> float:
+def error_of_sum(error: Reals) -> float:
     """Return the standard error of an image's sum, of those of its pixels."""
     # Channels of a sample vary together: their errors add up as if they were the same.
     return float(np.sqrt(np.square(error.sum(axis=-1)).sum()))
@@ -428,4 +431,4 @@ def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
     if not whole:
         return np.nan, np.nan
     of_radiance = float(np.nansum(radiance, dtype=np.float64))
-    return of_radiance / whole - 1, _error_of_sum(error) / abs(whole)
+    return of_radiance / whole - 1, error_of_sum(error) / abs(whole)
