@@ -28,7 +28,7 @@ from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import SamplerName, check_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import differing, part_folder
+from chdstat.samples.layout import GUIDE, differing, part_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
@@ -88,10 +88,12 @@ def render(
         Which of the scene's sensors sees the image, counted from 0.
     integrator
         What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
-        settings, such as ``{"type": "path", "rr_depth": 100}``. Of your own, the name that a plugin
-        registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an object
-        of Mitsuba's, such as one of a class of your own: it renders in this process, with the
-        backend of its variant (with "scalar", which random numbers are a pixel's depends on how
+        settings, such as ``{"type": "path", "rr_depth": 100}``. "guided" is the scene's own, which
+        draws half of its directions where earlier paths have found light (see
+        `chdstat.rendering.guiding`), with the llvm and cuda backends. Of your own, the name that a
+        plugin registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an
+        object of Mitsuba's, such as one of a class of your own: it renders in this process, with
+        the backend of its variant (with "scalar", which random numbers are a pixel's depends on how
         many threads Mitsuba has).
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
@@ -188,6 +190,10 @@ def render(
         )
         raise InputError(message)
     job = Job.of(loaded, options)
+    if job.guided and existing is not None and (kept := existing.guide()) is not None:
+        from chdstat.rendering.guiding import Guide
+
+        job = replace(job, guide=Guide.of_arrays(kept))
     if client is not None:
         _check_portable(job)
     with activate(job.verdict):
@@ -208,6 +214,7 @@ def _captured(
     kept = job.options.spp * (1 + len(depths) + len(lights))
     renderer = checked_renderer(job, kept=kept, out=out)
     renderer.check_lights(lights)
+    job = renderer.job
     partial = _cut_paths(renderer, depths) | {n: replace(job, light=n) for n in lights}
     with _writer(renderer, out) as writer:
         with _features_restored(renderer, client, writer):
@@ -411,7 +418,7 @@ class MemoryWriter:
 
     def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
         """Keep first-hit features, or why there are none."""
-        self._features = dict(features)
+        self._features = {n: image for n, image in features.items() if n not in GUIDE}
         if why_none:
             self._attrs["why_no_features"] = why_none
 
@@ -476,6 +483,7 @@ _IDENTITY: dict[str, Any] = {
     "scene_code": {},
     "plugins": {},
     "integrator": None,
+    "guide": None,
     "sensor": 0,
     "size": None,
     "crop": None,

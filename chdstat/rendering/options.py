@@ -9,12 +9,12 @@ import numbers
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn, TypedDict, cast
+from typing import TYPE_CHECKING, Any, NoReturn, TypedDict, cast
 
 import numpy as np
 
 from chdstat._core.arrays import Seed, seed_number, whole
-from chdstat.errors import InputError
+from chdstat.errors import InputError, RenderError
 from chdstat.rendering.backend import BACKENDS, Backend, Color, Verdict, activate, resolve
 from chdstat.rendering.seeds import SEEDS, SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
@@ -22,7 +22,11 @@ from chdstat.scenes.plugins import Plugin, code_of, loaded, register
 from chdstat.scenes.scene import LiveScene, is_built
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
+if TYPE_CHECKING:
+    from chdstat.rendering.guiding import Guide
+
 __all__ = [
+    "GUIDED",
     "Crop",
     "IntegratorLike",
     "IntegratorObject",
@@ -37,6 +41,8 @@ __all__ = [
 
 IntegratorLike = str | Mapping[str, Any] | Any
 """An integrator by Mitsuba's name, as a dict with its settings, or as an object of Mitsuba's."""
+GUIDED = "guided"
+"""The scene's own integrator, whose directions come partly from a `Guide`."""
 Crop = tuple[int, int, int, int]
 """(x, y, width, height) in pixels of the image."""
 
@@ -211,6 +217,8 @@ class Job:
         The name or pattern of the lights that are on; None for all.
     plugins
         Those that the scene may name.
+    guide
+        What directions are drawn by; None where they are not, or it is still to be learned.
     """
 
     scene: Scene
@@ -218,6 +226,13 @@ class Job:
     verdict: Verdict
     light: str | None = None
     plugins: tuple[Plugin, ...] = field(default_factory=loaded)
+    guide: Guide | None = None
+
+    @property
+    def guided(self) -> bool:
+        """Whether directions are drawn by a guide, which is learned where there is none yet."""
+        given = self.options.integrator
+        return isinstance(given, Mapping) and given["type"] == GUIDED
 
     @classmethod
     def of(cls, scene: SceneLike, options: RenderOptions) -> Job:
@@ -244,7 +259,14 @@ class Job:
                 )
                 raise InputError(message)
         options = replace(options, integrator=integrator, backend=backend)
-        return cls(found, options, resolve(backend, options.color))
+        job = cls(found, options, resolve(backend, options.color))
+        if job.guided and (job.verdict.backend == "scalar" or isinstance(found.source, LiveScene)):
+            message = (
+                f"integrator {GUIDED!r} renders files and dicts with the llvm and cuda backends, "
+                f"got {backend=} and {found.name!r}; see: chdstat doctor"
+            )
+            raise RenderError(message)
+        return job
 
     def asked(self) -> Asked:
         """Return what the scene asks for, as Mitsuba reads its description with the plugins.
@@ -257,10 +279,15 @@ class Job:
         from chdstat.scenes.loading import parse
 
         register(self.plugins, self.verdict.variant)
-        parsed, given, instead = parse(self.scene), self.options.integrator, None
-        if given is not None:
+        parsed, instead = parse(self.scene), None
+        given: Any = self.options.integrator
+        if given is not None and not self.guided:
             instead = parsed.sole(given if isinstance(given, Mapping) else {"type": "path"})
-        return asked_for(parsed, self.options.sensor, instead, self.options.sampler)
+        asked = asked_for(parsed, self.options.sensor, instead, self.options.sampler)
+        if self.guided:  # the scene's own integrator, with what was given for it
+            for name in given.keys() - {"type"}:
+                asked.integrator.node(0).props[name] = given[name]
+        return asked
 
 
 def scene_size(scene: SceneLike) -> tuple[int, int]:

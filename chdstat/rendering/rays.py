@@ -80,7 +80,7 @@ def drawn(
     mi: Any, position: Any, scene: Any, sensor: Any, integrator: Any, sampler: Any, medium: Any
 ) -> Any:
     """Return the radiance of a ray through a position of the image, from 0 to 1, as linear sRGB."""
-    ray, weight = _sensed(mi, position, sensor, sampler)
+    ray, weight = sensed(mi, position, sensor, sampler)
     differentiable = getattr(mi, "CppADIntegrator", ())
     if isinstance(integrator, differentiable):  # Mitsuba's in Python take other arguments
         with dr.suspend_grad():
@@ -100,7 +100,7 @@ def drawn(
     return _srgb(mi, weight * color, ray)
 
 
-def _sensed(mi: Any, position: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
+def sensed(mi: Any, position: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
     """Return the ray through a position of the image, and its weight.
 
     The sampler draws the time within the shutter interval, the point on the lens and the
@@ -216,7 +216,7 @@ class _Rays:
         def hit(x: Any, y: Any) -> list[Any]:
             dx, dy = sampler.next_2d()
             position = mi.Point2f((x + dx) / width, (y + dy) / height)
-            ray, _ = _sensed(mi, position, self.sensor, sampler)
+            ray, _ = sensed(mi, position, self.sensor, sampler)
             return self._first_hit(ray)
 
         if mi.Bool is bool:

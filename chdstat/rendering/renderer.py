@@ -13,9 +13,10 @@ import logging
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,9 @@ from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import check_variant
+
+if TYPE_CHECKING:
+    from chdstat.rendering.guiding import Guide
 
 __all__ = ["Renderer", "check_lights"]
 
@@ -100,10 +104,23 @@ class Renderer:
             if job.scene.files() != self.files:
                 message = f"files of scene {job.scene.name!r} changed while they were read; again"
                 raise SceneError(message)
-            self._sensor((0, 0), self.size)  # Mitsuba refuses what a sensor cannot be
+            sensor = self._sensor((0, 0), self.size)  # Mitsuba refuses what a sensor cannot be
+            if job.guided:
+                with self._telling():
+                    self.job = replace(job, guide=self._guide(sensor))
             if self._scalar:  # one sample costs nothing: what cannot be drawn is refused at once
                 with self._telling():
                     self._pixel_scalar(0, 0, 0, 1)
+
+    def _guide(self, sensor: Any) -> Guide:
+        """Let the scene draw directions by the guide of the job, or by one that it teaches now."""
+        from chdstat.rendering import guiding
+
+        if self.job.guide is not None:
+            guiding.into_scene(self._mi, self._scene, self.job.guide)
+            return self.job.guide
+        seeds = [self._streams.of_training(i) for i in range(guiding.PASSES)]
+        return guiding.trained(self._mi, self._scene, sensor, self.size, seeds)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -125,6 +142,7 @@ class Renderer:
             "scene_source": job.scene.origin,
             "scene_parameters": dict(job.scene.parameters),
             "integrator": self.integrator,
+            "guide": None if job.guide is None else job.guide.digest,
             "sensor": job.options.sensor,
             "size": list(self.size),
             "crop": self.film.crop,
@@ -228,9 +246,13 @@ class Renderer:
         return longest if properties.was_queried("max_depth") else None
 
     def features(self) -> tuple[dict[str, Image], str]:
-        """Return the first-hit features, and why there are none where they cannot be drawn."""
+        """Return the first-hit features, and why there are none where they cannot be drawn.
+
+        With them are the arrays of the guide, if there is one.
+        """
         from chdstat.rendering.rays import first_hits
 
+        kept = {} if self.job.guide is None else self.job.guide.arrays
         try:
             with self._telling():
                 found = first_hits(
@@ -245,8 +267,8 @@ class Renderer:
                 )
         except ChdstatError as error:
             _log.warning("no first-hit features: %s", brief(error))
-            return {}, brief(error)
-        return found, ""
+            return kept, brief(error)
+        return kept | found, ""
 
     @contextlib.contextmanager
     def _telling(self) -> Iterator[None]:

@@ -240,6 +240,10 @@ class Streams:
         number = number_of(self.seed, index, PIXELS)
         return 2**32 - PIXELS + _permuted(number, 0, half=2**12)
 
+    def of_training(self, number: int) -> int:
+        """Return the number of a wavefront of a training, which no sample owns."""
+        return CHUNKS + number_of(self.seed, number, PIXELS)
+
     def _tile(self, chunk: Chunk) -> int:
         return chunk.tile_y * -(-self.size[0] // TILE) + chunk.tile_x
 

@@ -60,6 +60,7 @@ __all__ = [
     "BLOCK",
     "COUNTS",
     "FOREIGN",
+    "GUIDE",
     "SCHEMA_VERSION",
     "DamageError",
     "canonical",
@@ -72,6 +73,8 @@ BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
 COUNTS = "counts"
 """Feature that says how many samples each pixel has, where they differ."""
+GUIDE = ("guide-cells", "guide-leaves")
+"""Features that are the guide that directions were drawn by."""
 SCHEMA_VERSION = 2
 LOCK = ".lock"
 FOREIGN = (

@@ -340,13 +340,20 @@ class Store:
     @property
     def feature_names(self) -> list[str]:
         """Names of the first-hit features that belong to the store."""
-        return sorted(self._manifest["features"].keys() - {layout.COUNTS})
+        return sorted(self._manifest["features"].keys() - {layout.COUNTS, *layout.GUIDE})
 
     def counts(self) -> npt.NDArray[np.int32] | None:
         """Return how many samples each pixel has, shape (y, x), where they differ."""
         if layout.COUNTS not in self._manifest["features"]:
             return None
         return self._read_feature(layout.COUNTS).astype(np.int32)
+
+    def guide(self) -> dict[str, Image] | None:
+        """Return the arrays of the guide of the samples, or None without one that can be read."""
+        try:
+            return {name: self._read_feature(name) for name in layout.GUIDE}
+        except (KeyError, StoreError):
+            return None
 
     def _read_feature(self, name: str) -> Image:
         about = self._manifest["features"][name]
