@@ -52,19 +52,7 @@ if TYPE_CHECKING:
     from chdstat.rendering import Rendering
     from chdstat.samples import Samples
 
-__all__ = [
-    "Noise",
-    "Overview",
-    "Share",
-    "analyze",
-    "key_intervals",
-    "noise_of",
-    "overview",
-    "patterns_of",
-    "pooled_shares",
-    "save",
-    "to_dataframe",
-]
+__all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
 _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables carry their name."""

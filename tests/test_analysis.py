@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.analysis import overview, save, to_dataframe
+from chdstat.analysis import noise_of, overview, patterns_of, save, to_dataframe
 from chdstat.errors import StoreError
 
 
@@ -44,6 +44,21 @@ def test_what_is_found_at_once_is_what_is_found_alone(samples, found):
         for name in names:
             values = found[f"{prefix}{name}"]
             np.testing.assert_allclose(values, alone[name], rtol=1e-9, err_msg=name)
+
+
+def test_patterns_alone_are_those_of_the_analysis(samples, found):
+    """So is the overview of what both have; of what one lacks, there is none."""
+    patterns = patterns_of(samples, progress=False)
+    for name, values in patterns.data_vars.items():
+        np.testing.assert_allclose(values, found[name], rtol=1e-9, err_msg=name)
+    some, whole = (overview(dataset).to_dict() for dataset in (patterns, found))
+    for name in ("null_share", "variation", "patterns", "label_agreement"):
+        assert some[name] == whole[name]
+    assert whole["decided"] is not None
+    assert (some["decided"], some["misfit"], some["modes"]) == (None, [None] * 3, {})
+    noise = noise_of(patterns)
+    assert sum(noise.pixels.values()) == pytest.approx(1)
+    assert sum(noise.share.values()) == pytest.approx(1)
 
 
 def test_scaling_radiance_scales_the_result(samples, found):

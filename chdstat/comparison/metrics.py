@@ -41,6 +41,9 @@ _EPSILON = 0.01
 _REPLICATES, _AT_ONCE = 1000, 64
 _SAME = 1e-6
 """Relative difference below which an estimate is the mean, summed in another order."""
+_EXACT = 1e-8
+"""Relative squared error up to which a mean has none: samples whose logarithms spread by 1e-4 are
+constant, see `chdstat.patterns.Thresholds`."""
 _FIREFLY = 3.0
 """Excess over the reference, in units of it, from which an estimate is a firefly: two stops."""
 
@@ -145,8 +148,8 @@ def _measures(sums: Array) -> Array:
         found = np.stack([*(part / count for part in shares), error / reference])
         found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
         squared, relative, improved, unchanged, firefly, bias = found
-        # The error of the mean of equal samples is rounding: no ratio is taken of it.
-        exact = relative[:, :1] <= _SAME**2
+        # The error of the mean of constant samples is rounding: no ratio is taken of it.
+        exact = relative[:, :1] <= _EXACT
         ratios = [np.where(exact, np.nan, part / part[:, :1]) for part in (squared, relative)]
         ratios.append(firefly / firefly[:, :1])
     measures = [squared, relative, improved, unchanged, bias, firefly, *ratios]

@@ -163,7 +163,8 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     shown = [(percent(scene.null_share), "of the samples find no light", nulls)]
     if scene.spp >= FEW_SAMPLES:
         spread = _between(of_image["coefficient_of_variation"], number)
-        label = "standard deviation of the samples over their mean, in the median pixel"
+        label = "standard deviation of the samples over their mean"
+        label += ", in the median pixel" * (scene.pixels > 1)
         shown.append((number(scene.variation[1]), label, spread))
         if scene.pixels >= FEW_PIXELS:
             label = "of the relative variance is in the noisiest tenth of the pixels"
@@ -523,7 +524,7 @@ def _noise_table(noise: Noise, comparison: Comparison | None) -> list[dict[str, 
             "share": percent(share) if share >= _LITTLE else "0 %",
             "meaning": _LABELS[label][0],
             "cure": _LABELS[label][1],
-            "estimate": f"{ratio[label]:.2f}" if math.isfinite(ratio.get(label, math.nan)) else "—",
+            "estimate": number(ratio.get(label, math.nan)) if share >= _LITTLE else "—",
         }
         for label, share in noise.share.items()
     ]

@@ -61,6 +61,8 @@ _PIXELS = 5
 """Pixels whose batches are shown."""
 _SEVERAL = ("bimodal", "multimodal")
 """Labels of pixels whose curve is that of a mixture."""
+_PAIR = 5.2
+"""Width of a figure of two images, in inches."""
 _INSETS, _INSET = 2, 6
 """Parts of an image that are magnified, and their edge as a part of its shorter one."""
 
@@ -107,7 +109,8 @@ def report_figures(
             drawn["estimates"] = estimates_of(found.comparison, found.comparison.estimators[:2])
     elif estimate is not None:
         images = {f"mean of {spp}": image, "default estimate": estimate.radiance}
-        drawn["estimates"] = viz.side_by_side(images, insets=_noisy_parts(*images.values()))
+        parts = _noisy_parts(*images.values())
+        drawn["estimates"] = viz.side_by_side(images, insets=parts, width=_PAIR)
     return drawn
 
 
@@ -130,7 +133,7 @@ def _luminance_panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
         fitted = take_rows(selected.fits[name], 0, axis=0) if name else None
         words = called(name)
     spread = float(here["coefficient_of_variation"])
-    known = f"SD {number(spread)} × mean" if np.isfinite(spread) else ""
+    known = f"SD/mean {number(spread)}" if np.isfinite(spread) else ""
     nulls = f"{percent(float(here['null_share']))} null"
     note = ", ".join(filter(None, (nulls, known, words)))
     fits = [] if fitted is None else [fitted.pdf]
@@ -153,6 +156,8 @@ def _noise_maps(found: xr.Dataset) -> Figure:
     """Draw how noisy each pixel is, and which pattern it shows first of all."""
     aspect = found.sizes["y"] / found.sizes["x"]
     figure = viz.map_grid(2, columns=2, aspect=aspect)
+    labels = len(np.unique(found["label"].values))
+    figure.set_figheight(figure.get_figwidth() / 2 * 0.78 * aspect + 0.5 + 0.2 * -(-labels // 3))
     left, right = figure.axes
     title = "Standard deviation over mean"
     viz.value_map(found["coefficient_of_variation"].values, title=title, ax=left)

@@ -67,15 +67,16 @@ _PILOT = 32
 """Samples per pixel from which the time of many is told."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-_BATCHES = {"short": 4, "full": 16, "claims": 16}
-"""Most estimates of each pixel."""
+_ESTIMATES, _BATCHES = 2**15, (2, 4, 16)
+"""Estimates that are enough, and how many of each pixel there are at least in a short and in a full
+report, and at most."""
 _TRAINING: dict[str, dict[str, Any]] = {
     "elek2019": {"patience": 1000},
     "progressive": {"iterations": 1200},
 }
 """How long networks train, unless all is as published: more takes long and gains little."""
-_CURVE_SPP, _CURVE_BATCHES = 256, 2
-"""Samples from which errors are shown against N, and batches per pixel for each N."""
+_CURVE_SPP = 256
+"""Samples from which errors are shown against N."""
 _REGIONS = 6
 """Regions of a short report."""
 
@@ -218,6 +219,8 @@ class _Report:
         dataset = analysed(samples, progress=self.progress, checkpoint=checkpoint)
         noise = noise_of(dataset)
         comparison, why_not = self.compared(dataset, noise)
+        if samples.shape[0] * samples.shape[1] < content.FEW_PIXELS:
+            regions = ()  # which share their pixels
         shown = regions or choose_regions(dataset)
         data = SceneData(
             samples.name,
@@ -257,7 +260,7 @@ class _Report:
                 samples,
                 estimators,
                 n=_BATCH,
-                max_batches=_BATCHES[self.contents],
+                max_batches=self.batches,
                 labels=dataset["label"],
                 model=self.trained(estimators),
                 progress=self.progress,
@@ -265,6 +268,14 @@ class _Report:
         except InputError as error:
             return None, f"Estimators were not compared: {error}."
         return found, ""
+
+    @property
+    def batches(self) -> int:
+        """Most estimates of each pixel."""
+        height, width = self.samples.shape[:2]
+        short, full, most = _BATCHES
+        least = short if self.contents == "short" else full
+        return max(least, min(-(-_ESTIMATES // (height * width)), most))
 
     def trained(self, estimators: Sequence[str | Entry] | None) -> dict[str, Model]:
         """Return models that are trained in another way than a comparison trains them."""
@@ -294,7 +305,7 @@ class _Report:
         return error_curve(
             self.samples,
             [name for name in comparison.estimators if name not in others],
-            max_batches=_CURVE_BATCHES,
+            max_batches=1,
             model=model,
             progress=self.progress,
         )

@@ -295,6 +295,7 @@ def region_study(
         for ax, scale in zip(axes[-1], kinds, strict=True):
             _draw_region(ax, panel, scale, colors[i])
             ax.tick_params(pad=1.5, labelbottom=i == rows - 1 or scale == "linear")
+            ax.minorticks_off()  # between decades there is nothing to read
         title = f"{i + 1} {verbatim(mark.name)}"
         axes[-1][0].set_title(title, loc="left", pad=2, fontweight="bold")
         axes[-1][-1].set_title(

@@ -39,7 +39,8 @@ pixels = [mark.pixel for mark in marks]
 x = chd.rendering.render_pixels("bathroom", pixels, spp=1024, size=SIZE, seed=2)
 panels = [viz.Panel.of(mark.name, x[i]) for i, mark in enumerate(marks)]
 notes = [region.phenomenon.replace("-", " ") for region in regions]
-viz.region_study(images["bathroom"], marks, panels, notes=notes)
+look = {"channels": ["R", "G", "B"], "scales": ("linear", "log")}
+viz.region_study(images["bathroom"], marks, panels, notes=notes, **look)
 
 # %%
 # Diffuse and glossy surfaces have one broad mode in the log domain and a long tail in the linear

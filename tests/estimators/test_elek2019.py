@@ -55,6 +55,18 @@ def test_training_beats_the_mean_where_half_of_the_samples_are_null(trained):
     assert history.validation_baseline[0] == pytest.approx(noise * (1 + 32 / 96), rel=0.5)
 
 
+def test_training_with_patience_takes_the_weights_of_the_least_validation_error(trained):
+    patient = MLP.preset("elek2019").train(image(), seed=0, patience=300)
+    history = patient.history
+    best = history.iteration[history.validation_loss.argmin()]
+    assert history.iteration[-1] == best + 300 < 30_000
+    assert patient.provenance["patience"] == 300
+    until = MLP.preset("elek2019").train(image(), seed=0, iterations=int(best))
+    x = image(seed=5).read()[..., :32]
+    assert (patient.predict(x) == until.predict(x)).all()
+    assert "patience" not in trained.provenance
+
+
 def test_pixels_that_trained_are_exposed_and_at_most_half(trained):
     assert len(trained.train_pixels) == 24 * 24 // 2
     assert trained.train_shape == (24, 24)

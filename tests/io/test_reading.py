@@ -199,6 +199,15 @@ def test_the_command_imports_and_appends(tmp_path, run):
     assert np.array_equal(samples.read(ss=slice(40, 80)), RADIANCE + 1)
     assert samples.attrs["renderer"] == "mine 1.2"
     assert str(tmp_path) not in str(samples.attrs)
+    assert samples.name == "x"
+
+
+def test_frames_are_named_after_their_store_unless_told_otherwise(stack, tmp_path, run):
+    frames = sorted(stack.glob("*.exr"))[:3]
+    run("import", *frames, "-o", tmp_path / "kitchen.zarr", "-q")
+    run("import", *frames, "-o", tmp_path / "own.zarr", "--scene", "attic", "-q")
+    assert chd.open(tmp_path / "kitchen.zarr").name == "kitchen"
+    assert chd.open(tmp_path / "own.zarr").name == "attic"
 
 
 # --- stacks of EXR images -------------------------------------------------------------------------
