@@ -156,12 +156,12 @@ def _noise_maps(found: xr.Dataset) -> Figure:
     """Draw how noisy each pixel is, and which pattern it shows first of all."""
     aspect = found.sizes["y"] / found.sizes["x"]
     figure = viz.map_grid(2, columns=2, aspect=aspect)
-    labels = len(np.unique(found["label"].values))
-    figure.set_figheight(figure.get_figwidth() / 2 * 0.78 * aspect + 0.5 + 0.2 * -(-labels // 3))
+    figure.set_figheight(0.43 * figure.get_figwidth() * aspect + 0.3)  # there is no legend
     left, right = figure.axes
     title = "Standard deviation over mean"
     viz.value_map(found["coefficient_of_variation"].values, title=title, ax=left)
-    viz.categorical_map(found["label"], title="First pattern", shares=False, columns=3, ax=right)
+    viz.categorical_map(found["label"], title="First pattern", ax=right)
+    right.legend_ = None  # the table below has the colours
     return figure
 
 

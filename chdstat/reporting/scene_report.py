@@ -71,7 +71,7 @@ _ESTIMATES, _BATCHES = 2**15, (2, 4, 16)
 """Estimates that are enough, and how many of each pixel there are at least in a short and in a full
 report, and at most."""
 _TRAINING: dict[str, dict[str, Any]] = {
-    "elek2019": {"patience": 1000},
+    "elek2019": {"patience": 2000},
     "progressive": {"iterations": 1200},
 }
 """How long networks train, unless all is as published: more takes long and gains little."""
