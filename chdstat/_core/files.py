@@ -38,6 +38,7 @@ __all__ = [
     "checksum",
     "exists",
     "free_disk",
+    "is_exr",
     "is_path",
     "is_remote",
     "local",
@@ -65,6 +66,17 @@ def is_path(x: object) -> TypeGuard[str | Path]:
     (True, True, False)
     """
     return isinstance(x, str | Path | UPath)
+
+
+def is_exr(x: object) -> TypeGuard[str | Path]:
+    """Return whether something names an EXR file, by its suffix.
+
+    Examples
+    --------
+    >>> is_exr("a.EXR"), is_exr("a.zarr"), is_exr(None)
+    (True, False, False)
+    """
+    return is_path(x) and place_of(x).suffix.lower() == ".exr"
 
 
 def place_of(path: str | Path) -> Path:

@@ -17,10 +17,10 @@ import pandas as pd
 from chdstat import viz
 from chdstat._core.arrays import Image, take_rows
 from chdstat._core.display import percent
-from chdstat._core.files import scratch
+from chdstat._core.files import is_exr, scratch
 from chdstat.explorer.selection import SelectionPlots
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
-from chdstat.explorer.view import Box, Pixel, is_image
+from chdstat.explorer.view import Box, Pixel
 from chdstat.reporting.typst import Document, typeset
 from chdstat.viz.estimators import called
 
@@ -98,7 +98,7 @@ def _compared(plots: SelectionPlots, images: Mapping[str, Image], exposure: floa
 def _python(plots: SelectionPlots, paths: Mapping[str, Path | None], exposure: float) -> str:
     """Return Python that draws the same figure of stores and files that are where they were."""
     marks = [_mark(key) for key in plots.keys]
-    images = {name: str(path) for name, path in paths.items() if path and is_image(path)}
+    images = {name: str(path) for name, path in paths.items() if path and is_exr(path)}
     stores = {name: str(path) for name, path in paths.items() if name not in images}
     names = list(paths)
     shown, reference = plots.view.of_images(len(names))

@@ -28,11 +28,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.display import png
-from chdstat._core.files import place_of
+from chdstat._core.files import is_exr, place_of
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.explorer.render_process import COARSE, RenderProcess
-from chdstat.explorer.view import MOST_IMAGES, is_image
 from chdstat.rendering.options import Job, RenderOptions
 from chdstat.samples import Samples, is_store
 from chdstat.scenes import Scene
@@ -278,14 +277,15 @@ def explore(
     sources: list[Any] = [source]
     if isinstance(source, Sequence) and not isinstance(source, str):
         sources = list(source)
-    if not 1 <= len(sources) <= MOST_IMAGES:
-        message = f"the explorer shows from 1 to {MOST_IMAGES} stores or images, got {len(sources)}"
-        raise InputError(message)
+    if len(sources) != 1:  # a scene alone is drawn while all else is imported
+        from chdstat.explorer.view import check_sources
+
+        check_sources(sources)
     render = explorer = coarse = None
     first = sources[0]
     if isinstance(first, Samples):
         name = first.name
-    elif is_image(first) or is_store(first):
+    elif is_exr(first) or is_store(first):
         name = place_of(first).name
     else:
         options = RenderOptions(size=size, seed=seed, max_depth=max_depth, backend="scalar")

@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.files import is_exr
 from chdstat._core.work import Cache, user_cache
 from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel
@@ -47,7 +48,7 @@ from chdstat.explorer.sources import (
     StoreSource,
     stream,
 )
-from chdstat.explorer.view import Pixel, View, is_image
+from chdstat.explorer.view import Pixel, View
 from chdstat.inference.contrasts import Contrast, contrast
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
@@ -124,7 +125,7 @@ def opened(
 
 
 def _opened(source: str | Path | Samples) -> StoreSource | ImageSource:
-    if not isinstance(source, Samples) and is_image(source):
+    if not isinstance(source, Samples) and is_exr(source):
         return ImageSource(Path(source))
     return _store(source)
 

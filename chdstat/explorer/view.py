@@ -12,7 +12,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -29,7 +28,7 @@ __all__ = [
     "View",
     "box_between",
     "check_pixel",
-    "is_image",
+    "check_sources",
     "parse_view",
 ]
 
@@ -251,9 +250,17 @@ def box_between(
     return y0, x0, y1, x1
 
 
-def is_image(source: object) -> bool:
-    """Return whether a source is the path of an image without samples."""
-    return isinstance(source, str | Path) and Path(source).suffix.lower() == ".exr"
+def check_sources(sources: Sequence[object]) -> None:
+    """Refuse more images than have a key, or none.
+
+    Raises
+    ------
+    InputError
+        If there are.
+    """
+    if not 1 <= len(sources) <= MOST_IMAGES:
+        message = f"the explorer shows from 1 to {MOST_IMAGES} stores or images, got {len(sources)}"
+        raise InputError(message)
 
 
 def check_pixel(y: int, x: int, height: int, width: int) -> None:

@@ -211,7 +211,7 @@ def test_analyze_speaks_in_sentences_and_writes_maps(run, store, tmp_path, monke
     code, whole, err = run("analyze", store, "-o", target, "--overwrite")
     assert code == 0
     assert "12 × 10 pixels with 16 samples each." in whole
-    assert f"{100 * numbers['null_share']:.0f}\xa0% of all samples find no light." in whole
+    assert f"{100 * numbers['null_share']:.0f}\xa0% of all samples carry no light." in whole
     share = f"{100 * numbers['patterns']['null_heavy']:.1f}\xa0%"
     assert re.search(rf"^null-heavy +{share}  most paths find no light", whole, re.MULTILINE)
     assert err.splitlines()[-1].startswith("next: chdstat explore")

@@ -129,7 +129,7 @@ def test_what_cannot_be_estimated_is_refused_and_leaves_no_file(tmp_path, model,
         with pytest.raises(InputError, match=match):
             write_estimates("a.exr", samples, given, **more)
     for path, match in (
-        ("a.png", r"must end in \.exr"),
+        ("a.jpg", r"must end in \.exr, \.npy, \.pfm, \.png"),
         ("nowhere/a.exr", "does not exist"),
         (tmp_path, r"must end in \.exr"),
     ):

@@ -304,7 +304,7 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"scene": constant(1.0)}, "scene_hash: stored .*, asked for"),
+        ({"scene": constant(1.0)}, "of the scene cornell-box, not scene"),
         ({"seed": 1}, "seed: stored 0, asked for 1"),
         ({"size": (8, 9)}, r"size: stored \[8, 8\], asked for \[8, 9\]"),
         ({"max_depth": 3}, "integrator: stored .*8.*, asked for .*3"),
