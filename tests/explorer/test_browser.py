@@ -263,7 +263,7 @@ def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tm
     one.page.locator("#limits input").first.press("Enter")
     one.waits_for("location.search.includes('lim=0.25')")
     low = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.color_mapper.low"
-    assert one.page.evaluate(low) == 0.25
+    one.waits_for(f"{low} === 0.25")  # the address may be first
     one.page.locator("#opacity").fill("0.5")
     alpha = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.global_alpha"
     one.waits_for(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
