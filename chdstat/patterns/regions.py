@@ -1,7 +1,7 @@
 """Regions: pixels of several parts of an image, side by side as a paper shows them.
 
-`Samples.regions` makes them. Elek, Thomas and Forbes 2019 look so at the scenes of their case
-study: the image with its regions, and the distribution of a pixel of each.
+`Samples.regions` makes them. Elek, Thomas and Forbes 2019 show the scenes of their case study this
+way: the image with its regions, and the distribution of a pixel of each.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Image
+from chdstat.rendering.rays import sensed
 from chdstat.samples.layout import GUIDE
 
 if TYPE_CHECKING:
@@ -118,11 +119,6 @@ class Guide:
         for field in fields(self):
             content.update(np.ascontiguousarray(getattr(self, field.name)).tobytes())
         return content.hexdigest()[:16]
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all arrays."""
-        return sum(getattr(self, field.name).nbytes for field in fields(self))
 
     @property
     def arrays(self) -> dict[str, Image]:
@@ -246,23 +242,21 @@ def _leaves(keys: Codes, light: Floats, cells: int) -> tuple[Codes, Floats]:
     """Return where the leaves of all cells begin, as keys, and their probabilities."""
     sums = np.concatenate([[0.0], np.cumsum(light)])
 
-    def between(begins: Codes, size: int) -> Floats:
-        ends = np.searchsorted(keys, begins + np.uint64(size))
-        return np.asarray(sums[ends] - sums[np.searchsorted(keys, begins)])
+    def within(begins: Codes, size: int) -> tuple[npt.NDArray[np.intp], Floats]:
+        """Return how many paths go to squares of a size, and the light that they carry."""
+        first, end = (np.searchsorted(keys, begins + np.uint64(i)) for i in (0, size))
+        return end - first, sums[end] - sums[first]
 
     begins = np.arange(cells, dtype=np.uint64) * np.uint64(_DIRECTIONS)
-    total = between(begins, _DIRECTIONS)
+    _, total = within(begins, _DIRECTIONS)
     done = []
     for level in range(_SQUARE, -1, -1):
         size = 4**level
-        held = between(begins, size)
+        count, held = within(begins, size)
         of_cell = total[(begins // np.uint64(_DIRECTIONS)).astype(np.intp)]
-        share = np.divide(
-            held, of_cell, out=np.full(held.shape, size / _DIRECTIONS), where=of_cell > 0
-        )
-        ends = np.searchsorted(keys, begins + np.uint64(size))
-        known = ends - np.searchsorted(keys, begins) > _KNOWN
-        is_full = known & (held > _LARGEST_LEAF * of_cell) & (level > 0)
+        share = np.full(held.shape, size / _DIRECTIONS)
+        np.divide(held, of_cell, out=share, where=of_cell > 0)
+        is_full = (count > _KNOWN) & (held > _LARGEST_LEAF * of_cell) & (level > 0)
         mixed = (1 - _EVERYWHERE) * share + _EVERYWHERE * size / _DIRECTIONS
         done.append((begins[~is_full], mixed[~is_full]))
         quarters = np.arange(4, dtype=np.uint64) * np.uint64(size // 4)
@@ -327,9 +321,8 @@ def _spread(number: Any, apart: int) -> Any:
 
 def _joined(number: Any) -> Any:
     """Undo `_spread` by 2."""
-    steps = _STEPS[2]
-    number = number & steps[-1][1]
-    for (shift, _), (_, mask) in zip(steps[::-1], (*steps[-2::-1], (0, 0xFFFF)), strict=True):
+    number = number & _STEPS[2][-1][1]
+    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
         number = (number | number >> shift) & mask
     return number
 
@@ -562,8 +555,6 @@ def _trace(
 
     Rays pass media as if these were empty: what is learned there may be wrong, and biases nothing.
     """
-    from chdstat.rendering.rays import sensed
-
     ray, _ = sensed(mi, mi.Point2f(sampler.next_2d()), sensor, sampler)
     ray, ctx = mi.Ray3f(ray), mi.BSDFContext()
     lane, stored, depth = dr.arange(mi.UInt32, lanes), mi.UInt32(0), mi.UInt32(0)

@@ -2,9 +2,9 @@
 
 `page`, `axes_in` and `grid` make the figures and axes that everything is drawn into, as wide as a
 column, a page or what is asked for; where a figure is `narrow`, its panels stand below each other.
-Names that
-users chose are drawn as they wrote them, in fonts that have their letters: `verbatim` goes around
-every such name, `families` returns the fonts, and `spelt` goes around what saves figures.
+Names that users chose are drawn as they wrote them, in fonts that have their letters: `verbatim`
+goes around every such name, `families` returns the fonts, and `spelt` goes around what saves
+figures.
 """
 
 from __future__ import annotations
