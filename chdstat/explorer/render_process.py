@@ -21,8 +21,8 @@ from typing import Any
 
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job
-from chdstat.rendering.renderer import Renderer
 
 __all__ = ["COARSE", "RenderProcess", "serve"]
 
@@ -34,7 +34,7 @@ _ENDED = "the process that renders the scene has ended; explore the scene again"
 
 
 class RenderProcess:
-    """Calls methods of a `chdstat.rendering.renderer.Renderer` in a child process.
+    """Calls methods of a `chdstat.rendering.mitsuba_renderer.MitsubaRenderer` in a child process.
 
     A job that cannot travel, or a scene that only this process can build because its plugins were
     registered here, is rendered here.
@@ -82,7 +82,7 @@ class RenderProcess:
         if not self._end.alive:
             raise RenderError(_ENDED)
         self.close()
-        self._child, self._renderer = None, Renderer(self.job)
+        self._child, self._renderer = None, MitsubaRenderer(self.job)
         return _described(self._renderer)
 
     def __call__(self, method: str, *arguments: Any, **options: Any) -> Any:
@@ -131,7 +131,7 @@ def _killed(child: subprocess.Popen[bytes]) -> None:
             pipe.close()  # type: ignore[union-attr]
 
 
-def _described(renderer: Renderer) -> tuple[tuple[int, int], str]:
+def _described(renderer: MitsubaRenderer) -> tuple[tuple[int, int], str]:
     return renderer.size, str(renderer.integrator["type"])
 
 
@@ -151,11 +151,11 @@ def serve() -> None:
             results.flush()
 
     job: Job = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our own parent
-    built: list[Renderer] = []
+    built: list[MitsubaRenderer] = []
     yields = False
 
     def build() -> tuple[tuple[int, int], str]:
-        built.append(Renderer(job))
+        built.append(MitsubaRenderer(job))
         return _described(built[0])
 
     with activate(job.verdict):

@@ -7,8 +7,8 @@ rendered; `render_pixels` renders a few pixels alone.
 from __future__ import annotations
 
 from chdstat.rendering.batches import Rendering, render_batches
-from chdstat.rendering.capture import render, render_pixels
 from chdstat.rendering.options import RenderOptions, refuse_render
+from chdstat.rendering.renders import render, render_pixels
 
 __all__ = [
     "RenderOptions",

@@ -18,9 +18,9 @@ from chdstat._core.arrays import Image, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.work import Interrupts, track
 from chdstat.rendering.backend import activate
-from chdstat.rendering.capture import checked_renderer
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions, RenderSettings
-from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.renders import checked_renderer
 from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
@@ -102,7 +102,7 @@ class Rendering:
     (8, 8, 3)
     """
 
-    def __init__(self, renderer: Renderer, *, batch: int, progress: bool | None) -> None:
+    def __init__(self, renderer: MitsubaRenderer, *, batch: int, progress: bool | None) -> None:
         self._job, self._renderer, self._progress = renderer.job, renderer, progress
         self.spp, self.batch, self._seconds = renderer.job.options.spp, batch, 0.0
 

@@ -15,8 +15,8 @@ from chdstat._core.arrays import Image
 from chdstat._core.work import Interrupts, Pool, cores, pool
 from chdstat.errors import RenderError, StoreError
 from chdstat.rendering.backend import activate, one_thread
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import IntegratorObject, Job
-from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import grouped
 from chdstat.samples.layout import differing
 from chdstat.samples.store import reopened
@@ -36,7 +36,7 @@ Drawn = Sequence[tuple[Chunk, Image | None]]
 
 
 def rendered(
-    renderer: Renderer,
+    renderer: MitsubaRenderer,
     chunks: Sequence[Chunk],
     client: Client | None = None,
     store: Store | None = None,
@@ -63,7 +63,9 @@ def rendered(
         )
 
 
-def _samples_of(renderer: Renderer, group: Group, **options: Any) -> list[tuple[Chunk, Image]]:
+def _samples_of(
+    renderer: MitsubaRenderer, group: Group, **options: Any
+) -> list[tuple[Chunk, Image]]:
     """Return the samples of chunks that are drawn together."""
     whole, parts = group
     block, first = renderer.chunk(whole, **options), whole.ss.start
@@ -105,7 +107,7 @@ def _collect(
 
 # --- workers of a cluster -----------------------------------------------------------------------
 
-_REMOTE: dict[tuple[Any, ...], Renderer] = {}
+_REMOTE: dict[tuple[Any, ...], MitsubaRenderer] = {}
 """The last renderer of a worker process: building a scene costs more than a chunk."""
 _REMOTE_LOCK = threading.Lock()
 
@@ -137,7 +139,7 @@ def features_remote(job: Job, identity: dict[str, Any]) -> tuple[Mapping[str, Im
 
 
 @contextlib.contextmanager
-def _remote(job: Job, identity: dict[str, Any]) -> Iterator[Renderer]:
+def _remote(job: Job, identity: dict[str, Any]) -> Iterator[MitsubaRenderer]:
     """Yield the renderer of this worker, in one thread at a time.
 
     A pass uses all cores, and Mitsuba's signal handler is not reentrant.
@@ -149,7 +151,7 @@ def _remote(job: Job, identity: dict[str, Any]) -> Iterator[Renderer]:
         if key not in _REMOTE:
             _REMOTE.clear()
             _limit_threads()
-            renderer = Renderer(job)
+            renderer = MitsubaRenderer(job)
             _check_same(identity, renderer.identity)
             _REMOTE[key] = renderer
         yield _REMOTE[key]

@@ -34,7 +34,6 @@ from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.capture import render
 from chdstat.rendering.options import RenderSettings
 from chdstat.rendering.recipes import (
     Recipe,
@@ -44,6 +43,7 @@ from chdstat.rendering.recipes import (
     recipe_of,
     regions_of,
 )
+from chdstat.rendering.renders import render
 from chdstat.reporting import content, figures
 from chdstat.reporting.content import Contents
 from chdstat.reporting.typst import Document, typeset

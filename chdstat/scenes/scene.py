@@ -115,7 +115,7 @@ class Scene(Shown):
         """SHA-256 of everything that the image depends on: description, parameters, files.
 
         It is that of now: it changes with the content of any file that the scene reads. The code
-        of plugins written in Python is not in it; `Renderer.code` has that.
+        of plugins written in Python is not in it; `MitsubaRenderer.code` has that.
         """
         digest = hashlib.sha256()
         with _bounded(self.name):

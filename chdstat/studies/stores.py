@@ -24,7 +24,7 @@ from chdstat.estimators.registry import Model
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.capture import render
+from chdstat.rendering.renders import render
 from chdstat.rendering.seeds import SamplerName
 from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples

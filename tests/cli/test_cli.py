@@ -169,7 +169,7 @@ def test_a_reader_finds_spp_in_few_files(run, tmp_path):
     assert (code, said["spp"], said["size"], said["scene"]) == (0, 5, [4, 4], "cornell-box")
     told = "\n".join(f"{file}: {', '.join(sorted(names))}" for file, names in files.items())
     print(f"{len(files)} files take spp on its way to the store:\n{told}")
-    assert {"rendering/capture.py", "samples/store.py"} <= files.keys()
+    assert {"rendering/renders.py", "samples/store.py"} <= files.keys()
     assert len(files) <= 6, told
 
 

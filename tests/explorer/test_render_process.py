@@ -18,8 +18,8 @@ from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.server import Startup
 from chdstat.explorer.sources import SceneSource
 from chdstat.rendering.backend import activate
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions
-from chdstat.rendering.renderer import Renderer
 
 PIXELS = np.array([[8, 12], [3, 5]])
 
@@ -37,7 +37,7 @@ def test_it_draws_what_the_renderer_draws(job):
     finally:
         render.close()
     with activate(job.verdict):
-        expected = Renderer(job)
+        expected = MitsubaRenderer(job)
         np.testing.assert_array_equal(drawn[0], expected.pixels(PIXELS, 8))
         np.testing.assert_array_equal(drawn[1], expected.pixels(PIXELS, 8, seed=3))
 

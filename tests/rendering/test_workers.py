@@ -18,8 +18,8 @@ from chdstat._core import work
 from chdstat.errors import ClusterError, InputError, RenderError
 from chdstat.rendering import workers
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions
-from chdstat.rendering.renderer import Renderer
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
 
@@ -121,7 +121,7 @@ def test_workers_of_other_versions_are_refused():
 
 def test_a_worker_that_reads_another_scene_is_refused():
     job = Job.of("cornell-box", RenderOptions(size=(8, 8), backend="scalar"))
-    identity = Renderer(job).identity
+    identity = MitsubaRenderer(job).identity
     chunk = next(chunk_grid(8, 8, 1))
     group = chunk, [chunk]
     ((_, block),) = workers.render_remote(job, identity, None, group)

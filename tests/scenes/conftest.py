@@ -1,4 +1,4 @@
-"""Rendering for tests of the scenes: Mitsuba itself, without the capture code."""
+"""Rendering for tests of the scenes: Mitsuba itself, without `render`."""
 
 from __future__ import annotations
 

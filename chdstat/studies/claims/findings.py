@@ -7,13 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from chdstat.studies.claims import assumptions, learned_models, phenomena, renders, whole_image
+from chdstat.studies.claims import (
+    assumptions,
+    between_renders,
+    learned_models,
+    phenomena,
+    whole_image,
+)
 from chdstat.studies.outcomes import Finding
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["FINDINGS", "find"]
 
-_LEAVES = assumptions, learned_models, phenomena, renders, whole_image
+_LEAVES = assumptions, between_renders, learned_models, phenomena, whole_image
 FINDINGS = tuple(
     sorted((claim for leaf in _LEAVES for claim in leaf.CLAIMS), key=lambda claim: claim.number)
 )

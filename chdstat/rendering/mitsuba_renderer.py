@@ -1,4 +1,4 @@
-"""The renderer: one scene in one Mitsuba variant, giving single samples instead of averages.
+"""Mitsuba as a renderer of single samples: one scene in one variant.
 
 A scalar variant draws a chunk in passes of one sample per pixel; llvm and cuda draw it as one
 wavefront. Module `chdstat.rendering.seeds` decides which random numbers each sample owns.
@@ -36,7 +36,7 @@ from chdstat.scenes.settings import check_variant
 if TYPE_CHECKING:
     from chdstat.rendering.guiding import Guide
 
-__all__ = ["Renderer", "check_lights"]
+__all__ = ["MitsubaRenderer", "check_lights"]
 
 _log = logging.getLogger("chdstat")
 _LIBRARIES = tuple(str(Path(file).parent) for file in (chdstat.__file__, np.__file__))
@@ -46,7 +46,7 @@ _RUN = 16
 tenth."""
 
 
-class Renderer:
+class MitsubaRenderer:
     """Renders chunks of samples of one job; safe to call from several threads.
 
     Attributes

@@ -1,4 +1,4 @@
-"""What keeping every sample costs: capture into a store, as a multiple of plain rendering.
+"""What keeping every sample costs: rendering into a store, as a multiple of plain rendering.
 
 The two take turns, so that a busy machine slows both; what counts is the median of their ratios,
 which the design wants at or below 1.10 (scalar) and 1.00 (LLVM). Run with ``--benchmark-only -s``;
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chdstat.rendering import capture
+from chdstat.rendering import renders
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions
-from chdstat.rendering.renderer import Renderer
 from chdstat.scenes import Scene, load_scene
 
 SIZE, SPP, ROUNDS = (128, 128), 256, 7
@@ -40,39 +40,39 @@ def seconds(function: Callable[[], Any]) -> float:
 
 
 @pytest.mark.parametrize("backend", TARGETS)
-def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, backend):
+def test_keeping_against_plain_rendering(benchmark, tmp_path, scene, request, backend):
     verdict = probe(request.getfixturevalue("llvm") if backend == "llvm" else backend)
     ratios: list[float] = []
     with activate(verdict):
         job = Job(scene, RenderOptions(size=SIZE, spp=SPP), verdict)
-        renderer = Renderer(job)
+        renderer = MitsubaRenderer(job)
 
         def plain() -> None:
-            # A film that outlived the call would keep the kernel of the capture from being frozen.
+            # A film that outlived the call would keep the other kernel from being frozen.
             film = renderer._sensor((0, 0), SIZE)
             number = len(ratios)
             np.array(renderer._integrator.render(renderer._scene, film, seed=number, spp=SPP))
 
         def turn() -> None:
             path, attrs = tmp_path / f"{len(ratios)}.zarr", renderer.provenance
-            writer = capture.opened_store(path, attrs, renderer.size)
+            writer = renders.opened_store(path, attrs, renderer.size)
 
-            def captured() -> None:
-                capture._fill(renderer, writer, None, False)
+            def filled() -> None:
+                renders._fill(renderer, writer, None, False)
 
             # Who comes first alternates too.
             if len(ratios) % 2:
-                cost = seconds(captured)
+                cost = seconds(filled)
                 ratios.append(cost / seconds(plain))
             else:
                 base = seconds(plain)
-                ratios.append(seconds(captured) / base)
+                ratios.append(seconds(filled) / base)
 
         plain()
         benchmark.pedantic(turn, rounds=ROUNDS, warmup_rounds=1)
     ratio = statistics.median(ratios[1:])
     benchmark.extra_info["ratio"] = ratio
     print(
-        f"\n{scene.name}, {backend}: capture costs {ratio:.2f} of plain rendering "
+        f"\n{scene.name}, {backend}: keeping them costs {ratio:.2f} of plain rendering "
         f"({min(ratios[1:]):.2f} to {max(ratios[1:]):.2f}, target {TARGETS[backend]:.2f})"
     )

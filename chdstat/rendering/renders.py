@@ -1,4 +1,4 @@
-"""Capture: a scene to samples, chunk by chunk.
+"""Renders: all samples of a scene, chunk by chunk.
 
 `render` keeps every sample, in a store or in memory, and can be stopped and resumed at any moment;
 `render_pixels` draws those of a few pixels on demand.
@@ -23,8 +23,8 @@ from chdstat._core.files import free_disk, place_of
 from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.backend import Backend, Color, activate
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Crop, IntegratorLike, Job, RenderOptions, RenderSettings
-from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import SamplerName, check_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
@@ -222,7 +222,7 @@ def _captured(
         parts = {}
         for which, of_part in partial.items():
             del renderer  # kernels are frozen where one scene is alive only
-            renderer = Renderer(of_part)
+            renderer = MitsubaRenderer(of_part)
             with _writer(renderer, out and out / part_folder(which)) as part:
                 _fill(renderer, part, client, progress)
                 parts[which] = part.finish()
@@ -269,7 +269,7 @@ def render_pixels(
         )
         raise InputError(message)
     with activate(job.verdict):
-        renderer = Renderer(job)
+        renderer = MitsubaRenderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), job.options.spp)
 
 
@@ -300,7 +300,7 @@ def _check_portable(job: Job) -> None:
         raise InputError(message) from error
 
 
-def checked_renderer(job: Job, *, kept: int, out: Path | None) -> Renderer:
+def checked_renderer(job: Job, *, kept: int, out: Path | None) -> MitsubaRenderer:
     """Return the renderer of a job whose samples can be drawn, and so many of a pixel kept.
 
     Raises
@@ -308,7 +308,7 @@ def checked_renderer(job: Job, *, kept: int, out: Path | None) -> Renderer:
     InputError, SceneError, RenderError
         If the scene cannot be rendered as asked, or there is no room for what is kept.
     """
-    renderer, spp = Renderer(job), job.options.spp
+    renderer, spp = MitsubaRenderer(job), job.options.spp
     width, height = renderer.size
     check_spp(job.verdict.backend, width, height, spp, job.options.sequences)
     needed = 12 * width * height * kept
@@ -326,7 +326,7 @@ def checked_renderer(job: Job, *, kept: int, out: Path | None) -> Renderer:
     return renderer
 
 
-def _cut_paths(renderer: Renderer, depths: Collection[int]) -> dict[LightPart, Job]:
+def _cut_paths(renderer: MitsubaRenderer, depths: Collection[int]) -> dict[LightPart, Job]:
     """Return the same job with paths cut after each of some depths, where that cuts any.
 
     A sample of it is that of the whole but for the light that its path meets later: both draw the
@@ -349,7 +349,9 @@ def _cut_paths(renderer: Renderer, depths: Collection[int]) -> dict[LightPart, J
 
 
 @contextlib.contextmanager
-def _features_restored(renderer: Renderer, client: Client | None, writer: Writer) -> Iterator[None]:
+def _features_restored(
+    renderer: MitsubaRenderer, client: Client | None, writer: Writer
+) -> Iterator[None]:
     """Give a writer the first-hit features that it lacks, while its samples are rendered.
 
     One worker of a cluster draws them beside the others, which would wait for them otherwise: they
@@ -371,7 +373,9 @@ def _features_restored(renderer: Renderer, client: Client | None, writer: Writer
             writer.restore(*features)
 
 
-def _fill(renderer: Renderer, writer: Writer, client: Client | None, progress: bool | None) -> None:
+def _fill(
+    renderer: MitsubaRenderer, writer: Writer, client: Client | None, progress: bool | None
+) -> None:
     """Render what is missing, writing each chunk as it arrives."""
     chunks = writer.pending()
     if not chunks:
@@ -436,7 +440,7 @@ Writer = MemoryWriter | Store
 
 
 @contextlib.contextmanager
-def _writer(renderer: Renderer, out: Path | None) -> Iterator[Writer]:
+def _writer(renderer: MitsubaRenderer, out: Path | None) -> Iterator[Writer]:
     """Yield what keeps samples: a store, which may be there already, or memory."""
     if out is None:
         yield MemoryWriter(renderer.provenance, renderer.size)

@@ -22,8 +22,8 @@ import chdstat as chd
 from chdstat._core.arrays import LUMINANCE
 from chdstat.rendering import render_pixels, seeds
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions
-from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
 from chdstat.scenes import load_scene
@@ -129,7 +129,7 @@ def test_the_last_passes_vary_as_independent_ones(streams):
     if streams != "scalar":
         pytest.skip("a wavefront has no passes")
     with activate(probe("scalar")):
-        renderer = Renderer(
+        renderer = MitsubaRenderer(
             Job.of(RANDOM_NUMBERS, RenderOptions(size=SIZE, seed=5, backend="scalar"))
         )
         last = max_spp("scalar", *SIZE)
@@ -162,7 +162,7 @@ def test_passes_chunks_and_single_pixels_share_no_number():
     assert seeds.PASSES * TILE**2 <= 2**32 - seeds.PIXELS
     assert seeds.CHUNKS <= 2**32 - seeds.PIXELS
     for seed in (0, 1, 55, 10_945):
-        renderer = Renderer(
+        renderer = MitsubaRenderer(
             Job.of("cornell-box", RenderOptions(size=(8, 8), seed=seed, backend="scalar"))
         )
         numbers = [renderer._streams.of_pixel(y, x) for y in range(8) for x in range(8)]

@@ -19,10 +19,10 @@ import chdstat as chd
 from chdstat._core.arrays import LUMINANCE
 from chdstat._core.files import place_of
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
-from chdstat.rendering import capture, render_pixels
+from chdstat.rendering import render_pixels, renders
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions, RenderSettings
-from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import layout
 from chdstat.samples.store import Store
@@ -245,7 +245,7 @@ def test_a_finished_store_is_not_touched_and_it_is_said(tmp_path, monkeypatch, c
     path = tmp_path / "s.zarr"
     render(out=path)
     before = contents(path)
-    monkeypatch.setattr(Renderer, "chunk", None)
+    monkeypatch.setattr(MitsubaRenderer, "chunk", None)
     with caplog.at_level(logging.WARNING, logger="chdstat"):
         assert render(out=path).spp == 4
         assert caplog.messages == []
@@ -435,16 +435,16 @@ def test_integrators_that_do_not_sample_radiance(tmp_path, integrator, message):
 
 
 def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monkeypatch):
-    path, draw = tmp_path / "s.zarr", Renderer.chunk
+    path, draw = tmp_path / "s.zarr", MitsubaRenderer.chunk
 
-    def failing(renderer: Renderer, chunk: Any, **options: Any) -> Any:
+    def failing(renderer: MitsubaRenderer, chunk: Any, **options: Any) -> Any:
         if chunk.batch == 2:
             message = "lost"
             raise RuntimeError(message)
         return draw(renderer, chunk, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Renderer, "chunk", failing)
+        patch.setattr(MitsubaRenderer, "chunk", failing)
         with pytest.raises(RuntimeError, match="lost"):
             render(spp=256, out=path)
     assert np.array_equal(render(spp=256, out=path).read(), render(spp=256).read())
@@ -452,15 +452,15 @@ def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monke
 
 @pytest.mark.parametrize("where", ["{}/s.zarr", "memory://unborn/s.zarr"])
 def test_nothing_is_left_where_nothing_could_be_drawn(tmp_path, monkeypatch, where):
-    out, draw, failed = place_of(where.format(tmp_path)), Renderer.chunk, ["whole"]
+    out, draw, failed = place_of(where.format(tmp_path)), MitsubaRenderer.chunk, ["whole"]
 
-    def failing(renderer: Renderer, chunk: Any, **options: Any) -> Any:
+    def failing(renderer: MitsubaRenderer, chunk: Any, **options: Any) -> Any:
         if ("direct" if renderer.integrator["max_depth"] == 2 else "whole") in failed:
             message = "lost"
             raise RuntimeError(message)
         return draw(renderer, chunk, **options)
 
-    monkeypatch.setattr(Renderer, "chunk", failing)
+    monkeypatch.setattr(MitsubaRenderer, "chunk", failing)
     with pytest.raises(RuntimeError, match="lost"):
         render(spp=2, out=out, direct=True)
     assert not out.exists()
@@ -508,7 +508,7 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     job = {"scene": "cornell-box", "size": (1024, 1024), "backend": "scalar", "spp": 3840}
     path = tmp_path / out if out else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(capture, "free_disk", lambda _: 10**9)
+        patch.setattr(renders, "free_disk", lambda _: 10**9)
         patch.setattr("chdstat._core.work.memory", lambda: 10**9)
         with pytest.raises(InputError, match=f"take 48.3 GB{place}"):
             chd.render(**job, out=path)
@@ -544,7 +544,9 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
     kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger[c.index]]
     assert kept
     with activate(probe("scalar")):
-        whole = Renderer(Job.of("cornell-box", RenderOptions(size=(96, 96), backend="scalar")))
+        whole = MitsubaRenderer(
+            Job.of("cornell-box", RenderOptions(size=(96, 96), backend="scalar"))
+        )
         for chunk in kept[-3:]:
             block = done.read(chunk.ys, chunk.xs, chunk.ss)
             assert np.array_equal(block, whole.chunk(chunk))
