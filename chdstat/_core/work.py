@@ -28,7 +28,7 @@ import time
 import warnings
 from asyncio import CancelledError as AsyncCancelledError
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
@@ -68,6 +68,7 @@ __all__ = [
     "checkpoints",
     "client_of",
     "cores",
+    "finished",
     "in_order",
     "installed",
     "kept_until_written",
@@ -136,6 +137,25 @@ class Interrupts:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def finished(work: Generator[Any, None, Result]) -> Result:
+    """Do all steps of a piece of work, and return what it returns.
+
+    Examples
+    --------
+    >>> def work():
+    ...     yield "half of it is done"
+    ...     return 42
+    >>> finished(work())
+    42
+    """
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
 
 
 def cores() -> int:

@@ -18,7 +18,7 @@ _EVERY = 0.4
 """Seconds between two reports."""
 
 Pass = Iterator[tuple[str, float]]
-"""After each step, what is being done, and the share that is done; NaN where it is not known."""
+"""After each step, what is being done, and the share that is done."""
 
 
 class Passes:
@@ -36,6 +36,8 @@ class Passes:
     ----------
     working
         What is being done, as text; empty for nothing.
+    shares
+        By the name of a pass that has begun, the share that is done.
     failures
         By the name of a pass, why it ended early.
 
@@ -54,7 +56,7 @@ class Passes:
         self._work: dict[str, Pass] = {}
         self._asked: dict[Hashable, str] = {}
         self._stopping, self._told = False, 0.0
-        self.working, self.failures = "", dict[str, str]()
+        self.working, self.shares, self.failures = "", dict[str, float](), dict[str, str]()
         self._changed = threading.Condition()
         threading.Thread(target=self._run, name="chdstat-passes", daemon=True).start()
 
@@ -79,6 +81,7 @@ class Passes:
         """Drop all passes, begun or not."""
         with self._changed:
             self._work.clear()
+            self.shares.clear()
             self._asked.clear()
 
     def stop(self) -> None:
@@ -101,9 +104,10 @@ class Passes:
             except Exception as error:  # noqa: BLE001 - told to who waits; the next pass goes on
                 self._end(name, work, f"{type(error).__name__}: {error}")
             else:
+                self.shares[name] = share
                 if time.monotonic() - self._told >= _EVERY:
                     self._told = time.monotonic()
-                    self._say(text + (f", {100 * share:.0f} %" if share >= 0 else ""), name)
+                    self._say(f"{text}, {100 * share:.0f} %", name)
 
     def _latest(self) -> tuple[str, Pass] | None:
         """Wait for something to do; return None at the end."""
@@ -121,6 +125,7 @@ class Passes:
         with self._changed:
             if self._work.get(name) is work:
                 del self._work[name]
+                self.shares.pop(name, None)
             self._asked = {who: asked for who, asked in self._asked.items() if asked != name}
             if why:
                 self.failures[name] = why

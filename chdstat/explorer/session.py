@@ -307,9 +307,10 @@ class Session:
         said = self._refused
         found = None if said or self.view.map == "image" else self._shared.map(self.view)
         if self.view.map != "image" and not said and (found is None or found.done < 1):
-            failed = self._shared.passes.failures.get(self._shared.key(self.view))
-            done = f"{100 * found.done:.0f} %" if found else "being computed"
-            said = f"{map_kind(self.view.map).title}: {failed or done}"
+            passes, key = self._shared.passes, self._shared.key(self.view)
+            share = passes.shares.get(key)
+            done = "being computed" if share is None else f"{100 * share:.0f} %"
+            said = f"{map_kind(self.view.map).title}: {passes.failures.get(key, done)}"
         if found is not None and self.view.limits:
             found = replace(found, ends=self.view.limits)
         self._page.show_map(found, self.view.of_images(len(self._shared.sources))[0])

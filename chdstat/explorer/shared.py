@@ -49,7 +49,7 @@ from chdstat.explorer.sources import (
     stream,
 )
 from chdstat.explorer.view import Pixel, View
-from chdstat.inference.contrasts import Contrast, contrast
+from chdstat.inference.contrasts import Contrast, contrasting
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
@@ -182,12 +182,12 @@ class Shared:
         self.learners, self.given = tuple(learners), given
         empty = Overall.empty(*sources[0].size, len(sources[0].channels))
         self.overalls = [empty for _ in sources]
-        self._contrasts: dict[tuple[int, int], Contrast] = {}
+        self._contrasts: dict[str, Contrast] = {}
         self.maps: dict[str, Map] = {}
         self.suggested: list[tuple[str, Pixel]] = []
-        self.clicks, self.exports, self.additions, self.images, self._others = self._pools = [
+        self.clicks, self.exports, self.additions, self.images = self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
-            for name in ("clicks", "exports", "additions", "images", "others")
+            for name in ("clicks", "exports", "additions", "images")
         ]
         self._listeners: set[Listener] = set()
         self._urgent = 0
@@ -231,9 +231,9 @@ class Shared:
             self._urgent += change
 
     def key(self, view: View) -> str:
-        """Return what a map is called here: its name and what it is of."""
+        """Return what a map is called here, those of one contrast alike."""
         shown, reference = view.of_images(len(self.sources))
-        return f"{view.map} {shown}" + (f" {reference}" if view.map in CONTRASTS else "")
+        return f"contrast {shown} {reference}" if view.map in CONTRASTS else f"{view.map} {shown}"
 
     def want(self, who: Hashable, view: View) -> None:
         """Let a page wait for the map of its view, and for no other one.
@@ -254,7 +254,7 @@ class Shared:
             message = "this image is the reference: choose another one"
             raise InputError(message)
         if view.map in CONTRASTS:
-            self.passes.ask(who, key, self._contrast(key, view.map, shown, reference))
+            self.passes.ask(who, key, self._contrast(key, shown, reference))
         elif isinstance(source, StoreSource):
             self.passes.ask(who, key, self._walk(source, key, view.map))
         else:
@@ -272,7 +272,9 @@ class Shared:
             return difference_of(self.overalls[reference], overall, name)
         if name in IMAGES and not isinstance(self.sources[shown], ImageSource):
             return of_overall(overall, name)
-        return self.maps.get(self.key(view))
+        key = self.key(view)
+        found = self._contrasts.get(key)
+        return self.maps.get(key) if found is None else contrast_of(found, name)
 
     def refresh(self) -> None:
         """Go on with the samples that were added to stores since, if there are any."""
@@ -329,8 +331,7 @@ class Shared:
                 self.maps[key] = replace(kind, values=values, done=share)
             yield f"mapping {kind.title}", share
 
-    def _contrast(self, key: str, name: str, shown: int, reference: int) -> Pass:
-        """Contrast two renders in a thread of its own, as it takes long and has no steps."""
+    def _contrast(self, key: str, shown: int, reference: int) -> Pass:
         pair = reference, shown
         if isinstance(self.sources[reference], ImageSource):
             pair = shown, reference  # what is exact comes second
@@ -338,15 +339,10 @@ class Shared:
         if not isinstance(a, StoreSource) or isinstance(b, SceneSource):
             message = f"a contrast of {a.name} and {b.name} needs the samples of a store"
             raise InputError(message)
-        if pair not in self._contrasts:
-            other: Any = b.samples if isinstance(b, StoreSource) else self.overalls[pair[1]].mean
-            work = self._others.submit(contrast, a.samples, other)
-            while not work.done():
-                time.sleep(0.02)
-                yield f"contrasting {a.name} and {b.name}", float("nan")
-            self._contrasts[pair] = work.result()
+        other = b.samples if isinstance(b, StoreSource) else self.overalls[pair[1]].mean
+        found = yield from contrasting(a.samples, other)
         names = self.names[pair[0]], self.names[pair[1]]
-        self.maps[key] = contrast_of(replace(self._contrasts[pair], names=names), name)
+        self._contrasts[key] = replace(found, names=names)
 
 
 def _first(source: StoreSource) -> Overall:

@@ -6,6 +6,7 @@ render against a converged image: per pixel, and over regions, which show what n
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,6 +20,7 @@ from chdstat._core.display import Card, Shown, Width, number, percent, png, with
 from chdstat._core.image_scales import tonemap
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
+from chdstat._core.work import finished
 from chdstat.errors import Reason, check_probability
 from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import CHANCE_TO_MISS, Cells, WindowTest, scan_windows, window_sums
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
     from chdstat.io.exr import ExrImage
 
-__all__ = ["Contrast", "contrast"]
+__all__ = ["Contrast", "contrast", "contrasting"]
 
 Outcome = Literal["no difference found", "differ", "cannot tell"]
 
@@ -317,13 +319,30 @@ def contrast(
     >>> found.outcome, found.window
     ('differ', (0, 0, 16, 16))
     """
+    options: dict[str, Any] = {"alpha": alpha, "seconds": seconds, "seed": seed}
+    return finished(contrasting(a, b, **options, distributions=distributions))
+
+
+def contrasting(
+    a: ImageLike,
+    b: ImageLike | ExrImage | npt.ArrayLike,
+    *,
+    alpha: float = 0.05,
+    seconds: float | None = None,
+    distributions: bool = False,
+    seed: Seed = 0,
+) -> Generator[tuple[str, float], None, Contrast]:
+    """Return what `contrast` does, in steps.
+
+    Yields what is being done, and which share of it is done.
+    """
     check_probability(alpha=alpha)
     pair, seed = Pair.of(a, b, seconds), seed_number(seed)
-    maps, cells, edge = pair.compare()
+    maps, cells, edge = yield from pair.compare()
     p = maps["p_value"]
     height, width, bands = p.shape
     q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
-    scan = scan_windows(cells, seed=seed)
+    scan = yield from scan_windows(cells, seed=seed)
     smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
     parts = scan.p_value / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
     p_image = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))

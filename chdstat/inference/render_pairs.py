@@ -10,7 +10,7 @@ samples in both: if both renders are of one distribution, any of all units may a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -154,8 +154,10 @@ class Pair:
         width = np.minimum(self.terms, self.units[i] - block * self.terms)
         return np.asarray(block * self.terms + within % width)
 
-    def compare(self) -> tuple[dict[str, Any], Cells, int]:
-        """Read the samples once, and return maps, sums over cells, and the edge of a cell.
+    def compare(self) -> Generator[tuple[str, float], None, tuple[dict[str, Any], Cells, int]]:
+        """Read the samples once; yield what is being done, and the share that is done.
+
+        Returns maps, sums over cells, and the edge of a cell.
 
         Maps are ``mean_a``, ``mean_b``, ``p_value`` and ``standard_error`` of the difference, shape
         (y, x, band), luminance first where there are R, G and B; ``variance_a`` and ``variance_b``
@@ -168,7 +170,10 @@ class Pair:
         in_memory = self.terms + sum(self.units)
         rows = max(1, _AT_ONCE // (width * bands * in_memory * cell)) * cell
         left_out = LeftOut()
-        tiles = [self._tile(ys, cell, left_out) for ys in spans(height, rows)]
+        tiles = []
+        for ys in spans(height, rows):
+            tiles.append(self._tile(ys, cell, left_out))
+            yield "contrasting pixels", ys.stop / height
         left_out.warn()
         parts = [tile.pop("moments") for tile in tiles]
         maps = {

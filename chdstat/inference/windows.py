@@ -13,6 +13,7 @@ its sign are not exact. Then all divisions of the samples of both are compared, 
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
@@ -225,7 +226,7 @@ class WindowTest:
     unseen: tuple[float, int] | None = None
 
 
-def scan_windows(cells: Cells, *, seed: Seed = 0) -> WindowTest:
+def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float], None, WindowTest]:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
     Every window's sum over the root of its sum of squares is compared, as the largest of its size,
@@ -237,7 +238,8 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> WindowTest:
 
     With units, random divisions of the units of both renders are compared, too, which is exact
     for renders of one distribution; flips are right for many samples where only the means agree.
-    The larger p-value counts. `seed` is that of flips and divisions.
+    The larger p-value counts. `seed` is that of flips and divisions. Yields what is being done, and
+    the share that is done.
 
     References
     ----------
@@ -255,12 +257,16 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> WindowTest:
     # Powers of 2, and the whole image last.
     edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
     scores, of_divisions, places, crossings = [], [], [], []
+    weightings = (lambda x, _: x), _weighted
+    total, done = len(d) * len(weightings) * len(edges), 0
     for band in range(len(d)):
-        for weigh in (lambda x, _: x, _weighted):
+        for weigh in weightings:
             values = weigh(d[band], mean[band])
             if cells.units is not None and cells.unit_level is not None:
                 units = weigh(cells.units[band], cells.unit_level[band])
             for edge in edges:
+                yield "contrasting regions", done / total
+                done += 1
                 if divisions is not None:
                     divided = _divided(divisions, window_sums(units, edge)[0]).max(axis=1)
                     of_divisions.append(_log_p(divided, _independent(divided[1:])))

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import threading
+import time
 
+import numpy as np
 import pytest
 
+import chdstat as chd
 from chdstat.errors import StoreError
 from chdstat.explorer.passes import Passes
+from chdstat.explorer.shared import opened
+from chdstat.explorer.view import View
 
 
 class Stepped:
@@ -103,3 +108,39 @@ def test_what_is_forgotten_is_begun_anew(stepped):
     passes.ask("one", "a", stepped.work("a", count=2))
     stepped.ends("a")
     assert stepped.steps == ["a"] * 3
+
+
+def test_a_contrast_stands_still_while_nobody_waits_and_is_one_for_all_its_maps(monkeypatch):
+    renders = np.random.default_rng(1).gamma(1.0, size=(2, 8, 8, 3, 16))
+    shared = opened([chd.Samples.from_array(x, axes="yxcs", scene="noise") for x in renders])
+    steps = []
+
+    def contrasting(a, b):
+        for i in range(100):
+            steps.append(i)
+            time.sleep(0.005)
+            yield "contrasting", i / 100
+        return chd.contrast(a, b)
+
+    def soon(condition):
+        until = time.monotonic() + 20
+        while not condition() and time.monotonic() < until:
+            time.sleep(0.005)
+        assert condition()
+
+    monkeypatch.setattr("chdstat.explorer.shared.contrasting", contrasting)
+    one, other = (View(map=f"contrast:{n}", shown=1, reference=0) for n in ("p", "efficiency"))
+    shared.want("page", one)
+    soon(lambda: len(steps) > 3)
+    shared.want("page", View())  # the image again
+    time.sleep(0.05)  # for the step that was begun
+    before = len(steps)
+    time.sleep(0.1)
+    assert len(steps) == before < 100
+    assert shared.passes.shares[shared.key(one)] == steps[-1] / 100
+    shared.want("page", other)
+    soon(lambda: shared.map(other) is not None)
+    assert steps == list(range(100))  # it went on where it stopped, once for both
+    assert shared.map(one).title == "Significance of the difference"
+    soon(lambda: not shared.passes.shares)
+    shared.stop()

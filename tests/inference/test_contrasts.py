@@ -10,8 +10,10 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat._core.resampling import p_of_signs
+from chdstat._core.work import finished
 from chdstat.errors import InputError, Reason
 from chdstat.inference import contrast
+from chdstat.inference.contrasts import contrasting
 from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import Cells, scan_windows, window_sums
 from chdstat.io import read_exr, write_exr
@@ -132,7 +134,7 @@ def test_windows_that_missed_rare_bright_samples_are_not_darker():
         x = rng.gamma(0.5, size=(16, 16, 32))
         lives, drawn = rng.random(x.shape) < 0.1, rng.random(x.shape) < 0.02
         cells = (drawn * x * (lives / 0.1 - 1)).reshape(4, 4, 4, 4, 32).sum(axis=(1, 3))
-        p.append(scan_windows(Cells(cells[np.newaxis], level), seed=seed).p_value)
+        p.append(finished(scan_windows(Cells(cells[np.newaxis], level), seed=seed)).p_value)
     assert np.sum(np.array(p) <= 0.05) <= 16
 
 
@@ -143,7 +145,7 @@ def test_windows_without_light_beside_bright_ones_say_nothing():
         d = rng.lognormal(0, 2, (1, 12, 12, 16)) * rng.choice([-1, 1], (1, 12, 12, 16))
         d[:, 3:9, 2:10] = 0
         d *= rng.random(d.shape) < 0.2
-        assert 0 < scan_windows(Cells(d, np.ones(d.shape))).p_value <= 1
+        assert 0 < finished(scan_windows(Cells(d, np.ones(d.shape)))).p_value <= 1
 
 
 # --- unequal numbers of samples -----------------------------------------------------------------
@@ -327,10 +329,10 @@ def test_windows_count_every_cell():
     np.testing.assert_allclose(window_sums(x, 13)[0][0, 0], x.sum((0, 1)))
     one_flash = np.zeros((1, 4, 4, 16))
     one_flash[0, 1, 1, 3] = 1.0
-    assert scan_windows(Cells(one_flash, np.ones((1, 4, 4, 16)))).p_value == 1
+    assert finished(scan_windows(Cells(one_flash, np.ones((1, 4, 4, 16))))).p_value == 1
     still = np.tile([1.0, -1.0], 8) * np.ones((1, 4, 4, 1))  # sums that are 0
-    assert scan_windows(Cells(still, np.ones((1, 4, 4, 16)))).p_value == 1
-    none = scan_windows(Cells(np.zeros((1, 4, 4, 16)), np.ones((1, 4, 4, 16))))
+    assert finished(scan_windows(Cells(still, np.ones((1, 4, 4, 16))))).p_value == 1
+    none = finished(scan_windows(Cells(np.zeros((1, 4, 4, 16)), np.ones((1, 4, 4, 16)))))
     assert np.isnan(none.p_value)
 
 
@@ -532,3 +534,14 @@ def test_shapes_that_differ_are_found_where_means_do_not():
         assert (q[8:] <= 0.05).mean() < 0.1
         assert 0.4 < found.to_dict()[f"share_of_{name}s"] < 0.6
     assert "distributions differ" in found.table()
+
+
+def test_the_share_that_is_done_rises(monkeypatch):
+    monkeypatch.setattr("chdstat.inference.render_pairs._AT_ONCE", 1)
+    one, other = np.random.default_rng(1).gamma(1.0, size=(2, 16, 16, 3, 16))
+    told = list(contrasting(one, other))
+    for text in ("contrasting pixels", "contrasting regions"):
+        shares = [share for what, share in told if what == text]
+        assert len(shares) >= 4
+        assert shares == sorted(set(shares))
+        assert 0 <= shares[0] < shares[-1] <= 1
