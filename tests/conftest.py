@@ -114,7 +114,7 @@ def model(stored: Callable[..., Path]) -> Callable[[str], Any]:
 @pytest.fixture(scope="session")
 def llvm() -> str:
     """Return the name of the LLVM backend; skip where it does not work."""
-    verdict = probe("llvm")
-    if not verdict.works:
-        pytest.skip(f"no LLVM backend here: {verdict.detail}")
-    return verdict.backend
+    llvm = probe("llvm")
+    if not llvm.works:
+        pytest.skip(f"no LLVM backend here: {llvm.detail}")
+    return llvm.name

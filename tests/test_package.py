@@ -64,14 +64,13 @@ DOWNSTREAM = {
 """Imports against that order, inside methods that show or write a result."""
 
 SAME_CLASSES = {
-    *("Density", "Estimate", "Fitted", "Found", "Indices", "Kind", "Outcome", "Pixel", "Places"),
-    *("Scale", "Seed", "Share", "Source", "Verdict", "Window"),
+    *("Density", "Estimate", "Fitted", "Indices", "Outcome", "Pixel", "Places", "Scale", "Share"),
+    *("Source", "Window"),
 }
 """Names that two classes or aliases still share. Take out what is renamed; add none."""
 
 SAME_MODULES = {
-    *("arrays", "errors", "estimators", "files", "histograms", "maps", "samples", "selection"),
-    *("statistics", "tables"),
+    *("arrays", "errors", "estimators", "files", "maps", "samples", "selection", "tables"),
 }
 """Names that two modules still share. Take out what is renamed; add none."""
 

@@ -96,7 +96,7 @@ class RenderProcess:
         with self._lock:
             _ = self.described
             if self._child is None:
-                with activate(self.job.verdict):
+                with activate(self.job.backend):
                     return getattr(self._renderer, method)(*arguments, **options)
             try:
                 self._send((method, arguments, options))
@@ -158,7 +158,7 @@ def serve() -> None:
         built.append(MitsubaRenderer(job))
         return _described(built[0])
 
-    with activate(job.verdict):
+    with activate(job.backend):
         reply(build)
         while built:
             try:

@@ -28,7 +28,7 @@ __all__ = [
     "COLORS",
     "Backend",
     "Color",
-    "Verdict",
+    "TriedBackend",
     "activate",
     "examine",
     "one_thread",
@@ -57,10 +57,10 @@ _TIMEOUT = 120.0
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What trying a backend in a child process has shown."""
+class TriedBackend:
+    """A backend, and whether it works here, as trying it in a child process has shown."""
 
-    backend: str
+    name: str
     works: bool
     detail: str
     library: str | None = None
@@ -69,10 +69,10 @@ class Verdict:
     @property
     def variant(self) -> str:
         """Name of Mitsuba's variant."""
-        return BACKENDS[self.backend].removesuffix("rgb") + self.color
+        return BACKENDS[self.name].removesuffix("rgb") + self.color
 
 
-def resolve(backend: Backend = "auto", color: Color = "rgb") -> Verdict:
+def resolve(backend: Backend = "auto", color: Color = "rgb") -> TriedBackend:
     """Return the backend to use: the one asked for, or the fastest that has proved itself.
 
     Raises
@@ -88,23 +88,23 @@ def resolve(backend: Backend = "auto", color: Color = "rgb") -> Verdict:
         message = "Mitsuba has no scalar variant in mono; use the llvm or cuda backend"
         raise InputError(message)
     if backend == "auto":
-        verdicts = (probe(name) for name in ("cuda", "llvm", "scalar"))
-        verdict = next(v for v in verdicts if v.works)
-        if color == "mono" and verdict.backend == "scalar":
+        found = (probe(name) for name in ("cuda", "llvm", "scalar"))
+        tried = next(one for one in found if one.works)
+        if color == "mono" and tried.name == "scalar":
             message = (
                 "color='mono' needs the llvm or cuda backend, of which none works here, see: "
                 "chdstat doctor"
             )
             raise RenderError(message)
-        return replace(verdict, color=color)
-    verdict = probe(backend)
-    if not verdict.works:
-        message = f"the {backend} backend does not work here: {verdict.detail}. Use scalar or auto"
+        return replace(tried, color=color)
+    tried = probe(backend)
+    if not tried.works:
+        message = f"the {backend} backend does not work here: {tried.detail}. Use scalar or auto"
         raise RenderError(message)
-    return replace(verdict, color=color)
+    return replace(tried, color=color)
 
 
-def probe(backend: str, *, fresh: bool = False) -> Verdict:
+def probe(backend: str, *, fresh: bool = False) -> TriedBackend:
     """Try a backend in a child process, or recall what an earlier trial has shown.
 
     Parameters
@@ -126,35 +126,35 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
         )
         raise InputError(message)
     if backend == "scalar":
-        return Verdict("scalar", works=True, detail="built into Mitsuba")
+        return TriedBackend("scalar", works=True, detail="built into Mitsuba")
     if backend == "cuda":
         devices = ("/dev/nvidia0", "/dev/dxg", "C:/Windows/System32/nvcuda.dll")
         if not any(Path(device).exists() for device in devices):
-            return Verdict("cuda", works=False, detail="no NVIDIA device")
+            return TriedBackend("cuda", works=False, detail="no NVIDIA device")
         return _trial("cuda", None, fresh=fresh)
     failures = []
     for library in llvm_libraries():
-        verdict = _trial("llvm", library, fresh=fresh)
-        if verdict.works:
-            return verdict
-        failures.append(f"{Path(library).name}: {verdict.detail}")
+        tried = _trial("llvm", library, fresh=fresh)
+        if tried.works:
+            return tried
+        failures.append(f"{Path(library).name}: {tried.detail}")
     detail = "; ".join(failures) or "no LLVM library found"
-    return Verdict("llvm", works=False, detail=detail)
+    return TriedBackend("llvm", works=False, detail=detail)
 
 
 @contextlib.contextmanager
-def activate(verdict: Verdict) -> Iterator[Any]:
+def activate(backend: TriedBackend) -> Iterator[Any]:
     """Set the Mitsuba variant of a backend, yield the module, and restore what was set before.
 
     An error that leaves the context holds no scene: Dr.Jit would call the materials of a scene that
     is alive in the next render, too.
     """
-    if verdict.library is not None:
-        os.environ.setdefault(_LIBRARY_VARIABLE, verdict.library)
+    if backend.library is not None:
+        os.environ.setdefault(_LIBRARY_VARIABLE, backend.library)
     import mitsuba as mi
 
     previous = mi.variant()
-    mi.set_variant(verdict.variant)
+    mi.set_variant(backend.variant)
     mi.set_log_level(mi.LogLevel.Error)
     try:
         yield mi
@@ -204,13 +204,13 @@ def llvm_libraries() -> list[str]:
     return [str(path) for path in sorted(found, key=version, reverse=True)]
 
 
-def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
-    """Return the cached verdict on a library, or render with it in a child process."""
+def _trial(backend: str, library: str | None, *, fresh: bool) -> TriedBackend:
+    """Return the cached answer for a library, or render with it in a child process."""
     changed = Path(library).stat().st_mtime_ns if library and Path(library).exists() else 0
     inputs = (library, changed, importlib.metadata.version("mitsuba"))
     cache = Cache(user_cache(), "backend")
     return cache.record(
-        backend, Verdict, lambda: _try_in_child(backend, library), inputs=inputs, again=fresh
+        backend, TriedBackend, lambda: _try_in_child(backend, library), inputs=inputs, again=fresh
     )
 
 
@@ -223,7 +223,7 @@ assert np.isfinite(image).all() and image.mean() > 0
 """
 
 
-def _try_in_child(backend: str, library: str | None) -> Verdict:
+def _try_in_child(backend: str, library: str | None) -> TriedBackend:
     environment = dict(os.environ)
     if library is not None:
         environment[_LIBRARY_VARIABLE] = library
@@ -233,13 +233,15 @@ def _try_in_child(backend: str, library: str | None) -> Verdict:
             command, env=environment, capture_output=True, text=True, timeout=_TIMEOUT, check=False
         )
     except subprocess.TimeoutExpired:
-        return Verdict(backend, False, f"no image in {_TIMEOUT:.0f} s", library)
+        return TriedBackend(backend, False, f"no image in {_TIMEOUT:.0f} s", library)
     if done.returncode == 0:
-        return Verdict(backend, True, "rendered an image", library)
+        return TriedBackend(backend, True, "rendered an image", library)
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     errors = [line for line in lines if "rror" in line or "Cannot" in line]
     ended = f"aborted by signal {-done.returncode}" if done.returncode < 0 else "raised"
-    return Verdict(backend, False, f"{ended} ({[*errors, *lines, 'no output'][0][:120]})", library)
+    return TriedBackend(
+        backend, False, f"{ended} ({[*errors, *lines, 'no output'][0][:120]})", library
+    )
 
 
 _PACKAGES = ("chdstat", "mitsuba", "drjit", "numpy", "scipy", "torch", "xarray", "zarr", "typst")
@@ -253,14 +255,14 @@ def examine(*, fresh: bool = False) -> dict[str, Any]:
     fresh
         Try backends again where an answer is cached.
     """
-    verdicts = {name: probe(name, fresh=fresh) for name in BACKENDS}
+    tried = {name: probe(name, fresh=fresh) for name in BACKENDS}
     return {
         "backends": {
             name: f"{'works' if v.works else 'does not work'}: {v.detail}"
             + (f" ({v.library})" if v.works and v.library else "")
-            for name, v in verdicts.items()
+            for name, v in tried.items()
         },
-        "auto_uses": next(n for n in ("cuda", "llvm", "scalar") if verdicts[n].works),
+        "auto_uses": next(n for n in ("cuda", "llvm", "scalar") if tried[n].works),
         "llvm_libraries": llvm_libraries(),
         "torch_device": _torch_device(),
         "cores": cores(),

@@ -130,7 +130,7 @@ class Rendering:
     @cached_property
     def features(self) -> dict[str, Image]:
         """First-hit features, as `Samples.features`; rendered when they are first asked for."""
-        with activate(self._job.verdict):
+        with activate(self._job.backend):
             return self._renderer.features()[0]
 
     @contextlib.contextmanager
@@ -147,7 +147,7 @@ class Rendering:
         workers : int
             Threads that may read at once.
         """
-        with activate(self._job.verdict), Interrupts() as interrupts, at_once(self._job) as threads:
+        with activate(self._job.backend), Interrupts() as interrupts, at_once(self._job) as threads:
             draw = partial(self._renderer.chunk, before_pass=interrupts.before_pass)
             source = _Drawn(self._job, self._renderer.identity, self.shape, draw)
             yield Samples(source, attrs=self.attrs, features={}), threads
@@ -189,7 +189,7 @@ class Rendering:
         sequences = self._job.options.sequences
         if sequences is not None:
             return sequences.span
-        return few if self._job.verdict.backend == "scalar" else BATCH
+        return few if self._job.backend.name == "scalar" else BATCH
 
     def _block(self, ss: slice, few: int, advance: Callable[[float], None]) -> Image:
         """Draw some samples of all pixels, `few` of a tile at once."""
@@ -210,7 +210,7 @@ class Rendering:
         """
         start, tiles = time.monotonic(), list(chunk_grid(*self.shape[:2], 1))
         chunks = [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
-        with activate(self._job.verdict):
+        with activate(self._job.backend):
             for chunk, part in rendered(self._renderer, chunks):
                 assert part is not None, "without a store, samples are yielded"
                 yield chunk, part

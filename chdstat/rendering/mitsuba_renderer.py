@@ -65,9 +65,9 @@ class MitsubaRenderer:
     """
 
     def __init__(self, job: Job) -> None:
-        with activate(job.verdict) as mi:
+        with activate(job.backend) as mi:
             self.job, self._mi = job, mi
-            self._scalar = job.verdict.backend == "scalar"
+            self._scalar = job.backend.name == "scalar"
             self.files, self.scene_hash = job.scene.files(), job.scene.hash
             self._asked = asked = job.asked()
             live = job.scene.source if isinstance(job.scene.source, LiveScene) else None
@@ -149,8 +149,8 @@ class MitsubaRenderer:
             "light": job.light,
             "spp": job.options.spp,
             "seed": job.options.seed,
-            "backend": job.verdict.backend,
-            "color": job.verdict.color,
+            "backend": job.backend.name,
+            "color": job.backend.color,
             "mitsuba_version": importlib.metadata.version("mitsuba"),
             "chdstat_version": importlib.metadata.version("chdstat"),
             "filter": "box",

@@ -15,7 +15,7 @@ import numpy as np
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat.errors import InputError, RenderError
-from chdstat.rendering.backend import BACKENDS, Backend, Color, Verdict, activate, resolve
+from chdstat.rendering.backend import BACKENDS, Backend, Color, TriedBackend, activate, resolve
 from chdstat.rendering.seeds import SEEDS, SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
 from chdstat.scenes.plugins import Plugin, code_of, loaded, register
@@ -211,7 +211,7 @@ class Job:
     ----------
     scene, options
         What is rendered, and how.
-    verdict
+    backend
         The backend that renders.
     light
         The name or pattern of the lights that are on; None for all.
@@ -223,7 +223,7 @@ class Job:
 
     scene: Scene
     options: RenderOptions
-    verdict: Verdict
+    backend: TriedBackend
     light: str | None = None
     plugins: tuple[Plugin, ...] = field(default_factory=loaded)
     guide: Guide | None = None
@@ -260,7 +260,7 @@ class Job:
                 raise InputError(message)
         options = replace(options, integrator=integrator, backend=backend)
         job = cls(found, options, resolve(backend, options.color))
-        if job.guided and (job.verdict.backend == "scalar" or isinstance(found.source, LiveScene)):
+        if job.guided and (job.backend.name == "scalar" or isinstance(found.source, LiveScene)):
             message = (
                 f"integrator {GUIDED!r} renders files and dicts with the llvm and cuda backends, "
                 f"got {backend=} and {found.name!r}; see: chdstat doctor"
@@ -278,7 +278,7 @@ class Job:
         """
         from chdstat.scenes.loading import parse
 
-        register(self.plugins, self.verdict.variant)
+        register(self.plugins, self.backend.variant)
         parsed, instead = parse(self.scene), None
         given: Any = self.options.integrator
         if given is not None and not self.guided:
@@ -314,7 +314,7 @@ def scene_integrator(scene: SceneLike) -> str:
 
 def _view_of(scene: SceneLike) -> tuple[tuple[int, int], str]:
     job = Job(load_scene(scene), RenderOptions(), resolve("scalar"))
-    with activate(job.verdict):
+    with activate(job.backend):
         asked = job.asked()
         return asked.film.crop_size, asked.integrator.plugin(0)
 
@@ -389,15 +389,17 @@ def _own_backend(what: str, value: Any, backend: str, color: str) -> Backend:
         If another one than that is asked for, or another colour.
     """
     own = str(value.variant_name())
-    wanted = Verdict(own.partition("_")[0] if backend == "auto" else backend, True, "", color=color)
-    if wanted.backend not in BACKENDS or own != wanted.variant:
+    wanted = TriedBackend(
+        own.partition("_")[0] if backend == "auto" else backend, True, "", color=color
+    )
+    if wanted.name not in BACKENDS or own != wanted.variant:
         message = (
-            f"{what} of the variant {own}, which cannot render with the {wanted.backend} backend "
+            f"{what} of the variant {own}, which cannot render with the {wanted.name} backend "
             f"in {color}; make it in the variant of these (see mitsuba.set_variant), give backend "
             "and color of its own, or give it as a dict"
         )
         raise InputError(message)
-    return cast("Backend", wanted.backend)
+    return cast("Backend", wanted.name)
 
 
 def _number(text: str) -> str | int | float:

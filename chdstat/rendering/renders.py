@@ -196,7 +196,7 @@ def render(
         job = replace(job, guide=Guide.of_arrays(kept))
     if client is not None:
         _check_portable(job)
-    with activate(job.verdict):
+    with activate(job.backend):
         return _captured(
             job, depths, by_light, None if out is None else place_of(out), client, progress
         )
@@ -268,7 +268,7 @@ def render_pixels(
             f"samples of single pixels are independent; leave out sampler={job.options.sampler!r}"
         )
         raise InputError(message)
-    with activate(job.verdict):
+    with activate(job.backend):
         renderer = MitsubaRenderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), job.options.spp)
 
@@ -310,7 +310,7 @@ def checked_renderer(job: Job, *, kept: int, out: Path | None) -> MitsubaRendere
     """
     renderer, spp = MitsubaRenderer(job), job.options.spp
     width, height = renderer.size
-    check_spp(job.verdict.backend, width, height, spp, job.options.sequences)
+    check_spp(job.backend.name, width, height, spp, job.options.sequences)
     needed = 12 * width * height * kept
     what = f"{kept} samples for each of {width} x {height} pixels"
     if out is None:

@@ -79,7 +79,7 @@ def at_once(job: Job) -> Iterator[int]:
     A scalar pass is too short to be shared among threads: one chunk per core, each pass in the
     thread that asked for it, keeps the caches warm. A wavefront uses all cores by itself.
     """
-    if job.verdict.backend != "scalar":
+    if job.backend.name != "scalar":
         yield 1
         return
     integrator = job.options.integrator
@@ -145,9 +145,9 @@ def _remote(job: Job, identity: dict[str, Any]) -> Iterator[MitsubaRenderer]:
     A pass uses all cores, and Mitsuba's signal handler is not reentrant.
     """
     options = replace(job.options, spp=1)  # any number of samples takes the same renderer
-    parts = identity["scene_hash"], identity["scene_code"], options, job.verdict, job.light
+    parts = identity["scene_hash"], identity["scene_code"], options, job.backend, job.light
     key = (str(parts), job.plugins)
-    with activate(job.verdict), _REMOTE_LOCK:
+    with activate(job.backend), _REMOTE_LOCK:
         if key not in _REMOTE:
             _REMOTE.clear()
             _limit_threads()

@@ -39,7 +39,7 @@ def errors(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def test_errors_of_guided_renders(as_benchmark):
-    if resolve("auto").backend == "scalar":
+    if resolve("auto").name == "scalar":
         pytest.skip("guided renders need the llvm or cuda backend")
     folder = Path(os.environ.get("CHDSTAT_SCENES", ""))
     print(f"\n{SPP} spp, {SEEDS} seeds\n{'scene':28}   MSE relMSE  time  equal time    bias")

@@ -41,10 +41,10 @@ def seconds(function: Callable[[], Any]) -> float:
 
 @pytest.mark.parametrize("backend", TARGETS)
 def test_keeping_against_plain_rendering(benchmark, tmp_path, scene, request, backend):
-    verdict = probe(request.getfixturevalue("llvm") if backend == "llvm" else backend)
+    tried = probe(request.getfixturevalue("llvm") if backend == "llvm" else backend)
     ratios: list[float] = []
-    with activate(verdict):
-        job = Job(scene, RenderOptions(size=SIZE, spp=SPP), verdict)
+    with activate(tried):
+        job = Job(scene, RenderOptions(size=SIZE, spp=SPP), tried)
         renderer = MitsubaRenderer(job)
 
         def plain() -> None:

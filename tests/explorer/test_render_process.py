@@ -36,7 +36,7 @@ def test_it_draws_what_the_renderer_draws(job):
         drawn = [render("pixels", PIXELS, 8, seed=seed) for seed in (None, 3)]
     finally:
         render.close()
-    with activate(job.verdict):
+    with activate(job.backend):
         expected = MitsubaRenderer(job)
         np.testing.assert_array_equal(drawn[0], expected.pixels(PIXELS, 8))
         np.testing.assert_array_equal(drawn[1], expected.pixels(PIXELS, 8, seed=3))

@@ -8,7 +8,7 @@ import pytest
 
 from chdstat.errors import InputError, RenderError
 from chdstat.rendering import backend
-from chdstat.rendering.backend import Verdict, activate, llvm_libraries, probe, resolve
+from chdstat.rendering.backend import TriedBackend, activate, llvm_libraries, probe, resolve
 
 LIBRARY = "/nowhere/libLLVM.so.99"
 
@@ -34,14 +34,14 @@ def child(monkeypatch):
 def test_scalar_needs_no_trial(no_cache, child):
     child("raise SystemExit(1)")
     assert probe("scalar").works
-    assert resolve("scalar").backend == "scalar"
+    assert resolve("scalar").name == "scalar"
     assert not no_cache.exists()
 
 
 def test_answers_are_cached_until_asked_afresh(no_cache, child, monkeypatch):
     child("pass")
     first = probe("llvm")
-    assert first == Verdict("llvm", works=True, detail="rendered an image", library=LIBRARY)
+    assert first == TriedBackend("llvm", works=True, detail="rendered an image", library=LIBRARY)
     assert len(list(no_cache.iterdir())) == 1
     child("raise SystemExit('broken since')")
     assert probe("llvm") == first
@@ -63,13 +63,13 @@ def test_answers_are_cached_until_asked_afresh(no_cache, child, monkeypatch):
         ("import time; time.sleep(60)", "no image in 2 s"),
     ],
 )
-def test_a_child_that_draws_no_image_is_a_verdict(no_cache, child, monkeypatch, code, detail):
+def test_a_child_that_draws_no_image_is_told(no_cache, child, monkeypatch, code, detail):
     monkeypatch.setattr(backend, "_TIMEOUT", 2.0)
     child(code)
     assert detail in probe("llvm").detail
     with pytest.raises(RenderError, match="llvm backend does not work here: .*Use scalar or auto"):
         resolve("llvm")
-    assert resolve("auto").backend == "scalar"
+    assert resolve("auto").name == "scalar"
 
 
 def test_the_child_gets_the_library_and_the_variant(no_cache, child):
@@ -100,7 +100,7 @@ def test_unknown_names_are_refused():
 
 def test_without_a_library_there_is_no_llvm(no_cache, monkeypatch):
     monkeypatch.setattr(backend, "llvm_libraries", list)
-    assert probe("llvm") == Verdict("llvm", works=False, detail="no LLVM library found")
+    assert probe("llvm") == TriedBackend("llvm", works=False, detail="no LLVM library found")
 
 
 def test_the_newest_library_that_works_is_taken(no_cache, child, monkeypatch):
@@ -144,7 +144,7 @@ def test_activating_restores_the_variant():
 
 
 def test_activating_names_the_library_but_heeds_the_user(monkeypatch):
-    verdict = replace(probe("scalar"), library=LIBRARY)
+    tried = replace(probe("scalar"), library=LIBRARY)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/my/own.so")
-    with activate(verdict):
+    with activate(tried):
         assert os.environ["DRJIT_LIBLLVM_PATH"] == "/my/own.so"

@@ -17,7 +17,7 @@ import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering import backend as backends
 from chdstat.rendering import render_pixels
-from chdstat.rendering.backend import Verdict, activate, probe, resolve
+from chdstat.rendering.backend import TriedBackend, activate, probe, resolve
 
 CASES = [("scalar", "spectral"), ("llvm", "spectral"), ("llvm", "mono")]
 SCENE: dict[str, Any] = {
@@ -103,6 +103,6 @@ def test_colors_that_cannot_be_rendered_are_told(monkeypatch):
     with pytest.raises(InputError, match="no scalar variant in mono; use the llvm"):
         chd.render(SCENE, color="mono", backend="scalar")
     scalar = {"scalar": True, "llvm": False, "cuda": False}
-    monkeypatch.setattr(backends, "probe", lambda name: Verdict(name, scalar[name], "a test"))
+    monkeypatch.setattr(backends, "probe", lambda name: TriedBackend(name, scalar[name], "a test"))
     with pytest.raises(RenderError, match="color='mono' needs the llvm or cuda backend"):
         chd.render(SCENE, color="mono")
