@@ -276,7 +276,7 @@ class Job:
         InputError, SceneError, RenderError
             If there is no such sensor, or its film, the integrator or a plugin cannot be used.
         """
-        from chdstat.scenes.loading import parse
+        from chdstat.scenes.parsing import parse
 
         register(self.plugins, self.backend.variant)
         parsed, instead = parse(self.scene), None

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
+from chdstat.scenes.builtin import BUILTIN, REMAKES
 from chdstat.scenes.plugins import load_plugin
-from chdstat.scenes.scene import BUILTIN, REMAKES, Scene, SceneLike, load_scene
+from chdstat.scenes.scene import Scene, SceneLike, load_scene
 
 __all__ = ["BUILTIN", "REMAKES", "Scene", "SceneLike", "load_plugin", "load_scene"]

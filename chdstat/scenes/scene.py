@@ -1,11 +1,11 @@
 """Scene: what is rendered, independent of any Mitsuba variant.
 
 A scene is described without Mitsuba, by a file and its parameters or by a dict of plain values, so
-that it can be hashed, pickled and sent to another process; `chdstat.scenes.loading` has Mitsuba
+that it can be hashed, pickled and sent to another process; `chdstat.scenes.parsing` has Mitsuba
 read it. A scene that Mitsuba has built already is rendered as it is, in this process.
 
-The built-in scenes are such dicts, written as JSON, one file each. Their meshes and textures are
-arrays in ``builtin/arrays.npz``, which ``tools/make_scenes.py`` has made.
+`load_scene` finds a scene by its name, file or description; the names of the built-in ones are in
+`chdstat.scenes.builtin`.
 
 Transforms for scene dicts are (4, 4) matrices that act on columns. Chain them with ``@``: the
 rightmost acts first.
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import re
 import reprlib
 import sys
@@ -30,12 +29,11 @@ import numpy as np
 from chdstat._core.arrays import Floats
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError, did_you_mean
+from chdstat.scenes.builtin import BUILTIN, built_in
 from chdstat.scenes.files import described, digest_of, is_file
 from chdstat.scenes.plugins import code_of
 
 __all__ = [
-    "BUILTIN",
-    "REMAKES",
     "LiveScene",
     "Scene",
     "SceneLike",
@@ -50,25 +48,6 @@ __all__ = [
 
 SceneLike = str | Path | Mapping[str, Any] | Any
 """A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
-BUILTIN: dict[str, str] = {
-    "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",
-    "caustic": "Glass and gold under a small lamp: caustics, fireflies, hard shadows.",
-    "cornell-box": "The classic test box: seconds to render.",
-    "day-room": "A living room by day, a red evening sky before three windows: few nulls.",
-    "fog": "A park in fog at dawn: a participating medium, halos, silhouettes. Uses volpath.",
-    "gallery": "A symmetric hall of columns, lit by white panels and small yellow lamps.",
-    "many-lights": "A terrace under strings of 112 coloured bulbs: mixtures of many modes.",
-    "night-room": "The same living room by night, two lamps with paper shades: mostly nulls.",
-}
-"""Names of the built-in scenes and what each shows."""
-REMAKES = {
-    "bathroom": "Bathroom",
-    "day-room": "WhiteRoom",
-    "night-room": "NightRoom",
-    "gallery": "MeasureOne",
-}
-"""Built-in scenes that were made after one of Elek, Thomas and Forbes 2019, and that one's name."""
-_FOLDER = Path(__file__).parent / "builtin"
 Vector = Sequence[float] | Floats
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types of which two values are the same if they print the same."""
@@ -86,7 +65,7 @@ class Scene(Shown):
         A Mitsuba XML file, or a scene dict in Mitsuba's form. In a dict, values are plain:
         matrices are (4, 4) or (3, 3) arrays,
         ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and
-        ``{"type": "bitmap", "data": array}`` an image texture (see `chdstat.scenes.loading`). Or a
+        ``{"type": "bitmap", "data": array}`` an image texture (see `chdstat.scenes.parsing`). Or a
         scene that Mitsuba has built.
     parameters
         Values for the ``$name`` parameters of an XML file.
@@ -154,7 +133,7 @@ class Scene(Shown):
         SceneError
             If Mitsuba cannot load it; its message is passed on.
         """
-        from chdstat.scenes.loading import parse
+        from chdstat.scenes.parsing import parse
 
         return parse(self).make(parallel=True)
 
@@ -212,8 +191,7 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
             raise SceneError(message)
         scene = Scene("scene", source)
     elif str(source) in BUILTIN:
-        with np.load(_FOLDER / "arrays.npz") as arrays:
-            scene = Scene(str(source), _built_in(str(source), arrays))
+        scene = Scene(str(source), built_in(str(source)))
     else:
         return Scene(*_checked_file(Path(source)), {k: str(v) for k, v in parameters.items()})
     if parameters:
@@ -223,35 +201,6 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
         )
         raise SceneError(message)
     return scene
-
-
-def _built_in(name: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a built-in scene: its JSON file with matrices and arrays put in.
-
-    The data of a mesh and of a bitmap are names of arrays; ``include`` names another file, whose
-    parts are put in its place.
-    """
-
-    def filled(value: Any) -> Any:
-        if isinstance(value, list):
-            return [filled(item) for item in value]
-        if not isinstance(value, dict):
-            return value
-        found: dict[str, Any] = {}
-        for key, item in value.items():
-            if key == "include":
-                found |= _built_in(item, arrays)
-            elif key == "to_world":
-                found[key] = np.array(item)
-            elif key == "data" and value["type"] == "mesh":
-                parts = ("vertices", "faces", "uv", "normals")
-                found |= {part: arrays.get(f"{item}.{part}") for part in parts}
-            else:
-                found[key] = arrays[item] if key == "data" else filled(item)
-        return found
-
-    description: dict[str, Any] = filled(json.loads((_FOLDER / f"{name}.json").read_text("utf-8")))
-    return description
 
 
 def _checked_file(path: Path) -> tuple[str, Path]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from chdstat.errors import InputError, RenderError, SceneError
 
 if TYPE_CHECKING:
-    from chdstat.scenes.loading import ParsedScene
+    from chdstat.scenes.parsing import ParsedScene
 
 __all__ = ["LONGEST", "Asked", "Film", "asked_for", "check_variant"]
 

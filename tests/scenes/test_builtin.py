@@ -18,7 +18,7 @@ from diptest import diptest
 
 from chdstat._core.arrays import LUMINANCE
 from chdstat.rendering.recipes import find_recipe
-from chdstat.scenes import BUILTIN, load_scene, scene
+from chdstat.scenes import BUILTIN, builtin, load_scene
 
 IDENTITIES = {
     "bathroom": "f799da4d",
@@ -79,7 +79,7 @@ def test_the_tool_makes_their_meshes_and_textures(monkeypatch):
     tools = Path(__file__).parents[2] / "tools"
     monkeypatch.syspath_prepend(tools)
     made = runpy.run_path(str(tools / "make_scenes.py"))["made"]()
-    with np.load(Path(scene.__file__).parent / "builtin/arrays.npz") as held:
+    with np.load(Path(builtin.__file__).parent / "arrays.npz") as held:
         assert list(made) == held.files
         for name in held.files:
             np.testing.assert_array_equal(made[name], held[name], err_msg=name)

@@ -1,4 +1,4 @@
-"""Scenes as Mitsuba reads them: its parser, its resolver of file names, its messages.
+"""Scenes as Mitsuba parses them: its parser, its resolver of file names, its messages.
 
 What chdstat changes of a scene, it changes between the two steps of Mitsuba's own loader: the
 parser has read and transformed the description, and no object is made yet. A part of a scene, such
