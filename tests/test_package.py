@@ -59,7 +59,7 @@ DOWNSTREAM = {
     ("fit.tail", "viz"),
     ("inference.contrasts", "viz"),
     ("inference.modes", "viz"),
-    ("comparison.tables", "viz"),
+    ("comparison.comparisons", "viz"),
 }
 """Imports against that order, inside methods that show or write a result."""
 
@@ -70,7 +70,7 @@ SAME_CLASSES = {
 """Names that two classes or aliases still share. Take out what is renamed; add none."""
 
 SAME_MODULES = {
-    *("arrays", "errors", "estimators", "files", "maps", "samples", "selection", "tables"),
+    *("arrays", "errors", "estimators", "files", "maps", "samples", "selection"),
 }
 """Names that two modules still share. Take out what is renamed; add none."""
 

@@ -373,6 +373,6 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
 
 def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return rows of measures as a report shows them, by the names that commands take."""
-    from chdstat.comparison.tables import in_words
+    from chdstat.comparison.metrics import in_words
 
     return [row | in_words(row) for row in rows]

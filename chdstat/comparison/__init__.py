@@ -12,10 +12,16 @@ from __future__ import annotations
 
 from chdstat._core.resampling import Interval
 from chdstat.comparison.benchmark import Bench, Case, bench
+from chdstat.comparison.comparisons import (
+    Breakdown,
+    Comparison,
+    ErrorCurve,
+    PixelEstimates,
+    compare,
+    error_curve,
+)
 from chdstat.comparison.entries import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
 from chdstat.comparison.metrics import MEASURES
-from chdstat.comparison.protocol import compare, error_curve
-from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve, PixelEstimates
 
 __all__ = [
     "DEFAULT_ESTIMATORS",

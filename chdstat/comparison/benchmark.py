@@ -24,8 +24,7 @@ from chdstat._core.display import Card, Shown, latex, number, percent
 from chdstat._core.files import checked_target, replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
-from chdstat.comparison.entries import Entry, choose, estimate_by, takes, without_denoiser
-from chdstat.comparison.tables import notes
+from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
 from chdstat.errors import InputError, check_option
 from chdstat.estimators.registry import LearnedEstimator
 from chdstat.io import read_exr

@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from chdstat._core.arrays import Array, whole
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.progressive import Progressive
-from chdstat.estimators.registry import Estimator, LearnedEstimator, lookup
+from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
 from chdstat.estimators.validation import check_spp
 from chdstat.samples import Samples
 
@@ -33,6 +34,7 @@ __all__ = [
     "denoised",
     "entry_of",
     "estimate_by",
+    "notes",
     "takes",
     "without_denoiser",
 ]
@@ -337,3 +339,39 @@ def estimate_by(
         return through_denoiser(found.radiance, guides, certainty=found.certainty)
     radiance = estimate_by(own, x, features=known, model=model, at_home=at_home)
     return through_denoiser(radiance, guides)
+
+
+def notes(
+    estimators: Sequence[str],
+    *,
+    uses_neighbours: npt.ArrayLike = (),
+    left_out: Mapping[str, str] | None = None,
+) -> dict[str, str]:
+    """Return notes for a reader of a table of estimators.
+
+    Parameters
+    ----------
+    estimators
+        Names, those of the rows.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,), where that is known.
+    left_out
+        Those of the default estimators that do not apply, with the reason.
+
+    Examples
+    --------
+    >>> notes(["mean", "zirr2018"], uses_neighbours=[False, True])
+    {'use neighbours': 'Zirr et al. 2018'}
+    """
+    found = {}
+    default = lookup(DEFAULT_ESTIMATE)
+    if DEFAULT_ESTIMATE in estimators and isinstance(default, Estimator):
+        about = f"{default.about[:1].lower()}{default.about[1:]}"
+        found["default estimate"] = f"{LABELS[DEFAULT_ESTIMATE]}: {about}"
+    around = [estimators[k] for k in np.flatnonzero(uses_neighbours).tolist()]
+    if around:
+        found["use neighbours"] = ", ".join(LABELS.get(name, name) for name in around)
+    if left_out:
+        reasons = (f"{LABELS.get(name, name)} {why}" for name, why in left_out.items())
+        found["left out"] = "; ".join(reasons)
+    return found

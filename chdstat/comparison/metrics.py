@@ -4,21 +4,34 @@
 over the units serves all of them: `errors_of` returns what is summed, `measures_of` the measures of
 the sums. A unit is a block of pixels with all their batches, or a batch with all its pixels.
 Neighbours see the same light and gain or lose together; therefore, intervals are over blocks
-(Künsch 1989, doi:10.1214/aos/1176347265).
+(Künsch 1989, doi:10.1214/aos/1176347265). `in_words` writes the measures for a reader.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, generator, spans
+from chdstat._core.display import number, percent, with_interval
 from chdstat._core.resampling import LEVEL, Interval
+from chdstat.estimators.registry import LABELS
 
-__all__ = ["MEASURES", "SUMS", "counts", "errors_of", "measures_of", "relative_squared", "stacked"]
+__all__ = [
+    "MEASURES",
+    "SUMS",
+    "counts",
+    "errors_of",
+    "in_words",
+    "measures_of",
+    "relative_squared",
+    "shown_ratio",
+    "stacked",
+]
 
 MEASURES = {
     "mse": ("mean squared error", "(W sr-1 m-2)^2"),
@@ -139,6 +152,36 @@ def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interva
         )
         found[name] = Interval(value, low, high, standard_error=error)
     return found
+
+
+def shown_ratio(row: Mapping[str, Any], name: str) -> str:
+    """Return a measure of a row of `Comparison.table`, with its 95 % interval."""
+    return with_interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
+
+
+def in_words(row: Mapping[str, Any]) -> dict[str, str]:
+    r"""Return a row of a table of estimators as a reader wants it, with 95 % intervals of ratios.
+
+    Examples
+    --------
+    >>> ends = {"mse_ratio": 0.9131, "mse_ratio_low": 0.8691, "mse_ratio_high": 0.9502}
+    >>> rest = dict.fromkeys(["relmse_ratio", "relmse_ratio_low", "relmse_ratio_high"], np.nan)
+    >>> others = {"mse": 0.5, "improved": 0.6, "bias": -0.012, "fireflies_left": 0.0}
+    >>> words = in_words({"estimator": "catoni", **ends, **rest, **others})
+    >>> words["mse_ratio"], words["improved"].replace("\xa0", " ")
+    ('0.913 [0.869, 0.950]', '60 %')
+    """
+    label = {"label": row["label"].replace("_", " ")} if "label" in row else {}
+    return {
+        **label,
+        "name": LABELS.get(row["estimator"], row["estimator"]),
+        "mse": number(row["mse"]),
+        "mse_ratio": shown_ratio(row, "mse_ratio"),
+        "relmse_ratio": shown_ratio(row, "relmse_ratio"),
+        "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
+        "bias": percent(row["bias"], sign=True),
+        "fireflies": number(row["fireflies_left"]),
+    }
 
 
 def _measures(sums: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from chdstat._core.display import percent
-from chdstat.comparison.tables import notes
+from chdstat.comparison.entries import notes
 from chdstat.explorer import estimators, tables
 from chdstat.explorer.panels import PanelData, panels, series_of
 from chdstat.explorer.place import PlaceStatistics, goodness

@@ -22,7 +22,7 @@ from chdstat.analysis import (
 )
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
-from chdstat.comparison.tables import in_words, shown_ratio
+from chdstat.comparison.metrics import in_words, shown_ratio
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
 from chdstat.patterns.attribution import largest_part

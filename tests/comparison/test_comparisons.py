@@ -12,8 +12,8 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.comparison import MEASURES
+from chdstat.comparison.judging import Units
 from chdstat.comparison.metrics import SUMS, errors_of, measures_of
-from chdstat.comparison.protocol import Units
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
 from chdstat.patterns import Label
