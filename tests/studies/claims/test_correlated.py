@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scipy.stats
 import xarray as xr
-from chdstat.studies.claims.renders import p_of_independence, variances
 
 import chdstat as chd
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims.between_renders import p_of_independence, variances
 
 N = 16
 CLAIM = next(claim for claim in FINDINGS if claim.number == 17)

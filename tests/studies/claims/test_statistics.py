@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from chdstat.studies.claims.renders import rank_correlation, scene_complexity
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
@@ -27,6 +26,7 @@ from chdstat._core.resampling import (
 )
 from chdstat.studies.claims import FINDINGS, ClaimTest, SceneData
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
+from chdstat.studies.claims.between_renders import rank_correlation, scene_complexity
 from chdstat.studies.claims.learned_models import early_gain
 from chdstat.studies.claims.shape_distances import (
     log_skewness,
