@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 from inventories import write_inventories
 
 import chdstat
-from chdstat.studies.claims import FINDINGS
+from chdstat.studies.claims import CLAIMS
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -47,7 +47,7 @@ extensions = [
 exclude_patterns = ["_build", "examples"]
 default_role = "autolink"
 extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
-rst_epilog = f".. |claims| replace:: {len(FINDINGS)}"
+rst_epilog = f".. |claims| replace:: {len(CLAIMS)}"
 smartquotes = False  # they would turn the -- of options into dashes
 
 autodoc_member_order = "bysource"

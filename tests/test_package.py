@@ -64,7 +64,7 @@ DOWNSTREAM = {
 """Imports against that order, inside methods that show or write a result."""
 
 SAME_CLASSES = {
-    *("Density", "Estimate", "Fitted", "Indices", "Outcome", "Pixel", "Places", "Scale", "Share"),
+    *("Density", "Estimate", "Fitted", "Indices", "Pixel", "Places", "Scale", "Share"),
     *("Source", "Window"),
 }
 """Names that two classes or aliases still share. Take out what is renamed; add none."""

@@ -29,7 +29,7 @@ from chdstat.patterns.attribution import largest_part
 from chdstat.rendering.recipes import remake_of
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
-from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding, SceneData
+from chdstat.studies.claims import CLAIMS, Claim, ClaimTest, Finding, SceneData
 from chdstat.studies.run import SceneStudy
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import LABEL_COLORS, names_of
@@ -423,7 +423,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
         "name": finding.name,
         "claim": finding.claim,
         "about": next(
-            f"About {c.about}." * bool(c.subject) for c in FINDINGS if c.number == finding.number
+            f"About {c.about}." * bool(c.subject) for c in CLAIMS if c.number == finding.number
         ),
         "verdict": finding.verdict,
         "parts": [_test_content(test) for test in finding.tests],
@@ -440,7 +440,7 @@ def _untested(findings: Iterable[Finding]) -> list[str]:
     """Return which claims were not tested in a scene and why, those of one reason together."""
     reasons: dict[str, list[str]] = {
         "compare renders or scenes, as a study does": [
-            _numbered(claim) for claim in FINDINGS if not claim.alone
+            _numbered(claim) for claim in CLAIMS if not claim.alone
         ]
     }
     for finding in findings:

@@ -50,7 +50,7 @@ from chdstat.reporting.typst import Document, typeset
 from chdstat.samples import Samples, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
-from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.run import SceneStudy
 from chdstat.viz import VERDICTS
 
@@ -232,7 +232,7 @@ class _Report:
         shapes = atlas(samples, progress=self.progress) if full else None
         found = SceneStudy(
             data,
-            () if short else tuple(claim.find(data) for claim in FINDINGS if claim.alone),
+            () if short else tuple(claim.find(data) for claim in CLAIMS if claim.alone),
             chosen=not regions,
             atlas=shapes if shapes is not None and len(shapes.share) else None,
         )

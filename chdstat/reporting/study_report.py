@@ -14,7 +14,7 @@ from chdstat.reporting.content import atlas_content, claim_content, remake_note
 from chdstat.reporting.figures import claim_figures, depth_of, region_figure, scene_figures
 from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
-from chdstat.studies.claims import FINDINGS
+from chdstat.studies.claims import CLAIMS
 from chdstat.studies.run import ACROSS, SceneStudy, Study
 from chdstat.studies.stores import ROULETTE
 from chdstat.viz import VERDICTS
@@ -61,7 +61,7 @@ def document(study: Study) -> Document:
     """Return a study, ready to typeset."""
     drawn: dict[str, Any] = {"verdicts": verdicts(study).figure, "overview": overview(study)}
     claims = {}
-    for claim in FINDINGS:
+    for claim in CLAIMS:
         columns = {name: study.finding(claim.number, name) for name in study.names}
         columns[ACROSS] = study.finding(claim.number)
         claims[claim] = {name: finding for name, finding in columns.items() if finding is not None}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from chdstat.rendering.recipes import remake_of
-from chdstat.studies.outcomes import Finding, MissingDataError, Outcome, require
+from chdstat.studies.findings import Finding, Measurement, MissingDataError, require
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["Claim", "claim"]
@@ -18,7 +18,7 @@ _ABOUT = {
     "paired": "this view, rendered twice: other views of the scene, or other scenes, may differ",
     "across": "these images, one of each scene: other views of the scenes may differ",
 }
-Measure = Callable[[SceneData], Outcome] | Callable[[Sequence[SceneData]], Outcome]
+Measure = Callable[[SceneData], Measurement] | Callable[[Sequence[SceneData]], Measurement]
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,12 @@ class Claim:
         measured: Any = used if self.across else data
         try:
             require(spp >= self.spp, f"{self.spp} spp, has {spp}")
-            outcome = self.measure(measured)
+            measurement = self.measure(measured)
         except MissingDataError as error:
-            outcome = Outcome(missing=(str(error),))
-        return self.conclude(outcome, used, spp)
+            measurement = Measurement(missing=(str(error),))
+        return self.conclude(measurement, used, spp)
 
-    def conclude(self, outcome: Outcome, scenes: Sequence[SceneData], spp: int) -> Finding:
+    def conclude(self, measurement: Measurement, scenes: Sequence[SceneData], spp: int) -> Finding:
         """Make a finding of what was measured in scenes with `spp` samples per pixel."""
         # Remakes look like scenes of the paper and are not.
         notes = [
@@ -99,16 +99,16 @@ class Claim:
             scene=", ".join(scene.name for scene in scenes),
             claim=self.claim,
             about=" ".join([f"About {self.about}.", *notes]),
-            verdict=outcome.verdict,
-            reason=outcome.reason(spp),
-            test=outcome.deciding,
-            tests=outcome.tests,
-            p_value=outcome.p_value,
-            details=outcome.details,
-            plot_data=outcome.plot_data,
+            verdict=measurement.verdict,
+            reason=measurement.reason(spp),
+            test=measurement.deciding,
+            tests=measurement.tests,
+            p_value=measurement.p_value,
+            details=measurement.details,
+            plot_data=measurement.plot_data,
             other_models={
                 name: self.conclude(other, scenes, spp)
-                for name, other in outcome.other_models.items()
+                for name, other in measurement.other_models.items()
             },
         )
 

@@ -28,7 +28,7 @@ from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.seeds import SamplerName, Sequences
 from chdstat.samples import Samples, cache_key
-from chdstat.studies.claims import FINDINGS, Finding, SceneData
+from chdstat.studies.claims import CLAIMS, Finding, SceneData
 from chdstat.studies.stores import SPREAD, Source, Stores, StudyScene, scenes_of
 
 __all__ = ["ACROSS", "SceneStudy", "Study", "study"]
@@ -172,7 +172,7 @@ class Study(Shown):
         not tested, there is an empty string.
         """
         rows = []
-        for claim in FINDINGS:
+        for claim in CLAIMS:
             row = {"number": str(claim.number), "claim": claim.name}
             for column in (*self.names, None):
                 finding = self.finding(claim.number, column)
@@ -395,7 +395,7 @@ def _findings(
     inputs: tuple[str, ...] = (),
 ) -> Findings:
     """Test the claims about one scene, those of another seed `again`."""
-    claims = [c for c in FINDINGS if not (c.across or (again and c.once))]
+    claims = [c for c in CLAIMS if not (c.across or (again and c.once))]
     others = ["" if s is None else cache_key(s) for s in (data.shorter, data.spread)]
     others += [cache_key(s) for s in data.integrators.values()]
     return stores.cache(data.samples).record(
@@ -423,7 +423,7 @@ def _across(scenes: Sequence[SceneData], stores: Stores) -> Findings:
     keys = [[s and cache_key(s) for s in of_scene] for of_scene in renders]
 
     def find() -> Findings:
-        return tuple(claim.find(first, others) for claim in FINDINGS if claim.across)
+        return tuple(claim.find(first, others) for claim in CLAIMS if claim.across)
 
     if any(key == "" for of_scene in keys for key in of_scene):  # of samples in memory
         return find()

@@ -19,8 +19,8 @@ from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
 from chdstat.samples import Samples
+from chdstat.studies.findings import level_of, require
 from chdstat.studies.log_chds import LogChds, of_histograms
-from chdstat.studies.outcomes import level_of, require
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ show the same?
 import chdstat as chd
 from chdstat import viz
 from chdstat.rendering.recipes import regions_of
-from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims import CLAIMS, SceneData
 
 samples = chd.render("caustic", spp=128, size=(64, 64), seed=1, backend="scalar")
 data = SceneData("caustic", samples, regions_of(samples))
@@ -30,7 +30,7 @@ for region in data.regions[:5]:
 # not supported where one lies outside. Otherwise it is undecided, and the reason says what would
 # decide it. `chdstat.studies.claims.find` tests all claims; six of them keep this page short.
 
-found = [claim.find(data) for claim in FINDINGS if claim.number in {2, 3, 6, 7, 8, 10}]
+found = [claim.find(data) for claim in CLAIMS if claim.number in {2, 3, 6, 7, 8, 10}]
 for finding in found:
     print(f"{finding.number:2} {finding.name}: {finding.verdict}")
 

@@ -16,7 +16,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import LearnedEstimator, lookup, names
-from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims import CLAIMS, SceneData
 
 WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 
@@ -31,7 +31,7 @@ def _worlds():
 
 
 worlds = _worlds()
-BY_NUMBER = {claim.number: claim for claim in FINDINGS}
+BY_NUMBER = {claim.number: claim for claim in CLAIMS}
 
 
 def verdicts(number, world, *, count=WORLDS, spp=512):

@@ -11,9 +11,9 @@ import pytest
 from chdstat.comparison import Interval
 from chdstat.reporting.content import claim_content, finding_content, with_others
 from chdstat.reporting.figures import claim_figures
-from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, PlotData
+from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, PlotData
 
-CLAIM = FINDINGS[14]
+CLAIM = CLAIMS[14]
 
 
 def part(low, high, unit="1"):

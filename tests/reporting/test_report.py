@@ -15,7 +15,7 @@ from chdstat.errors import InputError, LeftOutWarning
 from chdstat.reporting import scene_report
 from chdstat.reporting.content import remake_note
 from chdstat.reporting.typst import pages_of, typeset
-from chdstat.studies.claims import FINDINGS
+from chdstat.studies.claims import CLAIMS
 
 FIXED = ("mean", "median_of_means")
 
@@ -101,7 +101,7 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
     for part in ("The paper’s claims", "9 (path lengths)", "share of gamma less"):
         assert part in text
     of_claims = text_of(tmp_path / "claims.pdf")
-    for claim in FINDINGS:
+    for claim in CLAIMS:
         if claim.alone:  # each once: in the table, or among those that do not apply
             said = (f"{claim.number} {claim.name[0].upper()}", f"{claim.number} ({claim.name})")
             assert sum(of_claims.count(words) for words in said) == 1, claim.name

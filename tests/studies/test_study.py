@@ -19,7 +19,7 @@ from chdstat.patterns import atlas
 from chdstat.rendering.recipes import PHENOMENA
 from chdstat.reporting.study_report import document
 from chdstat.studies import run, stores, study
-from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.stores import scenes_of
 
 TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
@@ -88,13 +88,13 @@ def copied(folder, tmp_path):
 
 
 def test_each_scene_is_asked_for_every_claim_that_is_about_one(found):
-    single = [c.number for c in FINDINGS if not c.across]
+    single = [c.number for c in CLAIMS if not c.across]
     for scene in found.scenes:
         assert [f.number for f in scene.findings] == single
     assert [f.number for f in found.across] == [11, 12]
     assert found.names == ("cornell-box", "noise")
     table = found.table()
-    assert [row["number"] for row in table] == [str(c.number) for c in FINDINGS]
+    assert [row["number"] for row in table] == [str(c.number) for c in CLAIMS]
     for row in table:
         across = row["number"] in {"11", "12"}
         assert bool(row["all scenes"]) == across
@@ -193,7 +193,7 @@ def test_json_holds_all_but_arrays_and_says_where_it_comes_from(found, tmp_path)
     assert [scene["scene"] for scene in content["scenes"]] == ["cornell-box", "noise"]
     assert content["scenes"][0]["renders"]["another_seed"]["seed"] == 2
     assert content["provenance"]["chdstat"] == chd.__version__
-    assert len(content["table"]) == len(FINDINGS)
+    assert len(content["table"]) == len(CLAIMS)
     assert list(tmp_path.iterdir()) == [tmp_path / "findings.json"]
 
 
@@ -212,7 +212,7 @@ def test_the_pdf_has_all_claims_and_says_which_scenes_are_remakes(tmp_path, monk
     assert text.count("About this image") > 10
     for part in ("Verdicts", "cannot tell", "Method and limits"):
         assert part in text
-    assert [c.name for c in FINDINGS if c.name.capitalize() not in text] == []
+    assert [c.name for c in CLAIMS if c.name.capitalize() not in text] == []
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -254,7 +254,7 @@ def test_a_recipe_names_scene_settings_and_regions(tmp_path):
 
 
 def test_seeds_that_contradict_each_other_cannot_tell():
-    supported = FINDINGS[0].find(SceneData("night-room", noise("night-room")))
+    supported = CLAIMS[0].find(SceneData("night-room", noise("night-room")))
     yes, no = (replace(supported, verdict=v, reason=v) for v in ("supported", "not supported"))
     assert yes.confirmed(no).verdict == "cannot tell"
     assert "not supported" in yes.confirmed(no).reason
@@ -346,7 +346,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         once = study("cornell-box", folder=copy, **TINY)
         patch.setattr(run, "atlas", refuse)
         patch.setattr(stores, "compare", refuse)
-        patch.setattr(type(FINDINGS[0]), "find", refuse)
+        patch.setattr(type(CLAIMS[0]), "find", refuse)
         again = study("cornell-box", folder=copy, **TINY)
     first, as_before, told = (study.scenes[0].to_dict() for study in (found, once, again))
     assert first["findings"] == as_before["findings"]
@@ -394,6 +394,6 @@ def test_recipes_of_the_papers_own_scenes_have_regions_for_its_claims(name):
     size = tuple(length // 2 for length in scene.recipe.size)
     samples = chd.render(scene.source, spp=128, size=size, max_depth=4, backend="scalar")
     data = SceneData(scene.name, samples, scene.regions)
-    found = {claim.number: claim.find(data) for claim in FINDINGS if claim.number in REAL[name]}
+    found = {claim.number: claim.find(data) for claim in CLAIMS if claim.number in REAL[name]}
     assert all(finding.tests for finding in found.values()), found
     assert all("remake" not in finding.about for finding in found.values())

@@ -28,7 +28,7 @@ from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
 from chdstat.studies.claim import claim
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, required
+from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, required
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["CLAIMS"]
@@ -49,20 +49,20 @@ _EARLY = 0.1
     subject="this training on this image, judged on its other pixels: other scenes may differ",
     once=True,
 )
-def learned_model(data: SceneData) -> Outcome:
+def learned_model(data: SceneData) -> Measurement:
     """Read majority, fireflies, training and denoising off a comparison."""
     comparison = required(data.comparison, "a comparison of estimators")
     learned = [name for name in comparison.estimators if name in comparison.models]
     return _papers({name: _worth(data, comparison, name) for name in learned})
 
 
-def _papers(outcomes: dict[str, Outcome]) -> Outcome:
-    """Return the outcome of the paper's model, with those of the others."""
-    missing = Outcome(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
-    return replace(outcomes.pop(PAPER, missing), other_models=outcomes)
+def _papers(measured: dict[str, Measurement]) -> Measurement:
+    """Return the measurement of the paper's model, with those of the others."""
+    missing = Measurement(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
+    return replace(measured.pop(PAPER, missing), other_models=measured)
 
 
-def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
+def _worth(data: SceneData, comparison: Comparison, name: str) -> Measurement:
     """Test what one estimator that learned is worth."""
     index, level = comparison.estimators.index(name), level_of(4)
     improved, left = (_read(comparison, m, index, level) for m in ("improved", "fireflies_left"))
@@ -89,7 +89,7 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     except ChdstatError as error:
         missing.append(f"needs a denoiser: {error}")
     bias = float(comparison.measures["bias"].value[index, -1])
-    return Outcome(
+    return Measurement(
         tuple(tests),
         tuple(missing),
         details={"estimator": name, "n": comparison.n, "bias": bias},
@@ -187,17 +187,19 @@ _FEWER_LEVELS = (LEVELS[0], 1.0, LEVELS[-1])
     subject="this training on this image: the network itself, whatever the scene shows",
     once=True,
 )
-def reduction(data: SceneData) -> Outcome:
+def reduction(data: SceneData) -> Measurement:
     """Give the model constant images, the samples in another order, and in another unit."""
     comparison = required(data.comparison, "a comparison of estimators")
     learned = [n for n in comparison.estimators if n in comparison.models or n in names("learned")]
-    outcomes = {name: _reduction(data, comparison, name) for name in learned}
-    series = {k: v for outcome in outcomes.values() for k, v in outcome.plot_data.series.items()}
+    measured = {name: _reduction(data, comparison, name) for name in learned}
+    series = {
+        k: v for measurement in measured.values() for k, v in measurement.plot_data.series.items()
+    }
     labels = "log10 radiance in W sr-1 m-2", "log10 of the relative deviation"
-    return replace(_papers(outcomes), plot_data=PlotData("curves", series, *labels))
+    return replace(_papers(measured), plot_data=PlotData("curves", series, *labels))
 
 
-def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
+def _reduction(data: SceneData, comparison: Comparison, name: str) -> Measurement:
     """Test whether one estimator that learned is the mean where there is no pattern."""
     anew = name not in comparison.models
     edge, levels = (_EDGE_TO_LEARN, _FEWER_LEVELS) if anew else (_EDGE, LEVELS)
@@ -212,7 +214,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
         constants[level] = _largest(deviation, np.full(deviation.shape, level))
     good = ~is_bad(x).any(axis=(-2, -1))
     if not good.any():
-        return Outcome(missing=("needs pixels without bad samples",))
+        return Measurement(missing=("needs pixels without bad samples",))
     first = estimate(x)[good]
 
     def changes(convert: Callable[[Array], Array], factor: float = 1.0) -> Floats:
@@ -245,7 +247,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     step = first - x[good].mean(axis=-1, dtype=np.float64)
     # Deviations of 0 are drawn at the lower border.
     shown = np.log10(np.maximum(list(constants.values()), 1e-8))
-    return Outcome(
+    return Measurement(
         tuple(tests),
         () if scaled else ("needs radiance that may be 1024 times as bright or dark",),
         details={

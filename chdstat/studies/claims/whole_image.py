@@ -11,8 +11,8 @@ from chdstat._core.arrays import Counts, Floats, generator
 from chdstat._core.resampling import LEVEL, Interval, largest_of
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claim import claim
+from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require, required
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, require, required
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 
 __all__ = ["CLAIMS", "brightest_firefly"]
@@ -36,7 +36,7 @@ _FOLDS = 4
     "fireflies",
     "A firefly and the pixel next to it have nearly the same CHD, though their estimates differ.",
 )
-def fireflies(data: SceneData) -> Outcome:
+def fireflies(data: SceneData) -> Measurement:
     """Compare CHDs of pixels with a firefly with those next to them: distances, and true means.
 
     Rare bright samples make a firefly, and hardly change a distance of distribution functions; they
@@ -70,7 +70,7 @@ def fireflies(data: SceneData) -> Outcome:
     shown = {"firefly": place, "neighbour": int(partner[place])}
     curves = {name: (edges, chds[pixel].whole) for name, pixel in shown.items()}
     name = "mean radiance of a firefly over its neighbour's, in other samples"
-    return Outcome(
+    return Measurement(
         (
             same_shape(
                 "distance between the CHDs of a firefly and its neighbour",
@@ -171,7 +171,7 @@ _ON_EDGES = 30
     "neighbours",
     "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
 )
-def neighbours(data: SceneData) -> Outcome:
+def neighbours(data: SceneData) -> Measurement:
     """Compare neighbours with other pixels, and pixels on edges with blends of both sides."""
     chds, whole = data.chds, data.whole(tests=2)
     near = _near(chds)
@@ -194,7 +194,9 @@ def neighbours(data: SceneData) -> Outcome:
         tests.append(ClaimTest("share explained by a blend of both sides", blend, least=0.75))
     shown = {"distance to neighbours": (np.empty(0), np.sqrt(np.maximum(near, 0)))}
     details = {"edge_pixels": len(left)}
-    return Outcome(tuple(tests), tuple(missing), details=details, plot_data=PlotData("map", shown))
+    return Measurement(
+        tuple(tests), tuple(missing), details=details, plot_data=PlotData("map", shown)
+    )
 
 
 def _near(chds: LogChds) -> Floats:
@@ -248,7 +250,7 @@ _CELLS = (4, 2)
     "In a scene of symmetric geometry, CHDs are not symmetric everywhere.",
     spp=32,
 )
-def symmetry(data: SceneData) -> Outcome:
+def symmetry(data: SceneData) -> Measurement:
     """Compare CHDs of pixels with those of their mirror images, where geometry is symmetric."""
     depth, albedo = (
         required(data.feature(n), "first-hit depth, albedo") for n in ("depth", "albedo")
@@ -283,7 +285,7 @@ def symmetry(data: SceneData) -> Outcome:
     largest = largest_of(means_by_region(values[used], blocks), blocks).root()
     name = "largest distance between CHDs of mirrored parts of the image"
     image = np.sqrt(np.maximum(square, 0))
-    return Outcome(
+    return Measurement(
         (ClaimTest(name, largest, least=SAME_SHAPE, unit="decade^1/2"),),
         details={"symmetric_share": share, "parts": len(np.unique(blocks.region))},
         plot_data=PlotData("map", {"distance to the mirror image": (image, image)}),
@@ -299,7 +301,7 @@ def symmetry(data: SceneData) -> Outcome:
     "The most frequent elementary distribution is the gamma distribution.",
     once=True,
 )
-def families(data: SceneData) -> Outcome:
+def families(data: SceneData) -> Measurement:
     """Compare the share of gamma among the best families with that of the next frequent one.
 
     The details have other readings of "gamma-like": gamma and Weibull together are the generalised
@@ -340,7 +342,7 @@ def families(data: SceneData) -> Outcome:
         others["gamma_by_held_out_likelihood"] = share_of(["gamma"], held_out)
     level = {"level": LEVEL}
     bars = {name: share.value for name, share in shares.items()}
-    return Outcome(
+    return Measurement(
         (ClaimTest("share of gamma less that of the next family", least, least=0.0),),
         details={
             "shares": {name: share.to_dict() | level for name, share in shares.items()},

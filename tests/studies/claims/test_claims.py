@@ -21,11 +21,11 @@ import pytest
 import chdstat as chd
 from chdstat.comparison import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
-from chdstat.studies.claims import FINDINGS, SceneData, find
+from chdstat.studies.claims import CLAIMS, SceneData, find
 from chdstat.studies.claims.whole_image import brightest_firefly
 
 SPP = 512
-BY_NUMBER = {claim.number: claim for claim in FINDINGS}
+BY_NUMBER = {claim.number: claim for claim in CLAIMS}
 
 
 def _worlds():

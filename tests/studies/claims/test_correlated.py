@@ -12,11 +12,11 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.rendering.recipes import Region
-from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.claims.between_renders import p_of_independence, variances
 
 N = 16
-CLAIM = next(claim for claim in FINDINGS if claim.number == 17)
+CLAIM = next(claim for claim in CLAIMS if claim.number == 17)
 REGIONS = (
     Region("left", "direct", (0.0, 0.0, 0.5, 1.0)),
     Region("right", "shadow", (0.5, 0.0, 1.0, 1.0)),

@@ -11,10 +11,10 @@ import pytest
 import chdstat as chd
 from chdstat.estimators import MLP, LearnedEstimator, Progressive, lookup, mean_radiance, names
 from chdstat.estimators.progressive import errors, learning
-from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.claims.learned_models import FACTORS, LEVELS, ROUNDING
 
-CLAIM = FINDINGS[15]
+CLAIM = CLAIMS[15]
 N, EDGE = 32, 16
 
 

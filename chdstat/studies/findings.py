@@ -1,11 +1,11 @@
-"""Outcomes: how tests of a claim, each with an interval, become its verdict and the reason.
+"""Findings: how tests of a claim, each with an interval, become its verdict and the reason.
 
 A claim has one test or several; a `ClaimTest` compares the interval of a statistic with the range
 that the claim states. A test is supported where the whole interval lies in that range, not
 supported where all of it lies outside, and otherwise undecided. A claim is supported where all of
 its tests are, not supported where any is not, and otherwise undecided ("cannot tell").
 
-The function that measures a claim returns an `Outcome`, or raises `MissingDataError`; the claim
+The function that measures a claim returns a `Measurement`, or raises `MissingDataError`; the claim
 makes it a `Finding`, the public result.
 """
 
@@ -25,8 +25,8 @@ from chdstat._core.resampling import LEVEL, Interval
 __all__ = [
     "ClaimTest",
     "Finding",
+    "Measurement",
     "MissingDataError",
-    "Outcome",
     "PlotData",
     "level_of",
     "require",
@@ -174,7 +174,7 @@ class PlotData:
 
 
 @dataclass(frozen=True, repr=False)
-class Outcome(Shown):
+class Measurement(Shown):
     """What was measured of a claim; the registry adds number, name and claim.
 
     Attributes
@@ -186,7 +186,7 @@ class Outcome(Shown):
     model
         Name of the model that was tested, where there are several: the reason names it.
     other_models
-        Outcomes for other models, by name; the verdict does not depend on them.
+        Measurements of other models, by name; the verdict does not depend on them.
     few
         What would narrow a wide interval, if not more samples.
     """
@@ -197,7 +197,7 @@ class Outcome(Shown):
     details: Mapping[str, Any] = field(default_factory=dict)
     plot_data: PlotData = field(default_factory=PlotData)
     model: str = ""
-    other_models: Mapping[str, Outcome] = field(default_factory=dict)
+    other_models: Mapping[str, Measurement] = field(default_factory=dict)
     few: str = ""
 
     @property
@@ -257,7 +257,7 @@ class Finding(Shown):
     Attributes
     ----------
     number, name
-        Which claim; see `chdstat.studies.claims.FINDINGS`.
+        Which claim; see `chdstat.studies.claims.CLAIMS`.
     scene
         Name of the scene, or of the scenes.
     claim
