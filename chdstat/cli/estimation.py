@@ -269,7 +269,7 @@ def contrast(
     if asked.as_json:
         output.print_json(found.to_dict())
     else:
-        output.print_sentences([found.verdict])
+        output.print_sentences([found.conclusion])
         typer.echo()
         output.print_table(found.table())
     output.say_next(asked.quiet, f"chdstat explore {a} {b}")

@@ -283,7 +283,7 @@ def difference_of(one: Overall, other: Overall, name: str) -> Map | None:
 
 
 def contrast_of(found: Contrast, name: str) -> Map:
-    """Return one of `CONTRASTS`, with the verdict; of an exact image, that is the reference."""
+    """Return one of `CONTRASTS`, with the conclusion; of an exact image, that is the reference."""
     maps, sign = found.maps, -1.0 if found.spp[1] is None else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
         if name == "contrast:p":
@@ -294,7 +294,7 @@ def contrast_of(found: Contrast, name: str) -> Map:
             base = maps["mean_a" if sign > 0 else "mean_b"].to_numpy()[..., 0]
             values = 100 * sign * maps["difference"].to_numpy()[..., 0] / np.abs(base)
     values = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
-    note = f"A {found.names[0]}, B {found.names[1]}. {found.verdict}"
+    note = f"A {found.names[0]}, B {found.names[1]}. {found.conclusion}"
     return replace(CONTRASTS[name], values=values, note=note)
 
 
@@ -355,8 +355,8 @@ def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
 
 def _finite_variance(part: PositivePart) -> Array:
     tail = part.measured(TailIndex())
-    verdict = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
-    return np.where(tail.reason == Reason.OK, verdict, np.nan)
+    trusted = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
+    return np.where(tail.reason == Reason.OK, trusted, np.nan)
 
 
 def _best_family(part: PositivePart) -> Array:

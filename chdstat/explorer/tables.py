@@ -68,18 +68,18 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
         share = np.divide(error, mean) if mean > 0 else np.nan
     needed = float(place.spp * (share / _ERROR) ** 2)
     constant, trusted = bool(place.constant[-1]), _finite_variance(place, -1)
-    verdict = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
+    told = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
     clear = {"suspect": "at least: the tail is heavy", "not identified": "if the tail allows it"}
     count = int(modes.modes[-1])
     low, high = map(percent, map(float, place.patterns.intervals["null_heavy"]))
     xi = float(tail.xi[-1])
     if place.is_firefly:  # as in the patterns
         xi = float(place.patterns.statistics["long_tail"])
-        verdict += "; the sample that outweighs the others is left out"
+        told += "; the sample that outweighs the others is left out"
     return [
         ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
         ("Null samples", percent(place.null_share), f"{low} to {high}"),
-        ("Tail index", "—" if constant else number(xi), verdict),
+        ("Tail index", "—" if constant else number(xi), told),
         (
             "Modes",
             "—" if constant or not count else str(count),

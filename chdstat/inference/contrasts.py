@@ -68,8 +68,8 @@ class Contrast(Shown):
         Samples per pixel that the shorter render needs for a decision: so many that it would miss
         the light it has not seen with a probability of only 5 %, or the fewest that a test takes.
         None where one can tell, and where no number is known.
-    p_image
-        p-value of the whole test: that the means are equal in all pixels.
+    image_p_value
+        Of the whole test, that the means are equal in all pixels; `p_value` is a map of pixels.
     share
         Pixels whose means differ, with a false discovery rate of `alpha`, as a share of the image.
     loss
@@ -101,7 +101,7 @@ class Contrast(Shown):
     outcome: Outcome
     why: str
     spp_needed: int | None
-    p_image: float
+    image_p_value: float
     share: float
     loss: Interval[float]
     window: tuple[int, int, int, int]
@@ -135,15 +135,15 @@ class Contrast(Shown):
         return self.maps["efficiency"]
 
     @property
-    def verdict(self) -> str:
+    def conclusion(self) -> str:
         """What was found, in a sentence."""
         smallest = f"{self._smallest('image')} of the image, {self._smallest('tenth')} of a tenth"
         if self.outcome == "cannot tell":
             return f"Cannot tell: {self.why}."
         if self.outcome == "no difference found":
             return (
-                f"No difference found (p {number(self.p_image)}); a loss of {smallest} of it would "
-                "have been found with a probability of 90 %."
+                f"No difference found (p {number(self.image_p_value)}); a loss of {smallest} of it "
+                "would have been found with a probability of 90 %."
             )
         y, x, height, width = self.window
         pixels = "no single pixel does"
@@ -156,7 +156,7 @@ class Contrast(Shown):
         if (height, width) == self.maps["reason"].shape:
             where = "most clearly in the sum over the image"
         return (
-            f"The means differ (p {number(self.p_image)}), {where}, where B is "
+            f"The means differ (p {number(self.image_p_value)}), {where}, where B is "
             f"{percent(-self.window_loss, sign=True)}; {pixels}{self._reservation()}."
         )
 
@@ -182,9 +182,9 @@ class Contrast(Shown):
             "a": self.names[0],
             "b": self.names[1],
             "outcome": self.outcome,
-            "verdict": self.verdict,
+            "conclusion": self.conclusion,
             "spp_needed": self.spp_needed,
-            "p_value": self.p_image,
+            "image_p_value": self.image_p_value,
             "alpha": self.alpha,
             "share_of_pixels": self.share,
             "loss": self.loss.to_dict(),
@@ -205,7 +205,7 @@ class Contrast(Shown):
         return [(f"{n}s", float((self.maps[f"{n}_q_value"] <= self.alpha).mean())) for n in names]
 
     def table(self) -> dict[str, str]:
-        """Return the numbers beside the verdict, in words."""
+        """Return the numbers beside the conclusion, in words."""
         of_both = {
             name: f"{source}, {'taken as exact' if spp is None else f'{spp} spp'}"
             for name, source, spp in zip("AB", self.names, self.spp, strict=True)
@@ -230,7 +230,7 @@ class Contrast(Shown):
         return viz.contrast(self, width=width, fig=fig)
 
     def _card(self) -> Card:
-        facts = {"verdict": self.verdict, **self.table()}
+        facts = {"conclusion": self.conclusion, **self.table()}
         if self.maps.sizes["channel"] not in (1, 4):
             return Card("Contrast", facts)
         last = slice(-3, None)
@@ -264,7 +264,7 @@ def contrast(
     found, one cannot tell, and `Contrast.spp_needed` says how many samples would.
 
     Small differences show in sums over windows of all sizes up to the whole image, compared with
-    the largest that flips of signs give anywhere. The verdict is by these, with four fifths of
+    the largest that flips of signs give anywhere. The outcome is by these, with four fifths of
     `alpha`, and by the smallest q-value of a pixel, with the rest.
 
     Parameters
@@ -274,10 +274,10 @@ def contrast(
     b
         Another render of the same view and size; or an image that is taken as exact: the path of
         an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel). Such an image
-        does not say how rare its light is, so that a verdict that A is darker names what A may
+        does not say how rare its light is, so that a conclusion that A is darker names what A may
         have missed.
     alpha
-        Level of the verdict and of the share of pixels, between 0 and 1.
+        Level of the outcome and of the share of pixels, between 0 and 1.
     seconds
         Compare as many samples of each as it renders in this time. None compares all, and as many
         of both where they share random numbers.
@@ -290,7 +290,7 @@ def contrast(
     Returns
     -------
     Contrast
-        A verdict in words and in numbers, and maps.
+        A conclusion in words, the numbers, and maps.
 
     Raises
     ------
@@ -345,17 +345,21 @@ def contrasting(
     scan = yield from scan_windows(cells, seed=seed)
     smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
     parts = scan.p_value / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
-    p_image = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
+    image_p_value = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
     y, x, rows, columns = (edge * size for size in scan.window)
     loss, window_loss, detectable = _losses(cells, pair.terms, scan)
-    why, spp_needed = _why_not(maps, pair, detectable, scan.unseen, differ=p_image <= alpha)
+    why, spp_needed = _why_not(maps, pair, detectable, scan.unseen, differ=image_p_value <= alpha)
     return Contrast(
         names=pair.names,
         maps=_dataset(maps, pair).assign(pair.shapes(seed) if distributions else {}),
-        outcome="cannot tell" if why else "differ" if p_image <= alpha else "no difference found",
+        outcome="cannot tell"
+        if why
+        else "differ"
+        if image_p_value <= alpha
+        else "no difference found",
         why=why,
         spp_needed=spp_needed,
-        p_image=p_image,
+        image_p_value=image_p_value,
         share=float((q <= alpha).any(axis=-1).mean()),
         loss=loss,
         window=(y, x, min(rows, height - y), min(columns, width - x)),

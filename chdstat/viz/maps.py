@@ -431,7 +431,7 @@ _LETTERS = 16
 
 @style()
 def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = None) -> Figure:
-    """Draw the two images, where their means differ, p-values and efficiency, with the verdict.
+    """Draw the two images, where their means differ, p-values and efficiency, with the conclusion.
 
     A rectangle marks the most significant window, solid where there is a difference. p-values of
     renders with one mean lie below the line of their histogram, or on it.
@@ -450,9 +450,9 @@ def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = Non
     shown = slice(1, None) if bands == 4 else slice(0, 1)
     across = inches(width, fig)
     columns, aspect = 2 if narrow(across) else 3, maps.sizes["y"] / maps.sizes["x"]
-    verdict = fill(found.verdict, int(_LETTERS * across))
+    conclusion = fill(found.conclusion, int(_LETTERS * across))
     rows = across / columns * (0.86 * aspect + 0.24) * 6 / columns
-    height = rows + 0.16 * (1 + verdict.count("\n")) + 0.3
+    height = rows + 0.16 * (1 + conclusion.count("\n")) + 0.3
     figure = page(fig, height, width, wspace=0.06)
     axes = grid(figure, 6, columns)
     means = [maps[f"mean_{name}"].to_numpy()[..., shown] for name in ("a", "b")]
@@ -477,7 +477,7 @@ def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = Non
         )
     else:
         axes[5].set_axis_off()
-    figure.suptitle(verdict, x=0.01, ha="left", fontsize=8.5)
+    figure.suptitle(conclusion, x=0.01, ha="left", fontsize=8.5)
     return figure
 
 

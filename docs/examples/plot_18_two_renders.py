@@ -18,7 +18,7 @@ samples = chd.render("cornell-box", seed=1, **view)
 again = chd.render("cornell-box", seed=2, **view)
 shorter = chd.render("cornell-box", seed=3, max_depth=4, **view)
 
-print(chd.contrast(samples, again).verdict)
+print(chd.contrast(samples, again).conclusion)
 
 # %%
 # Of shorter paths, single pixels show little at 48 samples, and windows much.

@@ -111,14 +111,14 @@ def test_plain_flips_of_signs_would_not_hold_it():
 
 
 @pytest.mark.parametrize("paired", [False, True])
-def test_the_verdict_holds_its_level(paired):
+def test_the_outcome_holds_its_level(paired):
     """Of 60 pairs, more than 9 at 5 % would happen in 1 of 1000 runs."""
     rng = np.random.default_rng(11)
     p = []
     for seed in range(60):
         a = heavy(rng, 24, edge=24)
         b = roulette(rng, a if paired else heavy(rng, 24, edge=24))
-        p.append(contrast(a, b, seed=seed).p_image)
+        p.append(contrast(a, b, seed=seed).image_p_value)
     assert np.mean(np.array(p) <= 0.05) <= 9 / 60
     assert np.mean(np.array(p) <= 0.5) >= 0.15
 
@@ -242,7 +242,7 @@ def test_samples_that_both_have_make_no_difference():
         x = with_fireflies(np.random.default_rng(seed), 256, "gamma", edge=8)
         assert contrast(x[..., :16], x, seed=seed).outcome != "differ"
         short, longer = (chd.Samples.from_array(s, seed=3) for s in (x[..., :16], x))
-        assert "one render given twice" in contrast(short, longer).verdict
+        assert "one render given twice" in contrast(short, longer).conclusion
         rest = longer.isel(sample=slice(16, 256))
         assert not contrast(short, rest, seed=seed).paired
         assert contrast(short, rest, seed=seed).outcome != "differ"
@@ -273,7 +273,7 @@ def test_a_small_loss_in_a_block_is_found_and_placed():
     y, x, height, width = found.window
     assert y < 24 and y + height > 8 and x < 36 and x + width > 20  # noqa: PT018
     assert -0.1 < -found.window_loss < 0
-    assert "The means differ" in found.verdict
+    assert "The means differ" in found.conclusion
     assert not contrast(a, heavy(rng, 128, sigma=0.5)).share
 
 
@@ -426,8 +426,8 @@ def test_an_exact_image_does_not_say_what_may_have_been_missed():
     a, image = rng.gamma(4.0, 0.25, (16, 16, 1, 32)), np.full((16, 16, 1), 1.0)
     darker, brighter = contrast(0.8 * a, image), contrast(1.2 * a, image)
     assert darker.outcome == brighter.outcome == "differ"
-    assert "fewer than one of 2734 samples there" in darker.verdict  # 256 pixels x 32 / 3.0
-    assert "missed" not in brighter.verdict
+    assert "fewer than one of 2734 samples there" in darker.conclusion  # 256 pixels x 32 / 3.0
+    assert "missed" not in brighter.conclusion
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
@@ -470,9 +470,9 @@ def test_bad_samples_leave_with_their_pair():
 def test_what_is_no_test_is_said():
     twice = contrast(small(), small())
     assert twice.outcome == "cannot tell"
-    assert "one render given twice" in twice.verdict
+    assert "one render given twice" in twice.conclusion
     assert np.isnan(twice.p_value).all()
-    assert "5 samples per pixel are too few" in contrast(small(1, 5), small(2, 9)).verdict
+    assert "5 samples per pixel are too few" in contrast(small(1, 5), small(2, 9)).conclusion
     one, other = (chd.Samples.from_array(small(s, 1, 4), axes="yxcs") for s in (1, 2))
     assert contrast(one, other).outcome == "cannot tell"
 
@@ -493,7 +493,7 @@ def test_samples_of_any_size_are_compared():
     for scale in (1e-30, 1e30):
         scaled = contrast(a * np.float32(scale), b * np.float32(scale))
         np.testing.assert_allclose(scaled.p_value, found.p_value, rtol=1e-3)
-        assert scaled.p_image == found.p_image
+        assert scaled.image_p_value == found.image_p_value
 
 
 def test_it_shows_itself_and_its_numbers_go_into_json():
