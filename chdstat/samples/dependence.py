@@ -206,12 +206,9 @@ class _Repeats(NamedTuple):
         least = _SURPRISE + np.log(self.looked * number**2)
         sure = [t for t in self.tiles if t.surprise > least or t.rough >= _ROUGH * self.noise]
         surely = {number for tile in sure for number in tile.equal}
-        copies = {
-            int(copy): int(first)
-            for first, *others in (np.flatnonzero(self.whole == h) for h in np.unique(self.whole))
-            for copy in others
-            if {first, copy} <= surely
-        }
+        _, firsts, of_hash = np.unique(self.whole, return_index=True, return_inverse=True)
+        first = firsts[of_hash].tolist()
+        copies = {i: first[i] for i in surely if first[i] < i and first[i] in surely}
         if copies:
             named = [f"{passes[copy]} of {passes[first]}" for copy, first in sorted(copies.items())]
             more = ["..."] * (len(named) > _NAMED)
