@@ -62,7 +62,6 @@ def draw(parts, null, size, rng):
     return x.astype(np.float32)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("spp", [64, 512, 2048, 4096, 16384])
 def test_predicted_n(as_benchmark, spp):
     """Of the pixels with an answer, of every distribution, at most 10 % have a wrong interval.

@@ -48,7 +48,6 @@ def test_learned_estimate(benchmark, samples):
     benchmark(model.predict, samples)
 
 
-@pytest.mark.slow
 def test_published_training(benchmark):
     rng = np.random.default_rng(0)
     image = chd.Samples.from_array(rng.gamma(0.5, size=(128, 128, 3, 256)).astype(np.float32))

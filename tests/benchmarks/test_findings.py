@@ -61,7 +61,6 @@ TIES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 @pytest.mark.parametrize("name", TIES)
 def test_the_most_frequent_family(name):
@@ -91,7 +90,6 @@ FIREFLIES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 @pytest.mark.parametrize("name", FIREFLIES)
 def test_fireflies_and_their_neighbours(name):
@@ -101,7 +99,6 @@ def test_fireflies_and_their_neighbours(name):
     assert found["not supported" if same else "supported"] <= 0.05
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 @pytest.mark.parametrize("spp", [128, 512, 2048])
 @pytest.mark.parametrize("name", worlds.HARD_EDGES)
@@ -113,7 +110,6 @@ def test_hard_edges_are_no_penumbra(name, spp):
     assert found["supported"] == 0
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 def test_two_modes_across_a_penumbra_are_found():
     """The control: what the claim describes is supported."""
@@ -126,7 +122,6 @@ MINIBATCHES = {"elek2019": 10_000}
 """Of the paper's network; the others take a twentieth."""
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 def test_reduction_to_the_mean():
     """Every learned estimator of the registry: constants, order and unit, a row each."""

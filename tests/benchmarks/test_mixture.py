@@ -84,7 +84,6 @@ def two_laws(rng, family, size, distance, weight):
     return rng.gamma(4, size=size) * np.where(upper, factor, 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("effort", ["fast", "thorough"])
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_one_law_has_one_component(as_benchmark, family, effort):
@@ -110,7 +109,6 @@ def test_one_law_has_one_component(as_benchmark, family, effort):
     assert worst <= 100 * stats.binom.isf(1e-3 / len(cells), ROWS, 0.05) / ROWS
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bound", [0.8, 0.95, 0.99])
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_a_clamped_law_has_one_component(as_benchmark, family, bound):
@@ -123,7 +121,6 @@ def test_a_clamped_law_has_one_component(as_benchmark, family, bound):
         print(f"\n{family} {parameter:g}, {n}: k > 1 {several:.3f}, atom named {named:.3f}", end="")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_histograms_and_samples_mostly_agree(as_benchmark, family):
     parameters, draw = ONE_LAW[family]
@@ -139,7 +136,6 @@ def test_histograms_and_samples_mostly_agree(as_benchmark, family):
         print(f"D = {distance}{n:6}   equal {np.mean(k == of_bins):.3f}")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_two_components_are_found(as_benchmark, family):
     print(f"\n{family}: share of {ROWS} rows with k = 2, k > 2, before")
@@ -154,7 +150,6 @@ def test_two_components_are_found(as_benchmark, family):
             assert np.mean(k == 2) >= before - 4 * np.sqrt(0.02 / ROWS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_errors_of_two_components(as_benchmark, family):
     """Where errors are known in a fifth of the rows or more: 90 to 99 %, and 3.5 deviations."""
@@ -184,7 +179,6 @@ def test_errors_of_two_components(as_benchmark, family):
     assert not wrong
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("k", [2, 3])
 @pytest.mark.parametrize("source", sources())
 def test_likelihood_against_the_best_of_five_starts(benchmark, source, k):

@@ -56,7 +56,6 @@ def two_log_modes(separation, weight):
     return draw
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("spp", SPP)
 def test_hard_edges_are_no_modes(as_benchmark, spp):
     """At most 5 % of rows, but for what chance adds to 5 % of 400 in one case of 1000."""
@@ -69,7 +68,6 @@ def test_hard_edges_are_no_modes(as_benchmark, spp):
     assert max(wrong.values()) <= stats.binom.isf(1e-3, ROWS, 0.05) / ROWS
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("spp", POWER_SPP)
 def test_two_log_modes_are_found(as_benchmark, spp):
     print(f"\n{'two modes':34}{'spp':>6}{'found':>8}{'before':>8}")
@@ -84,7 +82,6 @@ def test_two_log_modes_are_found(as_benchmark, spp):
                 assert two >= 0.95
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("spp", [128, 256, 512])
 def test_interval_of_the_separation(as_benchmark, spp):
     """Of the mixtures that are found to have two modes; 4 deviations of 90 % are 5 to 8 %."""
@@ -161,7 +158,6 @@ STEPPED = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("spp", [32, 128, 512, 4096])
 def test_modes_of_steps_lie_at_samples(as_benchmark, spp):
     """Rows with a mode off all samples, or with two modes at one; and with samples around all.

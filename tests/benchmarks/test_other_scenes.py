@@ -68,7 +68,6 @@ def by_thirds(order, holds):
     return [holds[thirds == k].mean() if (thirds == k).any() else np.nan for k in range(3)]
 
 
-@pytest.mark.slow
 def test_with_a_reference(as_benchmark):
     """Every pixel, those that trained among them: errors, bias, and the coverage of intervals.
 
@@ -103,7 +102,6 @@ def test_with_a_reference(as_benchmark):
             assert abs(bias) <= max(0.02, 2 * of_mean)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 def test_of_another_scene(as_benchmark):
     """Each network on all other images, at both ends of the loss weight and between them."""

@@ -94,7 +94,6 @@ def row(label, measures, more=""):
     )
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_with_a_reference(source):
@@ -111,7 +110,6 @@ def test_with_a_reference(source):
     assert np.isfinite(found.measures["mse_ratio"].value).all()
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_error_and_coverage_at_any_number_of_samples(source):
@@ -152,7 +150,6 @@ def judge_of_pixels(judge, found, test):
     return part.judge(found[test][np.newaxis])
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_training_time(source):
@@ -170,7 +167,6 @@ def test_training_time(source):
     assert np.isfinite(history.validation_loss).all()
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("as_benchmark")
 def test_estimating_time():
     """800 x 800 x 3 x 32, as published, and how near that is to merely reading the samples."""

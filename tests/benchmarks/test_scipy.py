@@ -13,7 +13,6 @@ HELPERS = Path(__file__).parents[1] / "fit" / "families_by_scipy.py"
 BY_SCIPY = SimpleNamespace(**runpy.run_path(HELPERS))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_ten_thousand_parameter_sets(benchmark, family):
     x = BY_SCIPY.draw(family, np.random.default_rng(33), 10_000, 200)

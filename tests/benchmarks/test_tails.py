@@ -129,7 +129,6 @@ def _grafted(body, tail, of_tail, samples, start, rng):
     return x, beyond
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("samples", [100, 256, 1024, 4096])
 @pytest.mark.parametrize("body", GRAFTED_INTO)
 def test_exactly_so_many_of_a_tail(as_benchmark, body, samples):
@@ -178,7 +177,6 @@ def _dominated(scene, renders):
     return np.concatenate(few), np.concatenate(many)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scene", DOMINATED)
 def test_intervals_of_dominated_pixels(as_benchmark, scene):
     """The index of 16384 samples is itself known to about +- 0.15; only its estimate is looked for.

@@ -155,16 +155,14 @@ def test_a_reader_finds_spp_in_few_files(run, tmp_path):
         if event == "call" and ROOT in place.parents and "spp" in code.co_varnames:
             files.setdefault(str(place.relative_to(ROOT)), set()).add(code.co_name)
 
-    sys.setprofile(note)
+    path, small = tmp_path / "a.zarr", ("--size", "4x4", "--backend", "scalar")
+    code, _, err = run("render", "cornell-box", "-o", path, "--spp", 2, *small, "-q")
+    assert (code, err) == (0, "")
+    sys.setprofile(note)  # of what is loaded by now
     try:
-        arguments = ("--spp", 2, "--size", "4x4", "--backend", "scalar", "-q")
-        code, _, err = run("render", "cornell-box", "-o", tmp_path / "a.zarr", *arguments)
+        code, out, _ = run("render", "cornell-box", "-o", path, "--spp", 5, "--json", "-q")
     finally:
         sys.setprofile(None)
-    assert (code, err) == (0, "")
-    code, out, _ = run(
-        "render", "cornell-box", "-o", tmp_path / "a.zarr", "--spp", 5, "--json", "-q"
-    )
     said = json.loads(out)
     assert (code, said["spp"], said["size"], said["scene"]) == (0, 5, [4, 4], "cornell-box")
     told = "\n".join(f"{file}: {', '.join(sorted(names))}" for file, names in files.items())

@@ -169,7 +169,6 @@ class Shown:
         """Return at once."""
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 @pytest.mark.parametrize("page", dict(lines()))
 def test_every_line_to_type_succeeds(page, folder, stores, monkeypatch, capsys):
@@ -189,7 +188,6 @@ def test_lines_that_are_run_elsewhere_are_there():
         assert (ROOT / where).exists()
 
 
-@pytest.mark.slow
 def test_python_in_the_readme_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code = "\n".join(re.findall(r"^```python\n(.*?)^```$", README, re.MULTILINE | re.DOTALL))

@@ -101,7 +101,7 @@ def test_small_images_are_taken_and_what_is_none_refused():
 
 
 def test_it_is_better_than_the_mean_on_a_scene():
-    settings = {"size": (48, 48), "backend": "scalar", "progress": False}
+    settings = {"size": (32, 32), "backend": "scalar", "progress": False}
     x = chd.render("bathroom", spp=32, **settings).read()
     right = chd.render("bathroom", spp=256, seed=1, **settings).read().mean(axis=-1, dtype=float)
     errors = [

@@ -27,10 +27,10 @@ def found(samples):
 @pytest.fixture(scope="module")
 def reference():
     rendered = chd.render(
-        "bathroom", spp=512, size=(64, 64), seed=4, backend="scalar", progress=False
+        "bathroom", spp=256, size=(64, 64), seed=4, backend="scalar", progress=False
     )
     x = rendered.read().astype(np.float64)
-    return x.mean(axis=-1), x.std(axis=-1, ddof=1) / np.sqrt(512)
+    return x.mean(axis=-1), x.std(axis=-1, ddof=1) / np.sqrt(256)
 
 
 def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):

@@ -220,7 +220,9 @@ def test_stores_that_do_not_fit_are_refused(store_path):
         explore([store_path, store_path.with_name("none.exr")])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_signal_ends_it_cleanly(store_path, number):
     code = (
         "import sys\nfrom chdstat.explorer import explore\nexplorer = explore(sys.argv[1])\n"

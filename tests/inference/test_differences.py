@@ -232,7 +232,6 @@ def test_what_cannot_be_compared_is_refused_in_words():
             difference(a, b, **options)
 
 
-@pytest.mark.slow
 def test_renders_of_one_seed_by_two_integrators_have_uniform_p_values_in_pairs():
     """Path tracing with and without early Russian roulette: equal means, other samples."""
     plain = chd.load_scene("cornell-box")

@@ -17,9 +17,7 @@ DIRECT = "direct"
 
 BACKENDS = [
     "scalar",
-    pytest.param(
-        "llvm", marks=[pytest.mark.slow, pytest.mark.skipif(not probe("llvm").works, reason="none")]
-    ),
+    pytest.param("llvm", marks=pytest.mark.skipif(not probe("llvm").works, reason="none")),
 ]
 
 

@@ -6,7 +6,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 
 import chdstat as chd
 from chdstat.samples import inspect
@@ -23,7 +22,6 @@ def started(out, spp):
     )
 
 
-@pytest.mark.slow
 def test_of_two_writers_one_may_be_refused_and_the_samples_are_right(tmp_path):
     path, most = tmp_path / "box.zarr", 512
     pair = [started(path, 320), started(path, most)]

@@ -391,7 +391,7 @@ REAL = {
 def test_recipes_of_the_papers_own_scenes_have_regions_for_its_claims(name):
     recipe = Path(__file__).parents[2] / "renders" / f"real-{name}.toml"
     (scene,) = scenes_of(str(recipe), {"spp": 128})
-    size = tuple(length // 2 for length in scene.recipe.size)
+    size = tuple(length // 4 for length in scene.recipe.size)
     samples = chd.render(scene.source, spp=128, size=size, max_depth=4, backend="scalar")
     data = SceneData(scene.name, samples, scene.regions)
     found = {claim.number: claim.find(data) for claim in CLAIMS if claim.number in REAL[name]}
