@@ -42,6 +42,7 @@ from chdstat.patterns.table import PATTERNS, Thresholds
 from chdstat.samples import ImageLike, checkpoint_key, samples_of
 from chdstat.samples.tiles import Work, assemble, tiles
 from chdstat.summary.histograms import Histogram
+from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
         )
     both = PositivePart.of_pixels(block, rows="both")
     for shared in (FamilySelection(), TailIndex(), ModalMixture()):
-        both.measured(shared)
+        measured(both, shared)
     channels, luminance = both.rows(slice(block.shape[-2])), both.rows(-1)
     return _variables(statistics, {"channels": channels, "luminance": luminance})
 
@@ -234,7 +235,7 @@ def _variables(statistics: Mapping[str, Statistic[Any]], rows: Mapping[str, Part
     return {
         f"{stage}/{name}": variable
         for stage, statistic in statistics.items()
-        for name, variable in statistic.variables(rows[statistic.rows].measured(statistic)).items()
+        for name, variable in statistic.variables(measured(rows[statistic.rows], statistic)).items()
     }
 
 

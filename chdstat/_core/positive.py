@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Self, TypeAlias, TypeVar
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -44,8 +44,6 @@ __all__ = [
     "PositiveHistogram",
     "PositivePart",
 ]
-
-Found = TypeVar("Found")
 
 CONSTANT_SPREAD = 1e-6
 """Standard deviation of log x at or below which samples count as equal: 8 float32 spacings."""
@@ -102,13 +100,6 @@ class _Rows:
     def found(self) -> dict[Statistic[Any], Any]:
         """The statistics that were measured of these rows."""
         return {}
-
-    def measured(self, statistic: Statistic[Found]) -> Found:
-        """Return a statistic of these rows, which is measured once."""
-        if statistic not in self.found:
-            self.found[statistic] = statistic.measure(self)
-        known: Found = self.found[statistic]
-        return known
 
     def rows(self, rows: int | slice) -> Self:
         """Return some rows of each pixel, -1 for luminance; what was found of all goes along."""

@@ -124,7 +124,7 @@ class Statistic(Generic[Found]):
     def measure(self, part: Any) -> Found:
         """Return the result of the rows of a positive part, which is NaN where a reason says why.
 
-        What depends on another statistic of the same rows asks ``part.measured`` for it.
+        What depends on another statistic of the same rows asks `chdstat.summary.runner.measured`.
         """
         raise NotImplementedError
 

@@ -33,6 +33,7 @@ from chdstat.inference.contrasts import Contrast
 from chdstat.io.writing import open_maps
 from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import Mapped, assemble
+from chdstat.summary.runner import measured
 from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of
 
@@ -354,13 +355,13 @@ def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
 
 
 def _finite_variance(part: PositivePart) -> Array:
-    tail = part.measured(TailIndex())
+    tail = measured(part, TailIndex())
     trusted = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
     return np.where(tail.reason == Reason.OK, trusted, np.nan)
 
 
 def _best_family(part: PositivePart) -> Array:
-    best = part.measured(FamilySelection()).best
+    best = measured(part, FamilySelection()).best
     return np.where(best < 0, np.nan, best)
 
 
@@ -370,13 +371,13 @@ def _n_needed(part: PositivePart) -> Array:
     if spp < inference.N_MEANS:
         return np.full(part.n.shape, np.nan)
     sizes = inference.sizes_of_means(spp)
-    needed = part.measured(NormalityOfMeans(tuple(sizes.tolist()))).n_needed
+    needed = measured(part, NormalityOfMeans(tuple(sizes.tolist()))).n_needed
     place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
     return np.where(needed == inference.MORE_THAN_TESTED, len(sizes), place)
 
 
 _OF_LUMINANCE: dict[str, Callable[[PositivePart], Array]] = {
-    "tail_index": lambda part: part.measured(TailIndex()).xi,
+    "tail_index": lambda part: measured(part, TailIndex()).xi,
     "finite_variance": _finite_variance,
     "best_family": _best_family,
     "n_needed": _n_needed,

@@ -40,6 +40,7 @@ from chdstat.patterns import Patterns, Thresholds
 from chdstat.patterns.classification import Classification
 from chdstat.patterns.table import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
+from chdstat.summary.runner import measured
 
 __all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodness", "suggest"]
 
@@ -122,23 +123,23 @@ class PlaceStatistics:
     @property
     def selection(self) -> Selection:
         """The families of each row."""
-        return self.part.measured(FamilySelection())
+        return measured(self.part, FamilySelection())
 
     @property
     def tail(self) -> Tail:
         """The tail of each row."""
-        return self.part.measured(TailIndex())
+        return measured(self.part, TailIndex())
 
     @property
     def mixture(self) -> Mixture:
         """The log-normal mixture of each row, by which its modes are found."""
-        return self.part.measured(ModalMixture())
+        return measured(self.part, ModalMixture())
 
     @property
     def modes(self) -> Modality:
         """The modes of each row, which are found with its mixture."""
-        self.part.measured(ModalMixture())
-        return self.part.measured(Modes())
+        measured(self.part, ModalMixture())
+        return measured(self.part, Modes())
 
     @cached_property
     def constant(self) -> npt.NDArray[np.bool_]:
@@ -156,7 +157,7 @@ class PlaceStatistics:
     @cached_property
     def patterns(self) -> Patterns:
         """Patterns of luminance, at the level of a single pixel."""
-        return self.part.rows(-1).measured(Classification())
+        return measured(self.part.rows(-1), Classification())
 
     @property
     def is_firefly(self) -> bool:
@@ -167,7 +168,7 @@ class PlaceStatistics:
     def gaussianity(self) -> inference.Gaussianity:
         """Anderson-Darling's test of the logarithms and of the samples, shape (row, 2, 1)."""
         tests = Normality(("log", "linear"), ("anderson-darling",))
-        return self.part.measured(tests)
+        return measured(self.part, tests)
 
     @cached_property
     def means(self) -> inference.GaussianityOfMeans | None:
@@ -175,7 +176,7 @@ class PlaceStatistics:
         if self.fitted_spp < inference.N_MEANS:
             return None
         sizes = inference.sizes_of_means(self.fitted_spp)
-        return self.part.measured(NormalityOfMeans(tuple(sizes.tolist())))
+        return measured(self.part, NormalityOfMeans(tuple(sizes.tolist())))
 
     def averages(self, n: int) -> Floats:
         """Return the averages of consecutive good samples, n each, shape (row, average)."""
@@ -217,7 +218,7 @@ class PlaceStatistics:
             return take_rows(self.mixture, row, axis=0)
         fits = selection.fits if family in selection.fits else self._further_fits
         if family not in fits:
-            self._further_fits[family] = self.part.measured(FamilyFit(FAMILIES[family]))
+            self._further_fits[family] = measured(self.part, FamilyFit(FAMILIES[family]))
         return take_rows(fits[family], row, axis=0)
 
     def positive(self, family: str, row: int) -> Fitted | None:

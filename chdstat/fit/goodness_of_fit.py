@@ -43,7 +43,7 @@ from chdstat.fit.family import (
 from chdstat.fit.mixtures import Mixture, MixtureDistribution, MixtureFit
 from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.samples import Samples
-from chdstat.summary.runner import Source, of_source, run
+from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -146,9 +146,9 @@ class GoodnessOfFit(Statistic[Goodness]):
         """
         given = self.fit if isinstance(self.fit, Family) else None
         if self.fit is None:
-            fit: Fitted = part.measured(FamilySelection())
+            fit: Fitted = measured(part, FamilySelection())
         elif isinstance(self.fit, Family):
-            fit = part.measured(FamilyFit(self.fit))
+            fit = measured(part, FamilyFit(self.fit))
         else:
             fit = self.fit
             _check_fit(part, fit)

@@ -36,6 +36,7 @@ from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups, take_last
 from chdstat.fit.log_concave import log_concave_likelihood
 from chdstat.fit.mixtures import covariance, directions
 from chdstat.fit.search import Piece, log_samples, score, search
+from chdstat.summary.runner import measured
 
 __all__ = ["LEAST_WEIGHT", "Peaks", "best_peaks", "unimodal_scores"]
 
@@ -314,7 +315,8 @@ def unimodal_scores(
     # What likelihoods of radiance have beside those of log radiance of positive samples.
     rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
     log_n = log_samples(part.n)
-    fits = (part.measured(FamilyFit(FAMILIES[name])) for name in SELECTED) if fits is None else fits
+    if fits is None:
+        fits = (measured(part, FamilyFit(FAMILIES[name])) for name in SELECTED)
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
     last = np.maximum(part.n - 1, 0)[..., np.newaxis]
     high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]

@@ -32,7 +32,7 @@ from chdstat.fit.families import (
     get_family,
 )
 from chdstat.fit.family import Family, blocks, halves_of, points_of, take
-from chdstat.summary.runner import Source, of_source, run
+from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -164,7 +164,7 @@ class HeldOutLikelihood(Statistic[HeldOut]):
 
         The searches begin at the fits to all samples.
         """
-        fits = [(family, part.measured(FamilyFit(family))) for family in self.families]
+        fits = [(family, measured(part, FamilyFit(family))) for family in self.families]
         if isinstance(part, PositiveHistogram):
             message = "held-out likelihood needs samples: a histogram cannot be split, got one"
             raise InputError(message)
@@ -208,10 +208,10 @@ class FamilySelection(Statistic[Selection]):
 
     def measure(self, part: Part) -> Selection:
         """Fit the families to each row, and compare them."""
-        fits = {family.name: part.measured(FamilyFit(family)) for family in self.families}
+        fits = {family.name: measured(part, FamilyFit(family)) for family in self.families}
         split: HeldOut | None = None
         if self.held_out or self.criterion == "held_out":
-            split = part.measured(HeldOutLikelihood(self.families))
+            split = measured(part, HeldOutLikelihood(self.families))
         if self.criterion == "held_out" and split is not None:
             values = split.loss
         else:

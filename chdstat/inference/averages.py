@@ -33,7 +33,7 @@ from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.fit.tail import Tail, TailIndex
 from chdstat.inference.normality import TESTS, NormalityTest, TestName, run_tests
 from chdstat.samples import ImageLike, Samples, opened
-from chdstat.summary.runner import Source, of_source, run
+from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -153,7 +153,7 @@ class NormalityOfMeans(Statistic[GaussianityOfMeans]):
     def measure(self, part: PositivePart) -> GaussianityOfMeans:
         """Test averages of all samples of each row, with the N needed and predicted."""
         x, bad, sizes = part.x, is_bad(part.x), np.array(self.sizes)
-        n_predicted, interval, reason = _predict(x, bad, part.measured(TailIndex()), self.n_means)
+        n_predicted, interval, reason = _predict(x, bad, measured(part, TailIndex()), self.n_means)
         found, (skewness, kurtosis, n) = _tested(x, bad, sizes, self.n_means, TESTS[self.test])
         predicted = skewness[..., np.newaxis] / np.sqrt(sizes)
         # Bonferroni over the sizes: else each further one would be a chance to fail.

@@ -36,7 +36,7 @@ from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
 from chdstat.fit.search import Piece
 from chdstat.fit.selection import FamilySelection
 from chdstat.inference.dip import dip_p, dips
-from chdstat.summary.runner import Source, of_source, run
+from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -239,7 +239,7 @@ def _modality(
     # Uniform samples are what the dip test takes for granted: where it speaks against them, a few
     # modes side by side are not to be mistaken for them.
     bounded = p_value >= _LEVEL
-    fits = part.measured(FamilySelection()).fits.values()
+    fits = measured(part, FamilySelection()).fits.values()
     rival = unimodal_scores(part, ok, bounded, fits=fits)
     if steps.any():
         # Fits to samples as they were rounded do not compare with those to what was spread.

@@ -23,6 +23,7 @@ from chdstat.errors import InputError
 from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex, effective_tail_index
 from chdstat.inference.modes import Modality, Modes
+from chdstat.summary.runner import measured
 
 __all__ = ["PATTERNS", "Pattern", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
 
@@ -162,13 +163,13 @@ def _without_largest(part: PositivePart, rows: Mask) -> PositivePart:
 
 
 def _measure(part: PositivePart) -> PixelStatistics:
-    families = part.measured(FamilySelection())
+    families = measured(part, FamilySelection())
     body_index, body_index_se = _body_index(families)
     return PixelStatistics(
         part=part,
         largest_share=part.largest_share,
-        tail=part.measured(TailIndex()),
-        modes=part.measured(Modes()),
+        tail=measured(part, TailIndex()),
+        modes=measured(part, Modes()),
         vuong_z=families.vuong_z,
         family=families.best,
         misfit=_misfit(part, families),

@@ -34,6 +34,7 @@ from chdstat.fit.tail import TailIndex
 from chdstat.patterns import classify
 from chdstat.rendering import render_pixels
 from chdstat.rendering.options import Job, RenderOptions
+from chdstat.summary.runner import measured
 
 ARRAYS = dict[str, npt.NDArray[Any]]
 
@@ -152,7 +153,7 @@ def test_maps_say_what_the_library_says(flames):
     labels = classify(flames, progress=False)["label"]
     np.testing.assert_array_equal(ended(walk(source, "pattern")), labels)
     part = PositivePart.of_pixels(flames.read()[3:5], rows="luminance")
-    tail, found = part.measured(TailIndex()), ended(walk(source, "tail_index"))
+    tail, found = measured(part, TailIndex()), ended(walk(source, "tail_index"))
     np.testing.assert_allclose(found[3:5], tail.xi, rtol=1e-6)
     finite = ended(walk(source, "finite_variance"))[3:5]
     np.testing.assert_array_equal(finite == 2, tail.variance_trusted)

@@ -25,6 +25,7 @@ from chdstat.patterns import (
     truth_of,
 )
 from chdstat.patterns.classification import Classification
+from chdstat.summary.runner import measured
 
 SPP = 1024
 FAMILY_FLAGS = ("gamma_like", "lognormal_like")
@@ -228,9 +229,9 @@ def test_results_that_are_there_are_not_computed_again():
     x = clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
     part = PositivePart.of_pixels(x, rows="luminance")
     statistics = FamilySelection(), TailIndex(), ModalMixture(), Modes()
-    first = [part.measured(statistic) for statistic in statistics]
-    found = part.measured(Classification())
-    assert all(part.measured(s) is one for s, one in zip(statistics, first, strict=True))
+    first = [measured(part, statistic) for statistic in statistics]
+    found = measured(part, Classification())
+    assert all(measured(part, s) is one for s, one in zip(statistics, first, strict=True))
     for name, value in classify(x).statistics.items():
         np.testing.assert_array_equal(found.statistics[name], value)
 
