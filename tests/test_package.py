@@ -63,12 +63,6 @@ DOWNSTREAM = {
 }
 """Imports against that order, inside methods that show or write a result."""
 
-SAME_CLASSES = {
-    *("Density", "Estimate", "Fitted", "Indices", "Pixel", "Places", "Scale", "Share"),
-    *("Source", "Window"),
-}
-"""Names that two classes or aliases still share. Take out what is renamed; add none."""
-
 SAME_MODULES = {
     *("arrays", "errors", "estimators", "files", "maps", "samples", "selection"),
 }
@@ -215,7 +209,7 @@ def twice(names: Iterable[str]) -> set[str]:
 def test_a_class_or_alias_has_a_name_of_its_own():
     found = [n for m in modules() for n in names_of_types(syntax(m)) if n[0].isupper()]
     assert len(found) > 100
-    assert twice(found) <= SAME_CLASSES
+    assert not twice(found)
 
 
 def test_a_module_has_a_name_of_its_own():

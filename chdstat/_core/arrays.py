@@ -62,6 +62,7 @@ Image: TypeAlias = npt.NDArray[np.float32]
 Mapped: TypeAlias = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 """Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
 Counts: TypeAlias = npt.NDArray[np.int64]
+Indices: TypeAlias = npt.NDArray[np.signedinteger[Any]]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
 Seed: TypeAlias = int | np.random.Generator | None

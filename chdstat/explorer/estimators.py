@@ -27,7 +27,7 @@ from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.view import BATCHES, Box, Pixel
+from chdstat.explorer.view import BATCHES, Box, PixelIndex
 
 __all__ = [
     "BATCHES_AROUND",
@@ -177,8 +177,8 @@ def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
 
 
 def _windows(
-    source: StoreSource, place: Pixel, batches: ScoringBatches, radius: int
-) -> tuple[list[Image], dict[str, Image], Pixel]:
+    source: StoreSource, place: PixelIndex, batches: ScoringBatches, radius: int
+) -> tuple[list[Image], dict[str, Image], PixelIndex]:
     """Return the batches of the pixels around one, their features, and its place among them."""
     ys, xs = (
         slice(max(0, at - radius), min(length, at + radius + 1))
@@ -234,7 +234,7 @@ def scored(
 
 
 def scored_around(
-    batches: ScoringBatches, source: StoreSource, place: Pixel, *, step: Step = lambda: None
+    batches: ScoringBatches, source: StoreSource, place: PixelIndex, *, step: Step = lambda: None
 ) -> list[ScoredEstimate]:
     """Score the estimators that look at the pixels around, on a few batches; default ones first.
 
@@ -289,7 +289,7 @@ class Learner:
         self,
         batches: ScoringBatches,
         source: StoreSource | None,
-        place: Pixel | Box,
+        place: PixelIndex | Box,
         unit: float | None,
     ) -> ScoredEstimate | None:
         """Return the estimate of a place; None where the model does not apply.

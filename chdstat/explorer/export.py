@@ -20,7 +20,7 @@ from chdstat._core.display import percent
 from chdstat._core.files import is_exr, scratch
 from chdstat.explorer.selection import SelectionPlots
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
-from chdstat.explorer.view import Box, Pixel
+from chdstat.explorer.view import Box, PixelIndex
 from chdstat.reporting.typst import Document, typeset
 from chdstat.viz.estimators import called
 
@@ -170,7 +170,7 @@ def _figure(plots: SelectionPlots) -> Figure:
     return viz.chd_grid(drawn, columns=1 if len(drawn) == 1 else 2)
 
 
-def _mark(key: Pixel | Box) -> viz.Mark:
+def _mark(key: PixelIndex | Box) -> viz.Mark:
     if len(key) == 2:
         y, x = key
         return viz.Mark(f"y {y}, x {x}", slice(y, y + 1), slice(x, x + 1), key)

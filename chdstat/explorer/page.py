@@ -33,7 +33,7 @@ from chdstat.explorer.export import EXPORTS
 from chdstat.explorer.maps import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
-from chdstat.explorer.sources import Source, StoreSource
+from chdstat.explorer.sources import AnySource, StoreSource
 from chdstat.explorer.view import BATCH_SIZES, FITS
 from chdstat.viz.estimators import called
 
@@ -78,7 +78,7 @@ class Page:
     def __init__(
         self,
         document: Document,
-        sources: Sequence[Source],
+        sources: Sequence[AnySource],
         names: Sequence[str],
         given: Mapping[str, Map],
         coarse: Sequence[str],

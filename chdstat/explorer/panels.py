@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, cycle
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ from chdstat._core.resampling import Z_95
 from chdstat.explorer.place import PlaceStatistics
 from chdstat.explorer.view import View
 from chdstat.fit.families import FAMILIES
+from chdstat.summary.histograms import Scale
 from chdstat.viz.estimators import called
 
 __all__ = [
@@ -80,7 +81,6 @@ TEXT = "#e8e9ea"
 FAINT = "#b4b8bd"
 _LINES = "#3a3e44"
 
-Scale = Literal["linear", "log"]
 Extent = tuple[float, float]
 
 
@@ -212,7 +212,7 @@ def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> li
 
 
 @dataclass(frozen=True)
-class Density:
+class SeriesCurve:
     """Density of one series.
 
     Attributes
@@ -240,7 +240,7 @@ class Density:
 
 
 def _densities(
-    series: Sequence[Series], density: Callable[[Series], Density], name: str
+    series: Sequence[Series], density: Callable[[Series], SeriesCurve], name: str
 ) -> PanelData:
     """Draw densities upon each other, or each pixel in a row of its own."""
     found = [(s, density(s)) for s in series]
@@ -264,7 +264,9 @@ def _densities(
     return PanelData(**whole, notes=[note], rows=rows, own_x=own_x)
 
 
-def _row(group: Sequence[tuple[Series, Density]], base: int | None, *, own_x: bool) -> PanelData:
+def _row(
+    group: Sequence[tuple[Series, SeriesCurve]], base: int | None, *, own_x: bool
+) -> PanelData:
     """Draw densities with a common axis, above a base line where there are several rows."""
     outlines = [(s, *d.outline) for s, d in group if d.outline is not None]
     peak = max((float(y.max()) for _, _, y in outlines), default=1.0) or 1.0
@@ -303,7 +305,9 @@ def _row(group: Sequence[tuple[Series, Density]], base: int | None, *, own_x: bo
 
 
 def _labels(
-    group: Sequence[tuple[Series, Density]], base: int | None, span: tuple[float, float] | None
+    group: Sequence[tuple[Series, SeriesCurve]],
+    base: int | None,
+    span: tuple[float, float] | None,
 ) -> list[tuple[str, float, str, str]]:
     """Return the number of a pixel, and the range of its row or the share of its nulls."""
     if base is None or not group:
@@ -322,16 +326,16 @@ def _histograms(scale: str, view: View, series: Sequence[Series]) -> PanelData:
     return _densities(series, partial(_histogram, view, scale), scale)
 
 
-def _histogram(view: View, scale: str, s: Series) -> Density:
+def _histogram(view: View, scale: str, s: Series) -> SeriesCurve:
     if s.constant is not None:
-        return Density(value=s.constant)
+        return SeriesCurve(value=s.constant)
     counted = s.place.histograms[scale]
     x, y = _steps(counted.edges, counted.density, s.row)
     if not x.size:
-        return Density()
+        return SeriesCurve()
     mean = float(s.place.moments.mean[s.row])
     mean = mean if scale == "linear" or mean > 0 else float("nan")
-    return Density((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
+    return SeriesCurve((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
 
 
 def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
@@ -443,14 +447,14 @@ def _averages(view: View, series: Sequence[Series]) -> PanelData:
     return _densities(series, partial(_averaged, view.batch), "averages")
 
 
-def _averaged(n: int, s: Series) -> Density:
+def _averaged(n: int, s: Series) -> SeriesCurve:
     """Return the distribution of averages of N samples, with the Gaussian of the same moments."""
     averages = s.place.averages(n)[s.row]
     averages = averages[np.isfinite(averages)]
     if len(averages) < 4:
-        return Density(note=f"too few samples for averages of {n}")
+        return SeriesCurve(note=f"too few samples for averages of {n}")
     if averages.min() == averages.max() or (s.constant is not None and not s.place.null.any()):
-        return Density(value=float(averages[0]))
+        return SeriesCurve(value=float(averages[0]))
     # Bins go up to the largest average, or to where few fireflies begin.
     bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
     low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
@@ -463,7 +467,7 @@ def _averaged(n: int, s: Series) -> Density:
         p = float(means.p_value[s.row, list(means.sizes).index(n)])
         note = f"{s.name} p = {p:.2g}" if np.isfinite(p) else ""
     beyond = float((averages > end).mean())
-    return Density(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
+    return SeriesCurve(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
 
 
 def _gaussian(averages: Array, edges: Array, color: str) -> Trace:

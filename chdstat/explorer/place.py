@@ -27,7 +27,7 @@ from chdstat._core.arrays import (
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat.explorer.sources import MOST_POOLED, Overall, Sampled
-from chdstat.explorer.view import Pixel
+from chdstat.explorer.view import PixelIndex
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, get_family
 from chdstat.fit.goodness_of_fit import FitTest, GoodnessOfFit
@@ -51,7 +51,7 @@ _POINTS = 96
 MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
 
-Fitted = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
+FittedCurve = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
 """Name of a fit, and density and quantiles of its positive part."""
 
 
@@ -79,7 +79,7 @@ class PlaceStatistics:
 
     def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
         self.channels = channels
-        self._positive: dict[tuple[str, int], Fitted | None] = {}
+        self._positive: dict[tuple[str, int], FittedCurve | None] = {}
         self._further_fits: dict[str, Fit] = {}
         self.bad = np.asarray(is_bad(x).any(axis=0))
         self.null = is_null(x) & ~self.bad
@@ -221,7 +221,7 @@ class PlaceStatistics:
             self._further_fits[family] = measured(self.part, FamilyFit(FAMILIES[family]))
         return take_rows(fits[family], row, axis=0)
 
-    def positive(self, family: str, row: int) -> Fitted | None:
+    def positive(self, family: str, row: int) -> FittedCurve | None:
         """Return name, density and quantiles of the positive part of a fit, None without a fit.
 
         They are kept: histograms and quantiles need the same, and SciPy takes longer to make a
@@ -290,7 +290,7 @@ _SUGGESTED = (("long tail", ("long_tail",)), ("bimodal", ("bimodal", "multimodal
 """Names, and the patterns that they stand for."""
 
 
-def first_pixel(overall: Overall) -> Pixel:
+def first_pixel(overall: Overall) -> PixelIndex:
     """Return the pixel with the brightest firefly, or the centre of an image without any.
 
     Examples
@@ -309,7 +309,7 @@ def first_pixel(overall: Overall) -> Pixel:
     return brightest // width, brightest % width
 
 
-def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, Pixel]]]]:
+def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, PixelIndex]]]]:
     """Look for a pixel with a long tail, one with several modes and one that is null-heavy.
 
     Yields the share that is done, and in the end what was found. Of a grid of pixels, those whose
@@ -339,7 +339,7 @@ def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, Pixel]]]]:
                 for p in patterns
             ]
             sure[name].append(np.fmax.reduce(lower, initial=-np.inf))
-    chosen: dict[str, Pixel] = {}
+    chosen: dict[str, PixelIndex] = {}
     for name, parts in sure.items():
         score = np.concatenate(parts)
         score[[pixels.index(p) for p in chosen.values()]] = -np.inf

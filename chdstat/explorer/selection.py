@@ -25,7 +25,7 @@ from chdstat.explorer.sources import (
     drop_oldest,
 )
 from chdstat.explorer.tables import Table
-from chdstat.explorer.view import BATCHES, Box, Pixel, View
+from chdstat.explorer.view import BATCHES, Box, PixelIndex, View
 from chdstat.inference.differences import Difference, difference
 
 __all__ = ["SelectionPlots", "SelectionResults"]
@@ -57,7 +57,7 @@ class SelectionPlots:
     """
 
     view: View
-    keys: Sequence[Pixel | Box]
+    keys: Sequence[PixelIndex | Box]
     found: Mapping[int, Sequence[PlaceStatistics]]
     index: int
     source: Sampled
@@ -77,7 +77,7 @@ class SelectionPlots:
         return self.place.spp if live else None
 
     @property
-    def key(self) -> Pixel | Box:
+    def key(self) -> PixelIndex | Box:
         """Pixel or region that tables describe."""
         return self.keys[self.view.active]
 
@@ -116,7 +116,7 @@ class SelectionResults:
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
-        self._places: dict[tuple[int, Pixel | Box], PlaceStatistics] = {}
+        self._places: dict[tuple[int, PixelIndex | Box], PlaceStatistics] = {}
 
     def plots(self, view: View) -> SelectionPlots | None:
         """Return what the panels of a view show; None where nothing is selected or has samples.
@@ -129,7 +129,7 @@ class SelectionResults:
             If a store is damaged or gone.
         """
         shared = self._shared
-        keys: list[Pixel | Box] = list(view.pixels) if view.region is None else [view.region]
+        keys: list[PixelIndex | Box] = list(view.pixels) if view.region is None else [view.region]
         found = {
             i: [self._statistics(source, i, key) for key in keys]
             for i, source in enumerate(shared.sources)
@@ -210,7 +210,7 @@ class SelectionResults:
         """Return the goodness of fit of every family; `step` is called with the share done."""
         return self._of(plots, tables.goodness_table(plots.place, goodness(plots.place, step)))
 
-    def _statistics(self, source: Sampled, which: int, key: Pixel | Box) -> PlaceStatistics:
+    def _statistics(self, source: Sampled, which: int, key: PixelIndex | Box) -> PlaceStatistics:
         x = source.pixel(*key) if len(key) == 2 else source.region(key)
         found = self._places.pop((which, key), None)
         if found is None or found.spp != x.shape[1]:

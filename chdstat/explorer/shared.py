@@ -41,14 +41,14 @@ from chdstat.explorer.maps import (
 from chdstat.explorer.passes import Pass, Passes
 from chdstat.explorer.place import suggest
 from chdstat.explorer.sources import (
+    AnySource,
     ImageSource,
     Overall,
     SceneSource,
-    Source,
     StoreSource,
     stream,
 )
-from chdstat.explorer.view import Pixel, View
+from chdstat.explorer.view import PixelIndex, View
 from chdstat.inference.contrasts import Contrast, contrasting
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
@@ -172,7 +172,7 @@ class Shared:
 
     def __init__(
         self,
-        sources: Sequence[Source],
+        sources: Sequence[AnySource],
         reference: StoreSource | None = None,
         learners: Sequence[Learner] = (),
         given: Mapping[str, Map] = MappingProxyType({}),
@@ -184,7 +184,7 @@ class Shared:
         self.overalls = [empty for _ in sources]
         self._contrasts: dict[str, Contrast] = {}
         self.maps: dict[str, Map] = {}
-        self.suggested: list[tuple[str, Pixel]] = []
+        self.suggested: list[tuple[str, PixelIndex]] = []
         self.clicks, self.exports, self.additions, self.images = self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
             for name in ("clicks", "exports", "additions", "images")
@@ -351,7 +351,7 @@ def _first(source: StoreSource) -> Overall:
     return found
 
 
-def _distinct(sources: Sequence[Source]) -> list[str]:
+def _distinct(sources: Sequence[AnySource]) -> list[str]:
     """Return names of sources; those that are called alike have a number."""
     names = [source.name for source in sources]
     return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]

@@ -17,7 +17,7 @@ from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixe
 from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
 from chdstat.explorer.render_process import COARSE, RenderProcess
-from chdstat.explorer.view import Box, Pixel, check_pixel
+from chdstat.explorer.view import Box, PixelIndex, check_pixel
 from chdstat.io.exr import read_exr
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
@@ -30,12 +30,12 @@ __all__ = [
     "FIRST_SPP",
     "MOST_POOLED",
     "MOST_SPP",
+    "AnySource",
     "ImageAccumulator",
     "ImageSource",
     "Overall",
     "Sampled",
     "SceneSource",
-    "Source",
     "StoreSource",
     "drop_oldest",
     "pooled",
@@ -257,7 +257,7 @@ class StoreSource:
         self._check()
         return np.asarray(block[y % BLOCK, x % BLOCK])
 
-    def some(self, pixels: Sequence[Pixel], spp: int) -> Image:
+    def some(self, pixels: Sequence[PixelIndex], spp: int) -> Image:
         """Return the first samples of several pixels, shape (pixel, channel, sample)."""
         parts = [self.read(slice(y, y + 1), slice(x, x + 1), slice(0, spp)) for y, x in pixels]
         return np.concatenate(parts)[:, 0]
@@ -351,7 +351,7 @@ class SceneSource:
         self._preview = np.full((height, width, len(self.channels)), np.nan, np.float32)
         if coarse is not None:
             self._preview = self._enlarged(coarse)
-        self._pixels: dict[Pixel, Image] = {}
+        self._pixels: dict[PixelIndex, Image] = {}
         self._tiles = [
             (ys, xs, ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start))
             for ys, xs in product(*(spans(length, TILE) for length in self.size))
@@ -386,7 +386,7 @@ class SceneSource:
             self._draw(y, x, min(_PIECE, spp, MOST_SPP - spp))
         return self._pixels[y, x]
 
-    def some(self, pixels: Sequence[Pixel], spp: int) -> Image:
+    def some(self, pixels: Sequence[PixelIndex], spp: int) -> Image:
         """Draw samples of several pixels, shape (pixel, channel, sample)."""
         drawn: Image = self._render("pixels", np.array(pixels), spp)
         return drawn
@@ -472,4 +472,4 @@ class ImageSource:
 
 
 Sampled = StoreSource | SceneSource
-Source = Sampled | ImageSource
+AnySource = Sampled | ImageSource

@@ -24,7 +24,7 @@ __all__ = [
     "FITS",
     "MOST_IMAGES",
     "Box",
-    "Pixel",
+    "PixelIndex",
     "View",
     "box_between",
     "check_pixel",
@@ -54,7 +54,7 @@ _RANGES = {"exposure": (-32.0, 32.0, "stops"), "gamma": (0.1, 10.0, "as an expon
 """Ends and unit of what is any number between them."""
 _MAP_CHARACTERS = set("abcdefghijklmnopqrstuvwxyz0123456789_:")
 
-Pixel = tuple[int, int]
+PixelIndex = tuple[int, int]
 Box = tuple[int, int, int, int]
 
 
@@ -97,7 +97,7 @@ class View:
     'p=3%2C5&p=5%2C9'
     """
 
-    pixels: tuple[Pixel, ...] = ()
+    pixels: tuple[PixelIndex, ...] = ()
     active: int = 0
     region: Box | None = None
     map: str = "image"

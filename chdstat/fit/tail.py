@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FAR", "Tail", "TailIndex", "effective_tail_index", "tail_index"]
 
-Share = float | Literal["auto"]
+TailShare = float | Literal["auto"]
 
 _STEP = 1e-4
 """Of log radiance, for a derivative."""
@@ -176,7 +176,7 @@ class TailIndex(Statistic[Tail]):
     description: ClassVar = "measuring tails"
     prefix: ClassVar = "tail_"
 
-    share: Share = "auto"
+    share: TailShare = "auto"
     tested: float = 0.25
     level: float = 0.95
 
@@ -239,7 +239,7 @@ class TailIndex(Statistic[Tail]):
 def tail_index(
     x: Source,
     *,
-    share: Share = "auto",
+    share: TailShare = "auto",
     tested: float = 0.25,
     level: float = 0.95,
     null: npt.ArrayLike | None = None,
@@ -496,7 +496,7 @@ def _hill_interval(hill: Floats, n: Counts, level: float) -> Floats:
     return np.stack([hill * shape / end for end in ends], axis=-1)
 
 
-def _check(share: Share, tested: float, level: float) -> None:
+def _check(share: TailShare, tested: float, level: float) -> None:
     known = share == "auto" if isinstance(share, str) else 0 < share < 1
     if not known or tested < 0 or not 0 < level < 1:
         message = (

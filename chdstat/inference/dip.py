@@ -18,9 +18,8 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Indices, Mask, spans
 from chdstat.inference.normality import interpolated_p
 
 __all__ = ["dip_p", "dips"]
@@ -30,8 +29,6 @@ _STEPS = (1, 5)
 _THINNING = 8
 _CHUNK = 2**13
 """Samples worked on at once: they stay in the cache."""
-
-Places = npt.NDArray[np.int64]
 
 
 def dips(ascending: Floats, n: Counts) -> Floats:
@@ -105,12 +102,12 @@ class _Curve:
     """
 
     def __init__(
-        self, x: Floats, vertices: Places, candidates: Places, sign: Literal[1, -1]
+        self, x: Floats, vertices: Indices, candidates: Indices, sign: Literal[1, -1]
     ) -> None:
         self._x, self._candidates, self._sign = x, candidates, sign
         self.vertices = vertices
 
-    def narrow(self, low: Places, high: Places) -> None:
+    def narrow(self, low: Indices, high: Indices) -> None:
         """Leave the curve of the samples from `low` to `high` of each row.
 
         The first of them is a vertex of the minorant so far, and the last of the majorant. So the
@@ -134,7 +131,7 @@ class _Curve:
         fixed[np.searchsorted(places, np.concatenate([low, high]))] = True
         self.vertices = places[_bends(places, self._sign * self._x[places], fixed)]
 
-    def above(self, places: Places) -> Floats:
+    def above(self, places: Indices) -> Floats:
         """Return how far the curve is above samples, ascending, in places: at its vertices 0."""
         vertices = self.vertices
         x = self._x[vertices]
@@ -146,7 +143,7 @@ class _Curve:
         return np.asarray(rise - (places - vertices[left]))
 
 
-def _candidates(ascending: Floats) -> tuple[Places, Places]:
+def _candidates(ascending: Floats) -> tuple[Indices, Indices]:
     """Return the places of samples that may be vertices of a minorant, and of a majorant."""
     convex, concave = np.empty((2, *ascending.shape), dtype=bool)
     for rows in spans(len(ascending), max(1, _CHUNK // ascending.shape[-1])):
@@ -165,7 +162,7 @@ def _candidates(ascending: Floats) -> tuple[Places, Places]:
     return np.flatnonzero(convex), np.flatnonzero(concave)
 
 
-def _bends(places: Places, x: Floats, fixed: Mask) -> Places:
+def _bends(places: Indices, x: Floats, fixed: Mask) -> Indices:
     """Return the indices of those samples that are vertices; `fixed` ones are, whatever they are.
 
     They are those of a minorant, or of a majorant where `x` is negated. Samples on or beyond the
@@ -190,7 +187,7 @@ def _bends(places: Places, x: Floats, fixed: Mask) -> Places:
         kept = kept[stays]
 
 
-def _largest(values: Floats, places: Places, low: Places) -> tuple[Floats, Places]:
+def _largest(values: Floats, places: Indices, low: Indices) -> tuple[Floats, Indices]:
     """Return the largest value of each row, of which `low` is the first place, and its place."""
     first = np.searchsorted(places, low)
     largest = np.maximum.reduceat(values, first)
@@ -199,7 +196,7 @@ def _largest(values: Floats, places: Places, low: Places) -> tuple[Floats, Place
     return largest, places[equal[np.searchsorted(row[equal], np.arange(len(first)))]]
 
 
-def _ranges(start: Places, stop: Places) -> Places:
+def _ranges(start: Indices, stop: Indices) -> Indices:
     """Return all places from each `start` to before its `stop`, one after the other."""
     count = np.maximum(stop - start, 0)
     return np.repeat(start - np.cumsum(count) + count, count) + np.arange(count.sum())

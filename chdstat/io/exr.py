@@ -29,7 +29,7 @@ from chdstat.io.primaries import AP0, REC709, from_xyz, named, to_rec709
 
 __all__ = ["ExrImage", "Planes", "read_exr", "read_feature", "read_planes", "write_exr"]
 
-Window = tuple[int, int, int, int]
+Rectangle = tuple[int, int, int, int]
 """Left, top, right and bottom of the pixels of an image, all of them inside."""
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
@@ -183,7 +183,7 @@ class Planes:
 
     path: Path
     attributes: Mapping[str, Any]
-    window: Window
+    window: Rectangle
     channels: Mapping[str, Array]
     unread: Mapping[str, str]
     notes: dict[str, str]
@@ -425,22 +425,22 @@ def read_planes(path: Path) -> Planes:
     )
 
 
-def _window(header: Mapping[str, Any], name: str) -> Window:
+def _window(header: Mapping[str, Any], name: str) -> Rectangle:
     left, top, right, bottom = (int(edge) for corner in header[name] for edge in corner)
     return left, top, right, bottom
 
 
-def _shape(window: Window) -> tuple[int, int]:
+def _shape(window: Rectangle) -> tuple[int, int]:
     left, top, right, bottom = window
     return bottom - top + 1, right - left + 1
 
 
-def _pixels(window: Window) -> int:
+def _pixels(window: Rectangle) -> int:
     height, width = _shape(window)
     return max(height, 0) * max(width, 0)
 
 
-def _unreadable(channel: Any, data: Window, display: Window) -> str:
+def _unreadable(channel: Any, data: Rectangle, display: Rectangle) -> str:
     """Return why a channel is not one value for each pixel; "" if it is."""
     if channel.pixels.dtype.kind not in "fu":
         return "is deep, with any number of values in each pixel: flatten it first"
@@ -453,7 +453,7 @@ def _unreadable(channel: Any, data: Window, display: Window) -> str:
     return ""
 
 
-def _placed(plane: Array, data: Window, display: Window) -> Array:
+def _placed(plane: Array, data: Rectangle, display: Rectangle) -> Array:
     """Return the part of a channel in the display window, 0 where the file holds nothing."""
     if data == display:
         return plane
@@ -470,7 +470,7 @@ def _placed(plane: Array, data: Window, display: Window) -> Array:
 
 
 def _notes(
-    path: Path, attributes: Mapping[str, Any], data: Sequence[Window], display: Window
+    path: Path, attributes: Mapping[str, Any], data: Sequence[Rectangle], display: Rectangle
 ) -> dict[str, str]:
     """Return what is to be told of windows and pixels."""
     notes = {}

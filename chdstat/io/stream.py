@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, Image, warn_caller
+from chdstat._core.arrays import Array, Image, Indices, warn_caller
 from chdstat._core.files import checksum
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
@@ -54,7 +54,6 @@ _STRETCHES = 16
 _KNOWN = ("scene", "renderer", "integrator", "unit")
 _WHOLE = ("seed", "averaged")
 
-Indices = npt.NDArray[np.intp]
 Tile = tuple[int, int]
 """Row and column of a tile."""
 

@@ -29,7 +29,7 @@ from chdstat.rendering.backend import Backend
 from chdstat.rendering.seeds import SamplerName, Sequences
 from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import CLAIMS, Finding, SceneData
-from chdstat.studies.stores import SPREAD, Source, Stores, StudyScene, scenes_of
+from chdstat.studies.stores import SPREAD, Stores, StudyScene, StudySource, scenes_of
 
 __all__ = ["ACROSS", "SceneStudy", "Study", "study"]
 
@@ -227,7 +227,7 @@ class Study(Shown):
 
 
 def study(
-    scenes: Source | Sequence[Source] | None = None,
+    scenes: StudySource | Sequence[StudySource] | None = None,
     *,
     folder: str | Path | None = None,
     spp: int | None = None,

@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 __all__ = [
     "ROULETTE",
     "SPREAD",
-    "Source",
     "Stores",
     "StudyScene",
+    "StudySource",
     "scenes_of",
     "without_emitter_sampling",
 ]
@@ -72,7 +72,7 @@ _SEQUENCES = 16
 _IN_MEMORY = 2**29
 """Bytes of samples that are read once, as they are walked several times."""
 
-Source = str | Path | Mapping[str, Any] | Scene | Samples
+StudySource = str | Path | Mapping[str, Any] | Scene | Samples
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class StudyScene:
 
 
 def scenes_of(
-    sources: Source | Sequence[Source] | None, settings: Mapping[str, Any]
+    sources: StudySource | Sequence[StudySource] | None, settings: Mapping[str, Any]
 ) -> tuple[StudyScene, ...]:
     """Return the scenes of a study.
 
@@ -128,7 +128,7 @@ def scenes_of(
     return tuple(_distinct(scenes))
 
 
-def _scene(source: Source, settings: Mapping[str, Any]) -> StudyScene:
+def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
     if is_store(source):
         source = open_samples(source)
     if isinstance(source, Samples):

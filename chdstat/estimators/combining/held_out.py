@@ -27,11 +27,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import Reals
+from chdstat._core.arrays import Indices, Reals
 
 __all__ = ["Proposal", "weight_of_mean"]
 
-Places = npt.NDArray[np.signedinteger[Any]]
 
 _SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
 """Standard scores of the proposal against the mean, between which weights are interpolated."""
@@ -219,7 +218,7 @@ def _believed(knots: list[int]) -> Reals:
     return weight
 
 
-def _sides(shape: tuple[int, ...]) -> list[tuple[Places, Reals, int]]:
+def _sides(shape: tuple[int, ...]) -> list[tuple[Indices, Reals, int]]:
     """Return the node before each row and column, how far it is passed, and how many there are."""
     found = []
     for axis, pixels in enumerate(shape):
@@ -230,7 +229,7 @@ def _sides(shape: tuple[int, ...]) -> list[tuple[Places, Reals, int]]:
     return found
 
 
-def _between(x: Reals, knots: npt.NDArray[Any]) -> tuple[Places, Reals]:
+def _between(x: Reals, knots: npt.NDArray[Any]) -> tuple[Indices, Reals]:
     """Return the knot before each number and which share of the way to the next it has gone."""
     x = np.clip(x, knots[0], knots[-1])
     before = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
@@ -238,8 +237,8 @@ def _between(x: Reals, knots: npt.NDArray[Any]) -> tuple[Places, Reals]:
 
 
 def _corners(
-    pixels: Proposal, sides: list[tuple[Places, Reals, int]]
-) -> Iterator[tuple[Places, Reals]]:
+    pixels: Proposal, sides: list[tuple[Indices, Reals, int]]
+) -> Iterator[tuple[Indices, Reals]]:
     """Yield the nodes around each pixel, one kind at a time, and its share in them."""
     axes = [*sides, *((*_between(x, knots), len(knots)) for x, knots in pixels.classes())]
     shape = pixels.mean.shape[:2]

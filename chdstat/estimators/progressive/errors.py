@@ -27,8 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
-from chdstat._core.arrays import Reals
-from chdstat.estimators.progressive.inputs import Indices
+from chdstat._core.arrays import Indices, Reals
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.learning import TrainingSet

@@ -23,7 +23,7 @@ from chdstat._core.arrays import LUMINANCE, Image, Reals, as_pixels, is_bad, spa
 from chdstat._core.work import in_order
 from chdstat.errors import InputError
 
-__all__ = ["OCTAVES", "Features", "Indices", "Profile", "describe"]
+__all__ = ["OCTAVES", "Features", "Profile", "describe"]
 
 OCTAVES = 24
 _LOWEST = -12
@@ -40,7 +40,6 @@ _WAVES = 3
 _DARK = 0.02
 """Albedo below which logarithms are cut."""
 
-Indices = npt.NDArray[np.int64]
 Features = Mapping[str, npt.NDArray[Any]]
 
 

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, generator, is_bad
+from chdstat._core.arrays import Image, Indices, generator, is_bad
 from chdstat._core.image_scales import mean_radiance
 from chdstat._core.work import cores, in_order, track
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.errors import FLOOR, ErrorModel, reference_shares, validate
-from chdstat.estimators.progressive.inputs import Indices, Profile, describe
+from chdstat.estimators.progressive.inputs import Profile, describe
 from chdstat.estimators.training import Trained, descend, provenance_of, scene_record, threads
 from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels, without
 from chdstat.samples import Samples

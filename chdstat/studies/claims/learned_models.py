@@ -33,7 +33,7 @@ from chdstat.studies.scene_data import SceneData
 
 __all__ = ["CLAIMS"]
 
-Estimate = Callable[[Array], Floats]
+EstimateOf = Callable[[Array], Floats]
 
 PAPER = "elek2019"
 """Name of the estimator that the claims are about."""
@@ -274,7 +274,7 @@ def _middle(
 
 def _function(
     comparison: Comparison, name: str, features: dict[str, npt.NDArray[np.float32]]
-) -> Estimate:
+) -> EstimateOf:
     """Return an estimator as a function of samples (y, x, channel, sample)."""
     model: Any = comparison.models.get(name)
 
