@@ -64,7 +64,7 @@ DOWNSTREAM = {
 """Imports against that order, inside methods that show or write a result."""
 
 SAME_MODULES = {
-    *("arrays", "errors", "estimators", "files", "maps", "samples", "selection"),
+    *("errors", "estimators", "maps", "samples", "selection"),
 }
 """Names that two modules still share. Take out what is renamed; add none."""
 

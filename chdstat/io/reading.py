@@ -274,6 +274,6 @@ def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
 
 def _loaded(value: str | Path | npt.ArrayLike) -> npt.ArrayLike:
     """Return an array, which may be in a .npy file."""
-    from chdstat.io.arrays import load_npy
+    from chdstat.io.array_files import load_npy
 
     return load_npy(Path(value)) if isinstance(value, str | Path) else value

@@ -19,7 +19,7 @@ from chdstat.errors import InputError
 from chdstat.rendering.options import scene_integrator, scene_size
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
-from chdstat.scenes.files import is_file
+from chdstat.scenes.scene_files import is_file
 
 __all__ = [
     "Recipe",

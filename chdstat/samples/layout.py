@@ -54,7 +54,7 @@ from chdstat._core.files import (
 )
 from chdstat.errors import StoreError
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart
-from chdstat.scenes.files import is_file
+from chdstat.scenes.scene_files import is_file
 
 __all__ = [
     "BLOCK",

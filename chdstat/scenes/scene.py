@@ -30,8 +30,8 @@ from chdstat._core.arrays import Floats
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError, did_you_mean
 from chdstat.scenes.builtin import BUILTIN, built_in
-from chdstat.scenes.files import described, digest_of, is_file
 from chdstat.scenes.plugins import code_of
+from chdstat.scenes.scene_files import described, digest_of, is_file
 
 __all__ = [
     "LiveScene",
