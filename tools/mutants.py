@@ -30,7 +30,7 @@ import tempfile
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from coverage import CoverageData
@@ -168,11 +168,11 @@ def fate(mutant: Mutant, tests: list[str], folder: Path, longest: float) -> str:
     source = path.read_bytes()
     (folder / "chosen.txt").write_text("\n".join(tests))
     seconds = int(3 * longest + 60)
-    command = [sys.executable, "-m", "pytest", "-xqn0", "-p", "no:cacheprovider", "@chosen.txt"]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "-p", "no:cacheprovider"]
     try:
         path.write_bytes(source[: mutant.start] + mutant.new.encode() + source[mutant.stop :])
         done = subprocess.run(  # noqa: S603
-            command,
+            [*command, "@chosen.txt"],
             cwd=folder,
             env={**os.environ, "PYTHONPATH": f"{folder}:{os.environ.get('PYTHONPATH', '')}"},
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5)),
@@ -207,10 +207,14 @@ def main() -> None:
     paths = sorted((options.root / PACKAGE).rglob("*.py"))
     every = [m for p in paths for m in Source(p).mutated(p.relative_to(options.root).as_posix())]
     drawn = random.Random(options.seed).sample(every, options.count)  # noqa: S311
+    same = replace(drawn[0], new=drawn[0].old)
     counts = Counter[str]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         copy(options.root, folder)
+        control = fate(same, tests.of(same, options.longest), folder, options.longest)
+        if not control.startswith("survived"):
+            parser.error(f"a test of what is not changed must pass: {control}")
         for mutant in drawn:
             chosen = tests.of(mutant, options.longest)
             found = fate(mutant, chosen, folder, options.longest) if chosen else "survived: 0 tests"

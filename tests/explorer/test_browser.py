@@ -15,6 +15,7 @@ import pytest
 import chdstat as chd
 from chdstat._core.display import percent
 from chdstat.analysis import save
+from chdstat.explorer import Explorer
 from chdstat.explorer.maps import IMAGES
 from chdstat.io import write_exr
 from chdstat.samples.store import Store
@@ -99,10 +100,13 @@ def person(context, explored, store_path, served):
     people = []
 
     def come(source, **options):
-        same = not isinstance(source, list) and source == store_path and not options
+        if source is store_path and not options:
+            source = served
+        elif not isinstance(source, Explorer):
+            source = explored(source, **options)
         page = context.new_page()
         page.set_viewport_size({"width": 1280, "height": 900})
-        people.append(Person(page, served if same else explored(source, **options)))
+        people.append(Person(page, source))
         return people[-1]
 
     yield come
@@ -222,7 +226,7 @@ def test_a_click_outside_changes_nothing(person, store_path):
     one = person(store_path).open("?p=3,4")
     for _ in range(4):
         one.page.get_by_role("button", name="Zoom out").click()
-    one.page.wait_for_timeout(200)
+    one.waits_for("location.search.includes('z=')")
     box = one.page.locator(".image").bounding_box()
     one.page.mouse.click(box["x"] + 5, box["y"] + 5)
     assert "outside the image" in one.alert()
@@ -255,9 +259,10 @@ def test_maps_take_the_place_of_the_image(person, store_path):
     one.page.wait_for_selector("#colorbar", state="hidden")
 
 
-def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tmp_path):
+def test_maps_have_ranges_and_opacity_and_come_from_files(person, explored, store_path, tmp_path):
     path = save(chd.summarize(chd.open(store_path), progress=False), tmp_path / "maps.zarr")
-    one = person(store_path, maps=path).open("?p=20,10&map=file:null_share")
+    explorer = explored(store_path, maps=path)
+    one = person(explorer).open("?p=20,10&map=file:null_share")
     one.waits_for("document.querySelector('#colorbar').innerText.includes('Null share')")
     one.page.locator("#limits input").first.fill("0.25")
     one.page.locator("#limits input").first.press("Enter")
@@ -268,7 +273,7 @@ def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tm
     alpha = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.global_alpha"
     one.waits_for(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
     one.waits_for("location.search.includes('o=0.5')")
-    again = person(store_path, maps=path).open(one.page.evaluate("location.search"))
+    again = person(explorer).open(one.page.evaluate("location.search"))
     again.waits_for(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
     assert again.page.locator("#opacity").input_value() == "0.5"
     one.page.locator("select[data-option=map]").select_option("variance")
@@ -546,31 +551,24 @@ def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
 
 
 def test_a_server_that_stops_is_told(person, store_path, explored):
-    one = person(store_path)
     explorer = explored(store_path)
-    one.url = explorer.url
-    one.open()
+    one = person(explorer).open()
     explorer.stop()
     assert "server has stopped" in one.alert()
 
 
-def test_no_state_of_the_page_shuts_anyone_out(browser, explored, several):
-    """Rules of axe-core for each state, in both themes."""
+@pytest.mark.parametrize("theme", ["dark", pytest.param("light", marks=pytest.mark.slow)])
+def test_no_state_of_the_page_shuts_anyone_out(browser, explored, several, theme):
+    """Rules of axe-core for each state; for colours in both themes see `test_server`, too."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe-core").Axe()
-    explorer = explored(several)
-    for theme in ("dark", "light"):
-        with browser.new_context(color_scheme=theme) as context:
-            one = Person(context.new_page(), explorer)
-            for query in (
-                "?p=20,10",
-                "?p=5,6&p=8,9&side=1&map=diff:signed",
-                "?r=2,2,9,9&map=pattern",
-            ):
-                one.open(query)
-                one.page.get_by_text("All statistics").click()
-                one.page.locator("#keys").click()
-                found = axe.run(one.page).response["violations"]
-                assert [(v["id"], [n["html"] for n in v["nodes"]]) for v in found] == []
+    with browser.new_context(color_scheme=theme) as context:
+        one = Person(context.new_page(), explored(several))
+        for query in ("?p=20,10", "?p=5,6&p=8,9&side=1&map=diff:signed", "?r=2,2,9,9&map=pattern"):
+            one.open(query)
+            one.page.get_by_text("All statistics").click()
+            one.page.locator("#keys").click()
+            found = axe.run(one.page).response["violations"]
+            assert [(v["id"], [n["html"] for n in v["nodes"]]) for v in found] == []
 
 
 def test_nothing_overlaps_or_sticks_out(person, store_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -40,11 +39,13 @@ class Stepped:
     def ends(self, name):
         """Wait until a pass has ended."""
         self._free.release(99)
-        assert self._ended.setdefault(name, threading.Event()).wait(10)
+        event = self._ended.setdefault(name, threading.Event())
+        assert event.wait(10)
+        event.clear()
 
     def _tell(self, what):
         self.told.append(what)
-        if what in self.passes.failures or self.steps.count(what) == 3:
+        if what not in self.passes.shares:  # of one that goes on, the share is known
             self._ended.setdefault(what, threading.Event()).set()
 
 
@@ -110,37 +111,32 @@ def test_what_is_forgotten_is_begun_anew(stepped):
     assert stepped.steps == ["a"] * 3
 
 
-def test_a_contrast_stands_still_while_nobody_waits_and_is_one_for_all_its_maps(monkeypatch):
+def test_a_contrast_stands_still_while_nobody_waits_and_is_one_for_all_its_maps(
+    monkeypatch, stepped
+):
     renders = np.random.default_rng(1).gamma(1.0, size=(2, 8, 8, 3, 16))
     shared = opened([chd.Samples.from_array(x, axes="yxcs", scene="noise") for x in renders])
-    steps = []
+    shared.passes.stop()
+    shared.passes = stepped.passes
+    one, other = (View(map=f"contrast:{n}", shown=1, reference=0) for n in ("p", "efficiency"))
+    key = shared.key(one)
 
     def contrasting(a, b):
-        for i in range(100):
-            steps.append(i)
-            time.sleep(0.005)
-            yield "contrasting", i / 100
+        yield from stepped.work(key)
         return chd.contrast(a, b)
 
-    def soon(condition):
-        until = time.monotonic() + 20
-        while not condition() and time.monotonic() < until:
-            time.sleep(0.005)
-        assert condition()
-
     monkeypatch.setattr("chdstat.explorer.shared.contrasting", contrasting)
-    one, other = (View(map=f"contrast:{n}", shown=1, reference=0) for n in ("p", "efficiency"))
+    stepped.passes.ask("another page", "more", stepped.work("more"))
+    stepped.at.acquire()
     shared.want("page", one)
-    soon(lambda: len(steps) > 3)
+    stepped.go()  # what was begun; the contrast, which is asked for last, is next
     shared.want("page", View())  # the image again
-    time.sleep(0.05)  # for the step that was begun
-    before = len(steps)
-    time.sleep(0.1)
-    assert len(steps) == before < 100
-    assert shared.passes.shares[shared.key(one)] == steps[-1] / 100
+    stepped.ends("more")
+    assert stepped.steps == ["more", key, "more", "more"]
+    assert stepped.passes.shares == {key: 1 / 3}
     shared.want("page", other)
-    soon(lambda: shared.map(other) is not None)
-    assert steps == list(range(100))  # it went on where it stopped, once for both
+    stepped.ends(key)
+    assert stepped.steps[4:] == [key, key]  # it went on where it stopped, once for both
+    assert shared.map(other) is not None
     assert shared.map(one).title == "Significance of the difference"
-    soon(lambda: not shared.passes.shares)
-    shared.stop()
+    assert not stepped.passes.shares

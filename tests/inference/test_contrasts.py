@@ -112,15 +112,19 @@ def test_plain_flips_of_signs_would_not_hold_it():
 
 @pytest.mark.parametrize("paired", [False, True])
 def test_the_outcome_holds_its_level(paired):
-    """Of 60 pairs, more than 9 at 5 % would happen in 1 of 1000 runs."""
+    """Of 60 pairs, more than 9 at 5 % would happen in 1 of 1000 runs.
+
+    p-values are cautious: .5 is above .22 of them or more (480 pairs), and above fewer than 4 of 60
+    in 1 of 4000 runs.
+    """
     rng = np.random.default_rng(11)
     p = []
     for seed in range(60):
         a = heavy(rng, 24, edge=24)
         b = roulette(rng, a if paired else heavy(rng, 24, edge=24))
         p.append(contrast(a, b, seed=seed).image_p_value)
-    assert np.mean(np.array(p) <= 0.05) <= 9 / 60
-    assert np.mean(np.array(p) <= 0.5) >= 0.15
+    assert np.sum(np.array(p) <= 0.05) <= 9
+    assert np.sum(np.array(p) <= 0.5) >= 4
 
 
 def test_windows_that_missed_rare_bright_samples_are_not_darker():
