@@ -35,15 +35,32 @@ _WIDE = 200
 
 
 def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
-    """Say what samples there are, and what to do with them."""
-    path = samples.path
+    """Say what samples there are, how large their error is, and what to do with them."""
+    path, counts, errors = samples.path, samples.counts, _errors_of(samples)
     if as_json:
-        print_json({**samples.attrs, "path": str(path), "spp": samples.spp})
+        told = {name: error.to_dict() for name, error in errors.items()}
+        mean = samples.spp if counts is None else float(counts.mean())
+        print_json({**samples.attrs, "path": str(path), "spp": mean, **told})
     else:
-        height, width = samples.shape[:2]
-        what = f"{width} x {height} pixels, {samples.spp} samples per pixel"
-        typer.echo(f"{path}: {samples.name}, {what}")
+        (height, width), number = samples.shape[:2], f"{samples.spp} samples per pixel"
+        if counts is not None:
+            number += f" at most, {counts.min()} at least, {counts.mean():.4g} on average"
+        typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {number}")
+        for name, error in errors.items():
+            typer.echo(f"{name.replace('_', ' ')}: {error}")
     say_next(quiet, *after_render(samples.attrs, path))
+
+
+def _errors_of(samples: Samples) -> Mapping[str, Any]:
+    """Return by name what error of an adaptive render was predicted, and what it seems to be."""
+    from chdstat.rendering.adaptive import error_of, expected_error
+
+    expected = expected_error(samples.attrs)
+    if expected is None:
+        return {}
+    measure = samples.attrs["adaptive"]["measure"]
+    about = "relative_error" if measure == "relMSE" else "root_of_mse"
+    return {f"predicted_{about}": expected, f"estimated_{about}": error_of(samples, measure)}
 
 
 def after_render(attrs: Mapping[str, Any], path: Path | None) -> tuple[str, str]:

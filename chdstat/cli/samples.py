@@ -64,6 +64,23 @@ def render(
             unset="none",
         ),
     ] = None,
+    adaptive: Annotated[
+        bool,
+        flag(
+            "--adaptive",
+            "Draw samples where they are needed: --spp is their mean number, a quarter of which "
+            "tells how noisy each pixel is.",
+        ),
+    ] = False,
+    error: Annotated[
+        float | None,
+        option(
+            "Draw as many adaptive samples as reach this relative error of the image, such as "
+            ".02, but --spp at most.",
+            metavar="ERROR",
+            unset="none",
+        ),
+    ] = None,
     summary_only: Annotated[
         bool,
         flag(
@@ -86,8 +103,11 @@ def render(
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     settings, described = asked.settings, asked.scene(scene)
     if summary_only:
-        if direct or by_depth or light:
-            message = "--summary-only keeps no samples, which --direct, --by-depth and --light need"
+        if direct or by_depth or light or adaptive or error is not None:
+            message = (
+                "--summary-only keeps no samples, which --direct, --by-depth, --light, --adaptive "
+                "and --error need"
+            )
             raise InputError(message)
         asked.target(out)
         with asked.client() as client, kept_until_written(out) as checkpoint:
@@ -106,6 +126,8 @@ def render(
             direct=direct,
             by_depth=by_depth,
             by_light=light or (),
+            adaptive=adaptive,
+            error=error,
             out=out,
             client=client,
             progress=asked.progress,
@@ -286,7 +308,7 @@ def info(
 def _state(found: Mapping[str, Any]) -> dict[str, str]:
     """Return what there is of a store, in words."""
     from chdstat._core.display import byte_size
-    from chdstat.samples.samples import BIASED
+    from chdstat.samples.samples import different_counts
 
     wanted, there = found["shape"]["sample"], found["complete_spp"]
     state = "complete"
@@ -307,8 +329,7 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
         also.append(f"light from {', '.join(found['lights'])} alone")
     numbers = {}
     if found["counts"]:
-        fewest, most = found["counts"]
-        numbers["Samples"] = f"{fewest} to {most} in a pixel; {BIASED}"
+        numbers["Samples"] = different_counts(found, *found["counts"])
     return {
         **numbers,
         "Also stored": ", ".join(also) or "nothing",

@@ -163,13 +163,20 @@ class MitsubaRenderer:
         }
 
     def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
-        """Draw the samples of one chunk, shape (y, x, channel, sample).
+        """Draw the samples of one chunk, shape (y, x, channel, sample), NaN where none is missing.
 
-        `before_pass` is called just before each pass, to end the chunk by an exception. Raises
-        `Interrupted` if Mitsuba cancelled a pass.
+        A wavefront gives each sample the random numbers that it has where none is left out; a
+        scalar variant draws those of such chunks from others. `before_pass` is called just before
+        each pass, to end the chunk by an exception. Raises `Interrupted` if Mitsuba cancelled a
+        pass.
         """
+        if chunk.missing is not None and not chunk.missing.any():
+            height, width, samples = chunk.shape
+            return np.full((height, width, 3, samples), np.nan, np.float32)
         with self._telling():
             block = self._drawn(chunk, before_pass)
+        if chunk.missing is not None:
+            block = np.where(chunk.missing[:, :, np.newaxis], block, np.float32(np.nan))
         if self.job.light is None:
             return block
         return np.where(np.abs(block) < _FLUSHED, np.float32(0), block)
@@ -178,14 +185,15 @@ class MitsubaRenderer:
         if self._sequences is not None:
             step = self._sequences.length if self._scalar else self._sequences.drawn_together
             return self._chunk_of_sequences(chunk, step, before_pass)
-        if self._scalar and (self._crops or chunk.shape[1::-1] == self.size):
+        whole = self._crops or chunk.shape[1::-1] == self.size
+        if self._scalar and whole and chunk.missing is None:
             return self._chunk_scalar(chunk, before_pass)
         if self._scalar:
             return self._chunk_of_sequences(chunk, BATCH, before_pass)
         before_pass()
         (height, width, samples), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
         number = self._streams.of_chunk(chunk)
-        return self._wavefront(number, corner, (width, height), samples)
+        return self._wavefront(number, corner, (width, height), samples, chunk.missing)
 
     def preview(
         self, longest: int, spp: int, *, seed: int = 0, band: tuple[int, int] = (0, 1)
@@ -415,11 +423,14 @@ class MitsubaRenderer:
         sample = self._sampling_scalar(sampler)
         height, width, _ = chunk.shape
         block = np.empty((height, width, 3, samples), np.float32)
+        ends = np.full((height, width), samples)
+        if chunk.missing is not None:  # the numbers of a sample go on from those of the one before
+            ends = (chunk.missing * np.arange(1, samples + 1)).max(axis=-1)
         for y in range(height):
             before_pass()
             for x in range(width):
                 sampler.seed(number + y * width + x, 1)
-                for i in range(samples):
+                for i in range(ends[y, x]):
                     block[y, x, :, i] = sample(chunk.xs.start + x, chunk.ys.start + y)
                     sampler.advance()
         return block
@@ -462,12 +473,18 @@ class MitsubaRenderer:
     # --- wavefront (llvm, cuda) -----------------------------------------------------------------
 
     def _wavefront(
-        self, number: int, corner: tuple[int, int], extent: tuple[int, int], samples: int
+        self,
+        number: int,
+        corner: tuple[int, int],
+        extent: tuple[int, int],
+        samples: int,
+        missing: npt.NDArray[np.bool_] | None = None,
     ) -> Image:
         """Draw samples of a rectangle of pixels in one wavefront, shape (y, x, channel, sample).
 
         Lanes run over the samples of a run, then pixels, then runs. Whole runs are drawn, so that
-        fewer samples are a prefix of more; a sequence of dependent samples is a run.
+        fewer samples are a prefix of more; a sequence of dependent samples is a run. Lanes of
+        samples that are not `missing`, shape (y, x, sample), end at once.
         """
         import drjit as dr
 
@@ -477,7 +494,13 @@ class MitsubaRenderer:
         inputs = (number, *corner, width, width * height)
         opaque = [dr.opaque(self._mi.UInt32, value) for value in inputs]
         lanes = width * height * runs * run
-        colors = np.asarray(self._launch(*opaque, lanes), dtype=np.float32)
+        active = []
+        if missing is not None:
+            padded = np.zeros((height, width, runs * run), bool)
+            padded[..., :samples] = missing
+            by_lane = padded.reshape(height, width, runs, run).transpose(2, 0, 1, 3).ravel()
+            active.append(self._mi.Bool(np.ascontiguousarray(by_lane)))
+        colors = np.asarray(self._launch(*opaque, lanes, *active), dtype=np.float32)
         colors = np.broadcast_to(colors, (3, lanes))  # of one value for all lanes, there is one
         block = colors.reshape(3, runs, height, width, run).transpose(2, 3, 0, 1, 4)
         return np.ascontiguousarray(block.reshape(height, width, 3, -1)[..., :samples])

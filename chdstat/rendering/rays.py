@@ -48,6 +48,7 @@ def wavefront(
     width: Any,
     pixels: Any,
     lanes: int,
+    active: Any = True,
 ) -> Any:
     """Return the radiance of all lanes, which run over the samples of a run, then over pixels.
 
@@ -66,6 +67,8 @@ def wavefront(
         Seed of the sampler.
     left, top, width, pixels
         The rectangle of the image that is drawn, and how many pixels it has.
+    active
+        Whether each lane is drawn at all; its random numbers are its own in any case.
     """
     scene, sensor, integrator, source, medium = objects
     sampler = source.clone()
@@ -73,11 +76,18 @@ def wavefront(
     index = dr.arange(mi.UInt32, lanes) // run % pixels
     pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
     position = (pixel + sampler.next_2d()) / mi.Point2f(*map(float, size))
-    return drawn(mi, position, scene, sensor, integrator, sampler, medium)
+    return drawn(mi, position, scene, sensor, integrator, sampler, medium, active)
 
 
 def drawn(
-    mi: Any, position: Any, scene: Any, sensor: Any, integrator: Any, sampler: Any, medium: Any
+    mi: Any,
+    position: Any,
+    scene: Any,
+    sensor: Any,
+    integrator: Any,
+    sampler: Any,
+    medium: Any,
+    active: Any = True,
 ) -> Any:
     """Return the radiance of a ray through a position of the image, from 0 to 1, as linear sRGB."""
     ray, weight = sensed(mi, position, sensor, sampler)
@@ -93,10 +103,10 @@ def drawn(
                 δL=None,
                 δaovs=None,
                 state_in=None,
-                active=mi.Bool(True),
+                active=mi.Bool(active),
             )
     else:
-        color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
+        color, _, _ = integrator.sample(scene, sampler, ray, medium, active)
     return _srgb(mi, weight * color, ray)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import pickle
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,13 +23,14 @@ from chdstat._core.arrays import Image, Seed, whole
 from chdstat._core.files import free_disk, place_of
 from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
+from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, decided
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Crop, IntegratorLike, Job, RenderOptions, RenderSettings
 from chdstat.rendering.seeds import SamplerName, check_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import GUIDE, differing, part_folder
+from chdstat.samples.layout import GUIDE, counts_of, differing, missing_of, part_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
@@ -61,6 +63,8 @@ def render(
     direct: bool = False,
     by_depth: int | None = None,
     by_light: Sequence[str] = (),
+    adaptive: bool | ErrorMeasure = False,
+    error: float | None = None,
     out: str | Path | None = None,
     backend: Backend = "auto",
     client: Client | None = None,
@@ -77,7 +81,7 @@ def render(
     scene
         Anything that `chdstat.load_scene` takes.
     spp
-        Samples per pixel. Where `out` holds fewer, the missing ones are appended.
+        Samples per pixel, on average. Where `out` holds fewer, the missing ones are appended.
     size
         (width, height) in pixels; None takes that of `out`, else the scene's own.
     seed
@@ -121,6 +125,17 @@ def render(
         Render every sample once more by some lights alone: `Samples.lights`. Each entry is the name
         of a light (of its shape, in most scenes) or a pattern such as ``"lamp-*"`` that names a
         group of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
+    adaptive
+        Draw samples where they are needed: a quarter of `spp` of every pixel, and the others where
+        these tell that the image is noisy; see `chdstat.rendering.adaptive`. True makes the
+        relative error of the image least ("relMSE"), "MSE" the absolute one. The samples of a pixel
+        do not depend on how many there are, so that means have no bias. With llvm and cuda, they
+        are the first ones of a render that is not adaptive; with scalar, they are drawn pixel by
+        pixel, which takes longer. An `out` that is adaptive goes on so.
+    error
+        Relative error of the image to reach, such as 0.02: the root of relMSE, or with
+        ``adaptive="MSE"`` that of MSE. The first samples predict how many that takes; `spp` is the
+        most that are drawn, on average. The render is adaptive.
     out
         Where to store the samples, a path or a URL; None keeps them in memory.
     backend
@@ -139,7 +154,7 @@ def render(
     ------
     InputError
         If `spp`, `size` or `seed` is out of range, the sampler would round `sequence`, or light by
-        depth or by lights is asked of one that spreads samples.
+        depth or by lights, or an adaptive render, is asked of one that spreads samples.
     SceneError, RenderError
         If the scene cannot be read, or not be rendered as asked.
     StoreError
@@ -169,18 +184,24 @@ def render(
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     existing = Store.open(place_of(out)) if out is not None and is_store(out) else None
+    how = Adaptive.of(adaptive, error, options.spp)
     if existing is not None:
         held = existing.parts()  # parts of other samples are refused here
         depths |= {part for part in held if isinstance(part, int)}
         by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
         options = _as_stored(options, existing)
-        if options.spp < existing.complete_spp() == existing.shape[3]:
+        if (kept_so := existing.adaptive) is not None:
+            measure = kept_so["measure"] if how is None or adaptive is True else how.measure
+            how = Adaptive(measure, kept_so["first"], error)
+        spp_held = existing.attrs["spp"]
+        if options.spp < spp_held and not existing.pending() and error is None:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
-            _log.warning(message, out, existing.shape[3], options.spp)
-    if (depths or by_light) and options.sequences is not None:
+            _log.warning(message, out, spp_held, options.spp)
+    if (depths or by_light or how is not None) and options.sequences is not None:
         message = (
-            "direct, by_depth and by_light draw the same samples again, which only independent "
-            f"ones allow; leave them out, or the sampler {options.sampler!r}"
+            "direct, by_depth and by_light draw the same samples again, and adaptive draws more of "
+            "some pixels, which only independent ones allow; leave them out, or the sampler "
+            f"{options.sampler!r}"
         )
         raise InputError(message)
     if by_light and isinstance(loaded.source, LiveScene):
@@ -197,15 +218,15 @@ def render(
     if client is not None:
         _check_portable(job)
     with activate(job.backend):
-        return _captured(
-            job, depths, by_light, None if out is None else place_of(out), client, progress
-        )
+        place = None if out is None else place_of(out)
+        return _captured(job, depths, by_light, how, place, client, progress)
 
 
 def _captured(
     job: Job,
     depths: Collection[int],
     lights: Sequence[str],
+    how: Adaptive | None,
     out: Path | None,
     client: Client | None,
     progress: bool | None,
@@ -216,17 +237,34 @@ def _captured(
     renderer.check_lights(lights)
     job = renderer.job
     partial = _cut_paths(renderer, depths) | {n: replace(job, light=n) for n in lights}
-    with _writer(renderer, out) as writer:
+    with _writer(renderer, out, how) as writer:
         with _features_restored(renderer, client, writer):
+            _fill(renderer, writer, client, progress)
+        if how is not None:
+            _decide(how, writer, job)
             _fill(renderer, writer, client, progress)
         parts = {}
         for which, of_part in partial.items():
             del renderer  # kernels are frozen where one scene is alive only
             renderer = MitsubaRenderer(of_part)
-            with _writer(renderer, out and out / part_folder(which)) as part:
+            with _writer(renderer, out and out / part_folder(which), how) as part:
+                if writer.density is not None:
+                    part.decide(writer.density, writer.attrs["spp"], writer.attrs["noise"])
                 _fill(renderer, part, client, progress)
                 parts[which] = part.finish()
         return writer.finish(parts)
+
+
+def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
+    """Make room for the samples of each pixel, as the first ones of all pixels tell."""
+    if writer.density is None:
+        density, noise = decided(writer.finish(), how)
+    else:
+        density, noise = writer.density, writer.attrs["noise"]
+    spp = how.spp(noise, job.options.spp)
+    height, width = density.shape
+    check_spp(job.backend.name, width, height, int(counts_of(density, spp, how.first).max()))
+    writer.decide(density, spp, noise)
 
 
 def render_pixels(
@@ -381,11 +419,12 @@ def _fill(
     if not chunks:
         return
     start, name = time.monotonic(), renderer.job.scene.name
-    samples = sum(chunk.size for chunk in chunks)
-    store = writer if isinstance(writer, Store) else None
+    samples = writer.lacking
+    # What is missing of chunks is added to what is there, by this process.
+    store = writer if isinstance(writer, Store) and writer.adaptive is None else None
     with track(f"rendering {name}", samples, unit="S", show=progress) as advance:
         try:
-            for chunk, block in rendered(renderer, chunks, client, store):
+            for chunk, block in rendered(renderer, map(writer.to_draw, chunks), client, store):
                 if block is not None:
                     writer.write(chunk, block)
                 elif store is not None:
@@ -402,18 +441,48 @@ class MemoryWriter:
     """Keeps rendered samples in memory, as a `chdstat.samples.store.Store` does on disk."""
 
     def __init__(self, attrs: dict[str, Any], size: tuple[int, int]) -> None:
-        (width, height), spp = size, attrs["spp"]
-        self._attrs, self._features = attrs, dict[str, Image]()
+        (width, height), spp = size, _first_spp(attrs)
+        self.attrs, self._features = attrs, dict[str, Image]()
+        self.density: Image | None = None
         self._array = np.full((height, width, 3, spp), np.nan, np.float32)
+        self._counts = np.full((height, width), spp, np.int32)
+        self._done = 0
 
     def pending(self) -> list[Chunk]:
         """Return the chunks that are not there yet."""
         height, width, _, spp = self._array.shape
         return list(chunk_grid(height, width, spp))
 
+    @property
+    def lacking(self) -> int:
+        """How many samples are not there yet, over all pixels."""
+        return int(self._counts.sum()) - self._done
+
+    def to_draw(self, chunk: Chunk) -> Chunk:
+        """Return a chunk with what is missing of it, where counts differ on purpose."""
+        if "adaptive" not in self.attrs:
+            return chunk
+        held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
+        wanted = self._counts[chunk.ys, chunk.xs] - chunk.ss.start
+        return replace(chunk, missing=missing_of(held, wanted))
+
     def write(self, chunk: Chunk, block: Image) -> None:
         """Keep the samples of a chunk."""
-        self._array[chunk.ys, chunk.xs, :, chunk.ss] = block
+        held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
+        where = True if chunk.missing is None else chunk.missing[:, :, np.newaxis]
+        np.copyto(held, block, where=where)
+        self._done += chunk.size
+
+    def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
+        """Let pixels have different numbers of samples from now on, `spp` of them on average."""
+        first, self.density = self._array, density
+        self.attrs |= {"spp": spp, "noise": dict(noise)}
+        self._counts = counts_of(density, spp, self.attrs["adaptive"]["first"])
+        shape = (*first.shape[:3], int(self._counts.max()))
+        what = f"up to {shape[3]} samples for each of {shape[1]} x {shape[0]} pixels"
+        check_memory(4 * math.prod(shape), what, "give a store to write to, or use fewer samples")
+        self._array = np.full(shape, np.nan, np.float32)
+        self._array[..., : first.shape[3]] = first
 
     @property
     def lacks_features(self) -> bool:
@@ -424,15 +493,16 @@ class MemoryWriter:
         """Keep first-hit features, or why there are none."""
         self._features = {n: image for n, image in features.items() if n not in GUIDE}
         if why_none:
-            self._attrs["why_no_features"] = why_none
+            self.attrs["why_no_features"] = why_none
 
     def spent(self, seconds: float) -> None:
         """Record how long rendering took."""
-        self._attrs["render_seconds"] = round(seconds, 3)
+        self.attrs["render_seconds"] = round(seconds, 3)
 
     def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples, with the parts of their light."""
-        return Samples(self._array, attrs=self._attrs, features=self._features, parts=parts)
+        about: Any = {"attrs": self.attrs, "features": self._features, "parts": parts}
+        return Samples(self._array, counts=self._counts, **about)
 
 
 Writer = MemoryWriter | Store
@@ -440,13 +510,14 @@ Writer = MemoryWriter | Store
 
 
 @contextlib.contextmanager
-def _writer(renderer: MitsubaRenderer, out: Path | None) -> Iterator[Writer]:
+def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -> Iterator[Writer]:
     """Yield what keeps samples: a store, which may be there already, or memory."""
+    attrs = renderer.provenance | ({} if how is None else {"adaptive": how.attrs})
     if out is None:
-        yield MemoryWriter(renderer.provenance, renderer.size)
+        yield MemoryWriter(attrs, renderer.size)
         return
     is_new = not is_store(out)
-    with opened_store(out, renderer.provenance, renderer.size) as store:
+    with opened_store(out, attrs, renderer.size) as store:
         try:
             yield store
         except Exception:
@@ -459,11 +530,17 @@ def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Sto
     """Open or create a store that is written to, with room for the samples asked for."""
     if not is_store(out):
         width, height = size
-        return Store.create(out, shape=(height, width, 3, attrs["spp"]), attrs=attrs)
+        return Store.create(out, shape=(height, width, 3, _first_spp(attrs)), attrs=attrs)
     _check_identity(Store.open(out), attrs)
     store = Store.open(out, writable=True)
-    store.extend(attrs["spp"])
+    if store.adaptive is None:
+        store.extend(attrs["spp"])
     return store
+
+
+def _first_spp(attrs: Mapping[str, Any]) -> int:
+    """Return how many samples all pixels get, before any gets more."""
+    return int(attrs["adaptive"]["first"] if "adaptive" in attrs else attrs["spp"])
 
 
 def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
@@ -488,6 +565,7 @@ _IDENTITY: dict[str, Any] = {
     "plugins": {},
     "integrator": None,
     "guide": None,
+    "adaptive": None,
     "sensor": 0,
     "size": None,
     "crop": None,

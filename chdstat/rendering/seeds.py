@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -154,7 +154,7 @@ class Sequences:
 
 
 def grouped(
-    chunks: Sequence[Chunk], sequences: Sequences | None
+    chunks: Iterable[Chunk], sequences: Sequences | None
 ) -> Iterator[tuple[Chunk, list[Chunk]]]:
     """Yield chunks that are drawn together, as one and each by itself.
 

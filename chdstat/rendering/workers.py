@@ -6,7 +6,7 @@ import contextlib
 import functools
 import itertools
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -37,7 +37,7 @@ Drawn = Sequence[tuple[Chunk, Image | None]]
 
 def rendered(
     renderer: MitsubaRenderer,
-    chunks: Sequence[Chunk],
+    chunks: Iterable[Chunk],
     client: Client | None = None,
     store: Store | None = None,
 ) -> Iterator[tuple[Chunk, Image | None]]:
@@ -47,7 +47,7 @@ def rendered(
     place. Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
     """
     job = renderer.job
-    groups = list(grouped(chunks, job.options.sequences))
+    groups = grouped(chunks, job.options.sequences)
     if client is None:
         with Interrupts() as interrupts, at_once(job) as workers, pool(workers) as threads:
             draw = functools.partial(_samples_of, renderer, before_pass=interrupts.before_pass)
@@ -89,17 +89,16 @@ def at_once(job: Job) -> Iterator[int]:
 
 
 def _collect(
-    submit: Callable[[Group], Future[Drawn]], groups: Sequence[Group], at_work: Pool
+    submit: Callable[[Group], Future[Drawn]], groups: Iterator[Group], at_work: Pool
 ) -> Iterator[tuple[Chunk, Image | None]]:
     """Keep a bounded number of chunks in flight, so that memory stays bounded."""
-    waiting = iter(groups)
-    running = {submit(group) for group in itertools.islice(waiting, at_work.window + 1)}
+    running = {submit(group) for group in itertools.islice(groups, at_work.window + 1)}
     try:
         while running:
             for future in at_work.first_done(running):
                 running.remove(future)
                 yield from future.result()
-                running.update(map(submit, itertools.islice(waiting, 1)))
+                running.update(map(submit, itertools.islice(groups, 1)))
     finally:
         for future in running:
             future.cancel()

@@ -6,8 +6,8 @@ The group::
     radiance/zarr.json  (y, x, channel, sample), float32; once more the manifest
     radiance/c/Y/X/0/B  a chunk: the tile of pixels in row Y and column X, the batch B of samples
     features/           albedo, normal, position (y, x, component); depth (y, x); and, where the
-                        pixels have different numbers of samples, counts (y, x): what lies beyond
-                        them in radiance is NaN
+                        pixels have different numbers of samples, counts (y, x), or density (y, x)
+                        from which these follow: what lies beyond them in radiance is NaN
     direct/             a store of its own: emission and direct light of the same samples
     depth-3/            likewise the same samples, their paths cut after three segments; and so on
     .lock               while a process writes
@@ -16,7 +16,8 @@ A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, repla
 is a shard of zarr: blocks of 16 x 16 pixels, each compressed with a checksum, so that zarr reads a
 single pixel without its tile (1024 spp in 19 ms of processor time). The file ends in a *label*,
 which zarr ignores: the identity of the store, which chunk it is, how many samples of each pixel it
-has, and the checksum of all that is before it. A reader checks the label first. So a file does not
+has (of an adaptive render, of all its pixels together), and the checksum of all that is before it.
+A reader checks the label first. So a file does not
 count in another place than its own, nor an older file for a newer one. Two stores of one identity
 hold equal chunks, as samples depend on nothing else.
 
@@ -43,6 +44,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import Image
 from chdstat._core.files import (
     checksum,
     exists,
@@ -59,6 +64,7 @@ from chdstat.scenes.scene_files import is_file
 __all__ = [
     "BLOCK",
     "COUNTS",
+    "DENSITY",
     "FOREIGN",
     "GUIDE",
     "SCHEMA_VERSION",
@@ -73,6 +79,9 @@ BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
 COUNTS = "counts"
 """Feature that says how many samples each pixel has, where they differ."""
+DENSITY = "density"
+"""Feature of an adaptive render: samples of each pixel over those of all, from which counts follow.
+"""
 GUIDE = ("guide-cells", "guide-leaves")
 """Features that are the guide that directions were drawn by."""
 SCHEMA_VERSION = 2
@@ -89,7 +98,7 @@ FOREIGN = (
 )
 """What damaged bytes may raise in the libraries that read them."""
 _DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
-_GROWING = ("spp", "render_seconds", "appended", "why_no_features")
+_GROWING = ("spp", "noise", "render_seconds", "appended", "why_no_features")
 """Attributes that change while samples are added; all others are the identity of a store."""
 _LABEL = struct.Struct("<8s8s4IQII")
 """Mark, identity, tile_y, tile_x, batch, samples, length and checksum of what is before the label,
@@ -172,12 +181,43 @@ def grid(shape: Sequence[int]) -> tuple[int, int, int]:
     return -(-height // TILE), -(-width // TILE), -(-spp // BATCH)
 
 
+# --- counts that differ on purpose --------------------------------------------------------------
+
+_GOLDEN = (5**0.5 - 1) / 2
+
+
+def counts_of(density: Image, spp: float, least: int) -> npt.NDArray[np.int32]:
+    """Return how many samples each pixel has, shape (y, x): `spp` times its density, rounded.
+
+    The offsets at which numbers are rounded up are a sequence of low discrepancy, so that the mean
+    is `spp`; they stay where `spp` grows, so that no pixel loses samples.
+
+    Examples
+    --------
+    >>> counts_of(np.array([[0.25, 1.75]], np.float32), 10, least=4)
+    array([[ 4, 18]], dtype=int32)
+    """
+    offsets = (np.arange(density.size) + 0.5) * _GOLDEN % 1
+    wanted = density.astype(np.float64) * spp + offsets.reshape(density.shape)
+    return np.maximum(wanted, least).astype(np.int32)
+
+
+def missing_of(held: Image, counts: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """Return which of so many samples of each pixel are not held, shape (y, x, sample).
+
+    What is held ends with the last sample that is no NaN; a bad one at the end is drawn again.
+    """
+    number = np.arange(held.shape[-1])
+    known = (~np.isnan(held).all(axis=2) * (number + 1)).max(axis=-1, keepdims=True)
+    return np.asarray((number >= known) & (number < counts[..., np.newaxis]))
+
+
 # --- labels -------------------------------------------------------------------------------------
 
 
-def labelled(content: bytes, identity: str, chunk: Chunk) -> bytes:
+def labelled(content: bytes, identity: str, chunk: Chunk, samples: int) -> bytes:
     """Return the content of a chunk's file: encoded samples, and their label behind them."""
-    about = *chunk.index, chunk.shape[2], len(content), checksum(content)
+    about = *chunk.index, samples, len(content), checksum(content)
     label = _LABEL.pack(_MARK, bytes.fromhex(identity), *about, 0)[:-4]
     return content + label + checksum(label).to_bytes(4, "little")
 

@@ -45,18 +45,17 @@ if TYPE_CHECKING:
     from chdstat.patterns.regions import Regions
 
 __all__ = [
-    "BIASED",
     "ImageLike",
     "Samples",
     "axes_of",
     "check_counts",
     "check_features",
+    "different_counts",
     "provenance",
     "single",
 ]
 
-BIASED = "where that number depended on the samples, means and their errors are biased"
-"""What follows from pixels with different numbers of samples."""
+_BIASED = "where that number depended on the samples, means and their errors are biased"
 _ALL = slice(None)
 _ALWAYS_READ = 2**26
 """Bytes that are read without a look at how much memory there is."""
@@ -269,6 +268,8 @@ class Samples:
             and (first.start, first.step) == (second.start, second.step)
             # What compiles draws in wavefronts, with numbers of their own.
             and (one.get("backend") == "scalar") == (two.get("backend") == "scalar")
+            # The scalar backend draws adaptive samples pixel by pixel.
+            and (one.get("backend") != "scalar" or ("adaptive" in one) == ("adaptive" in two))
             and all(one.get(name, value) == two.get(name, value) for name, value in named.items())
         )
 
@@ -345,7 +346,8 @@ class Samples:
         height, width, channels, spp = self.shape
         facts = provenance(self._attrs, self.shape)
         if self.counts is not None:
-            facts["Samples"] = f"{self.counts.min()} to {self.counts.max()} in a pixel; {BIASED}"
+            fewest, most = self.counts.min(), self.counts.max()
+            facts["Samples"] = different_counts(self._attrs, int(fewest), int(most))
         if self.features:
             facts["First hit"] = ", ".join(self.features)
         facts["Stored"] = "in memory" if self.path is None else str(self.path)
@@ -639,6 +641,12 @@ ImageLike: TypeAlias = Samples | str | Path
 """What functions take as an image: its samples, or the path of the store that holds them."""
 
 
+def different_counts(attrs: Mapping[str, Any], fewest: int, most: int) -> str:
+    """Return how many samples pixels have that differ in it, and what follows from that."""
+    why = "those of other pixels decided how many" if "adaptive" in attrs else _BIASED
+    return f"{fewest} to {most} in a pixel; {why}"
+
+
 def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]:
     """Return the settings that render the same samples again, by name; those that are known.
 
@@ -673,7 +681,7 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Plugins": ", ".join(f"{n} ({digest})" for n, digest in attrs.get("plugins", {}).items()),
         "Integrator": f"{kind} ({settings})" if settings else kind,
         "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
-        f"{spp} samples per pixel",
+        f"{spp} samples per pixel{' at most' * ('adaptive' in attrs)}",
         "Random numbers": ", ".join(numbers),
         "Light": {"spectral": "spectral, samples in linear sRGB", "mono": "of one channel"}.get(
             attrs.get("color", ""), ""

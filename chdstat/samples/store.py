@@ -16,6 +16,7 @@ import hashlib
 import importlib.metadata
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -45,7 +46,7 @@ from chdstat.samples.dependence import (
 )
 from chdstat.samples.layout import FOREIGN, DamageError, is_store
 from chdstat.samples.samples import ImageLike, Samples
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, chunk_grid
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart, chunk_grid
 
 __all__ = [
     "Store",
@@ -83,15 +84,22 @@ class Store:
     shape
         (y, x, channel, sample) that it has room for.
     ledger
-        Samples of each pixel that are stored in a chunk, shape (tile_y, tile_x, batch).
+        Samples of each pixel that are stored in a chunk, shape (tile_y, tile_x, batch); of an
+        adaptive render, those of all its pixels together.
+    density
+        Of an adaptive render, samples of each pixel over the mean, shape (y, x); None before it is
+        decided.
     """
 
     frames = False
+    _counts: npt.NDArray[np.int32] | None = None
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
         self.path, self._attributes, self._lock = path, dict(attributes), lock
         height, width, channels, spp = self._manifest["shape"]
         self.shape = (height, width, channels, spp)
+        self.density = self._decided()
+        self._full = self._room()
         self.ledger = self._stored()
         self._lay_out()
 
@@ -188,19 +196,75 @@ class Store:
     def _manifest(self) -> dict[str, Any]:
         return dict(self._attributes["manifest"])
 
+    @property
+    def adaptive(self) -> dict[str, Any] | None:
+        """How counts are decided in an adaptive render, None in all else."""
+        found = self._attributes.get("adaptive") if "scene_hash" in self._attributes else None
+        return cast("dict[str, Any] | None", found)
+
+    def _decided(self) -> Image | None:
+        """Return the density; None where there is none, or a damaged one.
+
+        Of the latter, `counts` tells whoever reads; who writes decides again by the first samples.
+        """
+        held = self._manifest["features"]
+        if self.adaptive is None or layout.DENSITY not in held:
+            return None
+        try:
+            return self._read_feature(layout.DENSITY)
+        except StoreError:
+            self.shape = (*self.shape[:3], self.adaptive["first"])
+            if self._lock is not None:
+                features = {n: about for n, about in held.items() if n != layout.DENSITY}
+                changed = {"shape": list(self.shape), "complete": 0, "features": features}
+                self._attributes["manifest"] = self._manifest | changed
+            return None
+
+    def counts(self) -> npt.NDArray[np.int32] | None:
+        """Return how many samples each pixel has, shape (y, x), where they differ."""
+        if self.adaptive is not None and layout.DENSITY in self._manifest["features"]:
+            density = self.density
+            if density is None:  # it is damaged, of which this tells
+                density = self._read_feature(layout.DENSITY)
+            return layout.counts_of(density, self._attributes["spp"], self.adaptive["first"])
+        if layout.COUNTS not in self._manifest["features"]:
+            return None
+        return self._read_feature(layout.COUNTS).astype(np.int32)
+
+    def _room(self) -> npt.NDArray[np.int32]:
+        """Return what the ledger is where all is stored."""
+        starts = np.arange(0, self.shape[3], BATCH)
+        full = np.zeros(layout.grid(self.shape), np.int32)
+        if self.adaptive is None:
+            full[...] = np.minimum(BATCH, self.shape[3] - starts)
+            return full
+        counts = None if self.density is None else self.counts()
+        if counts is None:
+            counts = np.full(self.shape[:2], self.shape[3], np.int32)
+        self._counts = counts
+        for i, start in enumerate(starts):
+            held = np.clip(counts - start, 0, BATCH)
+            for axis in (0, 1):
+                held = np.add.reduceat(held, np.arange(0, held.shape[axis], TILE), axis=axis)
+            full[..., i] = held
+        return full
+
     def _stored(self) -> npt.NDArray[np.int32]:
         """Return the ledger: as many leading samples as are known, and those that have labels."""
         known, spp = int(self._manifest["complete"]), self.shape[3]
         starts = np.arange(0, spp, BATCH)
-        ledger = np.zeros(layout.grid(self.shape), np.int32)
-        ledger[...] = np.clip(known - starts, 0, np.minimum(BATCH, spp - starts))
+        ledger: npt.NDArray[np.int32]
+        if self.adaptive is None:
+            ledger = np.clip(known - starts, 0, self._full)
+        else:
+            ledger = np.where((starts + BATCH <= known) | (known >= spp), self._full, 0)
         for chunk in self._chunks(ss=slice(known, spp)):
             if self.chunk_file(chunk).exists():
                 # A damaged chunk counts as stored, so that reading it reports the damage.
-                ledger[chunk.index] = chunk.shape[2]
+                ledger[chunk.index] = self._full[chunk.index]
                 with contextlib.suppress(DamageError):
-                    ledger[chunk.index] = min(self._label(chunk)[0], chunk.shape[2])
-        return ledger
+                    ledger[chunk.index] = min(self._label(chunk)[0], self._full[chunk.index])
+        return np.asarray(ledger, np.int32)
 
     def _lay_out(self) -> None:
         """Make the arrays that chunks are decoded and encoded with; nothing is read for it."""
@@ -217,15 +281,37 @@ class Store:
 
     def pending(self) -> list[Chunk]:
         """Return the chunks that are not safely stored yet, in the order to render them."""
-        return [c for c in self._chunks() if self.ledger[c.index] < c.shape[2]]
+        return [c for c in self._chunks() if self.ledger[c.index] < self._full[c.index]]
+
+    @property
+    def lacking(self) -> int:
+        """How many samples are not stored yet, over all pixels."""
+        if self.adaptive is None:
+            return sum(chunk.size for chunk in self.pending())
+        return int(self._full.sum()) - int(self.ledger.sum())
+
+    def to_draw(self, chunk: Chunk) -> Chunk:
+        """Return a chunk with what is missing of it, where counts differ on purpose."""
+        if self._counts is None:
+            return chunk
+        height, width, samples = chunk.shape
+        held = np.full((height, width, 1, samples), np.nan, np.float32)
+        if self.ledger[chunk.index]:
+            held = self.read(chunk.ys, chunk.xs, chunk.ss)
+        wanted = self._counts[chunk.ys, chunk.xs] - chunk.ss.start
+        return replace(chunk, missing=layout.missing_of(held, wanted))
 
     def complete_spp(self) -> int:
-        """Return the number of leading samples that every pixel has."""
-        spp = self.shape[3]
-        stored = self.ledger.min(axis=(0, 1))
-        starts = BATCH * np.arange(len(stored))
-        short = stored < np.minimum(BATCH, spp - starts)
-        return int(starts[short][0] + stored[short][0]) if short.any() else spp
+        """Return the number of leading samples that every pixel has, as far as it is to have them.
+
+        Of an adaptive render, whole batches count.
+        """
+        short = (self.ledger < self._full).any(axis=(0, 1))
+        if not short.any():
+            return int(self.shape[3])
+        batch = int(short.argmax())
+        stored = 0 if self.adaptive else int(self.ledger[..., batch].min())
+        return int(BATCH * batch + stored)
 
     def chunk_file(self, chunk: Chunk) -> Path:
         """Return the file that holds a chunk."""
@@ -340,13 +426,8 @@ class Store:
     @property
     def feature_names(self) -> list[str]:
         """Names of the first-hit features that belong to the store."""
-        return sorted(self._manifest["features"].keys() - {layout.COUNTS, *layout.GUIDE})
-
-    def counts(self) -> npt.NDArray[np.int32] | None:
-        """Return how many samples each pixel has, shape (y, x), where they differ."""
-        if layout.COUNTS not in self._manifest["features"]:
-            return None
-        return self._read_feature(layout.COUNTS).astype(np.int32)
+        apart = {layout.COUNTS, layout.DENSITY, *layout.GUIDE}
+        return sorted(self._manifest["features"].keys() - apart)
 
     def guide(self) -> dict[str, Image] | None:
         """Return the arrays of the guide of the samples, or None without one that can be read."""
@@ -399,7 +480,10 @@ class Store:
     # --- writing --------------------------------------------------------------------------------
 
     def write(self, chunk: Chunk, block: Image) -> None:
-        """Store one chunk; `block` is (y, x, channel, sample)."""
+        """Store one chunk, or add what was missing of it; `block` is (y, x, channel, sample)."""
+        if chunk.missing is not None and self.ledger[chunk.index]:
+            held = self.read(chunk.ys, chunk.xs, chunk.ss)
+            block = np.where(chunk.missing[:, :, np.newaxis], block, held)
         self.put(chunk, block)
         self.note(chunk)
 
@@ -409,11 +493,13 @@ class Store:
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
         with layout.writing(self.path):
-            layout.put(self.path / key, layout.labelled(content, self._manifest["identity"], chunk))
+            samples = chunk.shape[2] if self.adaptive is None else int(self._full[chunk.index])
+            labelled = layout.labelled(content, self._manifest["identity"], chunk, samples)
+            layout.put(self.path / key, labelled)
 
     def note(self, chunk: Chunk) -> None:
         """Count a chunk as stored, whoever wrote its file."""
-        self.ledger[chunk.index] = chunk.shape[2]
+        self.ledger[chunk.index] = self._full[chunk.index]
         if self.complete_spp() > self._manifest["complete"]:
             self.update()
 
@@ -452,14 +538,33 @@ class Store:
 
     def extend(self, spp: int) -> None:
         """Make room for more samples per pixel; what is stored stays."""
-        height, width, channels, old = self.shape
-        if spp <= old:
-            return
-        self.shape = (height, width, channels, spp)
-        before, self.ledger = self.ledger, np.zeros(layout.grid(self.shape), np.int32)
+        if spp > self.shape[3]:
+            self._attributes["spp"] = spp
+            self._grow(spp)
+
+    def _grow(self, spp: int) -> None:
+        """Make room for more samples of a pixel, or for more of some pixels."""
+        self.shape = (*self.shape[:3], max(spp, self.shape[3]))
+        self._full = self._room()
+        before, self.ledger = self.ledger, np.zeros_like(self._full)
         self.ledger[..., : before.shape[2]] = before
         self._lay_out()
-        self.update(spp=spp)
+        complete = self.complete_spp()  # of counts that grew, fewer than before
+        manifest = {**self._manifest, "shape": list(self.shape), "complete": complete}
+        self._attributes = {**self._attributes, "manifest": manifest}
+        with layout.writing(self.path):
+            self._save()
+
+    def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
+        """Let pixels have different numbers of samples from now on, `spp` of them on average."""
+        if self.density is None:
+            with layout.writing(self.path):
+                self._write_feature(layout.DENSITY, density)
+        elif spp <= self._attributes["spp"]:
+            return
+        self.density = density
+        self._attributes |= {"noise": dict(noise), "spp": spp}
+        self._grow(int(cast("Any", self.counts()).max()))
 
     @property
     def lacks_features(self) -> bool:

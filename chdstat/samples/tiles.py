@@ -10,11 +10,12 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
 
 import numpy as np
+import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Image, LeftOut, Mapped, spans
 from chdstat._core.files import release, room
@@ -95,7 +96,11 @@ class SampleSource(Protocol):
 
 @dataclass(frozen=True)
 class Chunk:
-    """One unit of rendering and storage: a tile of pixels times a batch of samples."""
+    """One unit of rendering and storage: a tile of pixels times a batch of samples.
+
+    `missing`, shape (y, x, sample), marks those of its samples that are to be drawn, where these
+    are not all of them.
+    """
 
     batch: int
     tile_y: int
@@ -103,6 +108,7 @@ class Chunk:
     ys: slice
     xs: slice
     ss: slice
+    missing: npt.NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
 
     @property
     def index(self) -> tuple[int, int, int]:
@@ -117,8 +123,8 @@ class Chunk:
 
     @property
     def size(self) -> int:
-        """Samples in the chunk, over all its pixels."""
-        return math.prod(self.shape)
+        """Samples to be drawn, over all its pixels."""
+        return math.prod(self.shape) if self.missing is None else int(self.missing.sum())
 
 
 def chunk_grid(

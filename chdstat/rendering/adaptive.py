@@ -1,0 +1,303 @@
+"""Adaptive sampling: more samples for the pixels whose noise weighs most.
+
+The first samples of all pixels, a quarter of them, tell how noisy each pixel is; the others are
+drawn where they are needed. Two things keep this honest:
+
+* The number of samples of a pixel is decided by *other* pixels, never by its own samples: pixels
+  are the squares of a chessboard, and the black ones decide for the white ones. So the samples of a
+  pixel do not depend on how many there are, its mean has no bias (stopping when samples look quiet
+  has one: Kirk and Arvo 1991, "Unbiased sampling techniques for image synthesis",
+  doi:10.1145/122718.122735), and the first samples count like all others. A pilot that is thrown
+  away would cost a quarter of all.
+* The noise is that of many similar pixels around, of like albedo, normal and depth. Where a rare
+  bright path makes their noise uncertain, it is drawn to the noise of the whole image. No pixel
+  gets less than a quarter of the mean, so that light which no sample has found is still looked for.
+
+Counts are proportional to the root of the expected squared error of one sample (Neyman 1934, "On
+the two different aspects of the representative method", doi:10.2307/2342192), which makes the error
+of the image least: the relative one, or the MSE.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from chdstat._core.arrays import Floats, Image, Mask, is_bad
+from chdstat._core.moments import Moments
+from chdstat._core.resampling import Blocks, Interval, mean_of
+from chdstat.errors import InputError, check_option
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "Adaptive",
+    "ErrorMeasure",
+    "decided",
+    "density_of",
+    "error_of",
+    "expected_error",
+    "noise_of",
+]
+
+ErrorMeasure = Literal["relMSE", "MSE"]
+"""The error of the image that samples are to make least."""
+_log = logging.getLogger("chdstat")
+_SHARE, _FEWEST = 4, 4
+"""One in so many samples is drawn of all pixels first, at least this many of each."""
+_LEAST, _MOST = 1 / _SHARE, 8.0
+"""Least and largest number of samples of a pixel, over the mean."""
+_DARK = 0.01
+"""Of the squared mean of the scene, which keeps relative errors of dark pixels finite."""
+_REACH, _WIDTH = 12, 6.0
+"""Pixels that are looked at around one in each direction, and the width of their weights."""
+_UNITS, _DEPTH = {"albedo": 0.3, "normal": 0.8}, 0.2
+"""Differences in albedo, normal and logarithm of depth at which pixels are no longer similar."""
+_UNLIKE = 1e-4
+"""Weight of pixels that are not similar at all, for those that have no others."""
+_TRUST = 0.2
+"""Squared relative error at which the noise of the surroundings counts as that of the image."""
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """How the number of samples of each pixel is decided.
+
+    Attributes
+    ----------
+    measure
+        The error of the image that is to be least.
+    first
+        Samples of all pixels, from which it is decided.
+    error
+        The relative error of the image, the root of the measure, at which to stop; None for none.
+    """
+
+    measure: str
+    first: int
+    error: float | None = None
+
+    @classmethod
+    def of(cls, asked: bool | str, error: float | None, spp: int) -> Adaptive | None:
+        """Return what is asked for; None where all pixels get as many samples.
+
+        Raises
+        ------
+        InputError
+            If there is no such measure, the error is not positive, or there are too few samples.
+        """
+        if asked is False and error is None:
+            return None
+        measure = "relMSE" if isinstance(asked, bool) else asked
+        check_option("adaptive", measure, get_args(ErrorMeasure))
+        if error is not None and not 0 < error < math.inf:
+            message = f"error must be above 0, such as 0.02 for 2 %, got {error}"
+            raise InputError(message)
+        first = spp // _SHARE
+        if first < _FEWEST:
+            message = (
+                f"adaptive sampling needs at least {_FEWEST * _SHARE} spp, a quarter of which "
+                f"tells how noisy each pixel is; got {spp}"
+            )
+            raise InputError(message)
+        return cls(measure, first, error)
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """What of it belongs to the identity of samples."""
+        return {"measure": self.measure, "first": self.first}
+
+    def spp(self, noise: Mapping[str, float], most: int) -> int:
+        """Return how many samples per pixel reach the error, on average, but `most` of them."""
+        if self.error is None:
+            return most
+        needed = max(math.ceil(noise["value"] / self.error**2), self.first)
+        if needed > most:
+            expected = math.sqrt(noise["value"] / most)
+            message = "an error of %g takes about %d spp; with %d, about %.2g is expected"
+            _log.warning(message, self.error, needed, most, expected)
+        return min(needed, most)
+
+
+def noise_of(samples: Samples, measure: str) -> Floats:
+    """Return the expected squared error of one sample of each pixel, shape (y, x).
+
+    It is the variance, for relMSE over the squared mean of the pixel plus 1 % of that of the scene,
+    both of the pixel's own samples, on average over the channels.
+    """
+    mean, variance = (np.empty(samples.shape[:3]) for _ in range(2))
+    height, width = samples.shape[:2]
+    for rows in (slice(i, i + 16) for i in range(0, height, 16)):
+        x = samples.read(rows)
+        found = Moments.of(x, np.logical_not(is_bad(x).any(axis=2, keepdims=True)))
+        mean[rows] = found.mean
+        variance[rows] = found.m2 / np.maximum(found.count - 1, 1)
+    if measure == "MSE":
+        return np.asarray(variance.mean(axis=-1))
+    is_white = _chessboard(height, width)
+    of_scene = np.empty_like(mean)
+    for half in (is_white, ~is_white):  # which decides for the other one, without its samples
+        of_scene[half] = mean[half].mean(axis=0) if half.any() else 0
+    scale = mean**2 + _DARK * of_scene**2
+    relative = np.divide(variance, scale, out=np.zeros_like(mean), where=scale > 0)
+    return np.asarray(relative.mean(axis=-1))
+
+
+def density_of(noise: Floats, features: Mapping[str, Image]) -> Floats:
+    """Return the number of samples of each pixel over the mean of all, shape (y, x).
+
+    Parameters
+    ----------
+    noise
+        Expected squared error of one sample, shape (y, x), by `noise_of`.
+    features
+        First-hit features, those that there are.
+    """
+    expected = np.sqrt(_expected(noise, _scaled(features, noise.shape)))
+    is_white, density = _chessboard(*noise.shape), np.ones(noise.shape)
+    for half in (is_white, ~is_white):
+        if half.any() and (expected[half] > 0).any():
+            density[half] = _bounded(expected[half])
+    return density
+
+
+def _bounded(wanted: Floats) -> Floats:
+    """Return numbers in proportion to those that are wanted, with a mean of 1, within bounds."""
+    low, high = 0.0, _MOST / float(wanted[wanted > 0].min())
+    for _ in range(60):
+        middle = (low + high) / 2
+        is_less = np.clip(middle * wanted, _LEAST, _MOST).mean() < 1
+        low, high = (middle, high) if is_less else (low, middle)
+    return np.asarray(np.clip(high * wanted, _LEAST, _MOST))
+
+
+def _chessboard(height: int, width: int) -> Mask:
+    return np.asarray(np.add.outer(np.arange(height), np.arange(width)) % 2 == 1)
+
+
+def _scaled(features: Mapping[str, Image], shape: tuple[int, ...]) -> Floats:
+    """Return features in units of the differences that matter, shape (y, x, number)."""
+    found: list[Any] = [np.zeros((*shape, 1))]
+    found += [features[name] / unit for name, unit in _UNITS.items() if name in features]
+    if "depth" in features:
+        found.append(np.log(np.maximum(features["depth"], 1e-6))[..., np.newaxis] / _DEPTH)
+    return np.concatenate(found, axis=-1, dtype=np.float64)
+
+
+def _expected(noise: Floats, features: Floats) -> Floats:
+    """Return the noise of each pixel that similar pixels of the other colour tell."""
+    sums = np.zeros((5, *noise.shape))
+    down, across = (range(-min(_REACH, n - 1), min(_REACH, n - 1) + 1) for n in noise.shape)
+    for dy, dx in ((y, x) for y in down for x in across if (y + x) % 2):
+        here, there = _overlap(dy, dx, *noise.shape)
+        unlike = ((features[here] - features[there]) ** 2).sum(axis=-1)
+        near = math.exp(-(dy * dy + dx * dx) / (2 * _WIDTH**2))
+        weight, seen = near * (np.exp(-unlike / 2) + _UNLIKE), noise[there]
+        terms = weight, weight * seen, weight**2, weight**2 * seen, (weight * seen) ** 2
+        for total, term in zip(sums, terms, strict=True):
+            total[here] += term
+    total, seen, square, cross, squares = sums
+    total = np.where(total > 0, total, 1)
+    mean = seen / total
+    variance = np.maximum(squares - 2 * mean * cross + mean**2 * square, 0) / total**2
+    is_white, of_image = _chessboard(*noise.shape), np.zeros(noise.shape)
+    for half in (is_white, ~is_white):
+        of_image[half] = noise[~half].mean() if (~half).any() else 0
+    trusted = _TRUST * of_image**2
+    drawn = trusted * mean + variance * of_image
+    known = trusted + variance > 0
+    return np.asarray(np.divide(drawn, trusted + variance, out=of_image, where=known))
+
+
+def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[Any, Any]:
+    """Return where pixels lie that have another one so far away, and where these lie."""
+    here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in ((dy, height), (dx, width)))
+    there = tuple(slice(max(0, d), max(0, n + min(0, d))) for d, n in ((dy, height), (dx, width)))
+    return here, there
+
+
+# --- what is decided ----------------------------------------------------------------------------
+
+
+def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
+    """Return the density of a render from the first samples of all pixels, and its noise.
+
+    The noise is the expected squared error of the image with one sample per pixel on average, with
+    the ends of its interval where there is one: with n, the error is the root of the noise over n.
+    Pixels tell it by their own samples, for counts that others have decided: what is drawn to quiet
+    places by chance is not flattered.
+
+    Parameters
+    ----------
+    samples
+        The first samples of all pixels.
+    how
+        What is asked for.
+    """
+    noise = noise_of(samples, how.measure)
+    density = density_of(noise, samples.features)
+    found = mean_of((noise / density).ravel(), Blocks.grid(*noise.shape))
+    known = {name: float(value) for name, value in found.to_dict().items()}
+    if how.error is not None:
+        known["value"] = _halved(noise, density)
+    return density.astype(np.float32), {n: v for n, v in known.items() if math.isfinite(v)}
+
+
+def _halved(noise: Floats, density: Floats) -> float:
+    """Return the noise of the image, and let each half have what it needs as the other one tells.
+
+    Then the number of samples of a pixel does not depend on its own, even where one of them decides
+    what the error of the whole image is.
+    """
+    padded = np.pad(density, 1, mode="reflect")  # beside a pixel are those for which it decides
+    beside = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
+    own, is_white = 4 * noise / beside, _chessboard(*noise.shape)
+    halves = [half for half in (is_white, ~is_white) if half.any()]
+    needs = [own[~half].mean() if (~half).any() else own.mean() for half in halves]
+    total = float(sum(n * half.mean() for n, half in zip(needs, halves, strict=True)))
+    for need, half in zip(needs, halves, strict=True):
+        density[half] *= need / total if total > 0 else 1
+    return total
+
+
+def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
+    """Return the relative error that the first samples predict for an adaptive render, or None.
+
+    Parameters
+    ----------
+    attrs
+        Of its samples.
+    """
+    if "noise" not in attrs:
+        return None
+    ends = (attrs["noise"].get(name, math.nan) / attrs["spp"] for name in ("value", "low", "high"))
+    return Interval(*ends).root()
+
+
+def error_of(samples: Samples, measure: str = "relMSE") -> Interval[float]:
+    """Return the error of the mean image as its own samples tell it: the root of relMSE or MSE.
+
+    Where the variance of pixels owes to light that hardly any sample has found, it is too small.
+
+    Parameters
+    ----------
+    samples
+        Independent samples.
+    measure
+        "relMSE" or "MSE".
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).exponential(size=(32, 32, 1, 100))  # of variance 1
+    >>> error_of(Samples.from_array(x), "MSE")
+    Interval(value=...)
+    """
+    counts = samples.counts
+    each = noise_of(samples, measure) / np.maximum(samples.spp if counts is None else counts, 1)
+    return mean_of(each.ravel(), Blocks.grid(*each.shape)).root()
