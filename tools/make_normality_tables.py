@@ -19,7 +19,7 @@ import numpy as np
 from scipy import special
 
 from chdstat.inference import normality
-from chdstat.inference.normality import LEVELS, SCALES
+from chdstat.inference.normality import LEVELS, TESTS
 
 SEED = 20240607
 SIZES = (
@@ -28,9 +28,9 @@ SIZES = (
 )
 LARGE = (2000, 3000, 5000, 8000, 13000, 20000, 32000)
 PLAN = {
-    "anderson_darling": (SIZES, 5),
+    "anderson-darling": (SIZES, 5),
     # In between, the published formulas hold.
-    "shapiro_wilk": ((*SIZES[:10], *LARGE), 6),
+    "shapiro-wilk": ((*SIZES[:10], *LARGE), 6),
     "dagostino": (SIZES[6:], 7),
 }
 """By statistic: for which sizes, and the degree of the polynomial."""
@@ -52,8 +52,8 @@ def simulate(names: list[str], n: int, repeats: int) -> dict[str, np.ndarray]:
         samples = np.sort(rng.standard_normal((count, n)), axis=-1)
         rows = normality.standardise(samples, np.full(count, n), None)
         for name in names:
-            values = getattr(normality, name)(rows)
-            found[name][start : start + count] = SCALES[name](values, float(n))
+            values = TESTS[name].statistic(rows)
+            found[name][start : start + count] = TESTS[name].scaled(values, float(n))
     return found
 
 
@@ -83,13 +83,13 @@ def limits(name: str) -> list[tuple[int, int, np.ndarray]]:
     """Return what is known of ever larger samples, as good as the best of the simulations."""
     if name != "dagostino":
         return []
-    return [(LIMIT, CAP, SCALES[name](-2 * np.log(LEVELS), float(LIMIT)))]
+    return [(LIMIT, CAP, TESTS[name].scaled(-2 * np.log(LEVELS), float(LIMIT)))]
 
 
 def table(values: np.ndarray) -> str:
     """Return an array as source code."""
     rows = (" ".join(f"{value:.6g}," for value in np.atleast_1d(row)) for row in values)
-    return "\n".join(f"        [{row[:-1]}]," for row in rows)
+    return "\n".join(f"            [{row[:-1]}]," for row in rows)
 
 
 def main() -> None:
@@ -108,7 +108,7 @@ def main() -> None:
         sizes, repeats_of, quantiles = zip(*parts, *limits(name), strict=True)
         sys.stderr.write(f"{name}: ")
         fits = smooth(list(sizes), list(repeats_of), np.array(quantiles), PLAN[name][1])
-        sys.stdout.write(f'    "{name}": np.array([\n{table(fits)}\n    ]),\n')
+        sys.stdout.write(f"{name}\n            quantiles=np.array([\n{table(fits)}\n        ]),\n")
 
 
 if __name__ == "__main__":

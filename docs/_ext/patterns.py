@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import string
 from typing import Any
 
 from docutils import nodes
@@ -14,19 +15,6 @@ from sphinx.util.docutils import SphinxDirective
 from chdstat.patterns import PATTERNS, Pattern, Thresholds
 
 __all__ = ["PatternTable", "PatternText"]
-
-_THRESHOLDS = {
-    "null_heavy": ("null_share", "alpha"),
-    "long_tail": ("tail_index", "alpha"),
-    "bimodal": ("ashman_d",),
-    "multimodal": ("ashman_d",),
-    "gamma_like": ("tail_index", "misfit"),
-    "lognormal_like": ("tail_index", "misfit"),
-    "firefly_dominated": ("firefly_share", "firefly_samples"),
-    "constant": ("constant",),
-}
-"""Which thresholds a flag looks at; a new pattern without an entry is an error."""
-
 
 class PatternTable(SphinxDirective):
     """List what sets each flag, with the default thresholds, and the sources below."""
@@ -54,9 +42,10 @@ class PatternText(SphinxDirective):
 
 def _row(pattern: Pattern) -> tuple[str, str, str, str]:
     defaults = Thresholds()
-    names = _THRESHOLDS[pattern.name]
+    names = [name for _, name, _, _ in string.Formatter().parse(pattern.limit) if name]
+    names += ["alpha"] * pattern.decisive
     values = ", ".join(f"``{name}`` {getattr(defaults, name):g}" for name in names)
-    return f"``{pattern.name}``", pattern.statistic, pattern.rule, values or "none"
+    return f"``{pattern.name}``", pattern.statistic, pattern.rule, values
 
 
 def _linked(source: str) -> str:
