@@ -26,13 +26,13 @@ from models.shapes import (
     quad,
     revolve,
     ring,
+    rotate,
     sheet,
     surface,
+    translate,
     tube,
 )
 from models.shapes import tiles as tiling
-
-from chdstat.scenes.scene import rotate, translate
 
 # --- textures -------------------------------------------------------------------------------------
 

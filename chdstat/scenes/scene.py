@@ -6,9 +6,6 @@ read it. A scene that Mitsuba has built already is rendered as it is, in this pr
 
 `load_scene` finds a scene by its name, file or description; the names of the built-in ones are in
 `chdstat.scenes.builtin`.
-
-Transforms for scene dicts are (4, 4) matrices that act on columns. Chain them with ``@``: the
-rightmost acts first.
 """
 
 from __future__ import annotations
@@ -18,15 +15,14 @@ import hashlib
 import re
 import reprlib
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
-from chdstat._core.arrays import Floats
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError, did_you_mean
 from chdstat.scenes.builtin import BUILTIN, built_in
@@ -37,18 +33,12 @@ __all__ = [
     "LiveScene",
     "Scene",
     "SceneLike",
-    "Vector",
     "is_built",
     "load_scene",
-    "look_at",
-    "rotate",
-    "scale",
-    "translate",
 ]
 
 SceneLike = str | Path | Mapping[str, Any] | Any
 """A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
-Vector = Sequence[float] | Floats
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types of which two values are the same if they print the same."""
 
@@ -277,61 +267,6 @@ def _plain(value: Any) -> Any:
         "another one; describe it by plain values (see chdstat.scenes.Scene)"
     )
     raise SceneError(message)
-
-
-def translate(x: float, y: float, z: float) -> Floats:
-    """Return the matrix that moves by (x, y, z)."""
-    matrix = np.eye(4)
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
-def scale(x: float, y: float, z: float) -> Floats:
-    """Return the matrix that stretches by (x, y, z)."""
-    return np.diag([x, y, z, 1.0])
-
-
-def rotate(axis: Literal["x", "y", "z"], degrees: float) -> Floats:
-    """Return the matrix that turns counterclockwise about a coordinate axis.
-
-    Examples
-    --------
-    >>> (rotate("z", 90.0) @ [1.0, 0.0, 0.0, 1.0]).round(6)
-    array([0., 1., 0., 1.])
-    """
-    first, second = (("xyz".index(axis) + k) % 3 for k in (1, 2))
-    angle = np.deg2rad(degrees)
-    matrix = np.eye(4)
-    matrix[first, first] = matrix[second, second] = np.cos(angle)
-    matrix[second, first] = np.sin(angle)
-    matrix[first, second] = -matrix[second, first]
-    return matrix
-
-
-def look_at(origin: Vector, target: Vector, *, up: Vector = (0.0, 0.0, 1.0)) -> Floats:
-    """Return the matrix that places a camera or an emitter, whose own view is along +z.
-
-    Raises
-    ------
-    InputError
-        If the view is parallel to `up`.
-    """
-    forward = np.subtract(target, origin)
-    left = np.cross(up, forward)
-    if not left.any():
-        message = f"up must not be parallel to the view {forward.tolist()}, got {up}"
-        raise InputError(message)
-    matrix = np.eye(4)
-    matrix[:3, 0] = _unit(left)
-    matrix[:3, 1] = _unit(np.cross(forward, left))
-    matrix[:3, 2] = _unit(forward)
-    matrix[:3, 3] = origin
-    # Rounded like mesh vertices: it takes part in the scene's identity.
-    return matrix.round(9)
-
-
-def _unit(vector: Floats) -> Floats:
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 # --- scenes that Mitsuba has built --------------------------------------------------------------

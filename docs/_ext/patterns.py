@@ -16,6 +16,7 @@ from chdstat.patterns import PATTERNS, Pattern, Thresholds
 
 __all__ = ["PatternTable", "PatternText"]
 
+
 class PatternTable(SphinxDirective):
     """List what sets each flag, with the default thresholds, and the sources below."""
 

@@ -8,7 +8,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.patterns.attribution import attribute
 from chdstat.reporting.content import analysis_content
 from chdstat.samples import Samples
-from chdstat.scenes.scene import look_at, rotate, translate
+from tests.matrices import look_at, scale, translate
 
 RNG = np.random.default_rng(2)
 
@@ -139,7 +139,7 @@ def test_lights_that_share_a_texture_with_others_and_with_walls_add_up(backend, 
         "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": pattern}},
     }
     for i in range(3):
-        scene[f"lamp-{i}"] = {**lamp, "to_world": translate(i - 1, 0, 2) @ rotate("x", 180)}
+        scene[f"lamp-{i}"] = {**lamp, "to_world": translate(i - 1, 0, 2) @ scale(1, -1, -1)}
     names = ["lamp-0", "lamp-1", "lamp-2"]
     settings = {"size": (6, 6), "spp": 32, "backend": backend, "progress": False}
     samples = chd.render(scene, **settings, by_light=names)

@@ -9,7 +9,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.scenes.plugins import load_plugin
-from chdstat.scenes.scene import look_at, scale, translate
+from tests.matrices import look_at, scale, translate
 
 FILM = {"type": "hdrfilm", "width": 6, "height": 6, "rfilter": {"type": "box"}}
 CAMERA = {

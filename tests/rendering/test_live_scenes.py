@@ -8,7 +8,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering.backend import activate, probe
-from chdstat.scenes.scene import look_at
+from tests.matrices import look_at
 
 VIEW = {"spp": 4, "size": (24, 24), "seed": 3, "progress": False}
 PATH = {"type": "path", "max_depth": 8}

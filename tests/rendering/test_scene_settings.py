@@ -22,7 +22,7 @@ from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.options import scene_integrator, scene_size
 from chdstat.scenes import load_scene
-from chdstat.scenes.scene import look_at, translate
+from tests.matrices import look_at, translate
 
 WHOLE, CROP = (
     (48, 32),

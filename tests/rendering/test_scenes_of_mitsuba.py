@@ -25,7 +25,7 @@ import chdstat as chd
 from chdstat._core.arrays import LUMINANCE
 from chdstat.errors import ChdstatError
 from chdstat.rendering.backend import activate, probe
-from chdstat.scenes.scene import look_at, rotate, scale, translate
+from tests.matrices import look_at, scale, translate
 
 Change = dict[str, Any]
 
@@ -56,6 +56,10 @@ def bsdf(name: str, **settings: Any) -> Change:
 def texture(name: str, **settings: Any) -> Change:
     reflectance = {"type": name, **settings}
     return {"floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": reflectance}}}
+
+
+UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [1, 1, -1, 1]
+"""From y up to z up."""
 
 
 def emitter(name: str, **settings: Any) -> Change:
@@ -145,7 +149,9 @@ SCENES: dict[str, Callable[[Path], Change]] = {
         irradiance={"type": "bitmap", "filename": written(d, "image.exr")},
         fov=60,
     ),
-    "sunsky": lambda _: emitter("sunsky", to_world=rotate("x", 90), sun_aperture=5.0),
+    "sunsky": lambda _: emitter(
+        "sunsky", to_world=np.eye(4)[[0, 2, 1, 3]] * [1, 1, -1, 1], sun_aperture=5.0
+    ),
     # shapes
     "blender": lambda _: shape("blender"),
     "instance": lambda _: {

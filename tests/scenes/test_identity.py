@@ -21,7 +21,7 @@ from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions
 from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.parsing import ParsedScene
-from chdstat.scenes.scene import look_at, scale, translate
+from tests.matrices import look_at, scale, translate
 
 SETTINGS: dict[str, Any] = {"size": (4, 4), "backend": "scalar"}
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import pytest
 
-from chdstat.errors import InputError, SceneError
+from chdstat.errors import SceneError
 from chdstat.scenes import Scene
-from chdstat.scenes.scene import look_at, rotate, scale, translate
+from tests.matrices import look_at
 
 # Below a sky of radiance 1, a diffuse plane that sees all of it has its reflectance as radiance.
 
@@ -84,17 +83,3 @@ def test_what_mitsuba_would_crash_on_is_refused():
     scene["plane"] = {"type": "mesh", "vertices": np.zeros((3, 3))}
     with pytest.raises(SceneError, match="a mesh needs vertices and faces; 'plane' has no faces"):
         Scene("broken", scene).load()
-
-
-@pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_transforms_are_those_of_mitsuba(draw, axis):
-    mitsuba, unit = mi.ScalarTransform4f(), [float(axis == name) for name in "xyz"]
-    arguments = [1.0, 2.0, 3.0], [0.0, 5.0, 1.0]
-    for own, other in (
-        (rotate(axis, 25.0), mitsuba.rotate(unit, 25.0)),
-        (look_at(*arguments), mitsuba.look_at(*arguments, [0.0, 0.0, 1.0])),
-        (translate(1, 2, 3) @ scale(2, 3, 4), mitsuba.translate([1, 2, 3]).scale([2, 3, 4])),
-    ):
-        np.testing.assert_allclose(own, np.array(other.matrix), atol=1e-6)
-    with pytest.raises(InputError, match="up must not be parallel"):
-        look_at((0.0, 0.0, 2.0), (0.0, 0.0, 0.0))

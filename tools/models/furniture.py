@@ -20,13 +20,13 @@ from models.shapes import (
     quad,
     revolve,
     ring,
+    rotate,
     rounded_rectangle,
     sheet,
     tiles,
+    translate,
     tube,
 )
-
-from chdstat.scenes.scene import rotate, translate
 
 Parts = dict[str, Mesh]
 Span = tuple[float, float]

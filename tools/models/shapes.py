@@ -68,6 +68,24 @@ class Mesh:
         return np.cross(b - a, c - a)
 
 
+def translate(x: float, y: float, z: float) -> Array:
+    """Return the matrix (4, 4) that moves by (x, y, z)."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def rotate(axis: Literal["x", "y", "z"], degrees: float) -> Array:
+    """Return the matrix that turns counterclockwise about a coordinate axis."""
+    first, second = (("xyz".index(axis) + k) % 3 for k in (1, 2))
+    angle = np.deg2rad(degrees)
+    matrix = np.eye(4)
+    matrix[first, first] = matrix[second, second] = np.cos(angle)
+    matrix[second, first] = np.sin(angle)
+    matrix[first, second] = -matrix[second, first]
+    return matrix
+
+
 def join(*meshes: Mesh) -> Mesh:
     """Return one mesh of several that are either all smooth or all flat."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
