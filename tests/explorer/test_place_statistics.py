@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import chdstat as chd
 from chdstat._core.display import number
@@ -187,6 +188,19 @@ def test_quantiles_of_the_true_family_lie_on_the_diagonal():
     for line in lines:
         middle = slice(20, 80)
         np.testing.assert_allclose(line.y[middle], line.x[middle], rtol=0.2)
+    few = PlaceStatistics(gamma(60, null=0), RGB)
+    _, *lines = panels(view, series_of(view, {"a": [few]}))["qq"].lines
+    assert [len(line.y) for line in lines] == [60, 60, 60]
+
+
+def test_the_curve_over_the_averages_is_the_gaussian_of_their_moments():
+    place, view = PlaceStatistics(gamma(), RGB), View(batch=8)
+    drawn = panels(view, series_of(view, {"a": [place]}))["averages"]
+    curves = [line for line in drawn.lines if line.dash == "dotted"]
+    for line, averages in zip(curves, place.averages(8)[:3], strict=True):
+        right = stats.norm(averages.mean(), averages.std(ddof=1))
+        np.testing.assert_allclose(line.y, right.pdf(line.x))
+        assert line.x[0] <= max(0, right.ppf(0.05)) < right.ppf(0.95) <= line.x[-1]
 
 
 def test_few_fireflies_among_the_averages_squeeze_nothing():

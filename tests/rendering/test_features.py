@@ -92,6 +92,14 @@ def test_a_medium_ends_rays_where_it_scatters(backend):
     assert np.linalg.norm(found["normal"].mean(axis=(0, 1))) == pytest.approx(through, abs=0.0125)
 
 
+def test_a_camera_stands_in_its_medium(backend):
+    camera = {**CAMERA, "film": {**FILM, "width": 40, "height": 40}}
+    camera["fog"] = foggy(0.1)["interior"]
+    found = features(backend, integrator={"type": "volpath"}, sensor=camera)
+    share = (0.9 - found["albedo"].mean()) / 0.65
+    assert share == pytest.approx(np.exp(-0.1 * 5.05), abs=0.0125)
+
+
 def test_a_medium_may_be_clear_in_a_channel(backend):
     clear = {"type": "rgb", "value": [0.5, 0.5, 0.0]}
     found = features(backend, integrator={"type": "volpath"}, box=foggy(clear))

@@ -279,6 +279,7 @@ def test_findings_come_in_order_the_same_every_time_and_are_ready_for_json():
     text = json.dumps([f.to_dict() for f in found], allow_nan=False)
     assert text == json.dumps([f.to_dict() for f in again])
     assert all(f.reason.endswith(".") for f in found)
+    assert all(claim.method.endswith(".") for claim in CLAIMS)
     assert all(f.scene == "scene 0" for f in found if not BY_NUMBER[f.number].across)
 
 
