@@ -27,7 +27,6 @@ __all__ = [
     "Card",
     "Shown",
     "Width",
-    "between",
     "byte_size",
     "duration",
     "each",
@@ -39,6 +38,7 @@ __all__ = [
     "reasons",
     "with_error",
     "with_interval",
+    "with_margin",
     "written",
 ]
 
@@ -89,12 +89,12 @@ def percent(share: float, *, sign: bool = False) -> str:
     return text.replace("-", "−")
 
 
-def between(value: float, margin: float) -> str:
+def with_margin(value: float, margin: float) -> str:
     """Return a value with its margin of error.
 
     Examples
     --------
-    >>> between(0.31, 0.2)
+    >>> with_margin(0.31, 0.2)
     '0.31 ± 0.20'
     """
     if not (math.isfinite(value) and math.isfinite(margin)):

@@ -199,6 +199,19 @@ class Interval(Generic[Value]):
         """Return the number and the ends of its interval by name."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
+    def ends(self: Interval[float], write: Callable[[float], str]) -> str:
+        """Return the ends in words, each as `write` has it; "" without an interval.
+
+        Examples
+        --------
+        >>> Interval(1.0, 0.5, math.inf).ends(str)
+        '0.5 or more'
+        """
+        if math.isnan(self.low) or math.isnan(self.high):
+            return ""
+        low = write(self.low)
+        return f"{low} or more" if math.isinf(self.high) else f"{low} to {write(self.high)}"
+
     def root(self: Interval[float]) -> Interval[float]:
         """Return the same of the square root; noise may have made squares negative: they give 0."""
         return Interval(_root(self.value), _root(self.low), _root(self.high), self.level)

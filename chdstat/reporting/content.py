@@ -7,13 +7,12 @@ findings on claims, and the tables of regions, families, patterns and estimators
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from chdstat._core.display import between, number, percent, with_interval
-from chdstat._core.resampling import Interval
+from chdstat._core.display import number, percent, with_interval, with_margin
 from chdstat.analysis import (
     Noise,
     Overview,
@@ -159,10 +158,10 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     """Return up to four numbers, with 95 % intervals over blocks of pixels where there are some."""
     scene = found.overview
     of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
-    nulls = _between(of_image["null_share"], percent)
+    nulls = of_image["null_share"].ends(percent)
     shown = [(percent(scene.null_share), "of the samples find no light", nulls)]
     if scene.spp >= FEW_SAMPLES:
-        spread = _between(of_image["coefficient_of_variation"], number)
+        spread = of_image["coefficient_of_variation"].ends(number)
         label = "standard deviation of the samples over their mean"
         label += ", in the median pixel" * (scene.pixels > 1)
         shown.append((number(scene.variation[1]), label, spread))
@@ -253,7 +252,7 @@ def _which_paths(data: SceneData) -> Iterator[tuple[str, str]]:
         yield (
             f"{who} the largest part of the variance.",
             f"In the average pixel that is {percent(part.share.value)} of it "
-            f"[{_between(part.share, percent)}], and {percent(part.mean)} of the light.",
+            f"[{part.share.ends(percent)}], and {percent(part.mean)} of the light.",
         )
 
 
@@ -311,11 +310,6 @@ def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
         f"{errors} It improves {percent(row['improved'])} of the estimates, with a bias of "
         f"{percent(row['bias'], sign=True)}.",
     )
-
-
-def _between(interval: Interval[float], write: Callable[[float], str]) -> str:
-    known = math.isfinite(interval.low) and math.isfinite(interval.high)
-    return f"{write(interval.low)} to {write(interval.high)}" if known else ""
 
 
 def _row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
@@ -460,7 +454,7 @@ def _test_content(test: ClaimTest) -> dict[str, str]:
     return {
         "name": test.name + ("" if unit == "1" else f" ({written})"),
         "value": number(test.interval.value),
-        "interval": test.between(number) or "—",
+        "interval": test.interval.ends(number) or "—",
         "claimed": test.claimed,
         "verdict": test.verdict,
     }
@@ -500,7 +494,7 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
                 "radiance": [number(v) for v in np.atleast_1d(found["mean"].values)],
                 "nulls": percent(float(found["null_share"])),
                 "variation": number(float(found["coefficient_of_variation"])),
-                "tail": between(
+                "tail": with_margin(
                     float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])
                 ),
                 "family": names_of(found["luminance_family"])[int(found["luminance_family"])],

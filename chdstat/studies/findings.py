@@ -12,7 +12,7 @@ makes it a `Finding`, the public result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
@@ -119,13 +119,6 @@ class ClaimTest:
             return math.nan
         return min(abs(value - end) / arm for end, arm in zip(ends, arms, strict=True))
 
-    def between(self, write: Callable[[float], str]) -> str:
-        """Return the interval in words, each of its ends as `write` has it; "" without one."""
-        low, high = self.interval.low, self.interval.high
-        if math.isnan(low) or math.isnan(high):
-            return ""
-        return f"{write(low)} or more" if math.isinf(high) else f"{write(low)} to {write(high)}"
-
     @property
     def claimed(self) -> str:
         """Range of the claim in words."""
@@ -136,7 +129,7 @@ class ClaimTest:
         return f"{_number(self.least)} to {_number(self.most)}"
 
     def __str__(self) -> str:
-        interval = self.between(_number) or "no interval"
+        interval = self.interval.ends(_number) or "no interval"
         return f"{self.name} is {_number(self.interval.value)} ({interval}), claimed {self.claimed}"
 
     def to_dict(self) -> dict[str, Any]:
