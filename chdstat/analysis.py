@@ -11,7 +11,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from chdstat.rendering import Rendering
     from chdstat.samples import Samples
 
-__all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
+__all__ = ["Overview", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
 _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables carry their name."""
@@ -485,7 +485,7 @@ def overview(found: xr.Dataset) -> Overview:
     margin, known = _values(found, "margin"), np.isfinite(_values(found, "tail_index"))
     sizes = [found.isel(size=i) for i in range(found.sizes.get("size", 0))]
     families, held_out = (
-        {name: pooled.share for name, pooled in pooled_shares(found, variable).items()}
+        {name: pooled.value for name, pooled in pooled_shares(found, variable).items()}
         if variable in found
         else {}
         for variable in ("best_family", "held_out_best_family")
@@ -599,22 +599,14 @@ def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float
     return {name: averages.get(name, mean_of)(values, blocks) for name, values in flat.items()}
 
 
-class Share(NamedTuple):
-    """A share with its Wilson interval."""
-
-    share: float
-    low: float
-    high: float
-
-
-def pooled_shares(found: xr.Dataset, variable: str = "best_family") -> dict[str, Share]:
-    """Return how often each family describes a pixel channel best, all channels together."""
+def pooled_shares(found: xr.Dataset, variable: str = "best_family") -> dict[str, Interval[float]]:
+    """Return the share of pixel channels that each family describes best, with Wilson intervals."""
     shares = family_shares(found, variable=variable)
     total = int(shares["n_pixels"].sum())
     counts = (shares["family_share"].fillna(0) * shares["n_pixels"]).sum("channel").round()
     interval = wilson(counts.values, np.full(counts.shape, total))
     return {
-        str(name): Share(float(count) / total if total else np.nan, float(low), float(high))
+        str(name): Interval(float(count) / total if total else np.nan, float(low), float(high))
         for name, count, (low, high) in zip(
             counts["family"].values, counts.values, interval, strict=True
         )

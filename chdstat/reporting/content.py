@@ -531,7 +531,7 @@ def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
     return [
         {"name": called(name)}
         | {
-            key: with_interval(shares[name].share, shares[name].low, shares[name].high, percent)
+            key: with_interval(shares[name].value, shares[name].low, shares[name].high, percent)
             for key, shares in columns.items()
         }
         for name in columns["bic"]
