@@ -9,8 +9,9 @@
 `model`
     ``model("progressive")`` and ``model("elek2019")`` return estimators that were trained for a few
     iterations on ``stored()``: for tests of what is done with a model, not of how good it is.
-`llvm`
-    Name of the LLVM backend; the test is skipped where there is none.
+`wavefront`, `backend`
+    Names of backends that draw wavefronts, and of all. Tests run with each of them: with cuda where
+    it works, and with llvm, where a test is skipped if that does not.
 `scenes_folder`
     Folder of real scenes, named by the environment variable CHDSTAT_SCENES. Tests that need it are
     marked `external` and are skipped without it.
@@ -111,10 +112,23 @@ def model(stored: Callable[..., Path]) -> Callable[[str], Any]:
     return train
 
 
-@pytest.fixture(scope="session")
-def llvm() -> str:
-    """Return the name of the LLVM backend; skip where it does not work."""
-    llvm = probe("llvm")
-    if not llvm.works:
-        pytest.skip(f"no LLVM backend here: {llvm.detail}")
-    return llvm.name
+_WAVEFRONTS = ("llvm", "cuda") if probe("cuda").works else ("llvm",)
+
+
+@pytest.fixture(scope="session", params=_WAVEFRONTS)
+def wavefront(request: pytest.FixtureRequest) -> str:
+    """Return the name of a backend that draws wavefronts; skip where it does not work."""
+    return _working(request.param)
+
+
+@pytest.fixture(scope="session", params=("scalar", *_WAVEFRONTS))
+def backend(request: pytest.FixtureRequest) -> str:
+    """Return the name of a backend; skip where it does not work."""
+    return _working(request.param)
+
+
+def _working(backend: str) -> str:
+    tried = probe(backend)
+    if not tried.works:
+        pytest.skip(f"no {backend} backend here: {tried.detail}")
+    return backend

@@ -38,11 +38,8 @@ def summed(found: dict[str, str]) -> None:
     assert min(p) > plain.LEVEL / len(p)
 
 
-@pytest.mark.parametrize("backend", ["scalar", "llvm"])
-def test_plugins(as_benchmark, backend, tmp_path, request):
-    if backend == "llvm":
-        request.getfixturevalue("llvm")
-    names = plain.SCENES.keys() - ({"timed_sunsky"} if backend == "llvm" else set())
+def test_plugins(as_benchmark, backend, tmp_path):
+    names = plain.SCENES.keys() - ({"timed_sunsky"} if backend != "scalar" else set())
     found = {}
     for name in sorted(names):  # Dr.Jit does not recover from timed_sunsky, which it cannot record
         found[name] = plain.fate_of(name, tmp_path, backend)

@@ -125,10 +125,7 @@ def test_lights_alone_add_up_to_the_samples(scene):
     assert np.array_equal(chd.render(scene, **settings).read(), samples.read())
 
 
-@pytest.mark.parametrize("backend", ["scalar", "llvm"])
-def test_lights_that_share_a_texture_with_others_and_with_walls_add_up(backend, request):
-    if backend == "llvm":
-        request.getfixturevalue("llvm")
+def test_lights_that_share_a_texture_with_others_and_with_walls_add_up(backend):
     grey = {"type": "rgb", "value": 0.6}
     pattern = {"type": "checkerboard", "color0": grey, "color1": grey}
     lamp = {"type": "rectangle", "emitter": {"type": "area", "radiance": pattern}}

@@ -34,11 +34,6 @@ def features(backend: str = "scalar", **parts: Any) -> dict[str, np.ndarray]:
     return {name: np.asarray(image) for name, image in samples.features.items()}
 
 
-@pytest.fixture(params=["scalar", "llvm"])
-def backend(request) -> str:
-    return request.param if request.param == "scalar" else request.getfixturevalue("llvm")
-
-
 def sheet(**bsdf: Any) -> dict[str, Any]:
     return {"type": "rectangle", "to_world": translate(0, 0, 2) @ scale(2, 2, 1), "bsdf": bsdf}
 

@@ -39,7 +39,7 @@ ROOM = {
         "bsdf": {"type": "twosided", "nested": {"type": "diffuse"}},
     },
 }
-VIEW = {"spp": 64, "backend": "llvm", "progress": False}
+VIEW = {"spp": 64, "progress": False}
 
 
 def directions(rng, n):
@@ -74,9 +74,9 @@ def test_what_is_stored_is_the_guide(octant):
     assert replace(octant, shares=octant.shares / 2).digest != octant.digest
 
 
-def test_drawn_directions_have_the_density_that_is_said(llvm, octant):
+def test_drawn_directions_have_the_density_that_is_said(wavefront, octant):
     """The inverse density of what is drawn integrates to the sphere."""
-    with activate(resolve(llvm)) as mi:
+    with activate(resolve(wavefront)) as mi:
         lookup = Lookup(mi, octant)
         _, *leaves = lookup.cell(mi.Point3f(0.2, 0.5, 0.5))
         sampler = mi.load_dict({"type": "independent"})
@@ -91,10 +91,10 @@ def test_drawn_directions_have_the_density_that_is_said(llvm, octant):
 
 
 @pytest.fixture(scope="module")
-def both(llvm):
+def both(wavefront):
     """Return the room by path tracing, and guided."""
-    plain = chd.render(ROOM, seed=1, **VIEW | {"spp": 512})
-    return plain, chd.render(ROOM, integrator="guided", seed=2, **VIEW | {"spp": 512})
+    view = {**VIEW, "backend": wavefront, "spp": 512}
+    return chd.render(ROOM, seed=1, **view), chd.render(ROOM, integrator="guided", seed=2, **view)
 
 
 def test_it_is_less_noisy_and_not_biased(both):
@@ -105,17 +105,17 @@ def test_it_is_less_noisy_and_not_biased(both):
     assert guided.var(axis=-1).mean() < 0.7 * plain.var(axis=-1).mean()
 
 
-def test_a_guide_stays_with_its_samples(llvm, tmp_path):
-    out, settings = tmp_path / "room.zarr", {**VIEW, "integrator": "guided"}
+def test_a_guide_stays_with_its_samples(wavefront, tmp_path):
+    out, settings = tmp_path / "room.zarr", {**VIEW, "backend": wavefront, "integrator": "guided"}
     some = chd.render(ROOM, out=out, **settings)
     x = some.read()
     assert "guide-cells" not in some.features
     more = chd.render(ROOM, out=out, **settings | {"spp": 128})
     assert np.array_equal(more.read()[..., :64], x)
-    batches = render_batches(ROOM, **VIEW, integrator="guided")
+    batches = render_batches(ROOM, **settings)
     assert np.array_equal(np.concatenate(list(batches), axis=-1), x)
     with pytest.raises(StoreError, match="guide: stored"):
-        chd.render(ROOM, out=out, **VIEW | {"spp": 256})
+        chd.render(ROOM, out=out, **settings | {"spp": 256, "integrator": None})
     # Where the guide is damaged, the same training makes it again.
     (file,) = out.glob("features/guide-cells/c/*/*")
     file.write_bytes(b"")
@@ -125,10 +125,12 @@ def test_a_guide_stays_with_its_samples(llvm, tmp_path):
     assert Store.open(out).guide() is not None
 
 
-def test_it_needs_a_backend_of_wavefronts_and_a_scene_of_its_own(llvm):
+def test_it_needs_a_backend_of_wavefronts_and_a_scene_of_its_own(wavefront):
     with pytest.raises(RenderError, match="guided.*llvm and cuda.*doctor"):
         render_pixels(ROOM, [(0, 0)], integrator="guided")
-    found = render_pixels(ROOM, [(6, 6)], spp=16, integrator="guided", backend=llvm)
+    found = render_pixels(ROOM, [(6, 6)], spp=16, integrator="guided", backend=wavefront)
     assert found.shape == (1, 3, 16)
-    short = chd.render(ROOM, integrator={"type": "guided", "max_depth": 2}, **VIEW | {"spp": 4})
+    short = chd.render(
+        ROOM, integrator={"type": "guided", "max_depth": 2}, spp=4, backend=wavefront
+    )
     assert short.attrs["integrator"]["max_depth"] == 2

@@ -55,12 +55,10 @@ def test_it_draws_what_its_description_draws(mi, source):
     assert "filter" in live.attrs["notes"][0]
 
 
-def test_in_a_wavefront_it_draws_what_its_description_draws():
-    if not probe("llvm").works:
-        pytest.skip("no LLVM")
-    with activate(probe("llvm")) as mi:
+def test_in_a_wavefront_it_draws_what_its_description_draws(wavefront):
+    with activate(probe(wavefront)) as mi:
         live = chd.render(mi.load_dict(mi.cornell_box()), **VIEW)
-        expected = chd.render(mi.cornell_box(), **VIEW, backend="llvm")
+        expected = chd.render(mi.cornell_box(), **VIEW, backend=wavefront)
     assert np.array_equal(live.read(), expected.read())
 
 

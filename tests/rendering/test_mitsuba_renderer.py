@@ -39,10 +39,9 @@ RANDOM_NUMBERS = {
 """A scene whose radiance is the next three random numbers, whatever the pixel."""
 
 
-@pytest.fixture(scope="module", params=["scalar", "llvm"])
-def streams(request) -> str:
+@pytest.fixture(scope="module")
+def streams(backend) -> str:
     """Make the integrator of `RANDOM_NUMBERS` known to a backend and return its name."""
-    backend = request.param if request.param == "scalar" else request.getfixturevalue("llvm")
     with activate(probe(backend)) as mi:
 
         class RandomNumbers(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
@@ -303,10 +302,7 @@ def test_a_tenth_more_light_is_noticed(moments):
 PIXELS = [(0, 0), (3, 12), (8, 8), (12, 4), (15, 15)]
 
 
-@pytest.mark.parametrize("backend", ["scalar", "llvm"])
-def test_single_pixels_have_the_distribution_of_the_image(box, request, backend):
-    if backend == "llvm":
-        request.getfixturevalue("llvm")
+def test_single_pixels_have_the_distribution_of_the_image(box, backend):
     single = render_pixels("cornell-box", PIXELS, spp=1024, size=SIZE, backend=backend)
     stored = np.stack([box[pixel] for pixel in PIXELS])
     a, b = (LUMINANCE @ x.astype(np.float64) for x in (single, stored))
@@ -319,13 +315,13 @@ def test_single_pixels_have_the_distribution_of_the_image(box, request, backend)
     assert not agree(scipy.stats.ks_2samp(a, b[::-1], axis=-1, method="asymp").pvalue)
 
 
-# --- LLVM ---------------------------------------------------------------------------------------
+# --- wavefronts ---------------------------------------------------------------------------------
 
 
-def test_llvm_agrees_with_scalar(box, llvm):
+def test_a_wavefront_agrees_with_scalar(box, wavefront):
     x, y = (
         LUMINANCE @ s.read().astype(np.float64)
-        for s in (box, chd.render("cornell-box", spp=1024, size=SIZE, seed=9, backend=llvm))
+        for s in (box, chd.render("cornell-box", spp=1024, size=SIZE, seed=9, backend=wavefront))
     )
     assert agree(p_of_equal_means(x, y.mean(axis=-1), y.shape[-1]))
     assert agree(p_of_equal_means(x**2, (y**2).mean(axis=-1), y.shape[-1]))
@@ -333,18 +329,18 @@ def test_llvm_agrees_with_scalar(box, llvm):
     assert not agree(p_of_equal_means(x, 1.1 * y.mean(axis=-1), y.shape[-1]))
 
 
-def test_llvm_repeats_to_the_bit_and_fewer_samples_are_a_prefix(llvm):
-    draw = {"size": (72, 20), "seed": 4, "backend": llvm}
+def test_a_wavefront_repeats_to_the_bit_and_fewer_samples_are_a_prefix(wavefront):
+    draw = {"size": (72, 20), "seed": 4, "backend": wavefront}
     most = chd.render("cornell-box", spp=100, **draw).read()
     assert np.array_equal(chd.render("cornell-box", spp=100, **draw).read(), most)
     for spp in (7, 64, 65):
         assert np.array_equal(chd.render("cornell-box", spp=spp, **draw).read(), most[..., :spp])
 
 
-def test_llvm_gives_the_same_beside_another_scene(llvm):
-    alone = chd.render("cornell-box", spp=8, size=SIZE, backend=llvm).read()
-    with activate(probe("llvm")) as mi:
+def test_a_wavefront_gives_the_same_beside_another_scene(wavefront):
+    alone = chd.render("cornell-box", spp=8, size=SIZE, backend=wavefront).read()
+    with activate(probe(wavefront)) as mi:
         other = mi.load_dict(mi.cornell_box())
-        beside = chd.render("cornell-box", spp=8, size=SIZE, backend=llvm).read()
+        beside = chd.render("cornell-box", spp=8, size=SIZE, backend=wavefront).read()
         assert np.isfinite(np.array(mi.render(other, spp=1))).all()
     assert np.array_equal(beside, alone)

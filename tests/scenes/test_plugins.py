@@ -15,7 +15,6 @@ from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.estimators import registry
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.rendering import render_pixels
-from chdstat.rendering.backend import probe
 from chdstat.rendering.options import Job, RenderOptions
 from chdstat.scenes import load_plugin, plugins
 
@@ -132,11 +131,9 @@ def test_a_store_goes_on_with_the_same_code_only(write, tmp_path):
     assert (chd.render("cornell-box", **SCALAR).read() == 3).all()
 
 
-def test_a_plugin_is_registered_again_in_another_variant(write):
-    if not probe("llvm").works:
-        pytest.skip("no LLVM")
+def test_a_plugin_is_registered_again_in_another_variant(write, wavefront):
     load_plugin(write(INTEGRATOR))
-    for backend in ("scalar", "llvm", "scalar"):
+    for backend in ("scalar", wavefront, "scalar"):
         samples = chd.render("cornell-box", **{**SCALAR, "backend": backend})
         assert (samples.read() == 2).all()
         assert list(samples.attrs["plugins"]) == ["mine.py"]
@@ -226,10 +223,7 @@ def test_two_plugins_have_names_of_their_own(write, tmp_path):
     ("old", "new", "line"),
     [("(self.value)", "(self.valu)", 13), ('props.get("value", 2.0)', "valu", 10)],
 )
-@pytest.mark.parametrize("backend", ["scalar", "llvm"])
 def test_a_mistake_in_a_class_is_told_by_its_line(write, old, new, line, backend):
-    if not probe(backend).works:
-        pytest.skip(f"no {backend}")
     load_plugin(write(INTEGRATOR.replace(old, new)))
     with pytest.raises(ChdstatError, match=rf"mine\.py, line {line}: "):
         chd.render("cornell-box", **{**SCALAR, "backend": backend})
