@@ -106,7 +106,7 @@ def validate(
             profile, described, target = training_set.minibatch(rows, drawn)
             with torch.inference_mode():
                 estimate, mean, certainty = (
-                    tensor.numpy().astype(np.float64) for tensor in network(profile, described)
+                    t.cpu().numpy().astype(np.float64) for t in network(profile, described)
                 )
             found.append(
                 {

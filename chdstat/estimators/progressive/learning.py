@@ -428,7 +428,7 @@ def learn(
     Parameters
     ----------
     network
-        Left with the average of its weights over the last steps.
+        Left with the average of its weights over the last steps, on the GPU where torch finds one.
     training_set
         What to train with.
     train, validation
@@ -485,7 +485,7 @@ def learn(
             fit, baseline = np.mean([[float(loss) for loss in pair] for pair in seen], axis=0)
             history.append((iteration, fit, outside, baseline, of_mean))
     network.load_state_dict(average.module.state_dict())
-    network.to("cpu").eval()
+    network.eval()
     return np.array(history)
 
 
