@@ -9,7 +9,7 @@ the families is true; and its differences come with a standard error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
@@ -208,11 +208,13 @@ class FamilySelection(Statistic[Selection]):
 
     def measure(self, part: Part) -> Selection:
         """Fit the families to each row, and compare them."""
+        if self.held_out:
+            found = measured(part, replace(self, held_out=False))
+            return replace(found, held_out=measured(part, HeldOutLikelihood(self.families)))
         fits = {family.name: measured(part, FamilyFit(family)) for family in self.families}
         split: HeldOut | None = None
-        if self.held_out or self.criterion == "held_out":
+        if self.criterion == "held_out":
             split = measured(part, HeldOutLikelihood(self.families))
-        if self.criterion == "held_out" and split is not None:
             values = split.loss
         else:
             values = np.stack([getattr(fit, self.criterion) for fit in fits.values()], axis=-1)
