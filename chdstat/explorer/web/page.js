@@ -29,6 +29,7 @@ window.chdstat = (() => {
   function tap(event) {
     const [x, y] = [Math.floor(event.x), Math.floor(event.y)];
     if (following && added) { added = false; return; }  // it is there: from here on it stays
+    clearTimeout(resting);  // what is clicked is read at once: not twice side by side
     send("pick", { y, x, add: Boolean(event.modifiers && event.modifiers.shift) });
   }
 
