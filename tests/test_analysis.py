@@ -56,6 +56,8 @@ def test_patterns_alone_are_those_of_the_analysis(samples, found):
         assert some[name] == whole[name]
     assert whole["decided"] is not None
     assert (some["decided"], some["misfit"], some["modes"]) == (None, [None] * 3, {})
+    with_families = overview(patterns_of(samples, families=True, progress=False)).to_dict()
+    assert with_families == whole | {"modes": {}}
     noise = noise_of(patterns)
     assert sum(noise.pixels.values()) == pytest.approx(1)
     assert sum(noise.share.values()) == pytest.approx(1)

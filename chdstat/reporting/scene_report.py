@@ -1,7 +1,7 @@
 """Report on a scene: render, analyse, compare and typeset, with no other input.
 
 The short report needs the patterns of luminance and what needs no training; the full one also tests
-the paper's claims, for which the whole analysis is needed and the network of the paper.
+the paper's claims, for which the families of all channels are needed and the network of the paper.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from chdstat._core.files import checked_target, scratch
 from chdstat._core.work import kept_until_written
-from chdstat.analysis import Noise, analyze, noise_of, patterns_of
+from chdstat.analysis import Noise, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.entries import (
     DEFAULT_ESTIMATORS,
@@ -215,8 +215,8 @@ class _Report:
     def document(self, regions: tuple[Region, ...], checkpoint: Path | None) -> Document:
         """Compute everything that is shown, and return it ready to typeset."""
         samples, full, short = self.samples, self.contents == "full", self.contents == "short"
-        analysed = patterns_of if short else analyze
-        dataset = analysed(samples, progress=self.progress, checkpoint=checkpoint)
+        about: Any = {"progress": self.progress, "checkpoint": checkpoint}
+        dataset = patterns_of(samples, families=not short, **about)
         noise = noise_of(dataset)
         comparison, why_not = self.compared(dataset, noise)
         if samples.shape[0] * samples.shape[1] < content.FEW_PIXELS:

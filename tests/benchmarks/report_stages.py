@@ -14,8 +14,7 @@ from chdstat.studies.claim import Claim
 
 STAGES = {
     "rendering": (scene_report, "render"),
-    "analysis": (scene_report, "analyze"),
-    "patterns": (scene_report, "patterns_of"),
+    "analysis": (scene_report, "patterns_of"),
     "atlas": (scene_report, "atlas"),
     "trainings": (scene_report._Report, "trained"),
     "comparison, with trainings": (scene_report, "compare"),
