@@ -35,6 +35,7 @@ __all__ = [
     "all_good",
     "as_pixels",
     "as_samples",
+    "batch_rows",
     "block_numbers",
     "check_real",
     "generator",
@@ -431,6 +432,16 @@ def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
 
 
 Result = TypeVar("Result")
+
+
+def batch_rows(values: Array, batch: tuple[int, ...], rows: Array, *behind: Any) -> Array:
+    """Select rows of a batch by their flat numbers, and of each what `behind` indexes.
+
+    Flattening first would copy all of the values where they are a view.
+    """
+    some = batch or (1,)
+    values = values.reshape(*some, *values.shape[len(batch) :])
+    return np.asarray(values[(*np.unravel_index(rows, some), *behind)])
 
 
 def take_rows(result: Result, rows: int | slice | npt.NDArray[Any], *, axis: int) -> Result:

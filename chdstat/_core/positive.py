@@ -223,7 +223,9 @@ class PositivePart(_Rows):
     @cached_property
     def sorted(self) -> npt.NDArray[np.floating[Any]]:
         """Positive samples in ascending order, shape of `x`, padded with infinity."""
-        return np.sort(np.where(self.positive, self.x, np.inf), axis=-1)
+        ascending = np.where(self.positive, self.x, self.x.dtype.type(np.inf))
+        ascending.sort(axis=-1)
+        return ascending
 
     @cached_property
     def log_sorted(self) -> Floats:

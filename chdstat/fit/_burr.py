@@ -74,11 +74,16 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
         near=start,
         tolerance=tolerance,
     )
+    log_mean = part.log_statistics.log_mean
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        # The mean of log(1 + (x/s)^c) is 1 / d.
+        likelihood = np.log(c * d) + c * (log_mean - np.log(scale)) - 1 - 1 / d - log_mean
     return Estimate(
         parameters={"c": c, "d": d, "scale": scale},
         standard_errors={"c": c_error, "d": d_error, "scale": scale_error},
         converged=converged == 1,
         limit=np.nan_to_num(limit).astype(np.int8),
+        log_likelihood=part.n * likelihood,
     )
 
 

@@ -77,10 +77,14 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
         # "Continuous univariate distributions", vol. 1, 1994, chapter 21.
         root = np.sqrt(6 / part.n) / np.pi
         scale_factor = np.sqrt(np.pi**2 / 6 + (1 - np.euler_gamma) ** 2)
+        # The mean of (x/s)^k is 1.
+        log_mean = part.log_statistics.log_mean
+        likelihood = np.log(shape) + shape * (log_mean - np.log(scale)) - 1 - log_mean
         return Estimate(
             parameters={"shape": shape, "scale": scale},
             standard_errors={"shape": shape * root, "scale": scale / shape * root * scale_factor},
             converged=converged == 1,
+            log_likelihood=part.n * likelihood,
         )
 
 

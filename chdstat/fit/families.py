@@ -296,7 +296,9 @@ class FamilyFit(ParametricFit[Fit]):
         family = self.family
         estimate, reason = estimate_part(part, family)
         parameters = estimate.parameters
-        of_positive = family.log_likelihood(part, parameters)
+        of_positive = estimate.log_likelihood
+        if of_positive is None:
+            of_positive = family.log_likelihood(part, parameters)
         log_likelihood = np.asarray(of_positive + zero_log_likelihood(part))
         count = len(parameters) + 1
         no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
@@ -437,7 +439,7 @@ def estimate_part(
     failed = (reason == Reason.OK) & ~estimate.converged
     limit = np.broadcast_to(estimate.limit, reason.shape)
     reason[failed] = np.where(limit == Reason.OK, Reason.NOT_CONVERGED, limit)[failed]
-    ok = np.asarray(reason == Reason.OK)
+    ok, value = np.asarray(reason == Reason.OK), estimate.log_likelihood
     kept = Estimate(
         parameters={n: np.where(ok, value, np.nan) for n, value in estimate.parameters.items()},
         standard_errors={
@@ -445,6 +447,7 @@ def estimate_part(
             for name, value in estimate.standard_errors.items()
         },
         converged=ok,
+        log_likelihood=None if value is None else np.where(ok, value, np.nan),
     )
     return kept, reason
 

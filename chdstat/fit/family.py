@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Mask
+from chdstat._core.arrays import Floats, Mask, batch_rows
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
 
@@ -41,13 +41,15 @@ class Estimate:
     """Parameters and standard errors by name, and where the estimate is a maximum.
 
     `limit` is the `Reason` code of the limit of the family that the likelihood rises towards, where
-    it has no maximum, and 0 elsewhere.
+    it has no maximum, and 0 elsewhere. `log_likelihood` is that of `Family`, where the maximum has
+    a closed form.
     """
 
     parameters: Parameters
     standard_errors: Parameters
     converged: Mask
     limit: npt.NDArray[np.int8] | Literal[0] = 0
+    log_likelihood: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +251,7 @@ def take_part(part: AnyPart, rows: npt.NDArray[np.intp]) -> AnyPart:
 
     def taken(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         trailing = values.shape[part.n.ndim :]
-        return np.broadcast_to(values, part.n.shape + trailing).reshape(-1, *trailing)[rows]
+        return batch_rows(np.broadcast_to(values, part.n.shape + trailing), part.n.shape, rows)
 
     return type(part)(**{field.name: taken(getattr(part, field.name)) for field in fields(part)})
 
@@ -260,7 +262,7 @@ def halves_of(part: PositivePart, rows: npt.NDArray[np.intp]) -> PositivePart:
     shape = 2, len(rows), (samples + 1) // 2
     x, positive = np.zeros(shape, part.x.dtype), np.zeros(shape, dtype=bool)
     for to, values in ((x, part.x), (positive, part.positive)):
-        taken = values.reshape(-1, samples)[rows]
+        taken = batch_rows(values, part.n.shape, rows)
         to[0], to[1, :, : samples // 2] = taken[:, ::2], taken[:, 1::2]
     n = np.count_nonzero(positive, axis=-1)
     return PositivePart(x, positive, n, *np.zeros((4, *n.shape), dtype=np.int64))
@@ -271,14 +273,14 @@ def points_of(part: Part, rows: npt.NDArray[np.intp], *, thin: bool = False) -> 
     if isinstance(part, PositiveHistogram):
         return _bins(part, rows)
     n, log_mean = part.n.ravel()[rows], part.log_statistics.log_mean.ravel()[rows]
-    ascending = part.log_sorted.reshape(-1, part.x.shape[-1])
     if thin:
         edges = np.rint(n[:, np.newaxis] * _EDGES).astype(np.intp)
         middle = np.minimum((edges[:, 1:] + edges[:, :-1]) // 2, n[:, np.newaxis] - 1)
-        log, weight = ascending[rows[:, np.newaxis], middle], np.diff(edges).astype(np.float64)
+        log = batch_rows(part.log_sorted, part.n.shape, rows[:, np.newaxis], middle)
+        weight = np.diff(edges).astype(np.float64)
         log -= log_mean[:, np.newaxis]
     else:
-        log = ascending[rows, : int(n.max(initial=1))]
+        log = batch_rows(part.log_sorted, part.n.shape, rows, slice(int(n.max(initial=1))))
         log -= log_mean[:, np.newaxis]
         weight = (np.arange(log.shape[-1]) < n[:, np.newaxis]).astype(np.float64)
         # In a block of similar rows, few columns hold what is no sample.

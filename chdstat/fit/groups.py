@@ -134,14 +134,15 @@ def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
 
 def _spacing(y: Floats, n: Counts) -> Floats:
     """Return the median distance of neighbours, shape (row,); 0 for a single sample."""
-    gaps = np.diff(y, axis=-1)
+    # In single precision, sorting takes a seventh of the time.
+    gaps = np.diff(y, axis=-1).astype(np.float32)
     gaps[np.arange(1, y.shape[-1]) >= n[:, np.newaxis]] = np.inf
     gaps.sort(axis=-1)
     middle = np.maximum(n - 2, 0)[:, np.newaxis] // 2
     spacing = (
         np.zeros(len(y)) if gaps.shape[-1] == 0 else np.take_along_axis(gaps, middle, -1)[:, 0]
     )
-    return np.where(n > 1, spacing, 0.0)
+    return np.where(n > 1, spacing, 0.0).astype(np.float64)
 
 
 def _edges(y: Floats, n: Counts, most: int) -> Counts:

@@ -240,7 +240,8 @@ def _moments(slope: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _factorise(bands: Floats) -> None:
     """Factorise symmetric matrices of two bands beside the diagonal, shape (band, knot, row)."""
-    pivot, one, two = bands
+    # Lists of knots: to take them from an array one by one costs as much as the arithmetic.
+    pivot, one, two = (list(band) for band in bands)
     for j in range(len(pivot) - 1):
         factor = one[j] / pivot[j]
         pivot[j + 1] -= factor * one[j]
@@ -248,19 +249,18 @@ def _factorise(bands: Floats) -> None:
             one[j + 1] -= factor * two[j]
             further = two[j] / pivot[j]
             pivot[j + 2] -= further * two[j]
-            two[j] = further
-        one[j] = factor
+            two[j][:] = further
+        one[j][:] = factor
 
 
 def _solve(factors: Floats, right: Floats) -> Floats:
     """Solve systems whose matrices were factorised, in place."""
-    pivot, one, two = factors
-    x = right
+    x, one, two = list(right), list(factors[1]), list(factors[2])
     x[1] -= one[0] * x[0]
     for j in range(2, len(x)):
         x[j] -= one[j - 1] * x[j - 1] + two[j - 2] * x[j - 2]
-    x /= pivot
+    right /= factors[0]
     x[-2] -= one[-2] * x[-1]
     for j in range(len(x) - 3, -1, -1):
         x[j] -= one[j] * x[j + 1] + two[j] * x[j + 2]
-    return x
+    return right

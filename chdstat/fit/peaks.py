@@ -59,20 +59,12 @@ _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
 
 
-def _peaks_of(solution: Solution, groups: SampleGroups) -> tuple[Counts, Floats]:
-    """Count the modes of mixtures, and measure their separation.
+def _fields_of(solution: Solution, owner: Counts, groups: SampleGroups) -> Floats:
+    """Return the `_FIELDS` of each mode of mixtures, shape (field, row, component).
 
-    Returns
-    -------
-    ndarray
-        Modes, shape (row,).
-    ndarray
-        The `_FIELDS` of each mode, shape (field, row, component), the darkest first; NaN beyond
-        those that there are. The last separation is not used.
+    The darkest is the first; NaN beyond those that there are. The last separation is not used.
     """
-    owner = _owners(solution)
-    modes = np.count_nonzero(owner == np.arange(len(owner))[:, np.newaxis], axis=0)
-    several = np.flatnonzero(modes > 1)
+    several = np.flatnonzero(_modes(owner) > 1)
     some = groups.take(several)
     if several.size:
         # A few steps count modes, but their places and widths would still move.
@@ -96,7 +88,7 @@ def _peaks_of(solution: Solution, groups: SampleGroups) -> tuple[Counts, Floats]
         chosen = solution.take(several)
         fields[3, several, :-1] = _errors(chosen, some, owner[:, several], order[:, several]).T
     fields[3, np.isnan(fields[2])] = np.nan
-    return modes, fields
+    return fields
 
 
 def _density(solution: Solution, y: Floats) -> Floats:
@@ -137,6 +129,11 @@ def _owners(solution: Solution) -> Counts:
         mode[j, rows] = separate & ~small[j, rows] | ~mode.any(axis=0)
         owner[j, rows] = np.where(mode[j, rows], j, saddle.argmax(axis=0))
     return owner
+
+
+def _modes(owner: Counts) -> Counts:
+    """Count the modes, of which each component has an owner, shape (row,)."""
+    return np.asarray((owner == np.arange(len(owner))[:, np.newaxis]).sum(axis=0))
 
 
 def _of_modes(
@@ -257,19 +254,21 @@ def _of_piece(
     one = np.full((_FIELDS, len(unimodal), len(solutions)), np.nan)
     one[0, :, 0] = solutions[0].state[1, 0] + piece.groups.origin
     one[1, :, 0] = 1.0
-    count, table = np.ones(len(unimodal), dtype=np.int64), one.copy()
+    count, table = np.ones(len(unimodal), dtype=np.int64), one
     best, everyone = unimodal.copy(), np.arange(len(unimodal))
+    entered: list[tuple[Solution, Counts, Counts]] = []
+    last = np.full(len(unimodal), -1)
 
     def enter(solutions: list[Solution], rows: Counts) -> Floats:
-        """Enter the peaks of rows whose best mixture is the best so far; return its gain."""
+        """Enter the modes of rows whose best mixture is the best so far; return its gain."""
         scores = np.stack([score(solution, log_n[rows]) for solution in solutions[1:]])
         which, highest = scores.argmax(axis=0), scores.max(axis=0)
         for i, solution in enumerate(solutions[1:]):
             at = np.flatnonzero((which == i) & (highest > best[rows]))
-            groups = piece.corrected.take(rows[at])
-            count[rows[at]], fields = _peaks_of(solution.take(at), groups)
-            table[:, rows[at]] = np.nan
-            table[:, rows[at], : fields.shape[-1]] = fields
+            mixture, here = solution.take(at), rows[at]
+            owner = _owners(mixture)
+            count[here], last[here] = _modes(owner), len(entered)
+            entered.append((mixture, owner, here))
         best[rows] = np.maximum(best[rows], highest)
         return np.asarray(highest - unimodal[rows])
 
@@ -285,7 +284,13 @@ def _of_piece(
     edge = _edge_scores(samples[several], n[several], best[several])
     gain[several] -= np.maximum(edge - unimodal[several], 0)
     beaten = several[edge >= best[several]]
-    count[beaten], table[:, beaten] = 1, one[:, beaten]
+    count[beaten], last[beaten] = 1, -1
+    for i, (mixture, owner, rows) in enumerate(entered):
+        at = np.flatnonzero(last[rows] == i)
+        stays = rows[at]
+        fields = _fields_of(mixture.take(at), owner[:, at], piece.corrected.take(stays))
+        table[:, stays] = np.nan
+        table[:, stays, : fields.shape[-1]] = fields
     return count, table, gain
 
 

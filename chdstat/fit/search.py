@@ -47,6 +47,7 @@ __all__ = [
     "score",
     "search",
     "segmentations",
+    "sums_below",
 ]
 
 _CHUNK = 2**17
@@ -272,8 +273,8 @@ def _solutions(
 ) -> list[Solution]:
     """Return the mixtures of 1, 2, ... components; those not tried are infinitely unlikely."""
     groups, windows, rows = piece.groups, piece.plan.windows, np.arange(len(piece.rows))
+    below = sums_below(groups, family)
     # One component is a single segment.
-    below = _sums_below(groups, family)
     solutions = [piece.maximise(family, _state(groups, family, below[:, -1:]))]
     log_n = log_samples(groups.n)
     for k in range(2, max_k + 1):
@@ -282,10 +283,10 @@ def _solutions(
             scores = [score(solution, log_n) for solution in solutions]
             rows = np.flatnonzero(scores[-1] > np.maximum(unimodal, np.max(scores[:-1], axis=0)))
         here = piece if rows.size == len(piece.rows) else piece.take(rows)
-        last = take_last(solutions[-1].state, rows)
+        last, sums = take_last(solutions[-1].state, rows), take_last(below, rows)
         starts = [
-            *segmentations(here.groups, family, k),
-            *_insertions(here.groups, family, last, windows),
+            *segmentations(here.groups, family, sums, k),
+            *_insertions(here.groups, family, sums, last, windows),
             _split(here.groups, family, last),
         ]
         found = here.maximise(family, _best_start(here, family, starts))
@@ -323,15 +324,16 @@ _LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
 """Mean log density of a Gaussian sample of variance 1, at maximum likelihood."""
 
 
-def segmentations(groups: SampleGroups, family: ComponentFamily, k: int) -> Iterator[Floats]:
-    """Yield the best cut of each row into k segments, by two criteria.
+def segmentations(
+    groups: SampleGroups, family: ComponentFamily, below: Floats, k: int
+) -> Iterator[Floats]:
+    """Yield the best cut of each row into k segments, by two criteria, from its `sums_below`.
 
     The likelihood of a Gaussian for each segment, and the sum of squares within them (k-means):
     the first favours narrow segments.
     """
     if len(groups.count) < k:
         return
-    below = _sums_below(groups, family)
     edges, (start, stop), segments = _cuts(len(groups.count), k)
     n, variance = below[0, stop] - below[0, start], _variance(below, groups.floor, start, stop)
     for value in (n * (np.log(n + _LEAST) - 0.5 * np.log(variance)), -n * variance):
@@ -344,6 +346,7 @@ def segmentations(groups: SampleGroups, family: ComponentFamily, k: int) -> Iter
 def _insertions(
     groups: SampleGroups,
     family: ComponentFamily,
+    below: Floats,
     state: Floats,
     windows: tuple[tuple[int, ...], ...],
 ) -> Iterator[Floats]:
@@ -351,7 +354,6 @@ def _insertions(
 
     It is that of the window, in groups, whose samples gain most from a Gaussian of their own.
     """
-    below = _sums_below(groups, family)
     coefficients = family.coefficients(state)[:, :, np.newaxis]
     old = em.log_density(groups.log, family.statistic(groups), coefficients)
     old_below = cumulative(groups.count * old, axis=0)
@@ -411,7 +413,7 @@ def _state(groups: SampleGroups, family: ComponentFamily, sums: Floats) -> Float
     return em.state_of(family, n, sums[1] / n, sums[2] / n, groups.floor, groups.spacing)
 
 
-def _sums_below(groups: SampleGroups, family: ComponentFamily) -> Floats:
+def sums_below(groups: SampleGroups, family: ComponentFamily) -> Floats:
     """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, edge, row)."""
     means = (1.0, groups.log, family.statistic(groups), groups.square)
     return np.stack([cumulative(groups.count * mean, axis=0) for mean in means])

@@ -266,14 +266,17 @@ def _at_samples(part: PositivePart, place: Floats) -> Floats:
 
     Each mode has samples of its own, those nearer to it than to another mode.
     """
+    n = part.n[..., np.newaxis]
 
     def below(bound: Floats) -> Counts:
-        counts = [
-            (part.log_sorted < at[..., np.newaxis]).sum(axis=-1) for at in np.moveaxis(bound, -1, 0)
-        ]
-        return np.stack(counts, axis=-1)
+        low, high = np.broadcast_arrays(0, np.broadcast_to(n, bound.shape))
+        for _ in range(part.x.shape[-1].bit_length()):
+            middle = (low + high) // 2
+            at = np.minimum(middle, part.x.shape[-1] - 1)
+            less = (np.take_along_axis(part.log_sorted, at, axis=-1) < bound) & (middle < high)
+            low, high = np.where(less, middle + 1, low), np.where(less, high, middle)
+        return np.asarray(low)
 
-    n = part.n[..., np.newaxis]
     middle = below((place[..., :-1] + place[..., 1:]) / 2)
     middle = np.where(np.isnan(place[..., 1:]), n, middle)
     first, stop = np.append(0 * n, middle, axis=-1), np.append(middle, n, axis=-1)

@@ -12,7 +12,7 @@ from chdstat.fit import mixture
 from chdstat.fit.atoms import split
 from chdstat.fit.em import COMPONENTS, bound_at, penalty, run
 from chdstat.fit.groups import groups_of_each, groups_of_samples
-from chdstat.fit.search import segmentations
+from chdstat.fit.search import segmentations, sums_below
 
 FAMILIES = ("lognormal", "gamma")
 
@@ -214,7 +214,7 @@ def test_every_cycle_raises_the_penalised_bound(family):
     ascending = logarithms(renders(np.random.default_rng(10), 40, 300))
     kind = COMPONENTS[family]
     for groups in (groups_of_samples(*ascending), groups_of_each(*ascending)):
-        state = next(segmentations(groups, kind, 3))
+        state = next(segmentations(groups, kind, sums_below(groups, kind), 3))
 
         def penalised(state, groups=groups):
             bound = bound_at(groups, kind, state)
@@ -238,7 +238,7 @@ def test_cells_bound_the_likelihood_from_below_and_keep_every_sample():
     np.testing.assert_allclose(
         (groups.count * groups.square).sum(axis=0), singles.square.sum(axis=0)
     )
-    state = next(segmentations(groups, kind, 2))
+    state = next(segmentations(groups, kind, sums_below(groups, kind), 2))
     loss = (bound_at(singles, kind, state) - bound_at(groups, kind, state)) / n
     assert (loss > 0).all()
     assert loss.max() < 5e-3
