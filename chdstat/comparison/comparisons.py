@@ -162,12 +162,19 @@ class PixelEstimates(Shown):
     estimates: npt.NDArray[np.float32]
     n: int
 
-    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+    def plot(
+        self,
+        *,
+        channels: str | Sequence[str] | None = None,
+        width: Width = "page",
+        fig: Figure | None = None,
+    ) -> Figure:
         """Draw them one by one, as `chdstat.viz.pixel_estimates`."""
         from chdstat import viz
 
-        ax = None if fig is None else fig.subplots()
-        return cast("Figure", viz.pixel_estimates(self, width=width, ax=ax).figure)
+        look: dict[str, Any] = {"channels": channels, "width": width}
+        ax = viz.pixel_estimates(self, ax=None if fig is None else fig.subplots(), **look)
+        return cast("Figure", ax.figure)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per pixel and channel: where, reference, mean, every estimate."""
@@ -380,11 +387,17 @@ class Comparison(Shown):
         """
         return _data_frame(self.measures, (slice(None), _ALL_CHANNELS), estimator=self.estimators)
 
-    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+    def plot(
+        self,
+        *,
+        channels: str | Sequence[str] | None = None,
+        width: Width = "page",
+        fig: Figure | None = None,
+    ) -> Figure:
         """Draw all measures of all estimators, as `chdstat.viz.estimator_measures`."""
         from chdstat import viz
 
-        return viz.estimator_measures(self, width=width, fig=fig)
+        return viz.estimator_measures(self, channels=channels, width=width, fig=fig)
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
         """Draw pixels at random from those that judge, with the estimates of each.

@@ -35,7 +35,7 @@ from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import Mapped, assemble
 from chdstat.summary.runner import measured
 from chdstat.viz.estimators import called
-from chdstat.viz.maps import names_of
+from chdstat.viz.maps import LABEL_COLORS, names_of
 
 __all__ = [
     "CONTRASTS",
@@ -124,7 +124,8 @@ class Map:
             return list(ramp("BrBG_r" if self.diverging else "viridis"))
         if self.ordered:
             return [ramp()[255 * i // max(1, count - 1)] for i in range(count)]
-        return [_LABELS[i % len(_LABELS)] for i in range(count)]
+        others = (_LABELS[i % len(_LABELS)] for i in range(count))
+        return [LABEL_COLORS.get(*pair) for pair in zip(self.names.values(), others, strict=True)]
 
     @property
     def limits(self) -> tuple[float, float]:

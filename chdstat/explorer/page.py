@@ -35,6 +35,7 @@ from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
 from chdstat.explorer.sources import AnySource, StoreSource
 from chdstat.explorer.view import BATCH_SIZES, FITS
+from chdstat.patterns import Label
 from chdstat.viz.estimators import called
 
 __all__ = ["Page", "coarse_png", "colorbar", "isolated", "rgba"]
@@ -203,6 +204,7 @@ class Page:
             "maps": [(k.name, k.title) for k in MAPS.values() if in_store or k.name in IMAGES],
             "differences": [(k.name, k.title) for k in {**DIFFERENCES, **CONTRASTS}.values()],
             "light": LIGHT,
+            "labels": [(called(label.name.lower()), label) for label in Label],
             "given": [(name, found.title) for name, found in given.items()],
             "errors": [(f"error:{n}", called(n)) for n in fixed()] if in_store else [],
             "families": [(name, called(name), DASHES.get(name)) for name in FITS],
@@ -298,7 +300,7 @@ def colorbar(shown: Map | None) -> dict[str, Any] | None:
         colors = dict(zip(sorted(shown.names), shown.colors, strict=True))
         bar["names"] = {str(code): text for code, text in shown.names.items()}
         bar["codes"] = [
-            (f"{shown.names[code]} {100 * share[code]:.0f} %", colors[code])
+            (shown.names[code], f" {100 * share[code]:.0f} %", colors[code])
             for code in (sorted(share) if shown.ordered else sorted(share, key=lambda c: -share[c]))
             if code in shown.names
         ]

@@ -433,11 +433,13 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
         band = np.concatenate([mean - error, (mean + error)[::-1]])
         areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
         lines.append(Trace(at, mean, s.color, s.dash, 1.6))
-        tails += [(s.place.tail, s.row)] if s.constant is None else []
+        tails += [(s.name, s.place.tail, s.row)] if s.constant is None else []
     caution = ""
-    if any(tail.variance_suspect[row] for tail, row in tails):
-        caution = " · tail index ≥ ½: do not trust it"
-    elif any(tail.variance_unidentified[row] for tail, row in tails):
+    heavy = [name for name, tail, row in tails if tail.variance_suspect[row]]
+    if heavy:
+        of = f" of {', '.join(heavy)}" if len(heavy) < len(series) else ""
+        caution = f" · tail index{of} ≥ ½: do not trust it"
+    elif any(tail.variance_unidentified[row] for _, tail, row in tails):
         caution = " · too few samples to say whether the variance is finite"
     y = "over the mean of all" if several else ""
     return PanelData(areas, lines, notes=[f"95 % interval of the mean{caution}"], y=y)

@@ -48,6 +48,8 @@ _OF_FIRST = {"part", "_further_fits", "_positive", "patterns", "gaussianity", "m
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
 _POINTS = 96
+_FEWEST = 16
+"""Positive samples from which families are shown: every curve describes fewer."""
 MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
 
@@ -205,9 +207,9 @@ class PlaceStatistics:
     def fit(self, family: str, row: int) -> Fit | Mixture | None:
         """Return a fit of one row by the name of its family, 'best' or 'mixture'.
 
-        None where the samples are constant: their families describe rounding.
+        None where the samples are constant, as families then describe rounding, or too few.
         """
-        if self.constant[row]:
+        if self.constant[row] or self.part.n[row] < _FEWEST:
             return None
         selection = self.selection
         if family == "best":

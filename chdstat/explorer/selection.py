@@ -203,7 +203,9 @@ class SelectionResults:
         count = estimators.BATCHES_AROUND
         more = f"; {len(around)} look at the pixels around, in {count} batches"
         about = notes([estimate.name for estimate in around])
-        more += "".join(f". The {name} is {text}" for name, text in about.items()).rstrip(".")
+        more += "".join(
+            f". {name.capitalize()}, {text.rstrip('.')}" for name, text in about.items()
+        )
         return self._estimates_table(plots, [*found, *around], said, more)
 
     def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> Table:

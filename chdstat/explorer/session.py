@@ -32,7 +32,7 @@ from chdstat.explorer.place import first_pixel
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import MOST_SPP, ImageSource, SceneSource, StoreSource
-from chdstat.explorer.tables import Table, headline
+from chdstat.explorer.tables import Table, headline, why
 from chdstat.explorer.view import BATCHES, View, box_between, check_pixel, parse_view
 
 __all__ = ["Session"]
@@ -397,7 +397,8 @@ class Session:
             return
         plots, tables, quick = found
         self._shown, self._live_spp = plots, plots.live_spp
-        shown = {"kind": "headline", "numbers": headline(plots.place)}
+        numbers, label = headline(plots.place), why(plots.place)
+        shown = {"kind": "headline", "numbers": numbers, "label": label}
         self._page.send(shown, {"kind": "tables", "tables": tables}, done)
         self._tell_live()
         self._draw_more()

@@ -20,7 +20,7 @@ from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.explorer.place import MOST_TESTED, RESAMPLES, PlaceStatistics
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
-from chdstat.viz.estimators import called
+from chdstat.viz.estimators import called, estimator_name
 
 __all__ = [
     "Column",
@@ -33,14 +33,15 @@ __all__ = [
     "light_table",
     "patterns_table",
     "statistics_table",
+    "why",
 ]
 
 _ERROR = 0.01
 """Relative error of the mean that the headline counts the samples for."""
 _VARIANCE = {
-    "yes": "the variance looks finite",
-    "suspect": "variance suspect",
-    "not identified": "variance not identified",
+    "yes": "variance looks finite",
+    "suspect": "variance may be infinite",
+    "cannot tell": "variance: cannot tell",
 }
 _FIRST = 7
 """Rows of the table of estimates that are shown at once: the default ones and the best others."""
@@ -69,13 +70,13 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     needed = float(place.spp * (share / _ERROR) ** 2)
     constant, trusted = bool(place.constant[-1]), _finite_variance(place, -1)
     told = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
-    clear = {"suspect": "at least: the tail is heavy", "not identified": "if the tail allows it"}
+    clear = {"suspect": "at least: heavy tail", "cannot tell": "if the tail allows it"}
     count = int(modes.modes[-1])
     low, high = map(percent, map(float, place.patterns.intervals["null_heavy"]))
     xi = float(tail.xi[-1])
     if place.is_firefly:  # as in the patterns
         xi = float(place.patterns.statistics["long_tail"])
-        told += "; the sample that outweighs the others is left out"
+        told += "; without the largest sample"
     return [
         ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
         ("Null samples", percent(place.null_share), f"{low} to {high}"),
@@ -85,8 +86,14 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
             "—" if constant or not count else str(count),
             "constant samples" if constant else f"p of a single one {_p(modes.dip_p_value[-1])}",
         ),
-        ("Samples for 1 % error", _count(needed), clear.get(trusted, f"{place.spp} are here")),
+        ("Spp for 1 % error", _count(needed), clear.get(trusted, f"{place.spp} are here")),
     ]
+
+
+def why(place: PlaceStatistics) -> tuple[str, str]:
+    """Return the first pattern of a place, and what causes it."""
+    label = Label(int(place.patterns.label))
+    return called(label.name.lower()), label.meaning
 
 
 def statistics_table(columns: Sequence[Column]) -> Table:
@@ -119,8 +126,7 @@ def patterns_table(columns: Sequence[Column]) -> Table:
             tip += f" p of its absence: {_p(float(p))}."
         rows.append([name, *says, *values, limit, tip])
     if len(places) == 1:
-        label = Label(int(places[0].patterns.label)).name.lower()
-        titles, label = ["what it says", "value"], f"Patterns: {called(label)}"
+        titles, label = ["what it says", "value"], f"Patterns: {why(places[0])[0]}"
     else:
         titles, label = [title for title, _, _ in columns], "Patterns"
     note = "of luminance; ● is set, ○ is not, each at the 5 % level of one pixel"
@@ -152,7 +158,7 @@ def estimates_table(
     """
     rows = []
     for e in sorted(found, key=_rank):
-        name = called(e.name)
+        name = estimator_name(e.name)
         if np.isfinite(e.certainty):
             name = f"{name}, {percent(e.certainty)} certain"
         unknown = np.full(len(e.value), np.nan)
@@ -235,8 +241,9 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], no
 def _family(place: PlaceStatistics, row: int) -> str:
     if place.constant[row]:
         return "constant"
-    selection = place.selection
-    return called(str(selection.names[row])) or reasons(selection.reason[row])
+    if place.fit("best", row) is None:
+        return reasons(place.selection.reason[row] or Reason.TOO_FEW)
+    return called(str(place.selection.names[row]))
 
 
 def _parameters(place: PlaceStatistics, row: int) -> str:
@@ -252,7 +259,7 @@ def _finite_variance(place: PlaceStatistics, row: int) -> str:
         return "—"
     if tail.variance_trusted[row]:
         return "yes"
-    return "not identified" if tail.variance_unidentified[row] else "suspect"
+    return "cannot tell" if tail.variance_unidentified[row] else "suspect"
 
 
 def _needed(place: PlaceStatistics, row: int) -> str:

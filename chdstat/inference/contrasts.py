@@ -6,7 +6,7 @@ render against a converged image: per pixel, and over regions, which show what n
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
@@ -223,11 +223,17 @@ class Contrast(Shown):
             found[f"{name} differ"] = f"in {percent(share)} of the pixels"
         return found
 
-    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+    def plot(
+        self,
+        *,
+        channels: str | Sequence[str] | None = None,
+        width: Width = "page",
+        fig: Figure | None = None,
+    ) -> Figure:
         """Draw both images and where their means differ, as `chdstat.viz.contrast`."""
         from chdstat import viz
 
-        return viz.contrast(self, width=width, fig=fig)
+        return viz.contrast(self, channels=channels, width=width, fig=fig)
 
     def _card(self) -> Card:
         facts = {"conclusion": self.conclusion, **self.table()}

@@ -63,7 +63,39 @@ class Label(enum.IntEnum):
     OTHER = 10
     """None of these: one mode without a long tail that neither family describes."""
 
+    @property
+    def meaning(self) -> str:
+        """What causes it."""
+        return _EXPLAINED[self][0]
 
+    @property
+    def cure(self) -> str:
+        """What helps against the noise of such pixels."""
+        return _EXPLAINED[self][1]
+
+    @property
+    def typical(self) -> str:
+        """A typical pixel: where it lies in a built-in scene, and what its samples look like."""
+        return _EXPLAINED[self][2]
+
+
+_EXPLAINED: dict[Label, tuple[str, str, str]] = {
+    Label.UNDETERMINED: (
+        "too few samples that find light",
+        "more samples: 128 that are not null show shapes, 512 or more tails and modes",
+        "a few bars without a shape",
+    ),
+    Label.BLACK: (
+        "no path finds light",
+        "compare it with its neighbours; if they are lit, render it alone with more samples",
+        "the frame outside of the Cornell box",
+    ),
+    Label.OTHER: (
+        "one kind of paths, or several that overlap: neither gamma nor log-normal describes them",
+        "more samples, at the usual rate",
+        "the floor under many lights: one broad, skewed hump",
+    ),
+} | {Label[p.name.upper()]: (p.meaning, p.cure, p.typical) for p in PATTERNS}
 _FLAGGED = {label: label.name.lower() for label in Label if label not in (0, 1, 10)}
 
 

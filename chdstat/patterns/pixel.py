@@ -255,7 +255,9 @@ class Pixel(Shown):
                 "know of it, intervals and p-values do not"
             )
         if len(self.channels) in (1, 3):
-            facts["label"] = Label(int(self.patterns.label)).name.lower().replace("_", " ")
+            label = Label(int(self.patterns.label))
+            facts["label"] = label.name.lower().replace("_", " ")
+            facts |= {"why": label.meaning, "what helps": label.cure}
         for title, rows_of in (("variance", self.light), ("variance by light", self.lights)):
             for row in rows_of[1:2]:
                 named = [(name, float(share)) for name, share in list(row.items())[2:]]

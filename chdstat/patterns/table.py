@@ -247,6 +247,8 @@ class Pattern:
         What it means for light transport.
     cure
         What helps.
+    typical
+        A typical pixel: where it lies in a built-in scene, and what its samples look like.
     statistic
         What is measured, and on which scale; computed by `measure`.
     rule
@@ -272,6 +274,7 @@ class Pattern:
     name: str
     meaning: str
     cure: str
+    typical: str
     statistic: str
     rule: str
     limit: str
@@ -376,6 +379,8 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="most paths find no light: small or hidden emitters, occlusion",
         cure="sample the emitters more directly, or guide paths to them; more samples help at the "
         "usual rate",
+        typical="a dark corner beside the tub of the bathroom: a broad hump, and two thirds of "
+        "the samples null",
         statistic="share of null samples",
         rule="the share is above the threshold (exact binomial test)",
         limit="> {null_share:.0%}",
@@ -391,6 +396,8 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="rare bright paths carry the variance: more samples help less than they should",
         cure="sample the bright paths more often; until then, take the default estimate, not "
         "the mean, and trust no error bar",
+        typical="a wall among many lamps: one hump, and far to its right a few samples a "
+        "thousand times as bright; the running mean jumps",
         statistic="generalised Pareto tail index, without a sample that dominates",
         rule="the index is at least the threshold and significantly above that of a gamma tail; or "
         "that of log-normal is, which describes the samples, and the former's interval reaches it",
@@ -406,6 +413,8 @@ PATTERNS: tuple[Pattern, ...] = (
         name="bimodal",
         meaning="two kinds of paths at once: direct and indirect, lit and shadowed",
         cure="stratify or split the two kinds of paths; more samples help at the usual rate",
+        typical="the edge of a shadow on the tub of the bathroom: two humps; the running mean "
+        "settles soon",
         statistic="Ashman's D of the two modes with the largest separation, in log radiance",
         rule="two modes of the mixture are separated by the threshold (dip test beside it)",
         limit="D ≥ {ashman_d:g}",
@@ -420,6 +429,7 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="three or more kinds of paths: several emitters, lobes or depths of reflection",
         cure="sample each kind of path on its own, such as one light at a time; more samples help "
         "at the usual rate",
+        typical="a wooden board behind a glass: three humps",
         statistic="Ashman's D of the next pair of neighbouring modes, in log radiance",
         rule="three modes of the mixture are separated by the threshold (dip test beside it)",
         limit="D ≥ {ashman_d:g}",
@@ -433,6 +443,7 @@ PATTERNS: tuple[Pattern, ...] = (
         name="gamma_like",
         meaning="many small contributions add up: one kind of paths with an exponential tail",
         cure="more samples, at the usual rate; averages are soon Gaussian",
+        typical="a wall of the Cornell box: one hump, steeper on its right",
         statistic="Vuong's z of gamma against log-normal",
         rule="one mode, no long tail, gamma is likelier than log-normal and no misfit",
         limit="z > 0, misfit ≤ {misfit:g}",
@@ -447,6 +458,7 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="many factors multiply: one kind of paths of several reflections",
         cure="more samples, at the usual rate; averages become Gaussian later than in gamma-like "
         "pixels",
+        typical="a coloured wall of the Cornell box: one symmetric hump in log radiance",
         statistic="Vuong's z of log-normal against gamma",
         rule="one mode, no long tail, log-normal is likelier than gamma and no misfit",
         limit="z > 0, misfit ≤ {misfit:g}",
@@ -461,6 +473,8 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="one sample decides the pixel: a firefly",
         cure="draw more samples of the pixel: if others are as bright, its tail is long; if none "
         "is, it had bad luck, and the default estimate is closer than the mean",
+        typical="a wall in a room by night: one sample far to the right of all others; the "
+        "running mean jumps once",
         statistic="share of the sum of all samples that the largest one carries",
         rule="the share is above the threshold, and above that of some average samples",
         limit="> {firefly_share:.0%} and > {firefly_samples:g} mean samples",
@@ -472,6 +486,7 @@ PATTERNS: tuple[Pattern, ...] = (
         name="constant",
         meaning="every path that finds light brings the same: emitters and backgrounds seen",
         cure="nothing is noisy here: one sample that finds light is enough",
+        typical="the sky in a window: a single spike",
         statistic="standard deviation of the natural logarithm of luminance",
         rule="no larger than the threshold, about what rounding leaves",
         limit="≤ {constant:g}",

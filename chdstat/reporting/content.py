@@ -23,14 +23,14 @@ from chdstat.comparison import Comparison
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.comparison.metrics import in_words, shown_ratio
 from chdstat.estimators import MLP
-from chdstat.patterns import PATTERNS, Atlas
+from chdstat.patterns import PATTERNS, Atlas, Label
 from chdstat.patterns.attribution import largest_part
 from chdstat.rendering.recipes import remake_of
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
 from chdstat.studies.claims import CLAIMS, Claim, ClaimTest, Finding, SceneData
 from chdstat.studies.run import SceneStudy
-from chdstat.viz.estimators import called
+from chdstat.viz.estimators import called, estimator_name
 from chdstat.viz.maps import LABEL_COLORS, names_of
 from chdstat.viz.styling import qualitative
 
@@ -47,7 +47,6 @@ __all__ = [
     "atlas_content",
     "claim_content",
     "finding_content",
-    "in_report",
     "remake_note",
     "report_content",
     "with_others",
@@ -65,12 +64,6 @@ _MANY_NULLS = 0.25
 _LITTLE = 5e-4
 """Share that is written as none."""
 _TINY = 1e-4
-_LABELS = {
-    "black": ("no path finds light", "make sure that nothing is lit there"),
-    "undetermined": ("too few samples that find light", "more samples"),
-    "other": ("one mode without a long tail, of another shape", "more samples, at the usual rate"),
-} | {p.name: (p.meaning, p.cure) for p in PATTERNS}
-"""What each primary label means, and what helps."""
 
 
 # --- the report on a scene ----------------------------------------------------------------------
@@ -202,7 +195,7 @@ def _headlines(found: SceneStudy) -> list[dict[str, str]]:
 
 def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     """Yield which pattern holds most of the noise, and what it means."""
-    meaning, _ = _LABELS[noise.label]
+    meaning = Label[noise.label.upper()].meaning if noise else ""
     if scene.bad_samples == scene.pixels * scene.spp:
         yield "No sample is a number.", "All are NaN or infinite: nothing can be said of the image."
     elif not noise:
@@ -516,8 +509,8 @@ def _noise_table(noise: Noise, comparison: Comparison | None) -> list[dict[str, 
             "color": LABEL_COLORS[called(label)],
             "pixels": percent(noise.pixels[label]),
             "share": percent(share) if share >= _LITTLE else "0 %",
-            "meaning": _LABELS[label][0],
-            "cure": _LABELS[label][1],
+            "meaning": Label[label.upper()].meaning,
+            "cure": Label[label.upper()].cure,
             "estimate": number(ratio.get(label, math.nan)) if share >= _LITTLE else "—",
         }
         for label, share in noise.share.items()
@@ -561,17 +554,11 @@ def atlas_content(found: Atlas) -> dict[str, str]:
     }
 
 
-def in_report(estimator: str) -> str:
-    """Return what a report calls an estimator."""
-    name = called(estimator)
-    return f"default estimate ({name})" if estimator == DEFAULT_ESTIMATE else name
-
-
 def _estimator_table(comparison: Comparison) -> dict[str, Any]:
     """Return the measures of each estimator, and the settings of the comparison."""
     trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
     rows = [
-        in_words(row) | {"name": in_report(row["estimator"]) + " *" * row["uses_neighbours"]}
+        in_words(row) | {"name": estimator_name(row["estimator"]) + " *" * row["uses_neighbours"]}
         for row in comparison.table()
     ]
     return {

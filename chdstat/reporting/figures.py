@@ -28,13 +28,13 @@ from chdstat.estimators.registry import Estimates
 from chdstat.fit import mixture, select
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
-from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, in_report, with_others
+from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, with_others
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.run import SceneStudy
 from chdstat.summary.histograms import Histogram, histogram
-from chdstat.viz.estimators import called
+from chdstat.viz.estimators import called, estimator_name
 from chdstat.viz.maps import names_of
 from chdstat.viz.styling import spelt
 
@@ -174,11 +174,11 @@ def estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figur
     order = ["mean", DEFAULT_ESTIMATE, *images]
     chosen = [n for n in dict.fromkeys(order) if n in images and (names is None or n in names)]
     notes = {
-        in_report(row["estimator"]): f"relMSE {number(row['relmse'])}, "
+        estimator_name(row["estimator"]): f"relMSE {number(row['relmse'])}, "
         f"{number(row['relmse_ratio'])} × the mean's"
         for row in found.table()
     }
-    shown: dict[str, npt.ArrayLike] = {in_report(name): images[name] for name in chosen}
+    shown: dict[str, npt.ArrayLike] = {estimator_name(name): images[name] for name in chosen}
     return viz.side_by_side(
         shown | {"reference": found.reference},
         insets=_noisy_parts(found.first_mean, found.reference),

@@ -175,6 +175,26 @@ def chosen(names: Sequence[str], channels: Channels) -> list[str]:
     return [known[name] for name in wanted]
 
 
+def one_of(names: Sequence[str], channels: Channels) -> str:
+    """Return which one of the names of channels is drawn where there is room for one.
+
+    Raises
+    ------
+    InputError
+        If it is not there, or several are asked for.
+
+    Examples
+    --------
+    >>> one_of(["R", "G", "B", "luminance"], "green")
+    'G'
+    """
+    found = chosen(names, channels)
+    if len(found) != 1:
+        message = f"expected one channel, such as {names[0]!r}, got {channels!r}"
+        raise InputError(message)
+    return found[0]
+
+
 def scales_of(scales: Scale | Sequence[Scale]) -> list[Scale]:
     """Return the scales that are drawn."""
     wanted: Sequence[Scale] = [scales] if isinstance(scales, str) else scales

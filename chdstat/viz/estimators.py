@@ -25,10 +25,12 @@ from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import Width
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
+from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import InputError
 from chdstat.estimators.registry import LABELS
 from chdstat.estimators.training import History
 from chdstat.fit.families import FAMILIES
+from chdstat.viz.chd import Channels, chosen, one_of
 from chdstat.viz.styling import (
     CHANNELS,
     MISSING,
@@ -54,6 +56,7 @@ __all__ = [
     "curves",
     "error_curves",
     "estimator_measures",
+    "estimator_name",
     "pattern_breakdown",
     "pixel_estimates",
     "training",
@@ -94,6 +97,12 @@ NAMES: Mapping[str, str] = ChainMap(
 def called(name: str) -> str:
     """Return what to write for a name: what `NAMES` has for it, or itself in words."""
     return NAMES.get(name, name.replace("_", " "))
+
+
+def estimator_name(estimator: str) -> str:
+    """Return what to write for an estimator, where readers meet the default one."""
+    name = called(estimator)
+    return f"default estimate ({name})" if estimator == DEFAULT_ESTIMATE else name
 
 
 @style()
@@ -173,7 +182,11 @@ def _marked(found: Breakdown | Comparison) -> list[str]:
 
 @style()
 def estimator_measures(
-    found: Comparison, *, width: Width = "page", fig: Figure | None = None
+    found: Comparison,
+    *,
+    channels: Channels = None,
+    width: Width = "page",
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw all measures of all estimators; a star marks those that use neighbours.
 
@@ -183,11 +196,15 @@ def estimator_measures(
     ----------
     found
         What `chdstat.compare` found.
+    channels
+        The channel whose measures are drawn: its name, "red", "green" or "blue"; None for their
+        average over all.
     width
         Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
+    of = -1 if channels is None else found.channels.index(one_of(found.channels, channels))
     rows = np.arange(len(found.estimators))
     columns = fitting(inches(width, fig), len(_TITLES), 1.3)
     height = (0.75 + 0.165 * len(rows)) * -(-len(_TITLES) // columns)
@@ -198,9 +215,9 @@ def estimator_measures(
         ax.grid(axis="x", linewidth=0.4, color="#DDDDDD")
         ax.tick_params(axis="y", length=0)
         if measure == "improved":
-            _draw_shares(ax, rows, found)
+            _draw_shares(ax, rows, found, of)
         else:
-            _draw_intervals(ax, rows, found.measures[measure][:, -1], measure)
+            _draw_intervals(ax, rows, found.measures[measure][:, of], measure)
     axes[0].set_yticks(rows, _marked(found))
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     if found.uses_neighbours.any():
@@ -221,9 +238,9 @@ def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str
         plain_log(ax.xaxis, (1, 2, 5) if np.ptp(np.log(seen)) < _FEW else (1,))
 
 
-def _draw_shares(ax: Axes, rows: Array, found: Comparison) -> None:
+def _draw_shares(ax: Axes, rows: Array, found: Comparison, of: int) -> None:
     """Draw the shares of estimates that got better, stayed, and got worse, as one bar each."""
-    better, same = (found.measures[m].value[:, -1] for m in ("improved", "unchanged"))
+    better, same = (found.measures[m].value[:, of] for m in ("improved", "unchanged"))
     ax.barh(rows, better, height=0.7, color=PALETTE[2])
     ax.barh(rows, same, left=better, height=0.7, color="#E4E4E4")
     ax.barh(rows, 1 - better - same, left=better + same, height=0.7, color=PALETTE[5], alpha=0.55)
@@ -235,19 +252,25 @@ def _draw_shares(ax: Axes, rows: Array, found: Comparison) -> None:
 
 @style()
 def pixel_estimates(
-    found: PixelEstimates, *, width: Width = "page", ax: Axes | None = None
+    found: PixelEstimates,
+    *,
+    channels: Channels = None,
+    width: Width = "page",
+    ax: Axes | None = None,
 ) -> Axes:
-    """Draw a few pixels one by one: reference, sample mean and estimates of the luminance.
+    """Draw a few pixels one by one: reference, sample mean and estimates of one channel.
 
     This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
     mean to the reference: an estimate improves where it ends up closer to the black bar. The scale
-    is linear near 0 and logarithmic beyond, so that black pixels have a place. Where there are not
-    three channels, the first is drawn.
+    is linear near 0 and logarithmic beyond, so that black pixels have a place.
 
     Parameters
     ----------
     found
         Pixels and estimates, of `Comparison.draw_pixels`.
+    channels
+        The channel to draw: its name, "red", "green", "blue" or "luminance"; None for luminance, or
+        the first where there are not three.
     width
         Of the figure: "column", "page" or inches.
     ax
@@ -256,14 +279,19 @@ def pixel_estimates(
     Raises
     ------
     InputError
-        If there is no pixel.
+        If there is no pixel, or the channel is unknown.
     """
     if not len(found.pixels):
         message = "pixel_estimates needs at least one pixel, got none"
         raise InputError(message)
     shown = np.stack([found.reference, found.mean, *found.estimates]).astype(np.float64)
-    colored = len(found.channels) == 3
-    light = luminance(shown, channel_axis=-1) if colored else shown[..., 0]
+    names = [*found.channels]
+    if len(names) == 3:
+        names.append("luminance")
+        light = luminance(shown, channel_axis=-1)
+        shown = np.concatenate([shown, light[..., np.newaxis]], axis=-1)
+    which = one_of(names, channels or ("luminance" if len(names) == 4 else names[0]))
+    light = shown[..., names.index(which)]
     reference, mean, *estimates = light[:, np.argsort(light[0], kind="stable")]
     drawn = [(name, estimates[k]) for k, name in enumerate(found.estimators) if name != "mean"]
     places = np.arange(1, len(mean) + 1)
@@ -284,7 +312,7 @@ def pixel_estimates(
     _set_radiance_axis(ax, light)
     ax.set(xlim=(0.3, len(mean) + 0.7), xticks=[])
     ax.set_xlabel(f"{len(mean)} random pixels, from dark to bright")
-    ax.set_ylabel(f"{'luminance' if colored else verbatim(found.channels[0])}, {UNIT}")
+    ax.set_ylabel(f"{verbatim(which)}, {UNIT}")
     ax.legend(
         loc="lower center",
         bbox_to_anchor=(0.5, 1.0),
@@ -481,6 +509,7 @@ def averages(
     predicted: npt.ArrayLike,
     *,
     alpha: float,
+    channels: Channels = None,
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
@@ -503,6 +532,8 @@ def averages(
         Median over the pixels of the skewness that the central limit theorem predicts, (size,).
     alpha
         The false-discovery rate, drawn as a dotted line.
+    channels
+        Which of them: names, "red", "green", "blue" or "luminance"; None for all but luminance.
     width
         Of the figure: "column", "page" or inches.
     fig
@@ -512,10 +543,12 @@ def averages(
     low, middle, high = np.asarray(skewness, dtype=float)
     columns = 1 if narrow(inches(width, fig)) else 2
     figure, (left, right) = panels_in(fig, 2, columns, 4.6 / columns, width)
-    for i, (name, share) in enumerate(rejected.items()):
+    for i, name in enumerate(chosen([*rejected], channels)):
         color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
         label = verbatim(name)
-        left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=label)
+        left.plot(
+            n, np.asarray(rejected[name]), marker=marker, markersize=3.5, color=color, label=label
+        )
     left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
     left.set(ylim=(0, 1.02), ylabel="normality rejected, share of pixels")
     left.yaxis.set_major_formatter(per_cent)

@@ -30,10 +30,10 @@ from chdstat.viz.chd import (
     Channels,
     Panel,
     by_channel,
-    chosen,
     colors_of,
     draw_fit,
     draw_histograms,
+    one_of,
     scales_of,
     share_radiance,
 )
@@ -165,13 +165,10 @@ def one_channel(image: npt.ArrayLike, channels: Channels) -> Array:
     """
     array = np.asarray(image, np.float64)
     names = ["R", "G", "B"] if array.shape[-1] == 3 else ["channel0"]
-    found = chosen([*names, "luminance"], channels)
-    if len(found) != 1:
-        message = f"an image is drawn in colours, or one channel in grey, got {channels!r}"
-        raise InputError(message)
-    if found == ["luminance"]:
+    found = one_of([*names, "luminance"], channels)
+    if found == "luminance":
         return luminance(array, channel_axis=-1)[..., np.newaxis]
-    return array[..., [names.index(found[0])]]
+    return array[..., [names.index(found)]]
 
 
 def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:

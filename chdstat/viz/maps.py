@@ -18,12 +18,13 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from chdstat._core.arrays import Array
 from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
-from chdstat.viz.chd import Channels
+from chdstat.viz.chd import Channels, one_of
 from chdstat.viz.estimators import called
 from chdstat.viz.image import one_channel, tonemap
 from chdstat.viz.styling import (
@@ -430,7 +431,13 @@ _LETTERS = 16
 
 
 @style()
-def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+def contrast(
+    found: Contrast,
+    *,
+    channels: Channels = None,
+    width: Width = "page",
+    fig: Figure | None = None,
+) -> Figure:
     """Draw the two images, where their means differ, p-values and efficiency, with the conclusion.
 
     A rectangle marks the most significant window, solid where there is a difference. p-values of
@@ -440,14 +447,23 @@ def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = Non
     ----------
     found
         What `chdstat.contrast` found.
+    channels
+        A channel to draw, images in grey: its name, "red", "green", "blue" or "luminance"; None for
+        colours, differences of luminance and p-values of all channels. Efficiency is that of
+        luminance.
     width
         Of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
     maps = found.maps
-    bands = maps.sizes["channel"]
-    shown = slice(1, None) if bands == 4 else slice(0, 1)
+    names = [str(name) for name in maps["channel"].to_numpy()]
+    shown, tested, of = slice(1, None) if len(names) == 4 else slice(0, 1), slice(None), ""
+    if channels is not None:
+        name = one_of(names, channels)
+        shown = tested = slice(names.index(name), names.index(name) + 1)
+        of = f", {verbatim(name)}"
+    first = tested.start or 0
     across = inches(width, fig)
     columns, aspect = 2 if narrow(across) else 3, maps.sizes["y"] / maps.sizes["x"]
     conclusion = fill(found.conclusion, int(_LETTERS * across))
@@ -462,15 +478,18 @@ def contrast(found: Contrast, *, width: Width = "page", fig: Figure | None = Non
         short = name if len(name) <= most else f"...{name[2 - most :]}"
         image_map(mean, title=f"{letter}: {verbatim(short)}", exposure=exposure, ax=ax)
     _mark(axes[1], found)
-    level = np.abs(maps["mean_a"].to_numpy()[..., 0])
+    level, p = (
+        np.abs(maps["mean_a"].to_numpy()[..., first]),
+        maps["p_value"].to_numpy()[..., tested],
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative = maps["difference"].to_numpy()[..., 0] / np.where(level > 0, level, np.nan)
-        significance = -np.log10(maps["p_value"].min("channel").to_numpy())
+        relative = maps["difference"].to_numpy()[..., first] / np.where(level > 0, level, np.nan)
+        significance = -np.log10(np.fmin.reduce(p, axis=-1))
         efficiency = np.log2(maps["efficiency"].to_numpy())
-    value_map(100 * relative, title="B − A over A", unit="%", diverging=True, ax=axes[2])
+    value_map(100 * relative, title=f"B − A over A{of}", unit="%", diverging=True, ax=axes[2])
     _mark(axes[2], found)
     value_map(significance, title="Significance", unit="−log10 p", limits=(0, 4), ax=axes[3])
-    _p_values(axes[4], found)
+    _p_values(axes[4], p)
     if np.isfinite(efficiency).any():
         value_map(
             efficiency, title="Efficiency of B over A", unit="log2", diverging=True, ax=axes[5]
@@ -491,8 +510,7 @@ def _mark(ax: Axes, found: Contrast) -> None:
     )  # fmt: skip
 
 
-def _p_values(ax: Axes, found: Contrast) -> None:
-    p = found.p_value.to_numpy().ravel()
+def _p_values(ax: Axes, p: Array) -> None:
     p = p[np.isfinite(p)]
     ax.hist(p, bins=20, range=(0, 1), color=PALETTE[1], weights=np.full(p.size, 1 / max(1, p.size)))
     ax.axhline(1 / 20, color="#444444", linewidth=0.8, linestyle=":")

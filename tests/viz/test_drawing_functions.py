@@ -171,6 +171,32 @@ def test_channels_and_scales_are_drawn_as_asked_for():
     assert samples.plot(1, 0, width=5, scales="linear").get_figwidth() == 5
 
 
+def test_figures_of_results_draw_the_channel_that_is_asked_for(examples):
+    figure = examples["contrast"](channels="blue")
+    maps = examples["contrast"].args[0].maps.sel(channel="B")
+    np.testing.assert_allclose(
+        figure.axes[2].images[0].get_array(), 100 * maps["difference"] / np.abs(maps["mean_a"])
+    )
+    np.testing.assert_allclose(
+        figure.axes[3].images[0].get_array(), -np.log10(maps["p_value"]), rtol=1e-6
+    )
+    assert "B − A over A, B" in texts(figure)
+    compared = examples["estimator_measures"].args[0]
+    ax = examples["estimator_measures"](channels="G").axes[0]
+    np.testing.assert_array_equal(
+        ax.lines[0].get_xdata(), compared.measures["mse_ratio"].value[:, 1]
+    )
+    pixels = examples["pixel_estimates"].args[0]
+    drawn = examples["pixel_estimates"](channels="red")
+    assert drawn.get_ylabel().startswith("R, ")
+    heights = [path.vertices[0, 1] for path in drawn.collections[1].get_paths()]
+    np.testing.assert_allclose(heights, np.sort(pixels.reference[:, 0]))
+    shares = {"R": [1, 0.5], "B": [0.2, 0.1]}
+    averages = viz.averages([1, 2], shares, np.ones((3, 2)), [2, 1], alpha=0.05, channels="blue")
+    assert averages.axes[0].lines[0].get_ydata().tolist() == shares["B"]
+    assert len(averages.axes[0].lines) == 2  # and the level
+
+
 def test_a_million_samples_make_a_small_file():
     x = RNG.gamma(0.5, size=(1, 2**20))
     fit = chd.fit.fit(x[0, :1000], "gamma").pdf
@@ -211,7 +237,11 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.chd_pair(PANEL, width="colum"), "width must be.*; did you mean 'column'?"),
         (lambda: viz.chd_pair(PANEL, width=-1), "or a number of inches, got -1"),
         (lambda: viz.image_map(IMAGE, channels="RG"), "channel must be one of red"),
-        (lambda: viz.image_map(IMAGE, channels=["R", "G"]), "or one channel in grey"),
+        (
+            lambda: viz.averages([1], {"R": [1]}, np.ones((3, 1)), [1], alpha=0.1, channels="X"),
+            "channel must be one of",
+        ),
+        (lambda: viz.image_map(IMAGE, channels=["R", "G"]), "expected one channel, such as"),
         (lambda: viz.tonemap(np.ones((4, 4))), r"shape \(y, x, 1\) or \(y, x, 3\), got"),
         (lambda: viz.tonemap(np.ones((4, 4, 2))), r"shape \(y, x, 1\) or \(y, x, 3\), got"),
     ],

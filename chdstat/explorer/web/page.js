@@ -12,7 +12,7 @@ window.chdstat = (() => {
     for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
     return element;
   };
-  const swatch = (color) => { const i = make("i"); i.style.background = tint(color); return i; };
+  const swatch = (color) => { const i = make("i"); i.style.background = color; return i; };
 
   function send(command, options = {}) {
     sent += 1;
@@ -272,7 +272,7 @@ window.chdstat = (() => {
       chips(item.colors);
       const nothing = !view.pixels.length && !view.region;
       document.body.classList.toggle("nothing", nothing);
-      if (nothing) for (const q of [".table:not(#goodness)", "#headline h2", "#headline dl", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
+      if (nothing) for (const q of [".table:not(#goodness)", "#headline h2", "#why", "#headline dl", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
     },
     panels(item) {
       drawn = item;
@@ -291,10 +291,12 @@ window.chdstat = (() => {
         b.querySelector("i").style.background = color ? tint(color) : "";
       }
       $("#legend").replaceChildren(...item.legend.map(([text, color]) => {
-        const s = make("span"); s.append(swatch(color), text); return s;
+        const s = make("span"); s.append(swatch(tint(color)), text); return s;
       }));
     },
     headline(item) {
+      const [label, cause] = item.label;
+      $("#why").replaceChildren(named(label), `: ${cause}`);
       $("#headline dl").replaceChildren(...item.numbers.map(([title, value, detail]) => {
         const one = make("div");
         one.append(make("dt", title), make("dd", value), make("dd", detail, { class: "note" }));
@@ -448,7 +450,7 @@ window.chdstat = (() => {
     const found = view.pixels.map(([y, x], i) => {
       const chip = make("span", null, { class: "chip" });
       const pick = make("button", null, { type: "button", "aria-pressed": String(i === view.active) });
-      pick.append(swatch(colors[i]), `${i + 1}: y ${y} x ${x}`);
+      pick.append(swatch(tint(colors[i])), `${i + 1}: y ${y} x ${x}`);
       pick.addEventListener("click", () => send("activate", { index: i }));
       const drop = make("button", "×", { type: "button", "aria-label": `Drop pixel ${i + 1}` });
       drop.addEventListener("click", () => send("drop", { index: i }));
@@ -477,6 +479,15 @@ window.chdstat = (() => {
     return element;
   }
 
+  // A name; of a pattern, one that tells its cause and cure when it is clicked.
+  function named(text) {
+    const found = all("template[data-label]").find((t) => t.dataset.label === text);
+    if (!found) return text;
+    const button = make("button", text, { type: "button", class: "named", title: "Cause and cure" });
+    button.addEventListener("click", () => explain(found.id.slice("help-".length), button));
+    return button;
+  }
+
   function explain(name, button) {
       const box = $("#help"), at = button.getBoundingClientRect();
       box.replaceChildren($(`#help-${name}`).content.cloneNode(true));
@@ -494,7 +505,7 @@ window.chdstat = (() => {
     head.append(...content.columns.map((c) => make("th", c, { scope: "col" })));
     const rows = content.rows.map((cells) => {
       const row = make("tr");
-      row.append(...cells.slice(0, content.columns.length).map((c) => make("td", c)));
+      row.append(...cells.slice(0, content.columns.length).map((c, i) => { const cell = make("td"); cell.append(i ? c : named(c)); return cell; }));
       if (cells.length > content.columns.length) row.title = cells.at(-1);
       return row;
     });
@@ -545,8 +556,8 @@ window.chdstat = (() => {
     const parts = [make("span", bar.unit ? `${bar.title} (${bar.unit})` : bar.title)];
     if (bar.names) {
       const codes = make("div", null, { class: "codes" });
-      codes.append(...bar.codes.map(([text, color]) => {
-        const s = make("span"); s.append(swatch(color), text); return s;
+      codes.append(...bar.codes.map(([text, share, color]) => {
+        const s = make("span"); s.append(swatch(color), named(text), share); return s;
       }));
       parts.push(codes);
     } else {
