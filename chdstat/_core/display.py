@@ -1,7 +1,7 @@
 """Display: numbers as a reader wants them, and results that show themselves.
 
 `Shown` gives a result a representation: in a notebook an image and small tables, elsewhere at most
-ten lines. A class says what is worth seeing in a `Card`.
+twelve lines. A class says what is worth seeing in a `Card`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = [
 Width = Literal["column", "page"] | float
 """Of a figure: that of a column or a page of a paper, or in inches."""
 
-_LINES, _WIDTH = 10, 108
+_LINES, _WIDTH = 12, 108
 """Largest size of a representation as text."""
 _SENTENCE = 84
 """Letters after which sentences wrap."""
@@ -276,7 +276,7 @@ class Card:
         return {name: text for name, text in texts.items() if text}
 
     def text(self) -> str:
-        """Return at most ten lines: the facts, then the rows of the table."""
+        """Return at most twelve lines: the facts, then the rows of the table."""
         facts = self.known()
         width = max(map(len, facts), default=0)
         indent = " " * (width + 2)
@@ -384,7 +384,7 @@ def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
 
 
 class Shown:
-    """A result that shows itself, at most ten lines of it where only text is shown.
+    """A result that shows itself, at most twelve lines of it where only text is shown.
 
     Examples
     --------

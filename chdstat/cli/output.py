@@ -74,7 +74,10 @@ def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:
     if as_json:
         print_json({"path": str(path), **numbers})
         return
-    about = "".join(f", {value} {name.replace('_', ' ')}" for name, value in numbers.items())
+    about = "".join(
+        f", {value} {(name.removesuffix('s') if value == 1 else name).replace('_', ' ')}"
+        for name, value in numbers.items()
+    )
     typer.echo(f"wrote {path}{about}")
 
 

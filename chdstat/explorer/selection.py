@@ -154,11 +154,13 @@ class SelectionResults:
         batches, said = self._batches(plots)
         quick = estimators.fixed().keys() - estimators.SLOW
         scored = estimators.scored(batches, names=quick) if batches else []
+        around = batches is not None and isinstance(source, StoreSource) and len(plots.key) == 2
+        more = "; those that look at the pixels around follow" * around
         columns = tables.columns_of(plots.places, plots.view.channel)
         found = {
             "statistics": tables.statistics_table(columns),
             "patterns": tables.patterns_table(columns),
-            "estimates": self._estimates_table(plots, scored, said),
+            "estimates": self._estimates_table(plots, scored, said, more),
         }
         if isinstance(source, StoreSource) and source.samples.parts and len(plots.key) == 2:
             pixel = source.samples.pixel(*plots.key)

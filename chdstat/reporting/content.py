@@ -73,7 +73,9 @@ def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
     """Return the entries of the report, by their names, ready for JSON."""
     data, scene, dataset = found.data, found.overview, found.data.analysis
     height, width, channels, spp = data.samples.shape
-    about = f"{width} × {height} pixels, {spp} sample{'s' * (spp > 1)} each"
+    about = (
+        f"{width} × {height} pixel{'s' * (height * width > 1)}, {spp} sample{'s' * (spp > 1)} each"
+    )
     entries: dict[str, Any] = {
         "title": data.samples.name,
         "remake": remake_note([data.samples]),
@@ -92,7 +94,7 @@ def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
             "alpha": percent(float(dataset.attrs["threshold_alpha"])),
         }
         if found.noise and spp >= FEW_SAMPLES and scene.pixels >= FEW_PIXELS:
-            entries["noise"] = _noise_table(found.noise, found.comparison)
+            entries["noise"] = _noise_table(found.noise, found.comparison, scene.pixels)
         if found.comparison is not None:
             entries["estimators"] = _estimator_table(found.comparison)
     if contents != "short":
@@ -152,6 +154,9 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     scene = found.overview
     of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
     nulls = of_image["null_share"].ends(percent)
+    if scene.pixels == 1:  # there are no blocks of pixels, but its samples
+        ends = found.data.analysis["null_heavy_interval"].values.ravel()
+        nulls = Interval(scene.null_share, *map(float, ends)).ends(percent)
     shown = [(percent(scene.null_share), "of the samples find no light", nulls)]
     if scene.spp >= FEW_SAMPLES:
         spread = of_image["coefficient_of_variation"].ends(number)
@@ -195,20 +200,21 @@ def _headlines(found: SceneStudy) -> list[dict[str, str]]:
 
 def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     """Yield which pattern holds most of the noise, and what it means."""
-    meaning = Label[noise.label.upper()].meaning if noise else ""
+    label = Label[noise.label.upper()] if noise else Label.UNDETERMINED
     if scene.bad_samples == scene.pixels * scene.spp:
         yield "No sample is a number.", "All are NaN or infinite: nothing can be said of the image."
     elif not noise:
         yield "Nothing is noisy here.", "The samples of no pixel vary."
     elif len(noise.share) == 1:
         which = "The pixel is" if scene.pixels == 1 else "All pixels are"
-        yield f"{which} {called(noise.label)}.", f"{meaning[0].upper()}{meaning[1:]}."
+        why = f"{label.meaning[0].upper()}{label.meaning[1:]}. What helps: {label.cure}."
+        yield f"{which} {called(noise.label)}.", why
     else:
         yield (
             f"The largest part of the noise is in {_pixels(noise.label)}.",
             f"By the first pattern of each, they are {percent(noise.pixels[noise.label])} of the "
             f"image and hold {percent(noise.share[noise.label])} of its relative variance: "
-            f"{meaning}.",
+            f"{label.meaning}.",
         )
 
 
@@ -496,8 +502,11 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
     return rows
 
 
-def _noise_table(noise: Noise, comparison: Comparison | None) -> list[dict[str, str]]:
-    """Return a row for each primary label: its share of image and noise, and what helps."""
+def _noise_table(noise: Noise, comparison: Comparison | None, pixels: int) -> list[dict[str, str]]:
+    """Return a row for each primary label: its share of image and noise, and what helps.
+
+    Labels of few of the `pixels` have no ratio of errors.
+    """
     by_label = None if comparison is None else comparison.breakdown
     rows = [] if by_label is None else by_label.table()
     ratio = {
@@ -511,7 +520,11 @@ def _noise_table(noise: Noise, comparison: Comparison | None) -> list[dict[str, 
             "share": percent(share) if share >= _LITTLE else "0 %",
             "meaning": Label[label.upper()].meaning,
             "cure": Label[label.upper()].cure,
-            "estimate": number(ratio.get(label, math.nan)) if share >= _LITTLE else "—",
+            "estimate": number(
+                ratio.get(label, math.nan)
+                if share >= _LITTLE and noise.pixels[label] * pixels >= FEW_PIXELS
+                else math.nan
+            ),
         }
         for label, share in noise.share.items()
     ]

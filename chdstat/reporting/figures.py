@@ -92,7 +92,8 @@ def report_figures(
     small, image = height * width < FEW_PIXELS, data.summary["mean"].values
     if spp >= FEW_SAMPLES and small:
         panels = [data.samples.pixel(*mark.pixel).panel(mark.name) for mark in _marks(data)]
-        drawn["alone"] = viz.chd_grid(panels, columns=min(2, len(panels)))
+        alone = len(panels) == 1
+        drawn["alone"] = viz.chd_pair(panels[0]) if alone else viz.chd_grid(panels, columns=2)
     elif spp >= FEW_SAMPLES:
         drawn["regions"] = region_figure(data)
     if small or not found.noise:

@@ -103,11 +103,11 @@ class Many(Shown):
         return Card("Many", {f"fact {i}": value for i, value in enumerate(self.rows)})
 
 
-def test_at_most_ten_lines_say_how_many_are_left_out():
-    assert repr(Many((1.0,) * 9)).count("\n") == 9
+def test_at_most_twelve_lines_say_how_many_are_left_out():
+    assert repr(Many((1.0,) * 11)).count("\n") == 11
     text = repr(Many((1.0,) * 30))
-    assert text.count("\n") == 9
-    assert text.endswith("... and 22 more lines")
+    assert text.count("\n") == 11
+    assert text.endswith("... and 20 more lines")
     assert Many((1.0,) * 30)._repr_html_().count("<tr>") == 30
 
 
