@@ -164,7 +164,7 @@ def results(samples, stored, model):
 def test_results_show_themselves_in_short_and_in_a_notebook(results):
     for name, result in results.items():
         text = repr(result)
-        assert len(text.splitlines()) <= 10, name
+        assert len(text.splitlines()) <= 12, name
         assert max(map(len, text.splitlines())) <= 110, name
         assert "object at 0x" not in text, name
         assert Tags(result._repr_html_()).texts, name
