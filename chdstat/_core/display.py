@@ -105,14 +105,14 @@ def with_margin(value: float, margin: float) -> str:
 def with_interval(
     value: float, low: float, high: float, write: Callable[[float], str] = number
 ) -> str:
-    """Return a value with its interval; without, where that is not known.
+    """Return a value with its interval; without, where that is not known or has no width.
 
     Examples
     --------
     >>> with_interval(0.9131, 0.8691, 0.9502), with_interval(1.0, float("nan"), float("nan"))
     ('0.913 [0.869, 0.950]', '1.00')
     """
-    if not (math.isfinite(low) and math.isfinite(high)):
+    if not (math.isfinite(low) and math.isfinite(high)) or low == high:
         return write(value)
     return f"{write(value)} [{write(low)}, {write(high)}]"
 

@@ -41,6 +41,7 @@ from chdstat.patterns.classification import Classification
 from chdstat.patterns.table import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.runner import measured
+from chdstat.viz.chd import FEWEST_FITTED
 
 __all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodness", "suggest"]
 
@@ -48,8 +49,6 @@ _OF_FIRST = {"part", "_further_fits", "_positive", "patterns", "gaussianity", "m
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
 _POINTS = 96
-_FEWEST = 16
-"""Positive samples from which families are shown: every curve describes fewer."""
 MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
 
@@ -209,7 +208,7 @@ class PlaceStatistics:
 
         None where the samples are constant, as families then describe rounding, or too few.
         """
-        if self.constant[row] or self.part.n[row] < _FEWEST:
+        if self.constant[row] or self.part.n[row] < FEWEST_FITTED:
             return None
         selection = self.selection
         if family == "best":

@@ -286,7 +286,8 @@ class SelectionResults:
         note: str,
         more: str = "",
     ) -> Table:
-        if plots.place.constant.all() and not plots.place.null.any():
+        null = plots.place.null
+        if null.all() or (plots.place.constant.all() and not null.any()):
             note, more = "the samples are constant: every estimator gives the same", ""
             none = float("nan")
             found = [replace(e, mse_ratio=none, bias=none, improved=none) for e in found]

@@ -30,7 +30,7 @@ from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
 from chdstat.studies.claims import CLAIMS, Claim, ClaimTest, Finding, SceneData
 from chdstat.studies.run import SceneStudy
-from chdstat.viz.estimators import called, estimator_name
+from chdstat.viz.estimators import NAMES, called, estimator_name
 from chdstat.viz.maps import LABEL_COLORS, names_of
 from chdstat.viz.styling import qualitative
 
@@ -201,20 +201,19 @@ def _headlines(found: SceneStudy) -> list[dict[str, str]]:
 def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     """Yield which pattern holds most of the noise, and what it means."""
     label = Label[noise.label.upper()] if noise else Label.UNDETERMINED
+    why = f"{label.meaning[0].upper()}{label.meaning[1:]}."
     if scene.bad_samples == scene.pixels * scene.spp:
         yield "No sample is a number.", "All are NaN or infinite: nothing can be said of the image."
     elif not noise:
         yield "Nothing is noisy here.", "The samples of no pixel vary."
     elif len(noise.share) == 1:
         which = "The pixel is" if scene.pixels == 1 else "All pixels are"
-        why = f"{label.meaning[0].upper()}{label.meaning[1:]}. What helps: {label.cure}."
-        yield f"{which} {called(noise.label)}.", why
+        yield f"{which} {called(noise.label)}.", f"{why} What helps: {label.cure}."
     else:
         yield (
             f"The largest part of the noise is in {_pixels(noise.label)}.",
             f"By the first pattern of each, they are {percent(noise.pixels[noise.label])} of the "
-            f"image and hold {percent(noise.share[noise.label])} of its relative variance: "
-            f"{label.meaning}.",
+            f"image and hold {percent(noise.share[noise.label])} of its relative variance. " + why,
         )
 
 
@@ -486,7 +485,7 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
         found = data.analysis.isel(y=y, x=x)
         rows.append(
             {
-                "name": region.name,
+                "name": NAMES.get(region.name, region.name),
                 "pixel": f"({x}, {y})",
                 "note": region.note,
                 "color": color,
@@ -527,6 +526,7 @@ def _noise_table(noise: Noise, comparison: Comparison | None, pixels: int) -> li
             ),
         }
         for label, share in noise.share.items()
+        if max(share, noise.pixels[label]) >= _LITTLE
     ]
 
 

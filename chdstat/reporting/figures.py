@@ -34,7 +34,8 @@ from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.run import SceneStudy
 from chdstat.summary.histograms import Histogram, histogram
-from chdstat.viz.estimators import called, estimator_name
+from chdstat.viz.chd import FEWEST_FITTED
+from chdstat.viz.estimators import NAMES, called, estimator_name
 from chdstat.viz.maps import names_of
 from chdstat.viz.styling import spelt
 
@@ -63,6 +64,8 @@ _SEVERAL = ("bimodal", "multimodal")
 """Labels of pixels whose curve is that of a mixture."""
 _PAIR = 5.2
 """Width of a figure of two images, in inches."""
+_TITLE = 48
+"""Letters that there is room for above the distribution of a region."""
 _INSETS, _INSET = 2, 6
 """Parts of an image that are magnified, and their edge as a part of its shorter one."""
 
@@ -125,10 +128,10 @@ def _luminance_panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
     block = data.samples[y, x]
     bad = is_bad(block).any(axis=0)
     light = np.where(bad, np.nan, luminance(block.astype(np.float64)))[np.newaxis]
-    fitted: Any = None
+    fitted, words = None, ""
     if names_of(here["label"])[int(here["label"])] in _SEVERAL:
         fitted, words = mixture(light[0]), "mixture"
-    else:
+    elif (light > 0).sum() >= FEWEST_FITTED:
         selected = select(light)
         name = str(selected.names[0])
         fitted = take_rows(selected.fits[name], 0, axis=0) if name else None
@@ -136,14 +139,19 @@ def _luminance_panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
     spread = float(here["coefficient_of_variation"])
     known = f"SD/mean {number(spread)}" if np.isfinite(spread) else ""
     nulls = f"{percent(float(here['null_share']))} null"
-    note = ", ".join(filter(None, (nulls, known, words)))
+    note = ", ".join(filter(None, (nulls, known)))
+    if len(mark.name) + len(note) + len(words) < _TITLE:
+        note += f", {words}" * bool(words)
     fits = [] if fitted is None else [fitted.pdf]
     return viz.Panel.of(mark.name, light, channels=["luminance"], fits=fits, note=note)
 
 
 def _marks(data: SceneData) -> list[viz.Mark]:
     shape = data.samples.shape[:2]
-    return [viz.Mark(r.name, *r.pixels(*shape), r.center(*shape)) for r in data.regions]
+    return [
+        viz.Mark(NAMES.get(r.name, r.name), *r.pixels(*shape), r.center(*shape))
+        for r in data.regions
+    ]
 
 
 def region_figure(data: SceneData) -> Figure:

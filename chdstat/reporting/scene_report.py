@@ -221,11 +221,11 @@ class _Report:
         comparison, why_not = self.compared(dataset, noise)
         if samples.shape[0] * samples.shape[1] < content.FEW_PIXELS:
             regions = ()  # which share their pixels
-        shown = regions or choose_regions(dataset)
+        shown = regions or _by_noise(choose_regions(dataset), noise)
         data = SceneData(
             samples.name,
             samples,
-            _some(shown, dataset) if short else shown,
+            (_some(regions, dataset) or shown[:_REGIONS]) if short else shown,
             given=dataset,
             comparison=comparison,
         )
@@ -309,6 +309,12 @@ class _Report:
             model=model,
             progress=self.progress,
         )
+
+
+def _by_noise(regions: tuple[Region, ...], noise: Noise) -> tuple[Region, ...]:
+    """Order regions that are called after patterns by the share of the noise that these have."""
+    rank = {label.replace("_", "-"): i for i, label in enumerate(noise.share)}
+    return tuple(sorted(regions, key=lambda region: rank.get(region.name, len(rank))))
 
 
 def _some(regions: tuple[Region, ...], dataset: xr.Dataset) -> tuple[Region, ...]:

@@ -44,6 +44,7 @@ from chdstat.viz.styling import (
 
 __all__ = [
     "DASHES",
+    "FEWEST_FITTED",
     "LINES",
     "SCALES",
     "Channels",
@@ -62,6 +63,9 @@ __all__ = [
     "scales_of",
     "share_radiance",
 ]
+
+FEWEST_FITTED = 16
+"""Positive samples from which a family is worth showing: any curve describes fewer."""
 
 Density = Callable[[Array], Array]
 """Of the positive samples, per unit of radiance."""

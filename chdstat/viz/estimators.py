@@ -89,6 +89,8 @@ NAMES: Mapping[str, str] = ChainMap(
         "firefly_dominated": "firefly-dominated",
         "gamma_like": "gamma-like",
         "lognormal_like": "log-normal-like",
+        "long-tail": "long tail",  # as regions are called
+        "lognormal-like": "log-normal-like",
     },
 )
 """What text and figures call estimators, families and patterns."""

@@ -18,7 +18,9 @@ from chdstat.analysis import save
 from chdstat.explorer import Explorer
 from chdstat.explorer.maps import IMAGES
 from chdstat.io import write_exr
+from chdstat.patterns import Label
 from chdstat.samples.store import Store
+from chdstat.viz.estimators import called
 
 SIZE = 32
 
@@ -377,6 +379,21 @@ TICKS = {
     (0.29, 0.95): [0.4, 0.6, 0.8],
     (0, 1): [],
 }
+
+
+def test_names_of_patterns_tell_cause_and_cure(person, store_path):
+    one = person(store_path).open("?p=20,10&map=pattern")
+    pattern = chd.open(store_path).pixel(20, 10).patterns
+    label = Label(int(pattern.label))
+    assert one.text("#why").endswith(f": {label.meaning}")
+    one.waits_for("document.querySelector('#colorbar button')", timeout=60000)
+    for place in ("#why", "#patterns tr:nth-child(3)", "#colorbar"):
+        button = one.page.locator(f"{place} button").first
+        (told,) = (x for x in Label if called(x.name.lower()) == button.inner_text())
+        button.click()
+        said = one.text("#help")
+        assert all(text in said for text in (told.meaning, told.cure, told.typical))
+        one.page.keyboard.press("Escape")
 
 
 def test_an_address_that_is_wrong_is_explained(person, store_path):
