@@ -559,6 +559,7 @@ def panel_plot(name: str) -> tuple[Any, list[models.Model]]:
         min_border_left=48,
         min_border_right=12,
         min_border_top=4,
+        min_border_bottom=40,  # of an axis and its labels, which long ones may cut off else
         background_fill_color=GROUND,
         border_fill_color=None,
         outline_line_color=_LINES,

@@ -133,6 +133,9 @@ def test_odd_samples_give_a_report_of_what_they_can_tell(
     assert said in text
     assert [*documents[0].figures] == figures
     assert "— times" not in text
+    if name == "one pixel":
+        assert "What helps: more samples, at the usual rate" in text
+        assert re.search(r"\[\d\d % to \d\d %\] of the samples find no light", text)
     assert pages_of(path) <= (3 if "noise" in figures else 1)
 
 
@@ -174,7 +177,7 @@ def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):
     assert "path" in text_of(again)
 
 
-def test_the_first_page_tells_what_is_noisy_and_what_helps(tmp_path):
+def test_the_first_page_tells_what_is_noisy_and_what_helps(tmp_path, documents):
     """One pixel in ten is a hundred times as noisy; half the samples are null in another tenth."""
     rng = np.random.default_rng(0)
     x = 1 + 0.01 * rng.standard_normal((20, 20, 1, 128))
@@ -186,6 +189,8 @@ def test_the_first_page_tells_what_is_noisy_and_what_helps(tmp_path):
     assert "The largest part of the noise is in null-heavy pixels" in text
     assert re.search(r"10 % of the image and hold [78]\d % of its relative variance", text)
     assert re.search(r"[78]\.\d % \[", text)
+    regions = [region["name"] for region in documents[0].content["regions"]]
+    assert regions[:2] == ["null-heavy", "gamma-like"]  # what holds most of the noise comes first
 
 
 def test_a_second_report_trains_as_the_first(radiance, tmp_path):

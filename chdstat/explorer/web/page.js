@@ -417,14 +417,13 @@ window.chdstat = (() => {
     theme(name);
   }
 
-  const AXIS = 40;  // pixels of an axis with its labels, across
   function draw(item) {
     const bytes = Uint8Array.from(atob(item.numbers), (c) => c.charCodeAt(0));
     const numbers = new Float64Array(bytes.buffer);
     let at = 0;
     const take = (n) => numbers.subarray(at, (at += n));
     for (const [name, panel] of Object.entries(item.panels)) {
-      const [areas, lines, lineMarks, texts, xr, yr, xaxis, yaxis, xgrid, , plot] = models.panels[name];
+      const [areas, lines, lineMarks, texts, xr, yr, xaxis, yaxis, xgrid] = models.panels[name];
       const columns = (traces) => {
         const both = traces.map((t) => [take(t.n), take(t.n)]);
         return { xs: both.map((b) => b[0]), ys: both.map((b) => b[1]), color: traces.map((t) => tint(t.color)) };
@@ -439,7 +438,6 @@ window.chdstat = (() => {
       // An axis that changes lays the plot out anew, which takes longer than the rest.
       change(yaxis, { axis_label: panel.y, visible: !panel.rows });
       for (const part of [xaxis, xgrid]) change(part, { visible: !panel.own_x });
-      change(plot, { min_border_bottom: panel.own_x ? 4 : AXIS });  // else long labels may cut the axis off
     }
   }
 
