@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from chdstat._core.display import number, percent, with_interval, with_margin
+from chdstat._core.resampling import Interval
 from chdstat.analysis import (
     Noise,
     Overview,
