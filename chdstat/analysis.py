@@ -351,7 +351,7 @@ def _released(found: xr.Dataset) -> None:
 
 
 def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
-    """Return what an analysis says in one number, or one word, as a row per pixel and channel.
+    """Return the single-valued variables of an analysis, a row per pixel and channel.
 
     Variables with further dims, such as histograms, stay in the dataset; those of a pixel are
     repeated for its channels. Codes become words.

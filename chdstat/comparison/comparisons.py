@@ -194,7 +194,7 @@ class PixelEstimates(Shown):
 
 @dataclass(frozen=True, repr=False)
 class Breakdown(Shown):
-    """Which estimator for which pattern: the measures by label, averaged over channels.
+    """The measures by label, averaged over channels: which estimator suits which pattern.
 
     Attributes
     ----------

@@ -277,7 +277,7 @@ class Window:
     def average(
         self, values: Floats, weight: npt.NDArray[Any], variance: Floats | None = None
     ) -> tuple[Floats, Floats]:
-        """Average what lies within the window, each pixel by its own weight and that of the pair.
+        """Average the window, each pixel with its own weight times that of the pair.
 
         Parameters
         ----------

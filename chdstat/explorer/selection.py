@@ -36,7 +36,7 @@ _ROUGH = 0.2
 
 @dataclass(frozen=True)
 class SelectionPlots:
-    """What a view shows, but for its tables.
+    """Everything that a view shows except its tables.
 
     Attributes
     ----------

@@ -62,7 +62,7 @@ def drop_oldest(held: dict[K, V], size: Callable[[V], int]) -> None:
 
 @dataclass(frozen=True)
 class Overall:
-    """The image, and maps that are by-products of its mean.
+    """The image, and the maps that are computed along with its mean.
 
     Attributes
     ----------

@@ -210,10 +210,10 @@ def goodness(
 ) -> Goodness | xr.Dataset:
     """Test whether the positive samples are of a family whose parameters are estimated from them.
 
-    Estimated parameters make the distance between samples and family smaller than that to the true
-    one, so that textbook tables do not hold. The parametric bootstrap does: B times, as many
-    samples are drawn from the fitted family and fitted again; ``p = (b + 1) / (B + 1)`` where b of
-    them are as far from their fit as the samples are from theirs. It is never 0.
+    Samples are closer to a family with estimated parameters than to the true one, so that textbook
+    tables do not hold. The parametric bootstrap does: B times, it draws as many samples from the
+    fitted family and fits the family to them. If b of these B are at least as far from their fit as
+    the samples are from theirs, ``p = (b + 1) / (B + 1)``, which is never 0.
 
     Parameters
     ----------
@@ -572,8 +572,8 @@ def _of_samples(
 def _of_bins(counts: Floats, expected: Floats, n: Counts, parameters: int) -> Distances:
     """Return statistics of bins, shape (row, bin).
 
-    Those of Cramer, von Mises, Anderson and Darling weigh by the bins (Choulakian, Lockhart and
-    Stephens 1994, doi:10.2307/3315828).
+    Those of Cramer, von Mises, Anderson and Darling weight each bin by the samples expected in it
+    (Choulakian, Lockhart and Stephens 1994, doi:10.2307/3315828).
     """
     excess = np.cumsum(counts - expected, axis=-1)
 

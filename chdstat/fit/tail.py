@@ -387,10 +387,11 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
 
 
 def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:
-    """Return the index of so many excesses of gamma distributions, 0 for shapes of 1 and more.
+    """Return the tail index that so many excesses of a gamma distribution would show.
 
-    They are those whose logarithms vary as much as the samples' do. Above a finite threshold, the
-    tail of one with a shape below 1 is a little heavier than an exponential.
+    It is the gamma distribution whose logarithms have the variance of the samples' logarithms. If
+    its shape is 1 or more, the index is 0; below 1, its tail above a finite threshold is a little
+    heavier than an exponential.
     """
     with np.errstate(divide="ignore"):
         log_variance = np.log(np.nan_to_num(part.log_statistics.log_variance))

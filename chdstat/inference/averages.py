@@ -323,8 +323,9 @@ def sizes_of_means(
 class Averages:
     """Averages of complete batches of `size` samples, shape (row, batch), bad samples left out.
 
-    ``formed`` marks batches with a good sample, None where all are; others average to 0. The last
-    good sample of a row ends it: what is bad behind it may be what a pixel lacks.
+    ``formed`` marks the batches that hold a good sample, and is None where all do; the others
+    average to 0. A row ends at its last good sample, since a pixel that has fewer samples than
+    others is filled up with bad ones.
     """
 
     size: int
@@ -444,7 +445,7 @@ def _predicted(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
 def _relative(x: npt.NDArray[Any], good: Mask) -> tuple[Floats, npt.NDArray[np.int8]]:
     """Return good samples as deviations from their mean, others as 0, and `Reason` codes.
 
-    They are in units of their standard deviation, and no power of them overflows.
+    The deviations are in units of their standard deviation, so that no power of them overflows.
     """
     values = np.where(good, x, 0).astype(np.float64)
     n = np.count_nonzero(good, axis=-1)
@@ -580,7 +581,7 @@ def _needed(
 ) -> Counts:
     """Return the smallest size tested from which on normality is not rejected, shape (...).
 
-    Tested averages that are all equal, of samples that are not, are not Gaussian.
+    Averages that are all equal, though the samples are not, count as not Gaussian.
     """
     equal = np.isin(reason, [Reason.ALL_NULL, Reason.CONSTANT])
     answered = equal | (reason == Reason.OK)

@@ -27,7 +27,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open EXR files of one sample, or one average, of each pixel.
 
     The samples are the colours of the image, or the layer `variable`; alpha is left out. Features
-    are layers, and averages over all files, for what a pixel sees differs from sample to sample.
+    are layers, averaged over all files, since each sample of a pixel sees something else.
 
     Notes
     -----

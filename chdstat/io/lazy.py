@@ -80,7 +80,7 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class Opened:
-    """Samples in files: where to read them from, and what the files say of them.
+    """Samples in files: their source, and what the files say about them.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ FIREFLY_ZONE = (0.0, 0.2)
 
 @dataclass(frozen=True, repr=False)
 class Truth(Shown):
-    """What is true of a CHD.
+    """The true properties of a simulated CHD.
 
     Attributes
     ----------

@@ -203,10 +203,10 @@ class Rendering:
     def _drawn(
         self, cuts: Sequence[slice], advance: Callable[[float], None]
     ) -> Iterator[tuple[Chunk, Image]]:
-        """Draw samples tile by tile; nothing of the renderer is left at work after it.
+        """Draw samples tile by tile.
 
-        What a sample is does not depend on the cuts, but for a wavefront, which draws chunks as
-        they are stored.
+        Samples do not depend on the cuts, except those of a wavefront, which draws chunks as they
+        are stored.
         """
         start, tiles = time.monotonic(), list(chunk_grid(*self.shape[:2], 1))
         chunks = [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
@@ -233,7 +233,7 @@ def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
 class _Drawn:
     """A `chdstat.samples.tiles.SampleSource` that draws what is read, chunk by chunk.
 
-    `draw` draws a chunk; in a worker of a cluster, to which it does not travel, the scene is built.
+    `draw` draws a chunk. It is not sent to the workers of a cluster, which build the scene anew.
     """
 
     frames = False

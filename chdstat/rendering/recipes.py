@@ -265,7 +265,7 @@ def load_recipe(path: str | Path) -> Recipe:
 
 
 def _toml(path: Path) -> dict[str, Any]:
-    """Return what a file says, if it is one that a person may have written.
+    """Return the content of a TOML file; refuse one that no person writes.
 
     Python's parser overflows its stack in deep arrays, and takes minutes for a key of many parts.
     """

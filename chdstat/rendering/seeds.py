@@ -156,7 +156,7 @@ class Sequences:
 def grouped(
     chunks: Iterable[Chunk], sequences: Sequences | None
 ) -> Iterator[tuple[Chunk, list[Chunk]]]:
-    """Yield chunks that are drawn together, as one and each by itself.
+    """Yield groups of chunks that are drawn together: one chunk that covers them, and each.
 
     Examples
     --------

@@ -687,7 +687,7 @@ def cache_key(samples: Samples) -> str:
 
 
 def checkpoint_key(samples: Samples) -> str:
-    """Return what identifies any samples, those in memory by their content.
+    """Return a text that identifies samples; those in memory, by their content.
 
     Examples
     --------

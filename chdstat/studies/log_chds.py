@@ -106,7 +106,7 @@ def aligned(x: npt.NDArray[np.floating[Any]]) -> LogChds:
 def of_histograms(dataset: xr.Dataset) -> LogChds:
     """Return the distribution functions of all pixels, nulls among them, from their histograms.
 
-    Samples are exchangeable: halving counts at random is halving the samples at random.
+    Since samples are exchangeable, a random half of the counts is a random half of the samples.
 
     Parameters
     ----------

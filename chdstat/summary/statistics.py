@@ -94,7 +94,7 @@ _MOMENTS = [name for name, about in Statistics.declared().items() if about.dims 
 
 
 class Summary:
-    """Statistics of samples that come in blocks, merged with those of others.
+    """Statistics of samples that come in blocks; `merge` joins those of other blocks.
 
     The first block fixes the support of the linear histogram, so it should hold 50 draws or more;
     otherwise give a `support`. Summaries merge only with the same support.

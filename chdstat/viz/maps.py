@@ -180,7 +180,7 @@ def value_map(
 
 
 def names_of(variable: xr.DataArray | npt.ArrayLike) -> dict[int, str]:
-    """Return what text calls the values of an integer-coded variable.
+    """Return the names of the values of an integer-coded variable, as text has them.
 
     Raises
     ------

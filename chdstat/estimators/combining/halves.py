@@ -1,4 +1,4 @@
-"""Halves: what a combination needs to know of all samples and of each half, and its candidates.
+"""Halves: sums over all samples and over each half of them, and the candidates of a combination.
 
 Samples are read once, tile by tile; only images of sums are kept.
 """

@@ -137,9 +137,9 @@ def of_size(validation: Validation, size: int) -> Validation:
 def error_terms(estimate: Reals, mean: Reals, certainty: Reals, variance: Reals) -> Reals:
     """Return the terms of squared errors, shape (..., row, channel, term), float64.
 
-    A constant for the dark, the square of the estimate, of its distance to the mean, the variance
-    of the mean and what the estimate takes over of it, and the square of the mean where the
-    estimate does not rest on it.
+    The terms are a constant for dark pixels; the squares of the estimate and of its distance to the
+    mean; the variance of the mean, and the part of it that an uncertain estimate inherits; and the
+    square of the mean, as far as the estimate is certain.
 
     Parameters
     ----------
