@@ -210,11 +210,11 @@ def in_order(
     workers: int | None = None,
     client: Client | None = None,
 ) -> Iterator[Result]:
-    """Yield the results of a function in the order of its items, `workers` of them at work.
+    """Yield the results of a function in the order of its items, while `workers` threads compute.
 
     About as many results wait for their turn, so that memory stays bounded. An exception of the
-    function is raised where its result would be; nothing new is begun after it. With a Dask
-    client, its workers are at work, to which function and items travel.
+    function is raised where its result would be; nothing new is begun after it. With a Dask client,
+    function and items are sent to its workers, which compute in place of threads.
 
     Raises
     ------

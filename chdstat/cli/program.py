@@ -416,7 +416,7 @@ def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
 
 
 def _numbers_in(option: str, text: str | None, form: str, example: str) -> tuple[int, ...] | None:
-    """Return the numbers of a text in which each capital letter of a form stands for one."""
+    """Return the numbers in a text; each capital letter of the form stands for one."""
     if text is None:
         return None
     found = re.fullmatch(re.sub("[A-Z]", "([0-9]{1,9})", form), text.lower())

@@ -1,9 +1,9 @@
 """View: what one page of the explorer shows, as a value that fits into an address.
 
 A view says which pixels or which region are selected and how they are looked at; it knows nothing
-of samples. All that a person does is a function from a view to the next one. `View.query` writes
-an address, `parse_view` reads it: what of it cannot be followed becomes a note, and the rest is
-followed nevertheless.
+of samples. Each action of a person is a function from a view to the next one. `View.query` writes
+an address and `parse_view` reads it; parts that it cannot follow become a note, and it follows the
+others.
 """
 
 from __future__ import annotations

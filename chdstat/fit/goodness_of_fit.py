@@ -516,8 +516,8 @@ def _distances(
 def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Parameters) -> Floats:
     """Return the probability of each bin, shape (row, bin), given that it is one of them.
 
-    The last bin has all above its lower edge, since it has the samples above the support; what is
-    below the support counts as zeros, and takes no part.
+    The last bin has no upper edge, since it counts the samples above the support; samples below the
+    support count as zeros, and are left out.
     """
     edges = np.exp(part.log_centers - part.width[:, np.newaxis] / 2)
     columns = {name: value[:, np.newaxis] for name, value in parameters.items()}

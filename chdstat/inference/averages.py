@@ -517,9 +517,9 @@ def _with_tail(
 def _of_lognormal(x: npt.NDArray[Any], good: Mask) -> Floats:
     """Return skewness and excess kurtosis of log-normal samples among nulls, shape (2, row).
 
-    They are those of the largest variance of log x that the samples allow, and NaN where log x is
-    clearly not Gaussian. Up to the largest of a few thousand samples, a log-normal distribution may
-    look like one of a light tail, of which most of its kurtosis lies beyond.
+    The variance of log x is the largest that the samples allow; rows where log x is clearly not
+    Gaussian are NaN. A few thousand samples of a log-normal distribution may look as if its tail
+    were light, since most of its kurtosis lies beyond the largest of them.
     """
     positive = good & (x > 0)
     n, of = np.count_nonzero(positive, axis=-1), np.count_nonzero(good, axis=-1)

@@ -188,7 +188,7 @@ def _bends(places: Indices, x: Floats, fixed: Mask) -> Indices:
 
 
 def _largest(values: Floats, places: Indices, low: Indices) -> tuple[Floats, Indices]:
-    """Return the largest value of each row, of which `low` is the first place, and its place."""
+    """Return the largest value of each row and its place; the rows begin at the places `low`."""
     first = np.searchsorted(places, low)
     largest = np.maximum.reduceat(values, first)
     row = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))

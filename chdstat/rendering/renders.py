@@ -392,8 +392,8 @@ def _features_restored(
 ) -> Iterator[None]:
     """Give a writer the first-hit features that it lacks, while its samples are rendered.
 
-    One worker of a cluster draws them beside the others, which would wait for them otherwise: they
-    take as long as some dozen samples per pixel.
+    Features take as long as some dozen samples per pixel, so that one worker of a cluster draws
+    them while the others render.
     """
     if not writer.lacks_features:
         yield

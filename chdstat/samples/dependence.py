@@ -158,7 +158,7 @@ def warn_of_repeats(
 
 
 class _Repeats(NamedTuple):
-    """What some places of the image show of some passes.
+    """Which passes are equal, as far as some tiles of the image show.
 
     `looked` is the number of tiles, `tiles` are those with equal passes, `whole` is a hash of each
     pass, and `noise` by how much passes differ where they do, NaN if that is not known.

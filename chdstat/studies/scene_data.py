@@ -339,7 +339,7 @@ class SceneData:
     ) -> Iterator[PixelSet]:
         """Yield pixels drawn from each of `across` x `across` blocks, separately by block.
 
-        About `pixels` in all, of those that are `allowed`, shape (y, x); None draws from all.
+        They are about `pixels` in all, among those `allowed`, shape (y, x); None draws from all.
         """
         rng, whole = generator(0), self.whole(across=across)
         each = max(1, pixels // len(whole.blocks))

@@ -218,9 +218,9 @@ _HISTOGRAM = (
 def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
     """Return squared distances between the shapes of two renders of a view, shape (pixel,).
 
-    In each pixel, of the render with more positive samples only as many count as the other has,
-    drawn at random. Where both have the same shape, their four halves are then exchangeable, and
-    the distance is as likely to be above 0 as below.
+    In each pixel, as many positive samples of each render count as the one with fewer has; those of
+    the other are drawn at random. Where both have the same shape, their four halves are then
+    exchangeable, and the distance is as likely to be above 0 as below.
 
     Parameters
     ----------

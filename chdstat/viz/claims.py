@@ -276,7 +276,7 @@ def _draw_legends(figure: Figure, axes: Sequence[Axes]) -> None:
 
 
 def _see_points(legend: Legend) -> None:
-    """Make the points of a legend large, which are small and pale where they are many."""
+    """Make the points of a legend large: in a plot of many, they are small and pale."""
     for handle in legend.legend_handles:
         if isinstance(handle, Line2D):
             handle.set(alpha=1, markersize=4.5)

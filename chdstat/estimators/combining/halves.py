@@ -177,6 +177,6 @@ def candidates(
 
 
 def _denoised(job: tuple[Reals, Any, Any]) -> Reals:
-    """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
+    """Return an image denoised; a black one as it is, since the denoiser would see light in it."""
     image, albedo, normal = job
     return denoise(image, albedo=albedo, normal=normal) if image.any() else image

@@ -423,7 +423,7 @@ class ErrorModel:
     ) -> Reals:
         """Return a quantile; estimate and variance (row, channel), samples (row,).
 
-        Of a negative estimate, which signed samples make, it is that of a normal distribution.
+        Signed samples can make an estimate negative; then it is that of a normal distribution.
         """
         wanted = special.ndtri(level)
         # Beyond the levels that were calibrated, tails go on as normal ones.

@@ -1,8 +1,8 @@
 """Training of the progressive estimator: from images to what was learned.
 
-Many samples are kept of some pixels of each image. Those of a pixel are cut in two at random for
-every minibatch: one part to learn from, and one whose mean is the target. A tenth of the pixels is
-held out, to validate and to fit the error model.
+Training keeps many samples of some pixels of each image. Every minibatch cuts those of a pixel in
+two at random: one part is the input, and the mean of the other is the target. A tenth of the pixels
+is held out, to validate and to fit the error model.
 """
 
 from __future__ import annotations
