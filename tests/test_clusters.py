@@ -56,8 +56,9 @@ def test_workers_analyse_and_estimate_the_same_bits(client, store, held):
     samples = store if held == "store" else store.load()
     found = chd.analyze(samples, client=client, progress=False)
     assert found.identical(chd.analyze(samples, progress=False))
+    right = combine(store).radiance
     for whole in (combine(samples), combine(samples, client=client)):
-        assert np.array_equal(whole.radiance, combine(store).radiance)
+        assert np.array_equal(whole.radiance, right)
 
 
 def test_workers_compare_the_same_bits(client, store):

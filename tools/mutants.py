@@ -52,13 +52,14 @@ class Mutant:
 
     file: str
     line: int
+    column: int
     start: int
     stop: int
     old: str
     new: str
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line}: {self.old} -> {self.new}"
+        return f"{self.file}:{self.line}:{self.column}: {self.old} -> {self.new}"
 
 
 class Source:
@@ -119,7 +120,8 @@ class Source:
                 old = self.text[start:stop].decode()
                 if new != old:
                     line = self.text.count(b"\n", 0, start) + 1
-                    yield Mutant(file, line, start, stop, old, new)
+                    column = start - self.lines[line - 1] + 1
+                    yield Mutant(file, line, column, start, stop, old, new)
 
 
 class Tests:

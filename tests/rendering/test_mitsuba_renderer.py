@@ -98,13 +98,13 @@ def test_passes_are_shuffled_one_to_one():
     """Of as many numbers drawn at random from 983 040, thousands would come twice."""
     first, rest = (
         np.array([seeds.shuffled(i, seed=7) for i in range(start, stop)])
-        for start, stop in ((0, 2**15), (983_040, seeds.PASSES))
+        for start, stop in ((0, 2**13), (983_040, seeds.PASSES))
     )
     assert len(np.unique(first)) == len(first)
     assert np.array_equal(np.sort(rest), np.arange(983_040, seeds.PASSES))
-    # Of a random order, ranks of neighbours do not correlate: standard errors .006 and .004. What
+    # Of a random order, ranks of neighbours do not correlate: standard errors .011 and .004. What
     # earlier versions could draw keeps its order, and the rest has one of its own.
-    for part, most in ((first, 0.022), (rest, 0.016)):
+    for part, most in ((first, 0.044), (rest, 0.016)):
         assert abs(np.corrcoef(part[1:], part[:-1])[0, 1]) < most
     assert 0.99 * 983_040 < first.max() < 983_040
 
@@ -216,7 +216,7 @@ def test_random_numbers_are_uniform_and_independent(streams):
 
 @functools.cache
 def random_numbers(backend: str, seed: int) -> np.ndarray:
-    options: dict[str, Any] = {"spp": 2048, "size": (16, 16), "seed": seed, "backend": backend}
+    options: dict[str, Any] = {"spp": 2048, "size": (12, 12), "seed": seed, "backend": backend}
     return chd.render(RANDOM_NUMBERS, **options).read()
 
 
@@ -224,7 +224,7 @@ def random_numbers(backend: str, seed: int) -> np.ndarray:
 def test_means_vary_as_those_of_independent_random_numbers(streams, size):
     """The variance of the mean of n is 1 / 12 n, for each random number and in each pixel."""
     drawn = np.stack([random_numbers(streams, seed) for seed in range(3)])
-    means = drawn.reshape(3, 16, 16, 3, -1, size).mean(axis=-1, dtype=np.float64)
+    means = drawn.reshape(3, 12, 12, 3, -1, size).mean(axis=-1, dtype=np.float64)
     z = (means - 0.5) * np.sqrt(12 * size)
     each = np.moveaxis(z, 3, 0).reshape(3, -1)
     assert agree(np.array([_both_sides((row**2).sum(), row.size) for row in each]))
