@@ -50,7 +50,7 @@ FOLDERS = sorted(m for m in chd.__all__ if m in ORDER and m != "errors")
 
 DOWNSTREAM = {
     ("comparison.benchmark", "reporting.bench_report"),
-    ("studies.run", "reporting.study_report"),
+    ("studies.studies", "reporting.study_report"),
     ("samples.samples", "patterns.pixel"),
     ("samples.samples", "patterns.regions"),
     ("patterns.pixel", "viz"),

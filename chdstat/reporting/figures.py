@@ -32,7 +32,7 @@ from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, with_others
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
-from chdstat.studies.run import SceneStudy
+from chdstat.studies.studies import SceneStudy
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.chd import FEWEST_FITTED
 from chdstat.viz.estimators import NAMES, called, estimator_name

@@ -51,7 +51,7 @@ from chdstat.samples import Samples, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import CLAIMS, SceneData
-from chdstat.studies.run import SceneStudy
+from chdstat.studies.studies import SceneStudy
 from chdstat.viz import VERDICTS
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from chdstat.reporting.figures import claim_figures, depth_of, region_figure, sc
 from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import CLAIMS
-from chdstat.studies.run import ACROSS, SceneStudy, Study
 from chdstat.studies.stores import ROULETTE
+from chdstat.studies.studies import ACROSS, SceneStudy, Study
 from chdstat.viz import VERDICTS
 from chdstat.viz.estimators import called
 from chdstat.viz.styling import qualitative, verbatim

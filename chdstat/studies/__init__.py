@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from chdstat.studies.run import SceneStudy, Study, study
+from chdstat.studies.studies import SceneStudy, Study, study
 
 __all__ = ["SceneStudy", "Study", "study"]
 

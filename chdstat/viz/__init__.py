@@ -21,6 +21,7 @@ from chdstat.viz.estimators import (
     pixel_estimates,
     training,
 )
+from chdstat.viz.fit_curves import fit_curve, mode_stems, tail_curve
 from chdstat.viz.image import (
     Mark,
     firefly_pair,
@@ -40,7 +41,6 @@ from chdstat.viz.maps import (
     value_map,
 )
 from chdstat.viz.renderings import renders_compared
-from chdstat.viz.results import fit_curve, mode_stems, tail_curve
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [

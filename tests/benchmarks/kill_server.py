@@ -34,7 +34,7 @@ COSTLY = (
     ),
     "chdstat.estimators.progressive.network",
 )
-TIMED = ("chdstat.rendering.renders", "chdstat.studies.run")
+TIMED = ("chdstat.rendering.renders", "chdstat.studies.studies")
 EVENTS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir")
 
 

@@ -15,13 +15,13 @@ import chdstat as chd
 from chdstat._core.display import (
     Card,
     Shown,
-    between,
     byte_size,
     duration,
     latex,
     number,
     percent,
     png,
+    with_margin,
     written,
 )
 
@@ -73,7 +73,7 @@ def test_numbers_and_units_read_well():
     assert [number(v) for v in (0, 1e-7, 99.96, np.inf)] == ["0", "1.0e−07", "100", "—"]
     assert number(12_345_678) == "1.2e+07"
     assert [percent(v, sign=True) for v in (-0.0004, 0.0004)] == ["0.0\xa0%"] * 2
-    assert [percent(np.nan), between(np.nan, 0.1)] == ["—"] * 2
+    assert [percent(np.nan), with_margin(np.nan, 0.1)] == ["—"] * 2
     assert [byte_size(0), byte_size(1024)] == ["0 B", "1.00 KiB"]
     assert [duration(0), duration(119.6)] == ["0 ns", "120 s"]
 

@@ -18,7 +18,7 @@ from chdstat.estimators.training import train_model
 from chdstat.patterns import atlas
 from chdstat.rendering.recipes import PHENOMENA
 from chdstat.reporting.study_report import document
-from chdstat.studies import run, stores, study
+from chdstat.studies import stores, studies, study
 from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.stores import scenes_of
 
@@ -64,7 +64,7 @@ def few_shapes():
             return atlas(samples, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "atlas", drawn)
+        patch.setattr(studies, "atlas", drawn)
         yield
 
 
@@ -344,7 +344,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         patch.setattr(stores, "render", refuse)
         patch.setattr(stores, "analyze", refuse)
         once = study("cornell-box", folder=copy, **TINY)
-        patch.setattr(run, "atlas", refuse)
+        patch.setattr(studies, "atlas", refuse)
         patch.setattr(stores, "compare", refuse)
         patch.setattr(type(CLAIMS[0]), "find", refuse)
         again = study("cornell-box", folder=copy, **TINY)

@@ -1,4 +1,4 @@
-"""Results: curves of fits, tails and modes, drawn from the results alone, without samples.
+"""Curves of fits, tails and modes, drawn from the results alone, without samples.
 
 `fit_curve` draws the density of fits and mixtures, `tail_curve` how a tail falls, `mode_stems`
 where modes are. A result of a few pixels or channels has a curve for each.
