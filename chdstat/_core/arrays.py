@@ -438,6 +438,12 @@ def batch_rows(values: Array, batch: tuple[int, ...], rows: Array, *behind: Any)
     """Select rows of a batch by their flat numbers, and of each what `behind` indexes.
 
     Flattening first would copy all of the values where they are a view.
+
+    Examples
+    --------
+    >>> batch_rows(np.arange(12).reshape(2, 2, 3), (2, 2), np.array([3, 0]), slice(2))
+    array([[ 9, 10],
+           [ 0,  1]])
     """
     some = batch or (1,)
     values = values.reshape(*some, *values.shape[len(batch) :])
