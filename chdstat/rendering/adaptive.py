@@ -1,7 +1,7 @@
 """Adaptive sampling: more samples for the pixels whose noise weighs most.
 
-The first samples of all pixels, a quarter of them, tell how noisy each pixel is; the others are
-drawn where they are needed. Two things keep this honest:
+The first samples of all pixels, a quarter of them (half of few), tell how noisy each pixel is; the
+others are drawn where they are needed. Two things keep this honest:
 
 * The number of samples of a pixel is decided by *other* pixels, never by its own samples: pixels
   are the squares of a chessboard, and the black ones decide for the white ones. So the samples of a
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from chdstat._core.arrays import Floats, Image, Mask, is_bad
+from chdstat._core.arrays import Floats, Image, Mask, is_bad, spans
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Interval, mean_of
 from chdstat.errors import InputError, check_option
@@ -49,20 +49,25 @@ __all__ = [
 ErrorMeasure = Literal["relMSE", "MSE"]
 """The error of the image that samples are to make least."""
 _log = logging.getLogger("chdstat")
-_SHARE, _FEWEST = 4, 4
-"""One in so many samples is drawn of all pixels first, at least this many of each."""
-_LEAST, _MOST = 1 / _SHARE, 8.0
-"""Least and largest number of samples of a pixel, over the mean."""
+_SHARE, _ENOUGH, _FEWEST = 4, 32, 16
+"""One in so many samples of a pixel is drawn first, or this many but at most half; of no fewer."""
+_MOST = 8.0
+"""Largest number of samples of a pixel, over the mean."""
 _DARK = 0.01
 """Of the squared mean of the scene, which keeps relative errors of dark pixels finite."""
-_REACH, _WIDTH = 12, 6.0
+_LEFT = 1 / 16
+"""Of the squared mean of a pixel, what is left at least when its variance is taken off."""
+_ROWS = 16
+"""Rows that are read at once."""
+_REACH, _WIDTH = 6, 3.0
 """Pixels that are looked at around one in each direction, and the width of their weights."""
 _UNITS, _DEPTH = {"albedo": 0.3, "normal": 0.8}, 0.2
 """Differences in albedo, normal and logarithm of depth at which pixels are no longer similar."""
 _UNLIKE = 1e-4
 """Weight of pixels that are not similar at all, for those that have no others."""
-_TRUST = 0.2
-"""Squared relative error at which the noise of the surroundings counts as that of the image."""
+_TRUST = 1.0
+"""Squared error, over the squared noise of the image, at which that of the surroundings and that of
+the image count alike."""
 
 
 @dataclass(frozen=True)
@@ -75,38 +80,52 @@ class Adaptive:
         The error of the image that is to be least.
     first
         Samples of all pixels, from which it is decided.
+    least
+        Smallest number of samples of a pixel over the mean, so that all pixels have the first ones.
     error
         The relative error of the image, the root of the measure, at which to stop; None for none.
     """
 
     measure: str
     first: int
+    least: float = 1 / _SHARE
     error: float | None = None
 
     @classmethod
-    def of(cls, asked: bool | str, error: float | None, spp: int) -> Adaptive | None:
+    def of(
+        cls, asked: bool | str, error: float | None, spp: int, held: Mapping[str, Any] | None
+    ) -> Adaptive | None:
         """Return what is asked for; None where all pixels get as many samples.
+
+        Parameters
+        ----------
+        asked, error, spp
+            As for `chdstat.render`.
+        held
+            What an earlier render, that goes on, has kept of this.
 
         Raises
         ------
         InputError
             If there is no such measure, the error is not positive, or there are too few samples.
         """
-        if asked is False and error is None:
+        if asked is False and error is None and held is None:
             return None
         measure = "relMSE" if isinstance(asked, bool) else asked
+        if held is not None and isinstance(asked, bool):
+            measure = held["measure"]
         check_option("adaptive", measure, get_args(ErrorMeasure))
         if error is not None and not 0 < error < math.inf:
             message = f"error must be above 0, such as 0.02 for 2 %, got {error}"
             raise InputError(message)
-        first = spp // _SHARE
-        if first < _FEWEST:
+        if spp < _FEWEST:
             message = (
-                f"adaptive sampling needs at least {_FEWEST * _SHARE} spp, a quarter of which "
-                f"tells how noisy each pixel is; got {spp}"
+                f"adaptive sampling needs at least {_FEWEST} spp, of which the first ones tell how "
+                f"noisy each pixel is; got {spp}"
             )
             raise InputError(message)
-        return cls(measure, first, error)
+        first = held["first"] if held else max(spp // _SHARE, min(_ENOUGH, spp // 2))
+        return cls(measure, first, min(max(1 / _SHARE, first / spp), 1.0), error)
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -129,27 +148,26 @@ def noise_of(samples: Samples, measure: str) -> Floats:
     """Return the expected squared error of one sample of each pixel, shape (y, x).
 
     It is the variance, for relMSE over the squared mean of the pixel plus 1 % of that of the scene,
-    both of the pixel's own samples, on average over the channels.
+    on average over the channels: both are those of the pixel's own samples. The square of their
+    mean is too large by the variance of that mean, which is taken off.
     """
-    mean, variance = (np.empty(samples.shape[:3]) for _ in range(2))
-    height, width = samples.shape[:2]
-    for rows in (slice(i, i + 16) for i in range(0, height, 16)):
+    height, width, *_ = samples.shape
+    mean, variance, square = (np.zeros(samples.shape[:3]) for _ in range(3))
+    for rows in spans(height, _ROWS):
         x = samples.read(rows)
         found = Moments.of(x, np.logical_not(is_bad(x).any(axis=2, keepdims=True)))
-        mean[rows] = found.mean
-        variance[rows] = found.m2 / np.maximum(found.count - 1, 1)
+        mean[rows], variance[rows] = found.mean, found.m2 / np.maximum(found.count - 1, 1)
+        square[rows] = found.mean**2 - variance[rows] / np.maximum(found.count, 1)
     if measure == "MSE":
         return np.asarray(variance.mean(axis=-1))
-    is_white = _chessboard(height, width)
-    of_scene = np.empty_like(mean)
+    scale, is_white = np.maximum(square, _LEFT * mean**2), _chessboard(height, width)
     for half in (is_white, ~is_white):  # which decides for the other one, without its samples
-        of_scene[half] = mean[half].mean(axis=0) if half.any() else 0
-    scale = mean**2 + _DARK * of_scene**2
+        scale[half] += _DARK * mean[half].mean(axis=0) ** 2 if half.any() else 0
     relative = np.divide(variance, scale, out=np.zeros_like(mean), where=scale > 0)
     return np.asarray(relative.mean(axis=-1))
 
 
-def density_of(noise: Floats, features: Mapping[str, Image]) -> Floats:
+def density_of(noise: Floats, features: Mapping[str, Image], least: float = 1 / _SHARE) -> Floats:
     """Return the number of samples of each pixel over the mean of all, shape (y, x).
 
     Parameters
@@ -158,23 +176,25 @@ def density_of(noise: Floats, features: Mapping[str, Image]) -> Floats:
         Expected squared error of one sample, shape (y, x), by `noise_of`.
     features
         First-hit features, those that there are.
+    least
+        The smallest one.
     """
     expected = np.sqrt(_expected(noise, _scaled(features, noise.shape)))
     is_white, density = _chessboard(*noise.shape), np.ones(noise.shape)
     for half in (is_white, ~is_white):
         if half.any() and (expected[half] > 0).any():
-            density[half] = _bounded(expected[half])
+            density[half] = _bounded(expected[half], least)
     return density
 
 
-def _bounded(wanted: Floats) -> Floats:
+def _bounded(wanted: Floats, least: float) -> Floats:
     """Return numbers in proportion to those that are wanted, with a mean of 1, within bounds."""
     low, high = 0.0, _MOST / float(wanted[wanted > 0].min())
     for _ in range(60):
         middle = (low + high) / 2
-        is_less = np.clip(middle * wanted, _LEAST, _MOST).mean() < 1
+        is_less = np.clip(middle * wanted, least, _MOST).mean() < 1
         low, high = (middle, high) if is_less else (low, middle)
-    return np.asarray(np.clip(high * wanted, _LEAST, _MOST))
+    return np.asarray(np.clip(high * wanted, least, _MOST))
 
 
 def _chessboard(height: int, width: int) -> Mask:
@@ -241,7 +261,7 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
         What is asked for.
     """
     noise = noise_of(samples, how.measure)
-    density = density_of(noise, samples.features)
+    density = density_of(noise, samples.features, how.least)
     found = mean_of((noise / density).ravel(), Blocks.grid(*noise.shape))
     known = {name: float(value) for name, value in found.to_dict().items()}
     if how.error is not None:

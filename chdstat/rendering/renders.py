@@ -126,12 +126,13 @@ def render(
         of a light (of its shape, in most scenes) or a pattern such as ``"lamp-*"`` that names a
         group of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
     adaptive
-        Draw samples where they are needed: a quarter of `spp` of every pixel, and the others where
-        these tell that the image is noisy; see `chdstat.rendering.adaptive`. True makes the
-        relative error of the image least ("relMSE"), "MSE" the absolute one. The samples of a pixel
-        do not depend on how many there are, so that means have no bias. With llvm and cuda, they
-        are the first ones of a render that is not adaptive; with scalar, they are drawn pixel by
-        pixel, which takes longer. An `out` that is adaptive goes on so.
+        Draw samples where they are needed: some of every pixel (a quarter of `spp`, or 32 but at
+        most half), and the others where these tell that the image is noisy; see
+        `chdstat.rendering.adaptive`. True makes the relative error of the image least ("relMSE"),
+        "MSE" the absolute one. The samples of a pixel do not depend on how many there are, so that
+        means have no bias. With llvm and cuda, they are the first ones of a render that is not
+        adaptive; with scalar, they are drawn pixel by pixel, which takes longer. An `out` that is
+        adaptive goes on so.
     error
         Relative error of the image to reach, such as 0.02: the root of relMSE, or with
         ``adaptive="MSE"`` that of MSE. The first samples predict how many that takes; `spp` is the
@@ -184,19 +185,16 @@ def render(
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     existing = Store.open(place_of(out)) if out is not None and is_store(out) else None
-    how = Adaptive.of(adaptive, error, options.spp)
     if existing is not None:
         held = existing.parts()  # parts of other samples are refused here
         depths |= {part for part in held if isinstance(part, int)}
         by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
         options = _as_stored(options, existing)
-        if (kept_so := existing.adaptive) is not None:
-            measure = kept_so["measure"] if how is None or adaptive is True else how.measure
-            how = Adaptive(measure, kept_so["first"], error)
         spp_held = existing.attrs["spp"]
         if options.spp < spp_held and not existing.pending() and error is None:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, spp_held, options.spp)
+    how = Adaptive.of(adaptive, error, options.spp, existing.adaptive if existing else None)
     if (depths or by_light or how is not None) and options.sequences is not None:
         message = (
             "direct, by_depth and by_light draw the same samples again, and adaptive draws more of "
