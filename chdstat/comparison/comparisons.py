@@ -784,7 +784,7 @@ def error_curve(
            [ 1., 11.]])
     """
     samples, seed = samples_of(samples), seed_number(seed)
-    check_equal_counts(samples)
+    check_equal_counts(samples, "errors are drawn over the samples of a pixel")
     max_batches = _limit(max_batches)
     numbers = curve_sizes(samples, estimators, sizes=sizes)
     chosen = choose(estimators, numbers, samples=samples)

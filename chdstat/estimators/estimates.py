@@ -330,10 +330,10 @@ class _Estimated:
                 yield cls._combined(source, options, found)
             return
         samples = first_samples(source, options.spp)
-        check_equal_counts(samples)
         if options.denoise:
             check_denoiser(samples.shape[2])  # refused before the work, not after
         if own is not None:
+            check_equal_counts(samples, "a trained estimator reads all pixels alike")
             yield cls._by(own, samples, options)
             return
         found = combine(

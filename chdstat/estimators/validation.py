@@ -135,7 +135,7 @@ def check_spp(samples: Samples, n: int) -> None:
         If there are fewer than 2 n samples per pixel, or some pixels have more than others.
     """
     check_independent(samples)
-    check_equal_counts(samples)
+    check_equal_counts(samples, "estimators are judged by batches of the whole image")
     if samples.spp < 2 * n:
         message = (
             f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "

@@ -51,6 +51,8 @@ ErrorMeasure = Literal["relMSE", "MSE"]
 _log = logging.getLogger("chdstat")
 _SHARE, _ENOUGH, _FEWEST = 4, 32, 16
 """One in so many samples of a pixel is drawn first, or this many but at most half; of no fewer."""
+_SURE = 64
+"""First samples that predict an error, at most."""
 _MOST = 8.0
 """Largest number of samples of a pixel, over the mean."""
 _DARK = 0.01
@@ -124,7 +126,10 @@ class Adaptive:
                 f"noisy each pixel is; got {spp}"
             )
             raise InputError(message)
-        first = held["first"] if held else max(spp // _SHARE, min(_ENOUGH, spp // 2))
+        first = max(spp // _SHARE, min(_ENOUGH, spp // 2))
+        if error is not None:  # of which it may take fewer
+            first = min(first, _SURE)
+        first = held["first"] if held else first
         return cls(measure, first, min(max(1 / _SHARE, first / spp), 1.0), error)
 
     @property

@@ -135,8 +135,8 @@ def render(
         adaptive goes on so.
     error
         Relative error of the image to reach, such as 0.02: the root of relMSE, or with
-        ``adaptive="MSE"`` that of MSE. The first samples predict how many that takes; `spp` is the
-        most that are drawn, on average. The render is adaptive.
+        ``adaptive="MSE"`` that of MSE. The first samples, at most 64 of a pixel, predict how many
+        that takes; `spp` is the most that are drawn, on average. The render is adaptive.
     out
         Where to store the samples, a path or a URL; None keeps them in memory.
     backend

@@ -153,7 +153,7 @@ def report(
     if isinstance(finished, Samples):
         refuse_render(finished, given | {"spp": None, "store": store})
         samples = first_samples(finished, given.get("spp"))
-        check_equal_counts(samples)
+        check_equal_counts(samples, "a report shows what more samples bring, all pixels alike")
     else:
         scene = load_scene(finished)
         if named is not None:

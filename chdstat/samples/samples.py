@@ -132,8 +132,8 @@ class Samples:
             such as "yxsc"; None for "yxcs" or "yxs", where that is plausible.
         counts
             How many samples each pixel has, shape (y, x), where they differ; what `array` holds
-            beyond them is ignored. Where they depended on the samples themselves, as in adaptive
-            sampling, means are biased.
+            beyond them is ignored. Where they depended on the samples themselves, as in most
+            adaptive sampling, means are biased.
         **attrs
             Provenance: ``scene="name"``, ``seed=7``, ``unit`` of radiance; ``sequence=16`` where so
             many samples depend on each other.

@@ -774,18 +774,18 @@ def samples_of(
     raise InputError(message)
 
 
-def check_equal_counts(samples: Samples) -> None:
+def check_equal_counts(samples: Samples, why: str) -> None:
     """Refuse samples of which some pixels have more than others.
 
     Raises
     ------
     InputError
-        If that is so; the message says how to go on.
+        If that is so; the message says why, and how to go on.
     """
     if samples.counts is not None:
         fewest = int(samples.counts.min())
         message = (
-            f"this needs as many samples in each pixel, {samples.name} has {fewest} to "
+            f"{why}, which takes as many samples in each pixel; {samples.name} has {fewest} to "
             f"{samples.spp}: use the first of each, samples.first({max(fewest, 1)}) or "
             f"--spp {max(fewest, 1)}"
         )

@@ -133,7 +133,7 @@ def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
         source = open_samples(source)
     if isinstance(source, Samples):
         check_independent(source)
-        check_equal_counts(source)
+        check_equal_counts(source, "claims are tested on batches of the whole image")
         return StudyScene(source.name, source, None, recipes.regions_of(source))
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() == ".toml":
         recipe = recipes.load_recipe(source)

@@ -3,9 +3,10 @@
 ``--benchmark-only -s`` prints, for each scene: the relMSE of adaptive renders over that of renders
 with as many samples in each pixel, the first samples counted; the error (root of relMSE) that the
 first samples predict, and the one that all samples estimate, over the true one; the bias of the
-image with its standard error; and the largest number of samples of a pixel over the mean. References
-have 8192 spp in 64 x 64 pixels. CHDSTAT_ADAPTIVE names other scenes, CHDSTAT_SEEDS the number of
-seeds, CHDSTAT_SPP the samples; real scenes are found in CHDSTAT_SCENES.
+image with its standard error; and the largest number of samples of a pixel over the mean.
+References have CHDSTAT_REFERENCE_SPP samples (8192) in 64 x 64 pixels. CHDSTAT_ADAPTIVE names other
+scenes, CHDSTAT_SEEDS the number of seeds, CHDSTAT_SPP the samples; real scenes are found in
+CHDSTAT_SCENES.
 """
 
 import os
@@ -22,7 +23,7 @@ BUILTIN = "caustic cornell-box many-lights night-room bathroom fog"
 REAL = "bathroom/scene.xml veach-bidir/scene.xml veach-mis/scene.xml white-room/scene_night.xml"
 SEEDS, SPP = int(os.environ.get("CHDSTAT_SEEDS", "8")), int(os.environ.get("CHDSTAT_SPP", "64"))
 VIEW = {"size": (64, 64), "progress": False}
-PARTS = 16
+PARTS = int(os.environ.get("CHDSTAT_REFERENCE_SPP", "8192")) // 512
 
 
 def relative(image, truth):

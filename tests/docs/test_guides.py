@@ -45,7 +45,7 @@ ELSEWHERE = {
 }
 SMALL = {
     "bench": "--size 8x8 --reference-spp 16",
-    "render": "--spp 8 --size 12x12 --backend scalar",
+    "render": "--spp 16 --size 12x12 --backend scalar",
     "report": "--iterations 2",
     "train": "--iterations 2",
     "compare": "--estimator mean --n 2",
