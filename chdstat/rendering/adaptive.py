@@ -13,9 +13,10 @@ others are drawn where they are needed. Two things keep this honest:
   bright path makes their noise uncertain, it is drawn to the noise of the whole image. No pixel
   gets less than a quarter of the mean, so that light which no sample has found is still looked for.
 
-Counts are proportional to the root of the expected squared error of one sample (Neyman 1934, "On
-the two different aspects of the representative method", doi:10.2307/2342192), which makes the error
-of the image least: the relative one, or the MSE.
+If the noise were known, counts in proportion to its root would make the error of the image least,
+the relative one or the MSE (Neyman 1934, "On the two different aspects of the representative
+method", doi:10.2307/2342192). It is only estimated, and counts that are too even lose less than
+those that follow an error: they follow the power .35.
 """
 
 from __future__ import annotations
@@ -67,6 +68,9 @@ _UNITS, _DEPTH = {"albedo": 0.3, "normal": 0.8}, 0.2
 """Differences in albedo, normal and logarithm of depth at which pixels are no longer similar."""
 _UNLIKE = 1e-4
 """Weight of pixels that are not similar at all, for those that have no others."""
+_POWER = 0.35
+"""Power of the expected noise that counts follow. Over 13 scenes at 64 and 256 spp, none loses more
+than 2 % of relMSE; with the root, one loses 4 %, and the others gain as much as with this."""
 _TRUST = 1.0
 """Squared error, over the squared noise of the image, at which that of the surroundings and that of
 the image count alike."""
@@ -184,7 +188,7 @@ def density_of(noise: Floats, features: Mapping[str, Image], least: float = 1 / 
     least
         The smallest one.
     """
-    expected = np.sqrt(_expected(noise, _scaled(features, noise.shape)))
+    expected = _expected(noise, _scaled(features, noise.shape)) ** _POWER
     is_white, density = _chessboard(*noise.shape), np.ones(noise.shape)
     for half in (is_white, ~is_white):
         if half.any() and (expected[half] > 0).any():

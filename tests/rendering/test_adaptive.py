@@ -30,14 +30,14 @@ def of_each(samples):
 # --- what is decided ----------------------------------------------------------------------------
 
 
-def test_counts_follow_the_root_of_the_noise():
-    """Of two halves with 1 and 16 times the noise, the error falls as Neyman says."""
+def test_counts_follow_the_noise():
+    """Of two halves with 1 and 16 times the noise, the error falls nearly as Neyman says."""
     noise, albedo = np.ones((16, 32)), np.zeros((16, 32, 3), np.float32)
     noise[:, 16:], albedo[:, 16:] = 16, 1
     density = density_of(noise, {"albedo": albedo})
     assert density.mean() == pytest.approx(1)
-    assert density[:, 16:] / density[:, :16] == pytest.approx(4, rel=0.05)
-    assert (noise / density).mean() == pytest.approx(np.sqrt(noise).mean() ** 2, rel=0.01)
+    assert density[:, 16:] / density[:, :16] == pytest.approx(16**0.35, rel=0.05)
+    assert 1 < (noise / density).mean() / np.sqrt(noise).mean() ** 2 < 1.04
 
 
 @pytest.mark.parametrize("noise", [np.zeros((8, 8)), np.ones((1, 1)), np.ones((1, 5))])
