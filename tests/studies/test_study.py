@@ -142,6 +142,7 @@ def test_integrators_render_one_scene_in_other_ways():
         assert mean[name] == pytest.approx(mean["path"], rel=0.1)
     assert mean["direct light, both"] < 0.9 * mean["path"]
     assert null["BSDF sampling alone"] > null["path"] + 0.1
+    assert null["direct light, BSDFs"] > null["direct light, both"] + 0.1
     # Lights that no ray meets are always sampled.
     lamp = {"type": "point", "intensity": {"type": "rgb", "value": 1.0}}
     assert stores.without_emitter_sampling({"type": "scene", "lamp": lamp}) is None
