@@ -408,8 +408,11 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     sums = cells.units.sum(axis=(1, 2), dtype=float)
     level = cells.unit_level.sum(axis=(1, 2, 3), dtype=float)
     short, longer = sums[:, : cells.short], sums[:, cells.short :]
-    error = short.std(axis=-1, ddof=1) / np.sqrt(cells.short) if cells.short > 1 else 0 * level
-    least = np.maximum(np.where(error > 0, detectable * error, 0), _LEAST_LIGHT * np.abs(level))
+    least = _LEAST_LIGHT * np.abs(level)
+    if cells.short > 1:
+        error = short.std(axis=-1, ddof=1) / np.sqrt(cells.short)
+        with np.errstate(invalid="ignore"):  # no error, of which no multiple is detectable
+            least = np.fmax(detectable * error, least)
     found = None
     for outside in (
         longer - short.max(axis=-1, keepdims=True),

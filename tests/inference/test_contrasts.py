@@ -252,6 +252,13 @@ def test_samples_that_both_have_make_no_difference():
         assert contrast(short, rest, seed=seed).outcome != "differ"
 
 
+@pytest.mark.parametrize("counts", [(1, 1), (1, 16), (64, 1), (2, 3)])
+def test_few_samples_tell_nothing(counts):
+    rng = np.random.default_rng(4)
+    found = contrast(*(rng.gamma(1.0, size=(8, 8, 1, n)) for n in counts))
+    assert found.outcome == "cannot tell"
+
+
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_bad_samples_do_not_matter_at_unequal_spp():
     rng = np.random.default_rng(5)
