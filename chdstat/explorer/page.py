@@ -109,6 +109,7 @@ class Page:
             heading = sources[0].title if len(sources) == 1 else ", ".join(names)
             document.title = f"{heading} · chdstat"
             document.template = _template()
+            document.config.notify_connection_status = False  # the shell says it
             variables = self._variables(
                 given, in_store=any(isinstance(source, StoreSource) for source in sources)
             )

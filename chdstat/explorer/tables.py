@@ -78,7 +78,7 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
         xi = float(place.patterns.statistics["long_tail"])
         told += "; without the largest sample"
     return [
-        ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
+        ("Mean luminance", number(mean), f"standard error {number(error)}, {percent(share)}"),
         ("Null samples", percent(place.null_share), f"{low} to {high}"),
         ("Tail index", "—" if constant else number(xi), told),
         (

@@ -572,6 +572,7 @@ def test_a_server_that_stops_is_told(person, store_path, explored):
     one = person(explorer).open()
     explorer.stop()
     assert "server has stopped" in one.alert()
+    assert one.page.get_by_text("Reconnecting").count() == 0
 
 
 @pytest.mark.parametrize("theme", ["dark", pytest.param("light", marks=pytest.mark.slow)])
