@@ -183,7 +183,7 @@ CONTRASTS: dict[str, Map] = {
             diverging=True),
         Map("contrast:p", "Significance of the difference", "−log10 p, least over channels",
             ends=(0, 4)),
-        Map("contrast:efficiency", "Efficiency over that of the reference", "log2", ends=(-3, 3),
+        Map("contrast:efficiency", "Efficiency over the reference", "log2", ends=(-3, 3),
             diverging=True),
     )
 }  # fmt: skip

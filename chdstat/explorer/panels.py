@@ -437,7 +437,7 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
     caution = ""
     heavy = [name for name, tail, row in tails if tail.variance_suspect[row]]
     if heavy:
-        of = f" of {', '.join(heavy)}" if len(heavy) < len(series) else ""
+        of = f" of {', '.join(dict.fromkeys(heavy))}" if len(heavy) < len(series) else ""
         caution = f" · tail index{of} ≥ ½: do not trust it"
     elif any(tail.variance_unidentified[row] for _, tail, row in tails):
         caution = " · too few samples to say whether the variance is finite"
