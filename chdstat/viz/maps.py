@@ -301,8 +301,8 @@ def n_needed(
     Parameters
     ----------
     needed
-        As ``n_needed`` of `chdstat.inference.gaussianity_of_means`, shape (y, x): one of the sizes, -1 for
-        more than the largest, 0 where it is unknown.
+        As ``n_needed`` of `chdstat.inference.gaussianity_of_means`, shape (y, x): one of the sizes,
+        -1 for more than the largest, 0 where it is unknown.
     sizes
         The sizes that were tested, shape (size,).
     title
