@@ -24,7 +24,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -44,7 +44,6 @@ __all__ = [
     "density_of",
     "error_of",
     "expected_error",
-    "noise_of",
 ]
 
 ErrorMeasure = Literal["relMSE", "MSE"]
@@ -66,6 +65,8 @@ _REACH, _WIDTH = 6, 3.0
 """Pixels that are looked at around one in each direction, and the width of their weights."""
 _UNITS, _DEPTH = {"albedo": 0.3, "normal": 0.8}, 0.2
 """Differences in albedo, normal and logarithm of depth at which pixels are no longer similar."""
+_NEAR = 1.5
+"""Width of the weights of pixels around one whose mean is smoothed."""
 _UNLIKE = 1e-4
 """Weight of pixels that are not similar at all, for those that have no others."""
 _POWER = 0.35
@@ -153,27 +154,59 @@ class Adaptive:
         return min(needed, most)
 
 
-def noise_of(samples: Samples, measure: str) -> Floats:
-    """Return the expected squared error of one sample of each pixel, shape (y, x).
+class _Seen(NamedTuple):
+    """What samples tell of each pixel, shape (y, x, channel): mean, variance, that of the mean."""
 
-    It is the variance, for relMSE over the squared mean of the pixel plus 1 % of that of the scene,
-    on average over the channels: both are those of the pixel's own samples. The square of their
-    mean is too large by the variance of that mean, which is taken off.
-    """
-    height, width, *_ = samples.shape
-    mean, variance, square = (np.zeros(samples.shape[:3]) for _ in range(3))
-    for rows in spans(height, _ROWS):
-        x = samples.read(rows)
-        found = Moments.of(x, np.logical_not(is_bad(x).any(axis=2, keepdims=True)))
-        mean[rows], variance[rows] = found.mean, found.m2 / np.maximum(found.count - 1, 1)
-        square[rows] = found.mean**2 - variance[rows] / np.maximum(found.count, 1)
-    if measure == "MSE":
-        return np.asarray(variance.mean(axis=-1))
-    scale, is_white = np.maximum(square, _LEFT * mean**2), _chessboard(height, width)
-    for half in (is_white, ~is_white):  # which decides for the other one, without its samples
-        scale[half] += _DARK * mean[half].mean(axis=0) ** 2 if half.any() else 0
-    relative = np.divide(variance, scale, out=np.zeros_like(mean), where=scale > 0)
-    return np.asarray(relative.mean(axis=-1))
+    mean: Floats
+    variance: Floats
+    square: Floats
+
+    @classmethod
+    def of(cls, samples: Samples) -> _Seen:
+        """Read samples, some rows at once."""
+        found = cls(*(np.zeros(samples.shape[:3]) for _ in range(3)))
+        for rows in spans(samples.shape[0], _ROWS):
+            x = samples.read(rows)
+            part = Moments.of(x, np.logical_not(is_bad(x).any(axis=2, keepdims=True)))
+            found.mean[rows] = part.mean
+            found.variance[rows] = part.m2 / np.maximum(part.count - 1, 1)
+            found.square[rows] = found.variance[rows] / np.maximum(part.count, 1)
+        return found
+
+    def noise(self, measure: str) -> Floats:
+        """Return the expected squared error of one sample of each pixel, shape (y, x).
+
+        It is the variance, for relMSE over the squared mean of the pixel plus 1 % of that of the
+        scene, on average over the channels. The square of a mean of samples is too large by the
+        variance of that mean, which is taken off.
+        """
+        if measure == "MSE":
+            return np.asarray(self.variance.mean(axis=-1))
+        square = np.maximum(self.mean**2 - self.square, _LEFT * self.mean**2)
+        is_white, of_scene = _chessboard(*square.shape[:2]), np.empty_like(square)
+        for half in (is_white, ~is_white):  # which decides for the other one, without its samples
+            of_scene[half] = self.mean[half].mean(axis=0) if half.any() else 0
+        scale = square + _DARK * of_scene**2
+        relative = np.divide(self.variance, scale, out=np.zeros_like(scale), where=scale > 0)
+        return np.asarray(relative.mean(axis=-1))
+
+    def smoothed(self, features: Floats) -> _Seen:
+        """Return the same with means of similar pixels around, which hide no light by chance.
+
+        The mean of few samples is too small where their variance is too small, too, and both errors
+        would cancel in what is relative to the mean.
+        """
+        total = np.zeros((*self.mean.shape[:2], 1))
+        mean, square = np.zeros_like(self.mean), np.zeros_like(self.mean)
+        for dy, dx in np.ndindex(7, 7):
+            here, there = _overlap(dy - 3, dx - 3, len(total), total.shape[1])
+            unlike = ((features[here] - features[there]) ** 2).sum(axis=-1, keepdims=True)
+            near = math.exp(-((dy - 3) ** 2 + (dx - 3) ** 2) / (2 * _NEAR**2))
+            weight = near * (np.exp(-4 * unlike) + _UNLIKE)
+            total[here] += weight
+            mean[here] += weight * self.mean[there]
+            square[here] += weight**2 * self.square[there]
+        return _Seen(mean / total, self.variance, square / total**2)
 
 
 def density_of(noise: Floats, features: Mapping[str, Image], least: float = 1 / _SHARE) -> Floats:
@@ -182,7 +215,7 @@ def density_of(noise: Floats, features: Mapping[str, Image], least: float = 1 / 
     Parameters
     ----------
     noise
-        Expected squared error of one sample, shape (y, x), by `noise_of`.
+        Expected squared error of one sample, shape (y, x).
     features
         First-hit features, those that there are.
     least
@@ -259,8 +292,8 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
 
     The noise is the expected squared error of the image with one sample per pixel on average, with
     the ends of its interval where there is one: with n, the error is the root of the noise over n.
-    Pixels tell it by their own samples, for counts that others have decided: what is drawn to quiet
-    places by chance is not flattered.
+    Pixels tell it by their own variances, for counts that others have decided: the choice does not
+    make it look small.
 
     Parameters
     ----------
@@ -269,12 +302,14 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
     how
         What is asked for.
     """
-    noise = noise_of(samples, how.measure)
+    seen = _Seen.of(samples)
+    noise = seen.noise(how.measure)
     density = density_of(noise, samples.features, how.least)
-    found = mean_of((noise / density).ravel(), Blocks.grid(*noise.shape))
+    told = seen.smoothed(_scaled(samples.features, noise.shape)).noise(how.measure)
+    found = mean_of((told / density).ravel(), Blocks.grid(*noise.shape))
     known = {name: float(value) for name, value in found.to_dict().items()}
-    if how.error is not None:
-        known["value"] = _halved(noise, density)
+    if how.error is not None and (all_together := (noise / density).mean()) > 0:
+        known["value"] *= _halved(noise, density) / all_together
     return density.astype(np.float32), {n: v for n, v in known.items() if math.isfinite(v)}
 
 
@@ -291,7 +326,7 @@ def _halved(noise: Floats, density: Floats) -> float:
     needs = [own[~half].mean() if (~half).any() else own.mean() for half in halves]
     total = float(sum(n * half.mean() for n, half in zip(needs, halves, strict=True)))
     for need, half in zip(needs, halves, strict=True):
-        density[half] *= need / total if total > 0 else 1
+        density[half] *= need / total
     return total
 
 
@@ -328,5 +363,6 @@ def error_of(samples: Samples, measure: str = "relMSE") -> Interval[float]:
     Interval(value=...)
     """
     counts = samples.counts
-    each = noise_of(samples, measure) / np.maximum(samples.spp if counts is None else counts, 1)
+    seen = _Seen.of(samples).smoothed(_scaled(samples.features, samples.shape[:2]))
+    each = seen.noise(measure) / np.maximum(samples.spp if counts is None else counts, 1)
     return mean_of(each.ravel(), Blocks.grid(*each.shape)).root()

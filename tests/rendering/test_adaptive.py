@@ -122,10 +122,10 @@ def test_counts_grow_and_what_is_missing_is_what_they_grew_by():
 # --- renders ------------------------------------------------------------------------------------
 
 
-def test_its_samples_are_the_first_ones_of_a_render(llvm):
-    found = chd.render("cornell-box", spp=32, adaptive=True, backend=llvm, **VIEW)
+def test_its_samples_are_the_first_ones_of_a_render(wavefront):
+    found = chd.render("cornell-box", spp=32, adaptive=True, backend=wavefront, **VIEW)
     most = int(found.counts.max())
-    equal = chd.render("cornell-box", spp=most, backend=llvm, **VIEW)
+    equal = chd.render("cornell-box", spp=most, backend=wavefront, **VIEW)
     held, x = of_each(found), found.read()
     assert found.counts.mean() == pytest.approx(32, abs=0.5)
     assert found.counts.min() == 16 < most
@@ -134,9 +134,7 @@ def test_its_samples_are_the_first_ones_of_a_render(llvm):
     assert found.shares_numbers_with(equal)
 
 
-@pytest.mark.parametrize("backend", ["scalar", "llvm"])
-def test_stores_hold_what_is_in_memory_and_go_on(backend, tmp_path, request):
-    backend = backend if backend == "scalar" else request.getfixturevalue(backend)
+def test_stores_hold_what_is_in_memory_and_go_on(backend, tmp_path):
     settings = VIEW | {"backend": backend}
     held = chd.render("cornell-box", spp=16, adaptive=True, **settings)
     some = chd.render("cornell-box", spp=16, adaptive=True, out=tmp_path / "a.zarr", **settings)
@@ -155,9 +153,9 @@ def test_stores_hold_what_is_in_memory_and_go_on(backend, tmp_path, request):
 
 
 @pytest.mark.parametrize("writes", [1, 3])
-def test_what_was_stopped_goes_on(llvm, tmp_path, monkeypatch, writes):
+def test_what_was_stopped_goes_on(wavefront, tmp_path, monkeypatch, writes):
     """It stops among the first samples, or among those that were decided."""
-    settings = VIEW | {"spp": 96, "adaptive": True, "backend": llvm}
+    settings = VIEW | {"spp": 96, "adaptive": True, "backend": wavefront}
     whole, written = chd.render("cornell-box", **settings), Store.write
 
     def stopping(store, chunk, block, left=[writes]):  # noqa: B006 - it counts
@@ -175,8 +173,13 @@ def test_what_was_stopped_goes_on(llvm, tmp_path, monkeypatch, writes):
     assert np.array_equal(found.read(), whole.read(), equal_nan=True)
 
 
-def test_a_damaged_density_is_told_and_decided_again(llvm, tmp_path):
-    settings = VIEW | {"spp": 32, "adaptive": True, "backend": llvm, "out": tmp_path / "a.zarr"}
+def test_a_damaged_density_is_told_and_decided_again(wavefront, tmp_path):
+    settings = VIEW | {
+        "spp": 32,
+        "adaptive": True,
+        "backend": wavefront,
+        "out": tmp_path / "a.zarr",
+    }
     x = chd.render("cornell-box", **settings).read()
     (file,) = tmp_path.glob("a.zarr/features/density/c/*/*")
     file.write_bytes(b"")
@@ -186,8 +189,8 @@ def test_a_damaged_density_is_told_and_decided_again(llvm, tmp_path):
     assert chd.open(tmp_path / "a.zarr").counts is not None
 
 
-def test_an_error_is_reached_or_told(llvm, caplog):
-    settings = VIEW | {"backend": llvm}
+def test_an_error_is_reached_or_told(wavefront, caplog):
+    settings = VIEW | {"backend": wavefront}
     found = chd.render("cornell-box", spp=256, error=0.05, **settings)
     expected = expected_error(found.attrs)
     assert found.counts.min() == 64 < found.attrs["spp"] < 256
