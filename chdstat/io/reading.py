@@ -84,13 +84,13 @@ class Format:
 
 _NAMED = ("variable", "features")
 FORMATS = (
-    Format("npy", (".npy",), "NumPy arrays", "arrays", ("axes",)),
-    Format("npz", (".npz",), "NumPy archives", "arrays", ("axes", *_NAMED)),
+    Format("npy", (".npy",), "NumPy arrays", "array_files", ("axes",)),
+    Format("npz", (".npz",), "NumPy archives", "array_files", ("axes", *_NAMED)),
     Format(
         "xarray",
         (".nc", ".nc4", ".h5", ".zarr"),
         "Arrays of netCDF and zarr",
-        "arrays",
+        "array_files",
         ("axes", *_NAMED),
     ),
     Format("exr", (".exr",), "EXR images, each a sample or average", "exr_stack", _NAMED),
