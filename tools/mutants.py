@@ -181,7 +181,7 @@ def fate(mutant: Mutant, tests: list[str], folder: Path, longest: float) -> str:
             check=False,
             capture_output=True,
             text=True,
-            timeout=10 * seconds,
+            timeout=3 * seconds,
         )
     except subprocess.TimeoutExpired:
         return "out of time"

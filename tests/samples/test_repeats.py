@@ -51,6 +51,13 @@ def test_copies_are_named(shape, nulls):
     assert "(1: pass 2 of pass 0)" in told(with_copies(x, _2=0))
 
 
+def test_copies_without_detail_are_named():
+    """Equal passes that are even show no noise of their own; that other passes differ tells."""
+    x = np.ones((32, 32, 1, 16), np.float32) * np.random.default_rng(0).random(16, np.float32)
+    assert not told(x)
+    assert "(1: pass 2 of pass 0)" in told(with_copies(x, _2=0))
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_renderer_that_ignores_its_seed(shape):
     spp = shape[-1]
