@@ -76,6 +76,16 @@ def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backen
     assert (twice["albedo"].mean() - 0.25) / 0.5 == pytest.approx(0.75, abs=0.0125)
 
 
+@pytest.mark.parametrize(("name", "depth"), [("path", 4.0), ("volpath", 5.0)])
+def test_hidden_lamps_behind_what_is_passed_show_where_passing_is_a_reflection(
+    backend, name, depth
+):
+    hiding = {"type": name, "hide_emitters": True}
+    lamp = {**LAMP, "to_world": translate(0, 0, 1) @ scale(2, 2, 1)}
+    found = features(backend, sheet=sheet(type="null"), lamp=lamp, integrator=hiding)
+    assert found["depth"] == pytest.approx(depth, abs=0.1)
+
+
 def test_a_medium_ends_rays_where_it_scatters(backend):
     film = {**FILM, "width": 40, "height": 40}
     parts = {"box": foggy(0.5), "sensor": {**CAMERA, "film": film}}
