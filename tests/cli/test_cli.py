@@ -450,3 +450,22 @@ def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
     monkeypatch.setattr(chd, "render", stop)
     code, _, err = run("render", "cornell-box", "-o", "x.zarr")
     assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")
+
+
+def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
+    view = ("cornell-box", "-o", tmp_path / "a.zarr", "--size", "12x12", "--backend", "scalar")
+    code, out, _ = run("render", *view, "--spp", 16, "--adaptive", "--quiet", "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert told["spp"] == pytest.approx(16, abs=0.5)
+    assert 0 < told["predicted_relative_error"]["value"] < 2
+    assert 0 < told["estimated_relative_error"]["value"] < 2
+    code, out, _ = run("render", *view, "--spp", 20, "--error", 1e-3)
+    assert code == 0
+    assert "20 on average" in out
+    assert "an error of 0.001 takes about" in caplog.text
+    code, out, _ = run("info", tmp_path / "a.zarr")
+    assert "those of other pixels decided how many" in out
+    code, _, err = run("render", *view, "--summary-only", "--error", 0.1)
+    assert code == 1
+    assert "--summary-only keeps no samples" in err
