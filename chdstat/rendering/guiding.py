@@ -1,20 +1,21 @@
 """Path guiding: directions are drawn where earlier paths have found light.
 
 `trained` traces paths that are thrown away, and learns a `Guide` from them: for each cell of space,
-a distribution of directions, and the share of directions that its materials should draw instead.
-`into_scene` puts a guide into the materials of a scene, so that all of Mitsuba's integrators draw
-by it: half, or another share, of the directions come from the guide, the rest from the BSDF, and
-each is weighted by the density of both together (Veach and Guibas 1995, the balance heuristic in
-one sample). A guide that is wrong makes noise, never a bias. It is frozen before the first sample
-is drawn, so that samples are independent. Media are not guided: they draw from their phase
-functions.
+a distribution of directions. `into_scene` puts a guide into the materials of a scene, so that all
+of Mitsuba's integrators draw by it: `SHARE` of the directions come from the BSDF, the rest from the
+guide, and each is weighted by the density of both together (Veach and Guibas 1995, the balance
+heuristic in one sample). A guide that is wrong makes noise, never a bias. It is frozen before the
+first sample is drawn, so that samples are independent. Media are not guided: they draw from their
+phase functions.
 
 Müller, Gross and Novák, "Practical path guiding for efficient light-transport simulation", 2017,
 doi:10.1111/cgf.13227; Müller, "Practical path guiding in production", 2019,
 doi:10.1145/3305366.3328091 (section 10). Two things differ. The guide learns the light that a path
-carries on, cosine and BSDF included, as Rath et al. 2020, "Variance-aware path guiding",
-doi:10.1145/3386569.3392441, suggest; and the share of the BSDF is not descended to by gradients,
-but chosen for each cell from `SHARES` by paths that the guide has not seen.
+carries on, cosine and BSDF included, as Rath et al., "Variance-aware path guiding", 2020,
+doi:10.1145/3386569.3392441, suggest. And all positions of a cell do not look into the same
+directions, but at the same places, as in Ruppert et al., "Robust fitting of parallax-aware mixtures
+for path guiding", 2020, doi:10.1145/3386569.3392421: directions are those in which the center of
+the cell sees where a ray leaves a sphere, which is as far away as the light that the cell gets.
 
 Trees are sorted lists. A k-d tree that halves x, y and z in turn, and a quadtree, number their
 places by Morton codes; their leaves are intervals of these, and a lookup is a binary search for the
@@ -40,8 +41,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 __all__ = [
+    "NOTHING",
     "PASSES",
-    "SHARES",
+    "SHARE",
+    "WORTH",
     "Guide",
     "Lookup",
     "Paths",
@@ -54,8 +57,12 @@ __all__ = [
 dr: Any = drjit
 Codes = npt.NDArray[np.uint64]
 
-SHARES = (0.75, 0.5, 0.25)
-"""Shares of directions that may come from the BSDF: never all, or rare light is not found."""
+SHARE = 0.6
+"""Share of directions that come from the BSDF. A path that the guide does not expect is rarer, and
+weighs more, by this at each vertex: with less, these are outliers; with more, the guide helps less.
+"""
+WORTH = 0.7
+"""A guide pays where it makes variance less than this: a path takes half as long again."""
 _AXIS = 8
 """Bits of a position along each axis: the smallest cells are 1/256 of the scene."""
 _SQUARE = 10
@@ -67,8 +74,8 @@ _LARGEST_LEAF, _KNOWN = 0.01, 64
 more than so many paths are known to go there: of fewer, chance would be learned."""
 _EVERYWHERE = 0.1
 """Share of a guide that is uniform, so that no direction is left out."""
-_PER_CELL = 1000
-"""Vertices from which a cell is halved in the first pass; times the root of the growth later."""
+_PER_CELL = 8
+"""A cell is halved that has more vertices than this times the root of the number of all."""
 PASSES = 4
 """Passes of a training."""
 _ROOM = 15, 12
@@ -79,15 +86,19 @@ _FEWEST, _MOST = 2**17, 2**20
 """Least and largest number of paths of a training."""
 _VERTICES = 5
 """Vertices of a path that are learned from."""
+_ROUND = 1.05
+"""The sphere around a cell is larger than the cell by this."""
 _LEAST = 1e-12
-"""Densities that are 0 by rounding are taken for this."""
+"""Squares that are 0 by rounding are taken for this."""
+_BLOCKS = 8
+"""Blocks of the image, a side, in which variances are compared."""
 _LONGEST, _ROULETTE = 64, 4
 """Vertices of the longest path of a training, and how many are free of Russian roulette."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Distributions of directions in cells of space.
+    """Distributions of directions in cells of space; without any cell, it guides nothing.
 
     Attributes
     ----------
@@ -95,8 +106,10 @@ class Guide:
         Lowest and highest corner of the space that is divided, shape (2, 3).
     cells
         Morton code at which each cell begins, ascending, shape (cell,).
-    shares
-        Share of directions that come from the BSDF, shape (cell,).
+    centers
+        A position in the middle of the paths of each cell, shape (cell, 3).
+    nearness
+        One over the distance from there at which the light of each cell begins, shape (cell,).
     first
         Number of the first leaf of each cell, and of all leaves, shape (cell + 1,).
     leaves
@@ -107,7 +120,8 @@ class Guide:
 
     box: Image
     cells: npt.NDArray[np.uint32]
-    shares: Image
+    centers: Image
+    nearness: Image
     first: npt.NDArray[np.uint32]
     leaves: npt.NDArray[np.uint32]
     below: Image
@@ -126,39 +140,61 @@ class Guide:
 
         Codes and numbers of leaves are below 2^24, so that they are exact in single precision.
         """
-        cells = np.stack([self.cells, self.shares, self.first[:-1]], axis=1).astype(np.float32)
+        columns = (self.centers, self.nearness, self.cells, self.first[:-1])
+        cells = np.column_stack(columns).astype(np.float32)
+        box = np.pad(self.box, ((0, 0), (0, 3)))
         leaves = np.stack([self.leaves, self.below], axis=1).astype(np.float32)
-        return dict(zip(GUIDE, (np.concatenate([self.box, cells]), leaves), strict=True))
+        return dict(zip(GUIDE, (np.concatenate([box, cells]), leaves), strict=True))
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Image]) -> Guide:
         """Return the guide of some `arrays`."""
         cells, leaves = (arrays[name] for name in GUIDE)
-        code, share, first = cells[2:].T
+        *center, nearness, code, first = cells[2:].T
         return cls(
-            box=cells[:2],
+            box=np.ascontiguousarray(cells[:2, :3]),
             cells=code.astype(np.uint32),
-            shares=np.ascontiguousarray(share),
+            centers=np.stack(center, axis=1),
+            nearness=np.ascontiguousarray(nearness),
             first=np.append(first, len(leaves)).astype(np.uint32),
             leaves=leaves[:, 0].astype(np.uint32),
             below=np.ascontiguousarray(leaves[:, 1]),
         )
+
+    @property
+    def is_used(self) -> bool:
+        """Whether it guides anything."""
+        return len(self.cells) > 0
 
     def cells_at(self, positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Return the numbers of the cells that hold some positions (n, 3)."""
         codes = _place_codes(positions, self.box)
         return np.asarray(np.searchsorted(self.cells, codes, side="right") - 1)
 
-    def density(self, cells: npt.NDArray[np.intp], directions: npt.ArrayLike) -> Floats:
-        """Return the density per solid angle of unit vectors (n, 3), each in a cell."""
+    def density(self, positions: npt.ArrayLike, directions: npt.ArrayLike) -> Floats:
+        """Return the density per solid angle of unit vectors (n, 3) at positions (n, 3)."""
+        cells = self.cells_at(positions)
+        seen, growth = _seen_from_center(
+            (np.asarray(positions) - self.centers[cells]) * self.nearness[cells, np.newaxis],
+            np.asarray(directions),
+        )
         keys = _keys(np.repeat(np.arange(len(self.cells)), np.diff(self.first)), self.leaves)
-        wanted = _keys(cells, _direction_codes(directions))
-        leaf = np.searchsorted(keys, wanted, side="right") - 1
+        leaf = np.searchsorted(keys, _keys(cells, _direction_codes(seen)), side="right") - 1
         is_last = leaf + 1 == self.first[cells + 1]
         after = np.minimum(leaf + 1, len(self.leaves) - 1)
         probability = np.where(is_last, 1.0, self.below[after]) - self.below[leaf]
         size = np.where(is_last, _DIRECTIONS, self.leaves[after].astype(float)) - self.leaves[leaf]
-        return np.asarray(probability * _DIRECTIONS / size / _SPHERE)
+        return np.asarray(growth * probability * _DIRECTIONS / size / _SPHERE)
+
+
+def _without_cells() -> Guide:
+    nothing, none = np.zeros(0, np.float32), np.zeros(0, np.uint32)
+    box, first = np.zeros((2, 3), np.float32), np.zeros(1, np.uint32)
+    return Guide(box, none, box[:0], nothing, first, none, nothing)
+
+
+NOTHING = _without_cells()
+"""The guide that guides nothing."""
 
 
 class Paths(NamedTuple):
@@ -170,46 +206,48 @@ class Paths(NamedTuple):
         Where the vertices are, and unit vectors to where the paths go on, shape (n, 3).
     light
         Radiance that they carry on, over the density of the directions, shape (n,).
-    densities
-        Density of the directions per solid angle, shape (n,).
+    distances
+        How far they go until they meet something, shape (n,).
     """
 
     positions: Floats
     directions: Floats
     light: Floats
-    densities: Floats
+    distances: Floats
 
 
 def uniform(low: npt.ArrayLike, high: npt.ArrayLike) -> Guide:
-    """Return the guide that knows nothing: one cell, where all directions come from the BSDF.
+    """Return the guide that knows nothing: one cell, in which no direction is likelier.
 
     Examples
     --------
     >>> guide = uniform((0, 0, 0), (1, 1, 1))
-    >>> bool(guide.density(guide.cells_at([[0.5, 0.5, 0.5]]), [[0, 0, 1]]) == 1 / (4 * np.pi))
+    >>> bool(guide.density([[0.5, 0.5, 0.5]], [[0, 0, 1]]) == 1 / (4 * np.pi))
     True
     """
-    zero, one = np.zeros(1, np.uint32), np.ones(1, np.float32)
+    zero = np.zeros(1, np.uint32)
     box = np.array([low, high], np.float32)
-    return Guide(box, zero, one, np.array([0, 1], np.uint32), zero, np.zeros(1, np.float32))
+    nothing = np.zeros(1, np.float32)
+    return Guide(box, zero, box[:1], nothing, np.array([0, 1], np.uint32), zero, nothing)
 
 
-def learn(guide: Guide, paths: Paths, *, per_cell: float) -> Guide:
-    """Return a guide that has learned from paths, which another guide has drawn.
+def learn(box: Image, paths: Paths) -> Guide:
+    """Return what paths teach.
 
     Parameters
     ----------
-    guide
-        What has drawn the paths.
+    box
+        Lowest and highest corner of the space that is divided, shape (2, 3).
     paths
         Their vertices.
-    per_cell
-        A cell with more vertices is halved.
     """
-    codes = _place_codes(paths.positions, guide.box)
-    cells = _cells(np.sort(codes), per_cell)
+    codes = _place_codes(paths.positions, box)
+    cells = _cells(np.sort(codes), _PER_CELL * len(codes) ** 0.5)
     cell = np.searchsorted(cells, codes, side="right") - 1
-    keys = _keys(cell, _direction_codes(paths.directions))
+    centers, nearness = _views(box, cells, cell, paths)
+    places = (paths.positions - centers[cell]) * nearness[cell, np.newaxis]
+    seen, _ = _seen_from_center(places, paths.directions)
+    keys = _keys(cell, _direction_codes(seen))
     order = np.argsort(keys, kind="stable")
     leaves, probability = _leaves(keys[order], paths.light[order], len(cells))
     holder = (leaves // _DIRECTIONS).astype(np.intp)
@@ -217,13 +255,41 @@ def learn(guide: Guide, paths: Paths, *, per_cell: float) -> Guide:
     below = np.concatenate([[0.0], np.cumsum(probability)])[:-1]
     below -= below[first[:-1]][holder]
     return Guide(
-        guide.box,
+        box,
         cells.astype(np.uint32),
-        _shares(guide, paths, cell, len(cells)),
+        centers.astype(np.float32),
+        nearness.astype(np.float32),
         first.astype(np.uint32),
         (leaves % _DIRECTIONS).astype(np.uint32),
         np.minimum(below, 1).astype(np.float32),
     )
+
+
+def _views(
+    box: Image, cells: Codes, cell: npt.NDArray[np.intp], paths: Paths
+) -> tuple[Floats, Floats]:
+    """Return the middle of the paths of each cell, and how near the light is that they carry."""
+    sums = functools.partial(np.bincount, cell, minlength=len(cells))
+    level = np.diff(np.append(cells, np.uint64(_PLACES))).astype(np.int64)
+    bits = (np.log2(level).astype(int)[:, np.newaxis] + [2, 1, 0]) // 3
+    step = (box[1] - box[0]) / 2**_AXIS
+    low = box[0] + step * np.stack([_joined(cells >> i, 3) for i in range(3)], axis=1)
+    high, count = low + step * 2.0**bits, sums()[:, np.newaxis]
+    centers = (low + high) / 2
+    places = np.stack([sums(x) for x in paths.positions.T], axis=1)
+    np.divide(places, count, out=centers, where=count > 0)
+    radius = np.linalg.norm(np.maximum(centers - low, high - centers), axis=1)
+    light, near = sums(paths.light), sums(paths.light / paths.distances)
+    nearness = np.divide(near, light, out=np.zeros(len(cells)), where=light > 0)
+    return centers, np.minimum(nearness, 1 / (_ROUND * radius))
+
+
+def _seen_from_center(places: Any, directions: Any) -> tuple[Floats, Floats]:
+    """Return where rays from places in the unit ball leave it, and the growth of solid angles."""
+    along = (places * directions).sum(axis=1)
+    root = np.sqrt(np.maximum(along**2 - (places**2).sum(axis=1) + 1, _LEAST))
+    length = root - along
+    return places + length[:, np.newaxis] * directions, length**2 / root
 
 
 def _cells(codes: Codes, per_cell: float) -> Codes:
@@ -266,24 +332,6 @@ def _leaves(keys: Codes, light: Floats, cells: int) -> tuple[Codes, Floats]:
     return leaves[order], probability[order]
 
 
-def _shares(guide: Guide, paths: Paths, cell: npt.NDArray[np.intp], cells: int) -> Image:
-    """Return the share of the BSDF in each cell whose mixture is closest to where light went.
-
-    That is the one of least cross-entropy (Müller 2019), which a rare bright path sways less than a
-    second moment. It is judged for the old guide, which has not seen these paths. Where that one
-    has learned nothing yet, both have half.
-    """
-    if len(guide.cells) == 1:
-        return np.full(cells, 0.5, np.float32)
-    drawn_in = guide.cells_at(paths.positions)
-    guided, share = guide.density(drawn_in, paths.directions), guide.shares[drawn_in]
-    alone = np.maximum((paths.densities - (1 - share) * guided) / share, 0)
-    mixtures = (np.maximum(s * alone + (1 - s) * guided, _LEAST) for s in SHARES)
-    found = [np.bincount(cell, paths.light * np.log(m), minlength=cells) for m in mixtures]
-    best: Image = np.array(SHARES, np.float32)[np.argmax(found, axis=0)]
-    return best
-
-
 # --- Morton codes -------------------------------------------------------------------------------
 
 
@@ -319,10 +367,11 @@ def _spread(number: Any, apart: int) -> Any:
     return number
 
 
-def _joined(number: Any) -> Any:
-    """Undo `_spread` by 2."""
-    number = number & _STEPS[2][-1][1]
-    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
+def _joined(number: Any, apart: int) -> Any:
+    """Return every second or third bit of a number, as `_spread` has spread them."""
+    shifts, masks = zip(*reversed(_STEPS[apart]), strict=True)
+    number = number & masks[0]
+    for shift, mask in zip(shifts, (*masks[1:], 0x3FF), strict=True):
         number = (number | number >> shift) & mask
     return number
 
@@ -333,9 +382,9 @@ def _joined(number: Any) -> Any:
 class Lookup:
     """A guide in the arrays of the Mitsuba variant that is set, which materials look up."""
 
-    def __init__(self, mi: Any, guide: Guide) -> None:
+    def __init__(self, mi: Any, guide: Guide, steps: tuple[int, int] | None = None) -> None:
         self.mi = mi
-        self.set(guide)
+        self.set(guide, steps)
 
     def set(self, guide: Guide, steps: tuple[int, int] | None = None) -> None:
         """Look up another guide from now on.
@@ -346,45 +395,53 @@ class Lookup:
         mi, longest = self.mi, int(np.diff(guide.first).max())
         counts = len(guide.cells), longest
         self.cell_steps, self.leaf_steps = steps or ((n - 1).bit_length() for n in counts)
+        # With one leaf, it knows nothing.
+        self.share = dr.opaque(mi.Float, 1 if len(guide.leaves) == 1 else SHARE)
         low, high = guide.box.astype(np.float64)
         self.low, self.scale = mi.Point3f(low), mi.Vector3f(2**_AXIS / (high - low))
-        self.cells, self.shares = mi.UInt32(guide.cells), mi.Float(guide.shares)
+        self.cells = mi.UInt32(guide.cells)
+        self.views = mi.Float(np.column_stack([guide.centers, guide.nearness]).ravel())
         self.first, self.count = mi.UInt32(guide.first), mi.UInt32(len(guide.cells))
         self.leaves, self.below = mi.UInt32(guide.leaves), mi.Float(guide.below)
-        dr.make_opaque(self.low, self.scale, self.cells, self.shares)
+        dr.make_opaque(self.low, self.scale, self.cells, self.views)
         dr.make_opaque(self.first, self.count, self.leaves, self.below)
 
-    def cell(self, position: Any) -> tuple[Any, Any, Any]:
-        """Return the share of the BSDF at a position, and the range of leaves there."""
+    def place(self, position: Any) -> tuple[Any, Any, Any]:
+        """Return a position as seen from the center of its cell, and the range of its leaves."""
         mi = self.mi
         scaled = dr.clip((position - self.low) * self.scale, 0, 2**_AXIS - 1)
         x, y, z = (_spread(mi.UInt32(c), 3) for c in (scaled.x, scaled.y, scaled.z))
         cell = self._last(self.cells, x | y << 1 | z << 2, 0, self.count, self.cell_steps)
         first, end = (dr.gather(mi.UInt32, self.first, cell + i) for i in (0, 1))
-        return dr.gather(mi.Float, self.shares, cell), first, end
+        view = dr.gather(mi.Vector4f, self.views, cell)
+        return (mi.Vector3f(position) - view.xyz) * view.w, first, end
 
-    def density(self, leaves: Sequence[Any], direction: Any) -> Any:
+    def density(self, place: Sequence[Any], direction: Any) -> Any:
         """Return the density of a direction per solid angle."""
-        mi, turn = self.mi, dr.atan2(direction.y, direction.x) / (2 * dr.pi)
-        square = (0.5 * direction.z + 0.5, dr.select(turn < 0, turn + 1, turn))
+        mi, (inside, first, end) = self.mi, place
+        along = dr.dot(inside, direction)
+        root = dr.sqrt(dr.maximum(along * along - dr.squared_norm(inside) + 1, _LEAST))
+        length = root - along
+        seen = inside + length * direction
+        turn = dr.atan2(seen.y, seen.x) / (2 * dr.pi)
+        square = (0.5 * seen.z + 0.5, dr.select(turn < 0, turn + 1, turn))
         u, v = (mi.UInt32(dr.clip(c * 2**_SQUARE, 0, 2**_SQUARE - 1)) for c in square)
-        first, end = leaves
         code = _spread(u, 2) | _spread(v, 2) << 1
         leaf = self._last(self.leaves, code, first, end - first, self.leaf_steps)
         _, probability, _, size = self._leaf(leaf, end)
-        return probability * (_DIRECTIONS / _SPHERE) / size
+        return probability * (_DIRECTIONS / _SPHERE) / size * length * length / root
 
-    def sample(self, leaves: Sequence[Any], number: Any) -> Any:
+    def sample(self, place: Sequence[Any], number: Any) -> Any:
         """Return a direction that is drawn by two random numbers."""
-        mi, (first, end) = self.mi, leaves
+        mi, (place, first, end) = self.mi, place
         leaf = self._last(self.below, number.x, first, end - first, self.leaf_steps)
         below, probability, begin, size = self._leaf(leaf, end)
         inside = dr.clip((number.x - below) / probability, 0, dr.one_minus_epsilon(mi.Float))
         edge = dr.sqrt(size) / 2**_SQUARE
-        z = 2 * (mi.Float(_joined(begin)) / 2**_SQUARE + inside * edge) - 1
-        turn = mi.Float(_joined(begin >> 1)) / 2**_SQUARE + number.y * edge
+        z = 2 * (mi.Float(_joined(begin, 2)) / 2**_SQUARE + inside * edge) - 1
+        turn = mi.Float(_joined(begin >> 1, 2)) / 2**_SQUARE + number.y * edge
         (sine, cosine), radius = dr.sincos(2 * dr.pi * turn), dr.safe_sqrt(1 - z * z)
-        return mi.Vector3f(radius * cosine, radius * sine, z)
+        return dr.normalize(mi.Vector3f(radius * cosine, radius * sine, z) - place)
 
     def _leaf(self, leaf: Any, end: Any) -> tuple[Any, Any, Any, Any]:
         """Return the probability below a leaf, its own, where it begins, and its size."""
@@ -428,17 +485,17 @@ def _material(mi: Any, _variant: str) -> type:
             self.m_flags = nested.flags()
 
         def sample(self, ctx: Any, si: Any, one: Any, two: Any, active: Any = True) -> Any:
-            share, *leaves = self.lookup.cell(si.p)
+            share, place = self.lookup.share, self.lookup.place(si.p)
             is_guided = one >= share
             drawn, weight = self.nested.sample(
                 ctx, si, dr.select(is_guided, 0.5, one / share), two, active & ~is_guided
             )
-            guided = si.to_local(self.lookup.sample(leaves, two))
+            guided = si.to_local(self.lookup.sample(place, two))
             is_delta = ~is_guided & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
             drawn.wo = dr.select(is_guided, guided, drawn.wo)
             is_smooth = active & ~is_delta & (is_guided | (drawn.pdf > 0))
             value, density = self.nested.eval_pdf(ctx, si, drawn.wo, is_smooth)
-            density = self._mixed(si, drawn.wo, density, share, leaves)
+            density = self._mixed(si, drawn.wo, density, place)
             is_smooth &= density > 0
             weight = dr.select(is_delta, weight / share, 0)
             drawn.pdf = dr.select(is_delta, drawn.pdf * share, dr.select(is_smooth, density, 0))
@@ -448,9 +505,9 @@ def _material(mi: Any, _variant: str) -> type:
             drawn.eta = dr.select(is_guided, 1, drawn.eta)
             return drawn, dr.select(is_smooth, value / density, weight)
 
-        def _mixed(self, si: Any, wo: Any, density: Any, share: Any, leaves: Any) -> Any:
-            guided = self.lookup.density(leaves, si.to_world(wo))
-            return share * density + (1 - share) * guided
+        def _mixed(self, si: Any, wo: Any, density: Any, place: Any) -> Any:
+            share = self.lookup.share
+            return share * density + (1 - share) * self.lookup.density(place, si.to_world(wo))
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             return self.nested.eval(ctx, si, wo, active)
@@ -460,8 +517,9 @@ def _material(mi: Any, _variant: str) -> type:
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             value, density = self.nested.eval_pdf(ctx, si, wo, active)
-            share, *leaves = self.lookup.cell(si.p)
-            return value, dr.select(active, self._mixed(si, wo, density, share, leaves), 0)
+            place = self.lookup.place(si.p)
+            density = self._mixed(si, wo, density, place)
+            return value, dr.select(active, density, 0)
 
         def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
             return self.nested.eval_null_transmission(si, active)
@@ -480,11 +538,13 @@ def into_scene(mi: Any, scene: Any, guide: Guide) -> None:
 
     Those that only reflect and refract like mirrors and glass stay as they are.
     """
-    _guide_by(Lookup(mi, guide), scene)
+    if guide.is_used:
+        _guide_by(Lookup(mi, guide), scene)
 
 
-def _guide_by(lookup: Lookup, scene: Any) -> None:
-    mi, made = lookup.mi, dict[str, Any]()
+def _guide_by(lookup: Lookup, scene: Any) -> list[tuple[Any, Any]]:
+    """Let a scene look up directions, and return its shapes with the materials that they had."""
+    mi, made, before = lookup.mi, dict[str, Any](), []
     material = _material(mi, str(mi.variant()))
     for shape in scene.shapes():
         nested = shape.bsdf()
@@ -492,12 +552,22 @@ def _guide_by(lookup: Lookup, scene: Any) -> None:
             if (key := str(nested.ptr)) not in made:
                 made[key] = material(nested, lookup)
             shape.set_bsdf(made[key])
+            before.append((shape, nested))
+    return before
 
 
 # --- training -----------------------------------------------------------------------------------
 
 
-def trained(mi: Any, scene: Any, sensor: Any, size: tuple[int, int], seeds: Sequence[int]) -> Guide:
+def trained(
+    mi: Any,
+    scene: Any,
+    sensor: Any,
+    size: tuple[int, int],
+    seeds: Sequence[int],
+    *,
+    only_if_it_pays: bool = False,
+) -> Guide:
     """Return the guide that paths of a scene have taught, and let the scene draw by it.
 
     Parameters
@@ -507,62 +577,99 @@ def trained(mi: Any, scene: Any, sensor: Any, size: tuple[int, int], seeds: Sequ
     size
         (width, height) of the image, of which the number of paths depends.
     seeds
-        Of the random numbers of each pass, which has twice as many paths as the one before.
+        Of the random numbers of each pass, which has twice as many paths as the one before. The
+        first pass is not guided.
+    only_if_it_pays
+        Return a guide without cells, and the scene as it was, if the variance of the last pass is
+        not below `WORTH` times that of as many paths that are not guided.
     """
     paths = int(np.clip(_PATHS * size[0] * size[1], _FEWEST, _MOST)) // (2 ** len(seeds) - 1)
     box = scene.bbox()
     low, high = (np.array(corner, np.float64).ravel() for corner in (box.min, box.max))
     margin = 1e-3 * (high - low).max()
     guide = uniform(low - margin, high + margin)
-    lookup = Lookup(mi, guide)
-    lookup.set(guide, _ROOM)
-    _guide_by(lookup, scene)
+    lookup = Lookup(mi, guide, _ROOM)
+    before = _guide_by(lookup, scene)
     for i, seed in enumerate(seeds):
-        traced = _traced(mi, scene, sensor, seed, paths * 2**i)
-        guide = learn(guide, traced, per_cell=_PER_CELL * 2 ** (i / 2))
+        last = 2 * (paths * 2**i // 2)
+        traced, guided = _traced(mi, scene, sensor, seed, last)
+        guide = learn(guide.box, traced)
         lookup.set(guide, _ROOM)
+    if only_if_it_pays:
+        lookup.share = dr.opaque(mi.Float, 1)
+        _, plain = _traced(mi, scene, sensor, seeds[0], last)
+        # A few bright samples decide the variance of some blocks: logarithms bear them.
+        logs = np.log(np.maximum([guided, plain], _LEAST)).mean(axis=1)
+        if np.exp(logs[0] - logs[1]) > WORTH:
+            for shape, material in before:
+                shape.set_bsdf(material)
+            return NOTHING
     lookup.set(guide)
     return guide
 
 
-def _traced(mi: Any, scene: Any, sensor: Any, seed: int, paths: int) -> Paths:
-    """Trace paths through positions all over the image, and return their vertices."""
+def _traced(mi: Any, scene: Any, sensor: Any, seed: int, paths: int) -> tuple[Paths, Floats]:
+    """Trace two paths through each of many positions, and return their vertices and variances.
+
+    Positions follow the sequence R2, so that they are spread evenly over the image (Roberts 2018,
+    "The unreasonable effectiveness of quasirandom sequences").
+    """
     room = paths * _VERTICES
-    kinds = {"p": mi.Point3f, "wo": mi.Vector3f, "pdf": mi.Float}
+    kinds = {"p": mi.Point3f, "wo": mi.Vector3f, "distance": mi.Float}
     kinds |= {"throughput": mi.Spectrum, "radiance": mi.Spectrum}
     held = {name: dr.zeros(kind, room) for name, kind in kinds.items()}
-    dr.make_opaque(*held.values())
+    x, y = (np.arange(paths) // 2 * step % 1 for step in (0.7548776662466927, 0.5698402909980532))
+    position = mi.Point2f(x, y)
+    dr.make_opaque(*held.values(), position)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), paths)
-    total = _trace(mi, scene, sensor, sampler, dr.opaque(mi.UInt32, paths), paths, held)
+    lanes = dr.opaque(mi.UInt32, paths)
+    total = _trace(mi, scene, sensor, sampler, position, lanes, paths, held)
     dr.eval(total, *held.values())
     found = {name: np.array(value, np.float64) for name, value in held.items()}
-    kept = found["pdf"] > 0
-    ends = np.tile(np.array(total, np.float64).reshape(-1, paths), (1, _VERTICES))[:, kept]
+    kept, radiance = found["distance"] > 0, np.array(total, np.float64).reshape(-1, paths)
+    ends = np.tile(radiance, (1, _VERTICES))[:, kept]
     start, carried = (found[name].reshape(-1, room)[:, kept] for name in ("radiance", "throughput"))
     lit = carried > 0
     light = np.divide(ends - start, carried, out=np.zeros(carried.shape), where=lit).mean(axis=0)
     good = np.isfinite(light) & (light >= 0)
-    vertices = (found["p"].T[kept], found["wo"].T[kept], light, found["pdf"][kept])
-    return Paths(*(values[good] for values in vertices))
+    vertices = (found["p"].T[kept], found["wo"].T[kept], light, found["distance"][kept])
+    variances = _variances(np.nan_to_num(radiance.mean(axis=0)), x, y)
+    return Paths(*(values[good] for values in vertices)), variances
+
+
+def _variances(radiance: Floats, x: Any, y: Any) -> Floats:
+    """Return the variance of pairs of paths in each block of the image."""
+    block = (_BLOCKS * y[::2]).astype(int) * _BLOCKS + (_BLOCKS * x[::2]).astype(int)
+    first, second = radiance.reshape(-1, 2).T
+    count = np.maximum(np.bincount(block, minlength=_BLOCKS**2), 1)
+    return np.bincount(block, (first - second) ** 2 / 2, minlength=_BLOCKS**2) / count
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
 def _trace(
-    mi: Any, scene: Any, sensor: Any, sampler: Any, paths: Any, lanes: int, held: Mapping[str, Any]
+    mi: Any,
+    scene: Any,
+    sensor: Any,
+    sampler: Any,
+    position: Any,
+    paths: Any,
+    lanes: int,
+    held: Mapping[str, Any],
 ) -> Any:
     """Follow paths with next-event estimation, and note what they are at their vertices.
 
     Rays pass media as if these were empty: what is learned there may be wrong, and biases nothing.
     """
-    ray, _ = sensed(mi, mi.Point2f(sampler.next_2d()), sensor, sampler)
+    ray, _ = sensed(mi, position, sensor, sampler)
     ray, ctx = mi.Ray3f(ray), mi.BSDFContext()
     lane, stored, depth = dr.arange(mi.UInt32, lanes), mi.UInt32(0), mi.UInt32(0)
     radiance, throughput = mi.Spectrum(0), mi.Spectrum(1)
     before, density, is_delta = dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True)
-    active = mi.Bool(True)
+    active, last = mi.Bool(True), mi.Bool(False)
     while active:
         si = scene.ray_intersect(ray, active)
+        dr.scatter(held["distance"], si.t, (stored - 1) * paths + lane, active & last)
         seen = mi.DirectionSample3f(scene, si, before)
         by_light = scene.pdf_emitter_direction(before, seen, active & ~is_delta)
         weight = dr.select(is_delta, 1, _power(density, by_light))
@@ -579,11 +686,11 @@ def _trace(
         is_delta = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         is_kept = is_smooth & ~is_delta & (drawn.pdf > 0) & (stored < _VERTICES)
         is_kept &= dr.max(throughput * weight) > 0
-        values = {"p": si.p, "wo": going, "pdf": drawn.pdf}
+        values = {"p": si.p, "wo": going}
         values |= {"throughput": throughput, "radiance": radiance}
         for name, value in values.items():
             dr.scatter(held[name], value, stored * paths + lane, is_kept)
-        stored = dr.select(is_kept, stored + 1, stored)
+        stored, last = dr.select(is_kept, stored + 1, stored), mi.Bool(is_kept)
         throughput *= weight
         survives = dr.select(depth < _ROULETTE, 1, dr.minimum(dr.max(throughput), 0.95))
         active &= (dr.max(throughput) > 0) & (sampler.next_1d() < survives)

@@ -116,11 +116,16 @@ class MitsubaRenderer:
         """Let the scene draw directions by the guide of the job, or by one that it teaches now."""
         from chdstat.rendering import guiding
 
+        if self._scalar:  # which cannot be guided, and need not be
+            return guiding.NOTHING
         if self.job.guide is not None:
             guiding.into_scene(self._mi, self._scene, self.job.guide)
             return self.job.guide
         seeds = [self._streams.of_training(i) for i in range(guiding.PASSES)]
-        return guiding.trained(self._mi, self._scene, sensor, self.size, seeds)
+        only_if_it_pays = self.job.guided == "auto"
+        return guiding.trained(
+            self._mi, self._scene, sensor, self.size, seeds, only_if_it_pays=only_if_it_pays
+        )
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -142,7 +147,7 @@ class MitsubaRenderer:
             "scene_source": job.scene.origin,
             "scene_parameters": dict(job.scene.parameters),
             "integrator": self.integrator,
-            "guide": None if job.guide is None else job.guide.digest,
+            "guide": job.guide.digest if job.guide and job.guide.is_used else None,
             "sensor": job.options.sensor,
             "size": list(self.size),
             "crop": self.film.crop,
@@ -260,7 +265,7 @@ class MitsubaRenderer:
         """
         from chdstat.rendering.rays import first_hits
 
-        kept = {} if self.job.guide is None else self.job.guide.arrays
+        kept = self.job.guide.arrays if self.job.guide and self.job.guide.is_used else {}
         try:
             with self._telling():
                 found = first_hits(

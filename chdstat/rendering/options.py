@@ -41,8 +41,8 @@ __all__ = [
 
 IntegratorLike = str | Mapping[str, Any] | Any
 """An integrator by Mitsuba's name, as a dict with its settings, or as an object of Mitsuba's."""
-GUIDED = "guided"
-"""The scene's own integrator, whose directions come partly from a `Guide`."""
+GUIDED = ("guided", "auto")
+"""The scene's own integrator with directions from a `Guide`: always, or where it pays."""
 Crop = tuple[int, int, int, int]
 """(x, y, width, height) in pixels of the image."""
 
@@ -229,10 +229,11 @@ class Job:
     guide: Guide | None = None
 
     @property
-    def guided(self) -> bool:
-        """Whether directions are drawn by a guide, which is learned where there is none yet."""
+    def guided(self) -> str | None:
+        """Which of `GUIDED` is asked for, if any: to draw directions by a guide, or if it pays."""
         given = self.options.integrator
-        return isinstance(given, Mapping) and given["type"] == GUIDED
+        kind = given["type"] if isinstance(given, Mapping) else None
+        return kind if kind in GUIDED else None
 
     @classmethod
     def of(cls, scene: SceneLike, options: RenderOptions) -> Job:
@@ -260,10 +261,11 @@ class Job:
                 raise InputError(message)
         options = replace(options, integrator=integrator, backend=backend)
         job = cls(found, options, resolve(backend, options.color))
-        if job.guided and (job.backend.name == "scalar" or isinstance(found.source, LiveScene)):
+        needs_waves = job.guided == "guided" and job.backend.name == "scalar"
+        if needs_waves or (job.guided and isinstance(found.source, LiveScene)):
             message = (
-                f"integrator {GUIDED!r} renders files and dicts with the llvm and cuda backends, "
-                f"got {backend=} and {found.name!r}; see: chdstat doctor"
+                f"integrator {job.guided!r} renders files and dicts with the llvm and cuda "
+                f"backends, got {backend=} and {found.name!r}; see: chdstat doctor"
             )
             raise RenderError(message)
         return job

@@ -93,12 +93,12 @@ def render(
     integrator
         What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
         settings, such as ``{"type": "path", "rr_depth": 100}``. "guided" is the scene's own, which
-        draws half of its directions where earlier paths have found light (see
-        `chdstat.rendering.guiding`), with the llvm and cuda backends. Of your own, the name that a
-        plugin registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an
-        object of Mitsuba's, such as one of a class of your own: it renders in this process, with
-        the backend of its variant (with "scalar", which random numbers are a pixel's depends on how
-        many threads Mitsuba has).
+        draws some of its directions where earlier paths have found light (see
+        `chdstat.rendering.guiding`), with the llvm and cuda backends; "auto" does so where these
+        paths show that it pays. Of your own, the name that a plugin registers it by (see
+        `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an object of Mitsuba's, such as
+        one of a class of your own: it renders in this process, with the backend of its variant
+        (with "scalar", which random numbers are a pixel's depends on how many threads Mitsuba has).
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
@@ -209,10 +209,13 @@ def render(
         )
         raise InputError(message)
     job = Job.of(loaded, options)
-    if job.guided and existing is not None and (kept := existing.guide()) is not None:
-        from chdstat.rendering.guiding import Guide
+    if job.guided and existing is not None:
+        from chdstat.rendering.guiding import NOTHING, Guide
 
-        job = replace(job, guide=Guide.of_arrays(kept))
+        if (kept := existing.guide()) is not None:
+            job = replace(job, guide=Guide.of_arrays(kept))
+        elif job.guided == "auto" and existing.attrs.get("guide") is None:
+            job = replace(job, guide=NOTHING)  # "auto" goes on as the store was begun
     if client is not None:
         _check_portable(job)
     with activate(job.backend):

@@ -7,7 +7,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import RenderError, StoreError
-from chdstat.rendering import render_batches, render_pixels
+from chdstat.rendering import guiding, render_batches, render_pixels
 from chdstat.rendering.backend import activate, resolve
 from chdstat.rendering.guiding import Guide, Lookup, Paths, learn, uniform
 from chdstat.samples.store import Store
@@ -47,47 +47,84 @@ def directions(rng, n):
     return w / np.linalg.norm(w, axis=1, keepdims=True)
 
 
-@pytest.fixture(scope="module")
-def octant():
-    """Return a guide of light from one octant in one half of space, and from all in the other."""
-    rng = np.random.default_rng(0)
-    positions, w = rng.random((40_000, 3)), directions(rng, 40_000)
+BALL, RADIUS = np.array([0.5, 0.5, 2.0]), 0.1
+CUBE = uniform((0, 0, 0), (1, 1, 1)).box
+
+
+def far(rng, n):
+    """Return paths of far light: from one octant in a half of space, from all in the other."""
+    positions, w = rng.random((n, 3)), directions(rng, n)
     light = np.where(positions[:, 0] < 0.5, np.all(w > 0, axis=1), 1.0)
-    density = np.full(40_000, 1 / (4 * np.pi))
-    return learn(uniform((0, 0, 0), (1, 1, 1)), Paths(positions, w, light, density), per_cell=9000)
+    return Paths(positions, w, light, np.full(n, np.inf))
 
 
-def test_a_guide_is_a_density_that_follows_the_light(octant):
+def near(rng, n):
+    """Return paths of light from a ball near by, each weighted for the density of uniform ones."""
+    positions, w = rng.random((n, 3)), directions(rng, n)
+    w[: n // 2] = BALL + RADIUS * w[: n // 2] - positions[: n // 2]
+    distance = np.linalg.norm(w, axis=1)
+    w /= distance[:, np.newaxis]
+    return Paths(positions, w, hits(positions, w), np.where(distance > 1.01, distance, 3.0))
+
+
+def hits(positions, w):
+    along = ((BALL - positions) * w).sum(axis=1)
+    beside = np.linalg.norm(BALL - positions - along[:, np.newaxis] * w, axis=1)
+    return np.where((along > 0) & (beside < RADIUS), 1.0, 0.0)
+
+
+@pytest.fixture(scope="module", params=[far, near])
+def guide(request):
+    return learn(CUBE, request.param(np.random.default_rng(0), 100_000))
+
+
+def test_a_guide_is_a_density_everywhere(guide):
     rng = np.random.default_rng(1)
-    w = directions(rng, 200_000)
+    positions, w = rng.random((400_000, 3)), directions(rng, 400_000)
+    density = guide.density(positions, w) * 4 * np.pi
+    assert density.mean() == pytest.approx(1, abs=5 * density.std() / 400_000**0.5)
+
+
+def test_it_follows_far_light():
+    guide = learn(CUBE, far(np.random.default_rng(0), 100_000))
+    w = directions(np.random.default_rng(1), 200_000)
     for x, inside in ((0.2, 0.9 + 0.1 / 8), (0.8, 1 / 8)):
-        cell = octant.cells_at([[x, 0.5, 0.5]])
-        density = octant.density(np.repeat(cell, len(w)), w) * 4 * np.pi
-        # Standard errors are .006 and .001 of one octant's share.
-        assert density.mean() == pytest.approx(1, abs=0.03)
+        density = guide.density(np.tile([x, 0.5, 0.5], (len(w), 1)), w) * 4 * np.pi
+        # The standard error is .001 of one octant's share.
         assert np.mean(density * np.all(w > 0, axis=1)) == pytest.approx(inside, abs=0.03)
 
 
-def test_what_is_stored_is_the_guide(octant):
-    again = Guide.of_arrays(octant.arrays)
-    assert again.digest == octant.digest
-    assert replace(octant, shares=octant.shares / 2).digest != octant.digest
+def test_all_positions_of_a_cell_look_at_light_near_by():
+    """A ball fills .1 % of the sphere; without parallax, the 12 directions of a cell would."""
+    paths = near(np.random.default_rng(0), 100_000)
+    guide = learn(CUBE, paths)
+    without = learn(CUBE, paths._replace(distances=np.full(100_000, np.inf)))
+    positions = np.random.default_rng(1).random((20_000, 3))
+    w = (BALL - positions) / np.linalg.norm(BALL - positions, axis=1, keepdims=True)
+    assert guide.density(positions, w).mean() > 2 * without.density(positions, w).mean()
 
 
-def test_drawn_directions_have_the_density_that_is_said(wavefront, octant):
+def test_what_is_stored_is_the_guide(guide):
+    again = Guide.of_arrays(guide.arrays)
+    assert again.digest == guide.digest
+    assert replace(guide, nearness=guide.nearness + 1).digest != guide.digest
+
+
+def test_drawn_directions_have_the_density_that_is_said(wavefront, guide):
     """The inverse density of what is drawn integrates to the sphere."""
     with activate(resolve(wavefront)) as mi:
-        lookup = Lookup(mi, octant)
-        _, *leaves = lookup.cell(mi.Point3f(0.2, 0.5, 0.5))
+        lookup = Lookup(mi, guide)
+        place = lookup.place(mi.Point3f(0.2, 0.6, 0.3))
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(5, 200_000)
-        drawn = lookup.sample(leaves, sampler.next_2d())
-        density, w = np.array(lookup.density(leaves, drawn)), np.array(drawn).T
-    cell = np.repeat(octant.cells_at([[0.2, 0.5, 0.5]]), len(w))
+        drawn = lookup.sample(place, sampler.next_2d())
+        density, w = np.array(lookup.density(place, drawn)), np.array(drawn).T
     # Single precision puts a direction into the square beside its own, rarely.
-    assert np.isclose(density, octant.density(cell, w), rtol=1e-3).mean() > 0.999
-    assert np.mean(np.all(w > 0, axis=1)) == pytest.approx(0.9 + 0.1 / 8, abs=0.005)
-    assert np.mean(1 / density) == pytest.approx(4 * np.pi, rel=0.03)
+    told = guide.density(np.tile([0.2, 0.6, 0.3], (len(w), 1)), w)
+    assert np.isclose(density, told, rtol=1e-3).mean() > 0.998
+    for part, angle in ((w[:, 2] > 0.5, np.pi), (w[:, 2] <= 0.5, 3 * np.pi)):
+        error = float((part / density).std()) / len(w) ** 0.5
+        assert np.mean(part / density) == pytest.approx(angle, abs=4 * error)
 
 
 @pytest.fixture(scope="module")
@@ -134,3 +171,30 @@ def test_it_needs_a_backend_of_wavefronts_and_a_scene_of_its_own(wavefront):
         ROOM, integrator={"type": "guided", "max_depth": 2}, spp=4, backend=wavefront
     )
     assert short.attrs["integrator"]["max_depth"] == 2
+
+
+def test_auto_is_the_integrator_of_the_scene_where_guiding_does_not_pay(wavefront, tmp_path):
+    """Without its tray, nothing hides the lamp, and light is sampled well."""
+    lit = {name: value for name, value in ROOM.items() if name != "tray"}
+    out, view = tmp_path / "lit.zarr", VIEW | {"backend": wavefront}
+    plain = chd.render(lit, **view).read()
+    auto = chd.render(lit, integrator="auto", out=out, **view | {"spp": 32})
+    assert auto.attrs["guide"] is None
+    for integrator in ("auto", None):  # either goes on
+        spp = 48 if integrator else 64
+        auto = chd.render(lit, integrator=integrator, out=out, **view | {"spp": spp})
+    assert np.array_equal(auto.read(), plain)
+    by_scalar = [
+        render_pixels(ROOM, [(1, 1)], spp=4, integrator=i, backend="scalar") for i in ("auto", None)
+    ]
+    assert np.array_equal(*by_scalar)
+
+
+def test_auto_is_guided_where_that_pays(wavefront, monkeypatch):
+    """The guide of the room takes the variance to .75 of what it is."""
+    monkeypatch.setattr(guiding, "WORTH", 0.95)
+    auto, guided = (
+        chd.render(ROOM, integrator=i, spp=4, backend=wavefront) for i in ("auto", "guided")
+    )
+    assert auto.attrs["guide"] == guided.attrs["guide"]
+    assert np.array_equal(auto.read(), guided.read())
