@@ -199,7 +199,7 @@ class StoreSource:
 
     def __init__(self, samples: Samples) -> None:
         self.samples = samples
-        self.size = samples.shape[:2]
+        self.size, self._counts = samples.shape[:2], samples.counts
         self.channels = samples.channels
         self.path = samples.path
         self.name = samples.path.name if samples.path else samples.name
@@ -220,7 +220,8 @@ class StoreSource:
         said = f"{attrs.get('sampler', '')} sequences of {length}: errors and p-values do not hold"
         spread = said.lstrip() if length > 1 else ""
         deep = "" if depth is None else f"depth {depth}"
-        parts = (f"{width} × {height} px", f"{spp}{of} spp", spread, str(kind or ""), deep)
+        number = spp if self._counts is None else f"{self._counts.min()} to {spp}"
+        parts = (f"{width} × {height} px", f"{number}{of} spp", spread, str(kind or ""), deep)
         return " · ".join(part for part in parts if part)
 
     @property
@@ -241,7 +242,7 @@ class StoreSource:
         return StoreSource(samples) if samples.spp > self.samples.spp else None
 
     def pixel(self, y: int, x: int) -> Image:
-        """Return all samples of a pixel, shape (channel, sample).
+        """Return all samples that a pixel has, shape (channel, sample).
 
         Raises
         ------
@@ -251,11 +252,12 @@ class StoreSource:
             If the store is damaged or gone.
         """
         check_pixel(y, x, *self.size)
+        has = slice(None if self._counts is None else int(self._counts[y, x]))
         if self._block_bytes > _BLOCK_BYTES:
-            return np.asarray(self.read(slice(y, y + 1), slice(x, x + 1))[0, 0])
+            return np.asarray(self.read(slice(y, y + 1), slice(x, x + 1), has)[0, 0])
         block = self._block(y // BLOCK, x // BLOCK)
         self._check()
-        return np.asarray(block[y % BLOCK, x % BLOCK])
+        return np.asarray(block[y % BLOCK, x % BLOCK, :, has])
 
     def some(self, pixels: Sequence[PixelIndex], spp: int) -> Image:
         """Return the first samples of several pixels, shape (pixel, channel, sample)."""
@@ -273,7 +275,10 @@ class StoreSource:
         for start in range(top, bottom, BLOCK * step):
             rows = slice(start, min(start + BLOCK * step, bottom))
             part = self.read(rows, slice(left, right), slice(0, each))[::step, ::step]
-            parts.append(part.reshape(-1, *part.shape[2:]))
+            if self._counts is not None:
+                counts = self._counts[rows, left:right][::step, ::step, np.newaxis]
+                part = np.moveaxis(part, 3, 2)[np.arange(part.shape[3]) < counts][..., np.newaxis]
+            parts.append(part.reshape(-1, *part.shape[-2:]))
         return _mixed(np.concatenate(parts))
 
     def read(self, ys: slice, xs: slice, ss: slice = slice(None)) -> Image:

@@ -291,3 +291,14 @@ def test_pixels_without_noise_do_not_stretch_the_colours():
     values[:2] = -17
     values[2:4] = 1
     assert replace(MAPS["variance"], values=values).limits == (-7, 1)
+
+
+def test_a_pixel_shows_the_samples_that_it_has():
+    x = np.arange(2 * 3 * 8, dtype=np.float32).reshape(2, 3, 1, 8)
+    source = StoreSource(chd.Samples.from_array(x, counts=np.array([[8, 3, 5], [2, 8, 1]])))
+    assert source.pixel(0, 1).tolist() == x[0, 1, :, :3].tolist()
+    assert "1 to 8 spp" in source.describe()
+    pool = source.region((0, 1, 2, 3), 4)
+    assert sorted(pool[0]) == sorted(
+        [*x[0, 1, 0, :3], *x[0, 2, 0, :4], *x[1, 1, 0, :4], x[1, 2, 0, 0]]
+    )
