@@ -30,12 +30,13 @@ import numpy as np
 
 from chdstat._core.arrays import Floats, Image, Mask, is_bad, spans
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import Blocks, Interval, mean_of
 from chdstat.errors import InputError, check_option
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from chdstat._core.resampling import Interval
 
 __all__ = [
     "Adaptive",
@@ -302,6 +303,11 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
     how
         What is asked for.
     """
+    from chdstat._core.resampling import (
+        Blocks,
+        mean_of,
+    )  # loads SciPy, which a render need not wait for
+
     seen = _Seen.of(samples)
     noise = seen.noise(how.measure)
     density = density_of(noise, samples.features, how.least)
@@ -338,6 +344,8 @@ def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
     attrs
         Of its samples.
     """
+    from chdstat._core.resampling import Interval
+
     if "noise" not in attrs:
         return None
     ends = (attrs["noise"].get(name, math.nan) / attrs["spp"] for name in ("value", "low", "high"))
@@ -362,6 +370,8 @@ def error_of(samples: Samples, measure: str = "relMSE") -> Interval[float]:
     >>> error_of(Samples.from_array(x), "MSE")
     Interval(value=...)
     """
+    from chdstat._core.resampling import Blocks, mean_of
+
     counts = samples.counts
     seen = _Seen.of(samples).smoothed(_scaled(samples.features, samples.shape[:2]))
     each = seen.noise(measure) / np.maximum(samples.spp if counts is None else counts, 1)
