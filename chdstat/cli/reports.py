@@ -198,7 +198,12 @@ def study(
         ),
     ] = "independent",
     integrators: Annotated[
-        bool, flag("--integrators", "Render built-in scenes by five more integrators, too.")
+        bool,
+        flag(
+            "--integrators",
+            "Render scenes by path guiding and adaptively, and built-in ones by five more "
+            "integrators, too.",
+        ),
     ] = False,
 ) -> None:
     """Test the claims of the paper on scenes: verdicts, figures, a PDF."""

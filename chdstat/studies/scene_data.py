@@ -19,7 +19,7 @@ from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
 from chdstat.samples import Samples
-from chdstat.studies.findings import level_of, require
+from chdstat.studies.findings import level_of, require, required
 from chdstat.studies.log_chds import LogChds, of_histograms
 from chdstat.summary.statistics import summarize
 
@@ -47,6 +47,8 @@ DIRECT = "direct light, both"
 """Integrator that other ones of direct light are compared with."""
 QUANTILES_NEED = 100
 """Positive samples that a quantile at 1 % or 99 % needs."""
+_GUIDED_NEEDS = 64
+"""Samples of a pixel, of which tails and skewness say something."""
 
 
 def largest_interval(intervals: Sequence[Interval[float]], *, level: float) -> Interval[float]:
@@ -248,6 +250,10 @@ class SceneData:
     integrators
         The same scene and view by integrators that sample paths in other ways, by name: those of
         `chdstat.study` with ``integrators=True``.
+    guided
+        The same scene and view by path guiding.
+    adaptive
+        The same scene and view with counts that differ between pixels, by another seed.
     given_shorter
         What `chdstat.summarize` returned for `shorter`; None to compute it when it is needed.
     comparison
@@ -274,6 +280,8 @@ class SceneData:
     integrator: Samples | None = None
     spread: Samples | None = None
     integrators: Mapping[str, Samples] = field(default_factory=dict)
+    guided: Samples | None = None
+    adaptive: Samples | None = None
     given_shorter: xr.Dataset | None = None
     comparison: Comparison | None = None
     complexity: float | None = None
@@ -302,6 +310,24 @@ class SceneData:
         if self.shorter is None or self.given_shorter is not None:
             return self.given_shorter
         return summarize(self.shorter, progress=False)
+
+    @cached_property
+    def with_guided(self) -> tuple[SceneData, SceneData]:
+        """Image and guided one at equally many samples, of which alone they can be compared.
+
+        Raises
+        ------
+        MissingDataError
+            If it was not rendered by path guiding, or in another size.
+        """
+        guided = required(
+            self.guided, "the same scene by path guiding, by the LLVM or CUDA backend"
+        )
+        require(guided.shape[:3] == self.samples.shape[:3], "guided samples in the same size")
+        least = min(self.samples.spp, guided.spp)
+        require(least >= _GUIDED_NEEDS, f"{_GUIDED_NEEDS} guided spp, has {least}")
+        one, two = (s.isel(sample=slice(0, least)) for s in (self.samples, guided))
+        return SceneData(self.name, one), SceneData(self.name, two)
 
     @cached_property
     def chds(self) -> LogChds:

@@ -30,6 +30,7 @@ from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
+from chdstat.scenes.scene import LiveScene
 from chdstat.studies.scene_data import BSDF_SAMPLING, DIRECT, SceneData
 from chdstat.summary.statistics import summarize
 
@@ -178,7 +179,7 @@ class Stores:
         The sampler of one more render, of samples that are spread over pixels; "independent" for
         none.
     integrators
-        Whether to render by other integrators, too.
+        Whether to render by other integrators, by path guiding and with adaptive counts, too.
     """
 
     folder: Path | None
@@ -218,7 +219,13 @@ class Stores:
         if self.sampler != "independent":
             length = SPREAD[self.sampler]
             in_sequences = replace(in_sequences, spp=_SEQUENCES * length)
-            spread = self._rendered(source, in_sequences, sequence=length)
+            spread = self._rendered(source, in_sequences, sampler=self.sampler, sequence=length)
+        guided = adaptive = None
+        if self.integrators:
+            by_guide, uneven = (replace(recipe, spp=quarter, seed=seed + i) for i in (10, 11))
+            if samples.attrs["backend"] != "scalar" and not isinstance(source.source, LiveScene):
+                guided = self._rendered(source, by_guide, integrator="guided")
+            adaptive = self._rendered(source, uneven, adaptive=True)
         data = SceneData(
             scene.name,
             samples,
@@ -227,18 +234,15 @@ class Stores:
             integrator=roulette,
             spread=spread,
             integrators=integrators,
+            guided=guided,
+            adaptive=adaptive,
         )
         return data, self._rendered(source, replace(again, spp=half))
 
-    def _rendered(
-        self, scene: Scene, recipe: recipes.Recipe, *, sequence: int | None = None
-    ) -> Samples:
-        sampler = "independent" if sequence is None else self.sampler
+    def _rendered(self, scene: Scene, recipe: recipes.Recipe, **how: Any) -> Samples:
         out = None
         if self.folder is not None:
-            settings = {n: getattr(recipe, n) for n in ("max_depth", "seed", "size")}
-            if sequence is not None:
-                settings |= {"sampler": sampler, "sequence": sequence}
+            settings = {n: getattr(recipe, n) for n in ("max_depth", "seed", "size")} | how
             digest = hashlib.sha256(repr((scene.hash, list(settings.items()))).encode()).hexdigest()
             out = self.folder / f"{scene.name}-{digest[:12]}.zarr"
             done = _finished(out, scene, recipe.spp)
@@ -247,8 +251,7 @@ class Stores:
         return render(
             scene,
             **recipe.settings(),
-            sampler=sampler,
-            sequence=sequence,
+            **how,
             out=out,
             backend=self.backend,
             progress=self.progress,
@@ -353,7 +356,7 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
     # The code of plugins is known to the renderer only, which compares it before it appends.
     plugins = samples.attrs.get("scene_code") or samples.attrs.get("plugins")
     same = samples.attrs.get("scene_hash") == scene.hash and not plugins
-    return samples if same and samples.spp >= spp else None
+    return samples if same and samples.attrs.get("spp", samples.spp) >= spp else None
 
 
 def _variants(scene: Scene, samples: Samples) -> dict[str, Scene]:

@@ -112,6 +112,8 @@ class SceneStudy(Shown):
             "spread_samples": self.data.spread,
             "another_seed": self.again,
             **self.data.integrators,
+            "guided": self.data.guided,
+            "adaptive": self.data.adaptive,
         }
         return {
             "scene": self.name,
@@ -245,8 +247,8 @@ def study(
     For each scene there are up to four renders: the image; the same with paths of at most three
     segments, and with another seed, each at half the samples; and by another integrator, which
     plays Russian roulette from the first segment on, at a quarter, where the scene is not a file.
-    There is a fifth where a `sampler` is named, and five more with `integrators`. A finding that
-    another seed contradicts becomes "cannot tell".
+    There is a fifth where a `sampler` is named, and up to seven more with `integrators`. A finding
+    that another seed contradicts becomes "cannot tell".
 
     Parameters
     ----------
@@ -271,9 +273,11 @@ def study(
         once more with it, 256 or 400 samples, for the claim on correlated samples. Of
         "independent" ones, nothing is rendered, and that claim stays open.
     integrators
-        Whether scenes that are not files are rendered by five more integrators, at a quarter of
-        the samples, for the claim on integrators: without Russian roulette, with lights found by
-        sampling surfaces alone, and direct light by sampling lights, surfaces, or both.
+        Whether scenes are rendered in more ways, at a quarter of the samples: by path guiding,
+        which the scalar backend cannot, and with adaptive counts, for the claims on these; and
+        those that are not files by five more integrators, for the claim on integrators: without
+        Russian roulette, with lights found by sampling surfaces alone, and direct light by sampling
+        lights, surfaces, or both.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -396,8 +400,8 @@ def _findings(
 ) -> Findings:
     """Test the claims about one scene, those of another seed `again`."""
     claims = [c for c in CLAIMS if not (c.across or (again and c.once))]
-    others = ["" if s is None else cache_key(s) for s in (data.shorter, data.spread)]
-    others += [cache_key(s) for s in data.integrators.values()]
+    renders = (data.shorter, data.spread, data.guided, data.adaptive, *data.integrators.values())
+    others = ["" if s is None else cache_key(s) for s in renders]
     return stores.cache(data.samples).record(
         "findings",
         Findings,
@@ -411,7 +415,7 @@ def _repeated(data: SceneData, again: Samples | None, stores: Stores) -> dict[in
     if again is None:
         return {}
     other = replace(data, samples=again, given=None, integrator=None, spread=None, comparison=None)
-    other = replace(other, integrators={})
+    other = replace(other, integrators={}, guided=None, adaptive=None)
     return {f.number: f for f in _findings(other, stores, again=True)}
 
 

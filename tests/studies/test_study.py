@@ -127,6 +127,26 @@ def test_a_sampler_is_one_more_render_and_decides_on_correlated_samples(found, f
     assert renders["spread_samples"]["sequence"] == 16
 
 
+def test_a_study_by_other_integrators_guides_where_waves_are_traced(monkeypatch):
+    asked = []
+
+    def render(scene, **options):
+        asked.append(options)
+        x = np.random.default_rng(len(asked)).random((2, 2, 3, options["spp"]))
+        attrs = {"backend": "llvm", "integrator": {"type": "path"}, "spp": options["spp"]}
+        return chd.Samples.from_array(x, **attrs)
+
+    monkeypatch.setattr(stores, "render", render)
+    (scene,) = scenes_of("cornell-box", {"spp": 512})
+    for more in (False, True):
+        asked.clear()
+        data, _ = stores.Stores(None, integrators=more).renders(scene)
+        assert [o["spp"] for o in asked if o.get("integrator") == "guided"] == [128] * more
+        assert [o["spp"] for o in asked if o.get("adaptive")] == [128] * more
+        assert (data.guided is None) == (data.adaptive is None) == (not more)
+        assert len({o["seed"] for o in asked}) == len(asked)
+
+
 def test_integrators_render_one_scene_in_other_ways():
     (scene,) = scenes_of("cornell-box", {"spp": 256, "size": (12, 12)})
     data, _ = stores.Stores(None, "scalar", False, integrators=True).renders(scene)
@@ -143,6 +163,8 @@ def test_integrators_render_one_scene_in_other_ways():
     assert mean["direct light, both"] < 0.9 * mean["path"]
     assert null["BSDF sampling alone"] > null["path"] + 0.1
     assert null["direct light, BSDFs"] > null["direct light, both"] + 0.1
+    assert data.guided is None  # by the scalar backend, nothing can be
+    assert data.adaptive.counts.mean() == pytest.approx(data.adaptive.attrs["spp"], rel=0.05)
     # Lights that no ray meets are always sampled.
     lamp = {"type": "point", "intensity": {"type": "rgb", "value": 1.0}}
     assert stores.without_emitter_sampling({"type": "scene", "lamp": lamp}) is None

@@ -1,4 +1,4 @@
-"""Claims of the paper as numbers with intervals and verdicts, on any scene.
+"""Claims of the paper, and a few of ours, as numbers with intervals and verdicts, on any scene.
 
 `CLAIMS` lists them, each with the function that measures it. `SceneData` holds what is known of a
 scene, and `find` tests all claims on it and returns a `Finding` for each.
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from chdstat.studies.claim import Claim
 from chdstat.studies.claims import (
     assumptions,
+    better_sampling,
     between_renders,
     learned_models,
     phenomena,
@@ -23,12 +24,20 @@ from chdstat.studies.scene_data import SceneData
 
 __all__ = ["CLAIMS", "Claim", "ClaimTest", "Finding", "PlotData", "SceneData", "find"]
 
-_LEAVES = assumptions, between_renders, learned_models, phenomena, whole_image
+_LEAVES = (
+    assumptions,
+    better_sampling,
+    between_renders,
+    learned_models,
+    phenomena,
+    whole_image,
+)
 CLAIMS = tuple(
     sorted((claim for leaf in _LEAVES for claim in leaf.CLAIMS), key=lambda claim: claim.number)
 )
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
-Carlo variance reduction", in the order of the study."""
+Carlo variance reduction", in the order of the study; from 30 on, claims of ours, about path guiding
+and adaptive sampling, which it leaves for later."""
 
 
 def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:

@@ -246,7 +246,7 @@ def integrators(data: SceneData) -> Measurement:
     for name, base in pairs.items():
         both = summaries[name], summaries[base]
         distances[name] = together.mean(squares(*both)).root()
-        fewer[name] = _samples_ratio(*both, whole)
+        fewer[name] = samples_ratio(*both, whole)
         seconds = [_seconds_per_sample(renders[n]) for n in (name, base)]
         if seconds[0] and seconds[1]:
             log, by = fewer[name], math.log10(seconds[0] / seconds[1])
@@ -279,7 +279,7 @@ def integrators(data: SceneData) -> Measurement:
     )
 
 
-def _samples_ratio(one: xr.Dataset, two: xr.Dataset, whole: PixelSet) -> Interval[float]:
+def samples_ratio(one: xr.Dataset, two: xr.Dataset, whole: PixelSet) -> Interval[float]:
     """Return the median log ratio of the samples that averages need to be Gaussian."""
     log = [logs(np.abs(d["skewness"].to_numpy().astype(np.float64))) for d in (one, two)]
     return whole.median((2 * (log[0] - log[1])).reshape(len(whole), -1))

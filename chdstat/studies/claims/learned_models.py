@@ -1,9 +1,9 @@
 """Learning: what the learned model is worth, and whether it is the mean where there is no pattern.
 
-The claims (15 and 16) are about the model of the paper, `PAPER`, and so are the verdicts;
-other estimators that learned are tested in the same way. Elek et al. 2019, section 6: without
-identifiable patterns, such a model "should gracefully reduce to the baseline solution", the sample
-average.
+The claims (15, 16, and 32 on guided samples) are about the model of the paper, `PAPER`, and so are
+the verdicts; other estimators that learned are tested in the same way. Elek et al. 2019, section 6:
+without identifiable patterns, such a model "should gracefully reduce to the baseline solution", the
+sample average.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, generator, is_bad
 from chdstat._core.resampling import Interval
-from chdstat.comparison import Comparison
+from chdstat.comparison import Comparison, compare
 from chdstat.comparison.entries import entry_of, estimate_by
 from chdstat.comparison.metrics import relative_squared
 from chdstat.errors import ChdstatError
@@ -28,7 +28,7 @@ from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, required
+from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, require, required
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["CLAIMS"]
@@ -319,4 +319,57 @@ def _over(change: Floats, step: Floats) -> float:
     return float(np.sqrt(np.mean(change**2))) / size if size > 0 else float("nan")
 
 
-CLAIMS = (learned_model, reduction)
+# --- guided samples -------------------------------------------------------------------------------
+
+_SAME = 1.1
+"""Factor that an error over the mean's may be larger by on other samples, and hold."""
+
+
+@claim(
+    32,
+    "guided estimates",
+    "What learned from samples without path guiding holds on guided ones: its error over the "
+    "mean's is not larger.",
+    subject="this training on this image, judged on its other pixels: other scenes may differ",
+    once=True,
+)
+def guided(data: SceneData) -> Measurement:
+    """Compare relMSE over the mean's on guided samples with that on as many of the image's."""
+    pair = data.with_guided
+    comparison = required(data.comparison, "a comparison of estimators")
+    learned = [name for name in comparison.estimators if name in comparison.models]
+    require(pair[0].samples.spp >= 2 * comparison.n, f"{2 * comparison.n} guided spp to judge")
+    own, by_guide = (
+        compare(
+            scene.samples,
+            ["mean", *learned],
+            n=comparison.n,
+            model={name: comparison.models[name] for name in learned},
+            progress=False,
+        )
+        for scene in pair
+    )
+    return _papers({name: _holds(own, by_guide, name) for name in learned})
+
+
+def _holds(own: Comparison, guided: Comparison, name: str) -> Measurement:
+    """Compare what a model is worth in two comparisons, whose samples are independent."""
+    index, level = own.estimators.index(name), level_of(1)
+    errors = [_read(found, "relmse_ratio", index, level) for found in (own, guided)]
+    before, after = (error.value for error in errors)
+    ratio = Interval.unknown(level=level)
+    if before > 0 and after > 0:
+        reach = math.exp(math.hypot(*(error.high / error.value - 1 for error in errors)))
+        larger = after / before
+        ratio = Interval(larger, larger / reach, larger * reach, level)
+    test = "error over the mean's, on guided samples over others"
+    values = {"own": before, "guided": after}
+    return Measurement(
+        (ClaimTest(test, ratio, most=_SAME),),
+        details={"estimator": name, "n": own.n, "relmse_over_mean": values},
+        plot_data=PlotData.bars(values, "relMSE over the mean's"),
+        model=name,
+    )
+
+
+CLAIMS = (learned_model, reduction, guided)

@@ -176,6 +176,45 @@ def test_too_few_samples_tell_nothing(number):
     assert f"eeds {claim.spp} spp" in found.reason
 
 
+def test_guiding_and_counts_tell_nothing_without_renders_of_their_own():
+    bare = worlds.evidence(worlds.image(np.random.default_rng(0).gamma(2, size=(6, 6, SPP))))
+    for number, words in ((30, "by path guiding"), (32, "by path guiding"), (33, "adaptive=True")):
+        found = BY_NUMBER[number].find(bare)
+        assert (found.verdict, found.tests) == ("cannot tell", ())
+        assert words in found.reason
+    few = replace(bare, guided=bare.samples.isel(sample=slice(0, 16)), adaptive=bare.samples)
+    assert BY_NUMBER[31].find(few).reason == "Needs 64 guided spp, has 16."
+    assert "different numbers" in BY_NUMBER[33].find(few).reason
+    (lit,) = worlds.guided(worlds.lognormal(1), worlds.lognormal(0.5))(
+        np.random.default_rng(0), 512
+    )
+    found = BY_NUMBER[30].find(lit)
+    assert found.verdict == "cannot tell"  # no null could be rarer
+    assert found.reason.startswith("Needs nulls")
+    assert found.tests[0].verdict == "supported"
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_guided_samples_are_compared_at_equal_counts(seed):
+    """A log-normal of more samples has a larger sample skewness: cut, it has not."""
+    first = worlds.guided(worlds.lognormal(1), worlds.lognormal(1))(
+        np.random.default_rng(seed), 4 * SPP
+    )[0]
+    few = replace(first, guided=first.guided.isel(sample=slice(0, 128)))
+    for number in (30, 31):
+        for test in BY_NUMBER[number].find(few).tests:
+            assert test.verdict == "cannot tell", test
+
+
+def test_the_spread_of_errors_is_that_of_deviations_over_roots_of_counts():
+    """Counts in proportion to the variance leave no spread but that of the noise of deviations."""
+    ratio = [look(33, worlds.adaptive(p)).test.interval.value for p in (0.5, 1, 2)]
+    # Of log sigma - log n / 2, over that of log sigma, but for noise of the sample variance.
+    assert ratio[0] == pytest.approx(0.75, abs=0.03)
+    assert ratio[1] == pytest.approx(0.5, abs=0.05)
+    assert ratio[2] < 0.25
+
+
 def test_too_few_pixels_tell_nothing():
     small = replace(true_scene(2), regions=(Region("dot", "diffuse", (0, 0, 0.1, 0.1)),))
     found = BY_NUMBER[2].find(small)
@@ -310,7 +349,10 @@ def test_hostile_samples_are_data(name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", chd.errors.LeftOutWarning)
         given = chd.analyze(samples, held_out=False, progress=False)
-        scene = SceneData(name, samples, regions, given=given, shorter=samples)
+        few = np.where(np.arange(x.shape[0] * x.shape[1]) % 2, 200, 400).reshape(x.shape[:2])
+        adaptive = chd.Samples.from_array(x, counts=few)
+        more = {"shorter": samples, "guided": samples, "adaptive": adaptive}
+        scene = SceneData(name, samples, regions, given=given, **more)
         found = find(scene, others=[replace(scene, name=f"{name} {i}") for i in range(4)])
     assert json.dumps([f.to_dict() for f in found], allow_nan=False)
     if name == "bad":
@@ -330,8 +372,8 @@ def named(name, source):
 
 def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_it():
     words = {11: "these images", 12: "these images"}
-    words |= dict.fromkeys((9, 17, 28, 29), "this view, rendered twice")
-    words |= dict.fromkeys((15, 16), "this training on this image")
+    words |= dict.fromkeys((9, 17, 28, 29, 30, 31, 33), "this view, rendered twice")
+    words |= dict.fromkeys((15, 16, 32), "this training on this image")
     for f in find(named("box", "box.xml")):
         assert f.about.startswith(f"About {words.get(f.number, 'this image')}"), f.about
         assert f.to_dict()["about"] == f.about

@@ -345,6 +345,31 @@ def integrators(sigma: float, seconds: float) -> World:
     return world
 
 
+def guided(draw: Draw, by_guide: Draw) -> World:
+    """Return an image, and it by a guide, of draws of luminance."""
+
+    def world(rng, spp):
+        one, two = (image(d(rng, size(spp, 16))) for d in (draw, by_guide))
+        return [evidence(one, guided=chd.Samples.from_array(two))]
+
+    return world
+
+
+def adaptive(power: float) -> World:
+    """Return pixels with ever larger relative errors, and counts that follow a power of these."""
+
+    def world(rng, spp):
+        sigma = np.geomspace(0.1, 1, 2 * EDGE) * np.ones((2 * EDGE, 1))
+        shape = sigma[..., np.newaxis] ** -2
+        x = image(rng.gamma(shape, 1 / shape, size(spp, 2 * EDGE)))
+        counts = np.round(1000 * (sigma / sigma.max()) ** power).astype(int)
+        other = rng.random((*sigma.shape, 1, counts.max()))
+        uneven = chd.Samples.from_array(other, counts=counts)
+        return [evidence(x, adaptive=uneven)]
+
+    return world
+
+
 def complexity(sign: int) -> World:
     """Return eight scenes of which ever more pixels have two modes, and their complexity."""
 
@@ -463,6 +488,27 @@ def reduced(power: float) -> World:
     return world
 
 
+def held(bias: float) -> World:
+    """Return a model that takes a quarter of the error off the mean, and adds a bias to it.
+
+    Of guided samples, which vary less, the bias is more of the error.
+    """
+
+    def world(rng, spp):
+        x, y = (image(d(rng, size(spp, 24))) for d in (gamma(0.2), gamma(5)))
+        scene = evidence(25 * x, guided=chd.Samples.from_array(y))
+        found = chd.compare(scene.samples, ["mean"], progress=False)
+        model = SimpleNamespace(
+            predict=lambda x: 0.5 * np.asarray(x).mean(axis=-1) + 0.5 * 5 + bias,
+            train_shape=(0, 0),
+        )
+        models = {"elek2019": model}
+        comparison = replace(found, estimators=("mean", *models), models=models)
+        return [replace(scene, comparison=comparison)]
+
+    return world
+
+
 WORLDS: dict[int, tuple[World, World]] = {
     1: (nulls(0.6), nulls(0.2)),
     2: (seen(gamma(8), "diffuse"), seen(gamma(1), "diffuse")),
@@ -511,6 +557,10 @@ WORLDS: dict[int, tuple[World, World]] = {
     27: (mirrored(3), mirrored(1)),
     28: (cost(1.5, 2), cost(1, 0.5)),
     29: (integrators(1.0, 1.0), integrators(0.5, 0.25)),
+    30: (guided(mostly_null(1.5), lognormal(0.5)), guided(lognormal(0.5), mostly_null(1.5))),
+    31: (guided(lognormal(1.0), lognormal(0.7)), guided(lognormal(0.7), lognormal(1.0))),
+    32: (held(0), held(0.3)),
+    33: (adaptive(0.5), adaptive(-0.5)),
 }
 """By number of the claim: a world in which it is true, and one in which it is false."""
 TRUE, FALSE = ({number: pair[i] for number, pair in WORLDS.items()} for i in (0, 1))
@@ -536,6 +586,10 @@ FALSE_PARTS: dict[int, tuple[str, ...]] = {
     27: ("mirrored",),
     28: ("radiance", "time"),
     29: ("largest", "Gaussian"),
+    30: ("nulls", "tail index"),
+    31: ("Gaussian",),
+    32: ("error",),
+    33: ("spread",),
 }
 """By words of their names, the parts of a claim that are false in the world where it is."""
 PEAKS = seen(two_peaks, "diffuse")

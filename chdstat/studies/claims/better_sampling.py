@@ -1,0 +1,177 @@
+"""Claims on better sampling: what path guiding and adaptive counts do to distributions.
+
+Elek, Thomas and Forbes 2019 leave path guiding to later work. A guide draws directions where light
+comes from (Müller, Gross and Novák, "Practical path guiding for efficient light-transport
+simulation", 2017, doi:10.1111/cgf.13227), so that fewer paths should find none, and fewer find much
+more than the others. Renders are compared at equally many samples: of more, tails look heavier.
+Rare bright samples that have not been seen make tails look lighter, too, mostly those of the
+integrator that finds them less often.
+
+Adaptive counts change no distribution: the error of a mean is that of one sample over the root of
+their number. What is claimed is about that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from chdstat._core.arrays import Floats
+from chdstat._core.resampling import Blocks, mean_of
+from chdstat.fit import tail_index
+from chdstat.studies.claim import claim
+from chdstat.studies.claims.between_renders import samples_ratio
+from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require, required
+from chdstat.studies.scene_data import SceneData, logs
+
+__all__ = ["CLAIMS"]
+
+_WHO = "own", "guided"
+_TAIL_PIXELS = 1024
+_LONG = 0.25
+"""Tail index from which the sample variance has an infinite variance of its own."""
+_LITTLE = 0.01
+"""Of a share, an index or a decade: below it, nothing became less."""
+_DARK = 0.01
+"""Of the squared mean of the scene, which keeps relative errors of dark pixels finite."""
+
+
+# --- path guiding ---------------------------------------------------------------------------------
+
+
+@claim(
+    30,
+    "guided tails",
+    "With path guiding, fewer samples are null, and tails are lighter.",
+    paired=True,
+    once=True,
+)
+def tails(data: SceneData) -> Measurement:
+    """Compare shares of nulls and tail indices with those of path guiding, pixel by pixel."""
+    pair, whole = data.with_guided, data.whole(tests=2)
+    null = np.stack([scene.summary["null_share"].to_numpy().ravel() for scene in pair])
+    patches = list(data.scattered(_TAIL_PIXELS))
+    blocks = Blocks(np.concatenate([p.blocks.of_pixel for p in patches]), whole.blocks.region)
+    xi = np.stack(
+        [np.concatenate([tail_index(scene.light(p)).xi for p in patches]) for scene in pair]
+    )
+    tests, missing = list[ClaimTest](), list[str]()
+    if (null > 0).any():
+        fewer = whole.mean(null[1] - null[0])
+        tests.append(ClaimTest("share of nulls, guided less own", fewer, most=-_LITTLE))
+    else:
+        missing.append("needs nulls, which guiding could make rarer")
+    if np.isfinite(xi).all(axis=0).any():
+        lighter = mean_of(xi[1] - xi[0], blocks, level=whole.level)
+        tests.append(ClaimTest("tail index, guided less own", lighter, most=-_LITTLE))
+    else:
+        missing.append("needs positive samples enough for tail indices")
+    measured = {"share of nulls": null, "tail index": xi}
+    measured["long tails"] = np.where(np.isfinite(xi), xi >= _LONG, np.nan)
+    means = {f"{name}, {who}": m for name, v in measured.items() for who, m in _means(v).items()}
+    return Measurement(
+        tuple(tests),
+        tuple(missing),
+        details={"spp": pair[0].samples.spp, "means": means},
+        plot_data=PlotData.bars(means, "mean over pixels"),
+    )
+
+
+def _means(values: Floats) -> dict[str, float]:
+    """Return the means of values, shape (2, pixel), over the pixels where both are known."""
+    known = values[:, np.isfinite(values).all(axis=0)]
+    return {
+        who: float(v.mean()) if v.size else math.nan for who, v in zip(_WHO, known, strict=True)
+    }
+
+
+@claim(
+    31,
+    "guided averages",
+    "With path guiding, averages are Gaussian at fewer samples.",
+    paired=True,
+    once=True,
+)
+def averages(data: SceneData) -> Measurement:
+    """Compare the samples that averages need to be Gaussian, as the square of skewness has them."""
+    own, guided = data.with_guided
+    ratio = samples_ratio(guided.summary, own.summary, data.whole())
+    name = "log samples until averages are Gaussian, guided over own"
+    skewness = [scene.summary["skewness"].to_numpy().astype(np.float64) for scene in (own, guided)]
+    until = _means(np.stack([s.ravel() ** 2 for s in skewness]))
+    return Measurement(
+        (ClaimTest(name, ratio, most=-_LITTLE, unit="decade"),),
+        details={"samples_until_skewness_1": until, "time_ratio_with_compiling": _time_ratio(data)},
+        plot_data=PlotData.bars(until, "mean samples until averages have a skewness of 1"),
+    )
+
+
+def _time_ratio(data: SceneData) -> float | None:
+    """Return the time of a guided sample over that of one without; None where it is not known.
+
+    Kernels are compiled within the time of a render; a guide is trained before it.
+    """
+    renders = [s for s in (data.samples, data.guided) if s is not None]
+    seconds = [float(s.attrs.get("render_seconds") or 0) / s.spp for s in renders]
+    return seconds[1] / seconds[0] if seconds[0] else None
+
+
+# --- adaptive counts ------------------------------------------------------------------------------
+
+
+@claim(
+    33,
+    "adaptive counts",
+    "Where samples are drawn adaptively, the relative errors of pixels differ less than where all "
+    "pixels have as many.",
+    paired=True,
+    once=True,
+)
+def counts(data: SceneData) -> Measurement:
+    """Compare the spread of relative standard errors over pixels, as logarithms.
+
+    It does not depend on how many samples there are in all. Deviations are those of the image, for
+    either spread: what their noise adds to both draws the ratio towards 1, and not beyond. The
+    counts know nothing of it, as another seed decided them.
+    """
+    adaptive = required(data.adaptive, "the same scene rendered with adaptive=True")
+    numbers = required(adaptive.counts, "pixels with different numbers of samples")
+    require(adaptive.shape[:2] == data.samples.shape[:2], "adaptive samples in the same size")
+    whole = data.whole()
+    mean, variance = (data.summary[n].to_numpy().astype(np.float64) for n in ("mean", "variance"))
+    known = mean[np.isfinite(mean)]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        squared = variance / (mean**2 + _DARK * (known.mean() if known.size else math.nan) ** 2)
+    even = logs(squared).reshape(len(whole), -1) / 2
+    adapted = even - np.log10(numbers).reshape(len(whole), 1) / 2
+    spreads = [_spread(log, whole.blocks) for log in (adapted, even)]
+    ratio = whole.interval(lambda w: spreads[0](w) / spreads[1](w), (0.0, math.inf))
+    every = np.ones((1, len(whole.blocks)))
+    decades = {n: float(f(every)[0]) for n, f in zip(("adaptive", "even"), spreads, strict=True)}
+    name = "spread of relative errors over pixels, adaptive over even counts"
+    return Measurement(
+        (ClaimTest(name, ratio, most=1.0),),
+        details={"spread_in_decades": decades},
+        plot_data=PlotData.bars(decades, "decades that relative errors spread"),
+        few="pixels",
+    )
+
+
+def _spread(values: Floats, blocks: Blocks) -> Callable[[Floats], Floats]:
+    """Return what maps weights of blocks to the standard deviation of values (pixel, channel)."""
+    known = np.isfinite(values)
+    values = np.where(known, values - np.mean(values[known]), 0) if known.any() else values * 0
+    columns = np.stack([known, values, values**2], axis=-1).sum(axis=1)
+    sums = blocks.sums(columns)
+
+    def deviation(weights: Floats) -> Floats:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            n, total, squares = (weights @ sums).T
+            return np.asarray(np.sqrt(np.maximum(squares / n - (total / n) ** 2, 0)))
+
+    return deviation
+
+
+CLAIMS = (tails, averages, counts)
