@@ -186,6 +186,47 @@ def test_clamped_tails_have_a_reason(limit):
     np.testing.assert_array_equal(chd.fit.tail_index(atoms).reason, Reason.TIED)
 
 
+def behind_glass(rounding, brighter, seed):
+    """1000 samples, 600 of one radiance but for rounding, the others dark; and brighter ones."""
+    rng = np.random.default_rng(seed)
+    lamp = 2.68 * (1 + rounding * rng.standard_normal((len(brighter), 600)))
+    dark = rng.gamma(2, 0.2, (len(brighter), 400))
+    return np.hstack([lamp, np.minimum(dark, 2.5), brighter]).astype(np.float32)
+
+
+@pytest.mark.parametrize("rounding", [0, 1e-7, 1e-6, 1e-5])
+def test_samples_that_differ_by_rounding_are_no_tail(rounding):
+    brighter = np.random.default_rng(56).uniform(3, 4, (40, 30))
+    tail = chd.fit.tail_index(behind_glass(rounding, brighter, 57))
+    # The tail is what is brighter, and ends at 4.
+    np.testing.assert_array_equal(tail.n, 30)
+    np.testing.assert_allclose(tail.threshold, 2.68, rtol=1e-4)
+    assert (tail.xi < 0).all()
+    for count, reason in ((9, Reason.TOO_FEW), (0, Reason.TIED)):
+        x = behind_glass(rounding, brighter[:, :count], 57)
+        np.testing.assert_array_equal(chd.fit.tail_index(x).reason, reason)
+
+
+@pytest.mark.parametrize("rounding", [0, 1e-6])
+def test_a_heavy_tail_above_equal_samples_is_found(rounding):
+    """The error of the median of 40 rows of 40 excesses is 0.06."""
+    x = behind_glass(rounding, 2.69 + pareto(1.0, (40, 40), 58), 59)
+    tail = chd.fit.tail_index(x)
+    assert np.median(tail.xi) == pytest.approx(1, abs=0.25)
+    assert not tail.variance_trusted.any()
+    scaled = chd.fit.tail_index(x * np.float32(2.0**-40))
+    np.testing.assert_array_equal(scaled.xi, tail.xi)
+
+
+def test_the_largest_samples_alone_do_not_begin_among_equal_ones():
+    # The 28 largest begin within 60 that differ by rounding only, of which 5 stand out.
+    rng = np.random.default_rng(60)
+    lamp, brighter = 2.68 * (1 + 1e-6 * rng.standard_normal((40, 60))), rng.uniform(3, 4, (40, 5))
+    tail = chd.fit.tail_index(np.hstack([rng.uniform(0, 2.6, (40, 1500)), lamp, brighter]))
+    assert (tail.reason == Reason.OK).all()
+    assert (tail.xi_far < 0).all()
+
+
 def test_effective_index_in_closed_form():
     sigma = np.array([0.5, 1.0, 1.5])
     z = stats.norm.isf(0.1)
