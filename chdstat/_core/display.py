@@ -422,7 +422,7 @@ class Shown:
         >>> rng = np.random.default_rng(0)
         >>> found = chd.compare(rng.exponential(size=(8, 8, 3, 128)), ["mean", "median"])
         >>> print(found.to_latex().splitlines()[4])
-        sample mean & 1.00 [1.00, 1.00] & 1.00 [1.00, 1.00] &  & 0.0~\% & --- \\
+        sample mean & 1.00 & 1.00 &  & 0.0~\% & --- \\
         """
         card = self._card()
         if card.table:

@@ -102,8 +102,8 @@ class Adaptive:
     @classmethod
     def of(
         cls, asked: bool | str, error: float | None, spp: int, held: Mapping[str, Any] | None
-    ) -> Adaptive | None:
-        """Return what is asked for; None where all pixels get as many samples.
+    ) -> Adaptive:
+        """Return what is asked for.
 
         Parameters
         ----------
@@ -117,8 +117,6 @@ class Adaptive:
         InputError
             If there is no such measure, the error is not positive, or there are too few samples.
         """
-        if asked is False and error is None and held is None:
-            return None
         measure = "relMSE" if isinstance(asked, bool) else asked
         if held is not None and isinstance(asked, bool):
             measure = held["measure"]

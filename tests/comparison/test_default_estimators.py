@@ -15,7 +15,7 @@ from chdstat.estimators import lookup, registry
 from chdstat.explorer.estimators import batches_of, learners, scored, scored_around
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.tables import estimates_table
-from chdstat.viz.estimators import called
+from chdstat.viz.estimators import called, estimator_name
 
 N = 32
 
@@ -55,7 +55,8 @@ def by_explorer(samples):
     found = [learner.score(batches, source, place, None), *scored(batches)]
     found += scored_around(batches, source, place)
     rows = estimates_table(found, samples.channels, N, "")["rows"]
-    return [row[0] for row in rows][: len(DEFAULT_ESTIMATORS)]
+    shown = {estimator_name(name): name for name in DEFAULT_ESTIMATORS}
+    return [shown.get(row[0], row[0]) for row in rows][: len(DEFAULT_ESTIMATORS)]
 
 
 @pytest.mark.parametrize("shown", [by_compare, by_curve, by_bench, by_explorer])

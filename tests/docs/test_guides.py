@@ -55,6 +55,8 @@ SMALL = {
 IN_PYTHON = {
     "spp=256, size=(128, 128)": "spp=64, size=(16, 16)",
     "[64, 64]": "[8, 8]",
+    "plot(64, 64,": "plot(8, 8,",
+    "pixel(64, 64)": "pixel(8, 8)",
     "chd.compare(samples)": "chd.compare(samples, ['mean', 'median_of_means'])",
     ".train(samples)": ".train(samples, iterations=2)",
     '["bathroom", "caustic"], spp=256, size=(64, 64)': (
