@@ -182,8 +182,10 @@ class _Seen(NamedTuple):
         if measure == "MSE":
             return np.asarray(self.variance.mean(axis=-1))
         square = np.maximum(self.mean**2 - self.square, _LEFT * self.mean**2)
-        is_white, of_scene = _chessboard(*square.shape[:2]), np.empty_like(square)
-        for half in (is_white, ~is_white):  # which decides for the other one, without its samples
+        of_scene = np.empty_like(square)
+        for half in _halves(
+            *square.shape[:2]
+        ):  # which decides for the other one, without its samples
             of_scene[half] = self.mean[half].mean(axis=0) if half.any() else 0
         scale = square + _DARK * of_scene**2
         relative = np.divide(self.variance, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -221,8 +223,8 @@ def density_of(noise: Floats, features: Mapping[str, Image], least: float = 1 / 
         The smallest one.
     """
     expected = _expected(noise, _scaled(features, noise.shape)) ** _POWER
-    is_white, density = _chessboard(*noise.shape), np.ones(noise.shape)
-    for half in (is_white, ~is_white):
+    density = np.ones(noise.shape)
+    for half in _halves(*noise.shape):
         if half.any() and (expected[half] > 0).any():
             density[half] = _bounded(expected[half], least)
     return density
@@ -238,8 +240,10 @@ def _bounded(wanted: Floats, least: float) -> Floats:
     return np.asarray(np.clip(high * wanted, least, _MOST))
 
 
-def _chessboard(height: int, width: int) -> Mask:
-    return np.asarray(np.add.outer(np.arange(height), np.arange(width)) % 2 == 1)
+def _halves(height: int, width: int) -> tuple[Mask, Mask]:
+    """Return the white and the black squares of a chessboard."""
+    is_white = np.asarray(np.add.outer(np.arange(height), np.arange(width)) % 2 == 1)
+    return is_white, ~is_white
 
 
 def _scaled(features: Mapping[str, Image], shape: tuple[int, ...]) -> Floats:
@@ -267,8 +271,8 @@ def _expected(noise: Floats, features: Floats) -> Floats:
     total = np.where(total > 0, total, 1)
     mean = seen / total
     variance = np.maximum(squares - 2 * mean * cross + mean**2 * square, 0) / total**2
-    is_white, of_image = _chessboard(*noise.shape), np.zeros(noise.shape)
-    for half in (is_white, ~is_white):
+    of_image = np.zeros(noise.shape)
+    for half in _halves(*noise.shape):
         of_image[half] = noise[~half].mean() if (~half).any() else 0
     trusted = _TRUST * of_image**2
     drawn = trusted * mean + variance * of_image
@@ -301,10 +305,8 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
     how
         What is asked for.
     """
-    from chdstat._core.resampling import (
-        Blocks,
-        mean_of,
-    )  # loads SciPy, which a render need not wait for
+    # It loads SciPy, which a render need not wait for.
+    from chdstat._core.resampling import Blocks, mean_of
 
     seen = _Seen.of(samples)
     noise = seen.noise(how.measure)
@@ -325,8 +327,8 @@ def _halved(noise: Floats, density: Floats) -> float:
     """
     padded = np.pad(density, 1, mode="reflect")  # beside a pixel are those for which it decides
     beside = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
-    own, is_white = 4 * noise / beside, _chessboard(*noise.shape)
-    halves = [half for half in (is_white, ~is_white) if half.any()]
+    own = 4 * noise / beside
+    halves = [half for half in _halves(*noise.shape) if half.any()]
     needs = [own[~half].mean() if (~half).any() else own.mean() for half in halves]
     total = float(sum(n * half.mean() for n, half in zip(needs, halves, strict=True)))
     for need, half in zip(needs, halves, strict=True):

@@ -12,10 +12,10 @@ Müller, Gross and Novák, "Practical path guiding for efficient light-transport
 doi:10.1111/cgf.13227; Müller, "Practical path guiding in production", 2019,
 doi:10.1145/3305366.3328091 (section 10). Two things differ. The guide learns the light that a path
 carries on, cosine and BSDF included, as Rath et al., "Variance-aware path guiding", 2020,
-doi:10.1145/3386569.3392441, suggest. And all positions of a cell do not look into the same
-directions, but at the same places, as in Ruppert et al., "Robust fitting of parallax-aware mixtures
-for path guiding", 2020, doi:10.1145/3386569.3392421: directions are those in which the center of
-the cell sees where a ray leaves a sphere, which is as far away as the light that the cell gets.
+doi:10.1145/3386569.3392441, suggest. And a cell does not keep directions, but points on a
+sphere around its center, whose radius is the distance of the light that reaches it: from all of its
+positions, rays go to the same points (Ruppert et al., "Robust fitting of parallax-aware mixtures
+for path guiding", 2020, doi:10.1145/3386569.3392421).
 
 Trees are sorted lists. A k-d tree that halves x, y and z in turn, and a quadtree, number their
 places by Morton codes; their leaves are intervals of these, and a lookup is a binary search for the
@@ -127,8 +127,10 @@ class Guide:
     below: Image
 
     @property
-    def digest(self) -> str:
-        """What tells it from another guide."""
+    def digest(self) -> str | None:
+        """What tells it from another guide; None if it guides nothing."""
+        if not self.cells.size:
+            return None
         content = hashlib.sha256()
         for field in fields(self):
             content.update(np.ascontiguousarray(getattr(self, field.name)).tobytes())
@@ -136,10 +138,12 @@ class Guide:
 
     @property
     def arrays(self) -> dict[str, Image]:
-        """All that it is, in arrays of two dimensions that are kept beside samples, by name.
+        """All that it is, as two arrays that are kept beside samples; none if it guides nothing.
 
         Codes and numbers of leaves are below 2^24, so that they are exact in single precision.
         """
+        if not self.cells.size:
+            return {}
         columns = (self.centers, self.nearness, self.cells, self.first[:-1])
         cells = np.column_stack(columns).astype(np.float32)
         box = np.pad(self.box, ((0, 0), (0, 3)))
@@ -160,11 +164,6 @@ class Guide:
             leaves=leaves[:, 0].astype(np.uint32),
             below=np.ascontiguousarray(leaves[:, 1]),
         )
-
-    @property
-    def is_used(self) -> bool:
-        """Whether it guides anything."""
-        return len(self.cells) > 0
 
     def cells_at(self, positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Return the numbers of the cells that hold some positions (n, 3)."""
@@ -187,13 +186,15 @@ class Guide:
         return np.asarray(growth * probability * _DIRECTIONS / size / _SPHERE)
 
 
-def _without_cells() -> Guide:
-    nothing, none = np.zeros(0, np.float32), np.zeros(0, np.uint32)
-    box, first = np.zeros((2, 3), np.float32), np.zeros(1, np.uint32)
-    return Guide(box, none, box[:0], nothing, first, none, nothing)
-
-
-NOTHING = _without_cells()
+NOTHING = Guide(
+    box=np.zeros((2, 3), np.float32),
+    cells=np.zeros(0, np.uint32),
+    centers=np.zeros((0, 3), np.float32),
+    nearness=np.zeros(0, np.float32),
+    first=np.zeros(1, np.uint32),
+    leaves=np.zeros(0, np.uint32),
+    below=np.zeros(0, np.float32),
+)
 """The guide that guides nothing."""
 
 
@@ -270,8 +271,8 @@ def _views(
 ) -> tuple[Floats, Floats]:
     """Return the middle of the paths of each cell, and how near the light is that they carry."""
     sums = functools.partial(np.bincount, cell, minlength=len(cells))
-    level = np.diff(np.append(cells, np.uint64(_PLACES))).astype(np.int64)
-    bits = (np.log2(level).astype(int)[:, np.newaxis] + [2, 1, 0]) // 3
+    size = np.diff(np.append(cells, np.uint64(_PLACES))).astype(np.int64)
+    bits = (np.log2(size).astype(int)[:, np.newaxis] + [2, 1, 0]) // 3
     step = (box[1] - box[0]) / 2**_AXIS
     low = box[0] + step * np.stack([_joined(cells >> i, 3) for i in range(3)], axis=1)
     high, count = low + step * 2.0**bits, sums()[:, np.newaxis]
@@ -418,11 +419,11 @@ class Lookup:
 
     def density(self, place: Sequence[Any], direction: Any) -> Any:
         """Return the density of a direction per solid angle."""
-        mi, (inside, first, end) = self.mi, place
-        along = dr.dot(inside, direction)
-        root = dr.sqrt(dr.maximum(along * along - dr.squared_norm(inside) + 1, _LEAST))
+        mi, (offset, first, end) = self.mi, place
+        along = dr.dot(offset, direction)
+        root = dr.sqrt(dr.maximum(along * along - dr.squared_norm(offset) + 1, _LEAST))
         length = root - along
-        seen = inside + length * direction
+        seen = offset + length * direction
         turn = dr.atan2(seen.y, seen.x) / (2 * dr.pi)
         square = (0.5 * seen.z + 0.5, dr.select(turn < 0, turn + 1, turn))
         u, v = (mi.UInt32(dr.clip(c * 2**_SQUARE, 0, 2**_SQUARE - 1)) for c in square)
@@ -433,7 +434,7 @@ class Lookup:
 
     def sample(self, place: Sequence[Any], number: Any) -> Any:
         """Return a direction that is drawn by two random numbers."""
-        mi, (place, first, end) = self.mi, place
+        mi, (offset, first, end) = self.mi, place
         leaf = self._last(self.below, number.x, first, end - first, self.leaf_steps)
         below, probability, begin, size = self._leaf(leaf, end)
         inside = dr.clip((number.x - below) / probability, 0, dr.one_minus_epsilon(mi.Float))
@@ -441,7 +442,7 @@ class Lookup:
         z = 2 * (mi.Float(_joined(begin, 2)) / 2**_SQUARE + inside * edge) - 1
         turn = mi.Float(_joined(begin >> 1, 2)) / 2**_SQUARE + number.y * edge
         (sine, cosine), radius = dr.sincos(2 * dr.pi * turn), dr.safe_sqrt(1 - z * z)
-        return dr.normalize(mi.Vector3f(radius * cosine, radius * sine, z) - place)
+        return dr.normalize(mi.Vector3f(radius * cosine, radius * sine, z) - offset)
 
     def _leaf(self, leaf: Any, end: Any) -> tuple[Any, Any, Any, Any]:
         """Return the probability below a leaf, its own, where it begins, and its size."""
@@ -538,7 +539,7 @@ def into_scene(mi: Any, scene: Any, guide: Guide) -> None:
 
     Those that only reflect and refract like mirrors and glass stay as they are.
     """
-    if guide.is_used:
+    if guide.cells.size:
         _guide_by(Lookup(mi, guide), scene)
 
 

@@ -147,7 +147,7 @@ class MitsubaRenderer:
             "scene_source": job.scene.origin,
             "scene_parameters": dict(job.scene.parameters),
             "integrator": self.integrator,
-            "guide": job.guide.digest if job.guide and job.guide.is_used else None,
+            "guide": job.guide.digest if job.guide else None,
             "sensor": job.options.sensor,
             "size": list(self.size),
             "crop": self.film.crop,
@@ -265,7 +265,7 @@ class MitsubaRenderer:
         """
         from chdstat.rendering.rays import first_hits
 
-        kept = self.job.guide.arrays if self.job.guide and self.job.guide.is_used else {}
+        kept = self.job.guide.arrays if self.job.guide else {}
         try:
             with self._telling():
                 found = first_hits(

@@ -194,9 +194,9 @@ def render(
         if options.spp < spp_held and not existing.pending() and error is None:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, spp_held, options.spp)
-    how, held_so = None, existing.adaptive if existing else None
-    if adaptive is not False or error is not None or held_so is not None:
-        how = Adaptive.of(adaptive, error, options.spp, held_so)
+    how, decided_by = None, existing.adaptive if existing else None
+    if adaptive is not False or error is not None or decided_by is not None:
+        how = Adaptive.of(adaptive, error, options.spp, decided_by)
     if (depths or by_light or how is not None) and options.sequences is not None:
         message = (
             "direct, by_depth and by_light draw the same samples again, and adaptive draws more of "
