@@ -4,12 +4,9 @@ Run with ``pytest --benchmark-only -s tests/benchmarks/test_findings.py``. CHDST
 many worlds of each kind are drawn, in place of 50 (ties: eight times as many).
 """
 
-import importlib.util
 import os
-import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,20 +14,11 @@ import pytest
 import chdstat as chd
 from chdstat.estimators import LearnedEstimator, lookup, names
 from chdstat.studies.claims import CLAIMS, SceneData
+from tests.studies.claims import worlds
 
 WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 
 
-def _worlds():
-    path = Path(__file__).parents[1] / "studies" / "claims" / "worlds.py"
-    spec = importlib.util.spec_from_file_location("worlds", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["worlds"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-worlds = _worlds()
 BY_NUMBER = {claim.number: claim for claim in CLAIMS}
 
 

@@ -1,9 +1,5 @@
 """Families: their limits, where a maximum does not exist, and histograms instead of samples."""
 
-import runpy
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -14,20 +10,20 @@ from chdstat.errors import Reason
 from chdstat.fit import FAMILIES
 from chdstat.fit.families import FamilyFit, estimate_part
 from chdstat.fit.family import blocks
+from tests.fit import families_by_scipy as by_scipy
 
-BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 FAMILY_NAMES = sorted(FAMILIES)
 
 
 @pytest.mark.parametrize("family", FAMILY_NAMES)
 def test_log_density_is_scipys(family):
     rng = np.random.default_rng(1)
-    parameters = BY_SCIPY.random_parameters(family, rng, 4)
+    parameters = by_scipy.random_parameters(family, rng, 4)
     x = FAMILIES[family].distribution(parameters).rvs((4, 50), random_state=rng)
     part = PositivePart.of(x)
     flat = {name: value[:, 0] for name, value in parameters.items()}
     ascending = np.sort(x, axis=-1)
-    expected = BY_SCIPY.log_density(family, ascending, parameters)
+    expected = by_scipy.log_density(family, ascending, parameters)
     for points in blocks(part, np.ones(4, dtype=bool)):
         here = {name: value[points.rows] for name, value in flat.items()}
         density = FAMILIES[family].log_density(points, here) - np.log(ascending[points.rows])
@@ -40,7 +36,7 @@ def test_log_density_is_scipys(family):
 def test_fits_find_the_truth(family):
     """At 20,000 samples, each estimate is within 4.5 standard errors: failure below 1e-5 each."""
     rng = np.random.default_rng(2)
-    parameters = BY_SCIPY.random_parameters(family, rng, 10)
+    parameters = by_scipy.random_parameters(family, rng, 10)
     x = FAMILIES[family].distribution(parameters).rvs((10, 20_000), random_state=rng)
     fit = chd.fit.fit(x, family)
     assert (fit.reason == Reason.OK).all()
@@ -159,7 +155,7 @@ def test_histogram_route_agrees_with_samples(family):
     Wherever the log deviation is at least a bin (0.1 decades) and the samples lie in the support.
     """
     rng = np.random.default_rng(6)
-    parameters = BY_SCIPY.random_parameters(family, rng, 300)
+    parameters = by_scipy.random_parameters(family, rng, 300)
     x = FAMILIES[family].distribution(parameters).rvs((300, 512), random_state=rng)
     inside = ((x > 1e-5) & (x < 1e5)).all(axis=-1) & (np.log10(x).std(axis=-1) >= 0.1)
     x = x[inside]
@@ -214,7 +210,7 @@ def test_samples_in_two_heaps_may_be_likeliest_at_the_limit():
 @pytest.mark.parametrize("family", ["weibull", "burr"])
 def test_where_the_search_begins_makes_no_difference(family):
     rng = np.random.default_rng(10)
-    x = BY_SCIPY.draw(family, rng, 100, 200)
+    x = by_scipy.draw(family, rng, 100, 200)
     part, other = PositivePart.of(x), PositivePart.of(x[:, ::2])
     away = estimate_part(other, FAMILIES[family])[0].parameters
     (one, _), (two, _) = (estimate_part(part, FAMILIES[family], near) for near in (None, away))
@@ -239,7 +235,7 @@ def test_a_row_without_a_fit_does_not_make_another_overflow():
 @pytest.mark.parametrize("family", FAMILY_NAMES)
 def test_a_row_without_a_fit_has_no_density(family):
     """Nor does it warn, or change that of another."""
-    known = BY_SCIPY.parameters_at(family, 0.5)
+    known = by_scipy.parameters_at(family, 0.5)
     x = FAMILIES[family].distribution(known).ppf([0.2, 0.4, 0.6, 0.8])
     (points,) = blocks(PositivePart.of(np.stack([x, x])), np.ones(2, bool))
     parameters = {name: np.array([float(value), np.nan]) for name, value in known.items()}

@@ -1,9 +1,6 @@
 """Goodness of fit: statistics of SciPy, p-values that are uniform, power, and false discoveries."""
 
-import runpy
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +10,13 @@ import chdstat as chd
 from chdstat.errors import InputError, Reason
 from chdstat.fit import FAMILIES, goodness, select
 from chdstat.fit.goodness_of_fit import FIT_TESTS
+from tests.fit import families_by_scipy as by_scipy
 
-BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 RESAMPLES = 19
 
 
 def draw(family, shape, seed):
-    return BY_SCIPY.typical(family).rvs(size=shape, random_state=np.random.default_rng(seed))
+    return by_scipy.typical(family).rvs(size=shape, random_state=np.random.default_rng(seed))
 
 
 def least_uniformity(p_value, resamples, seed):

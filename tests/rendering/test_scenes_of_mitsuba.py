@@ -5,9 +5,6 @@ and instances, integrators, sensors and films. For each there is a small scene, 
 in 48 pixels is compared with Mitsuba's own average of four times the samples. Seeds are fixed; with
 new ones, a scene differs by chance with a probability of 1e-5 over all pixels (Sidak), more often
 where tails are heavy.
-
-``pytest -n0 -s --benchmark-only tests/benchmarks/test_scenes.py`` prints the table; given a
-checkout of Mitsuba's data repository, ``CHDSTAT_MITSUBA_DATA=FOLDER``, it compares its scenes.
 """
 
 from __future__ import annotations

@@ -8,12 +8,9 @@ counts how often verdicts are right.
 from __future__ import annotations
 
 import functools
-import importlib.util
 import json
-import sys
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,20 +20,12 @@ from chdstat.comparison import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
 from chdstat.studies.claims import CLAIMS, SceneData, find
 from chdstat.studies.claims.whole_image import brightest_firefly
+from tests.studies.claims import worlds
 
 SPP = 512
 BY_NUMBER = {claim.number: claim for claim in CLAIMS}
 
 
-def _worlds():
-    spec = importlib.util.spec_from_file_location("worlds", Path(__file__).with_name("worlds.py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["worlds"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-worlds = _worlds()
 NUMBERS = pytest.mark.parametrize("number", BY_NUMBER)
 SEEDS = pytest.mark.parametrize("seed", range(2))
 
