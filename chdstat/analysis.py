@@ -38,7 +38,7 @@ from chdstat.inference.averages import (
 from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.inference.normality import TESTS, Normality
 from chdstat.patterns.classification import Classification
-from chdstat.patterns.table import PATTERNS, Thresholds
+from chdstat.patterns.definitions import PATTERNS, Thresholds
 from chdstat.samples import ImageLike, checkpoint_key, samples_of
 from chdstat.samples.tiles import Work, assemble, tiles
 from chdstat.summary.histograms import Histogram
@@ -286,8 +286,7 @@ class _LuminanceMoments(Statistic[_Luminance]):
     def measure(self, part: PositivePart) -> _Luminance:
         good = ~is_bad(part.x)
         moments = Moments.of(np.where(good, part.x, 0), good)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.sqrt(moments.variance) / moments.mean
+        ratio = np.sqrt(moments.variance) / moments.mean
         return _Luminance(moments.mean, np.where(moments.mean > 0, ratio, np.nan))
 
 

@@ -23,7 +23,7 @@ from chdstat.fit.selection import FamilySelection
 from chdstat.inference import TESTS, TRANSFORMS, gaussianity_of_means
 from chdstat.inference.averages import NormalityOfMeans
 from chdstat.inference.normality import Normality
-from chdstat.summary.runner import run
+from chdstat.summary.runner import measured, run
 
 N = 96
 
@@ -240,7 +240,7 @@ def test_an_image_has_what_its_pixels_have_with_names_and_units(name):
     x[1, 0, :, ::3] *= 1000
     dataset = run(statistic, chd.Samples.from_array(x), progress=False)
     for y, column in ((0, 1), (1, 0), (1, 2)):
-        pixel = statistic.variables(statistic.measure(PositivePart.of(x[y, column])))
+        pixel = statistic.variables(measured(PositivePart.of(x[y, column]), statistic))
         for own, (dims, values) in pixel.items():
             found = dataset[own]
             assert found.dims == ("y", "x", *dims)

@@ -124,7 +124,8 @@ class Statistic(Generic[Found]):
     def measure(self, part: Any) -> Found:
         """Return the result of the rows of a positive part, which is NaN where a reason says why.
 
-        What depends on another statistic of the same rows asks `chdstat.summary.runner.measured`.
+        Call `chdstat.summary.runner.measured`, also for what depends on another statistic of the
+        same rows: it measures once, and lets divisions by 0 and the like pass.
         """
         raise NotImplementedError
 

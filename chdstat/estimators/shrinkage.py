@@ -27,6 +27,7 @@ from chdstat.estimators.registry import estimate_rows, mean_of_good, register
 from chdstat.estimators.robust_means import gmon_adaptive
 from chdstat.fit.families import FAMILIES, FamilyFit, Fit
 from chdstat.fit.mixtures import Mixture, mixture
+from chdstat.summary.runner import measured
 
 __all__ = [
     "gamma_shrinkage",
@@ -327,4 +328,4 @@ def _mean_of_fit(x: Reals, fit: Callable[[Reals], Fit | Mixture]) -> Floats:
 
 
 def _mean_of_family(x: Reals, name: str) -> Floats:
-    return _mean_of_fit(x, lambda x: FamilyFit(FAMILIES[name]).measure(PositivePart.of(x)))
+    return _mean_of_fit(x, lambda x: measured(PositivePart.of(x), FamilyFit(FAMILIES[name])))

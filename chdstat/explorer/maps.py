@@ -347,7 +347,7 @@ def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
     """Return the values of a tile (y, x, channel, sample), and what labels are decided by."""
     if name == "pattern":
         patterns = Classification()
-        found = patterns.measure(PositivePart.of_pixels(block, rows="luminance"))
+        found = measured(PositivePart.of_pixels(block, rows="luminance"), patterns)
         variables = patterns.variables(found)
         return np.asarray(variables["label"][1]), variables
     if name.startswith(_ERROR):

@@ -38,7 +38,7 @@ from chdstat.inference.modes import Modality, ModalMixture, Modes
 from chdstat.inference.normality import Normality
 from chdstat.patterns import Patterns, Thresholds
 from chdstat.patterns.classification import Classification
-from chdstat.patterns.table import firefly_limit
+from chdstat.patterns.definitions import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.runner import measured
 from chdstat.viz.chd import FEWEST_FITTED
@@ -275,7 +275,7 @@ def goodness(
     for i, name in enumerate(SELECTED):
         step(i / len(SELECTED))
         tests: tuple[FitTest, ...] = ("anderson-darling", "kolmogorov-smirnov")
-        found = GoodnessOfFit(FAMILIES[name], tests, resamples, i).measure(part)
+        found = measured(part, GoodnessOfFit(FAMILIES[name], tests, resamples, i))
         result[name] = found.p_value[:, 0], found.effect[:, 1], found.reason[:, 0]
     return result
 
@@ -333,7 +333,7 @@ def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, PixelIndex
     for i in range(0, len(pixels), _AT_ONCE):
         yield i / len(pixels), []
         part = PositivePart.of_pixels(source.some(pixels[i : i + _AT_ONCE], _SPP), rows="luminance")
-        found = Classification().measure(part)
+        found = measured(part, Classification())
         for name, patterns in _SUGGESTED:
             lower = [
                 np.where(found.flags[p] & (part.n > 0), found.intervals[p][..., 0], -np.inf)

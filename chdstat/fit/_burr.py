@@ -60,9 +60,8 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
     """
     start = None
     if near is not None:
-        with np.errstate(invalid="ignore"):
-            rho = near["c"] * (part.log_statistics.log_mean - np.log(near["scale"]))
-            start = np.log(near["c"]), np.maximum(np.log1p(np.logaddexp(0, rho)), _LEAST)
+        rho = near["c"] * (part.log_statistics.log_mean - np.log(near["scale"]))
+        start = np.log(near["c"]), np.maximum(np.log1p(np.logaddexp(0, rho)), _LEAST)
     c, d, scale, c_error, d_error, scale_error, converged, limit = maximise(
         part,
         _profile,
@@ -75,9 +74,8 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
         tolerance=tolerance,
     )
     log_mean = part.log_statistics.log_mean
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        # The mean of log(1 + (x/s)^c) is 1 / d.
-        likelihood = np.log(c * d) + c * (log_mean - np.log(scale)) - 1 - 1 / d - log_mean
+    # The mean of log(1 + (x/s)^c) is 1 / d.
+    likelihood = np.log(c * d) + c * (log_mean - np.log(scale)) - 1 - 1 / d - log_mean
     return Estimate(
         parameters={"c": c, "d": d, "scale": scale},
         standard_errors={"c": c_error, "d": d_error, "scale": scale_error},
@@ -89,22 +87,21 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
 
 def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     """Return parameters, standard errors, convergence, and the code of a limit, (8, row)."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        c, rho = np.exp(at[0]), _log_expm1(np.expm1(at[1]))
-        level, rest = _logistic(points, c, rho)
-        d = 1 / level
-        scale = np.exp(points.log_mean - rho / c)
-        errors = _standard_errors(points, rest, c, d, rho)
-        errors[2] *= scale
-        # A maximum at the floor is the Weibull limit. Wherever the search ends, it is a local one
-        # if the power law above the smallest sample, to which c grows without bound, is likelier.
-        reached = at[0] + rho - np.log(level) - level
-        weibull = converged & (at[1] <= 2 * _LEAST)
-        # The limit of the profile as c goes to infinity, -log mean log(x / smallest x).
-        power_law = -np.log(-np.where(points.weight > 0, points.log, 0).min(axis=-1))
-        limit = np.where(weibull, Reason.AT_LIMIT, Reason.OK)
-        limit = np.where(power_law >= reached, Reason.AT_PARETO_LIMIT, limit)
-        interior = (limit == Reason.OK) & np.isfinite(errors).all(axis=0)
+    c, rho = np.exp(at[0]), _log_expm1(np.expm1(at[1]))
+    level, rest = _logistic(points, c, rho)
+    d = 1 / level
+    scale = np.exp(points.log_mean - rho / c)
+    errors = _standard_errors(points, rest, c, d, rho)
+    errors[2] *= scale
+    # A maximum at the floor is the Weibull limit. Wherever the search ends, it is a local one
+    # if the power law above the smallest sample, to which c grows without bound, is likelier.
+    reached = at[0] + rho - np.log(level) - level
+    weibull = converged & (at[1] <= 2 * _LEAST)
+    # The limit of the profile as c goes to infinity, -log mean log(x / smallest x).
+    power_law = -np.log(-np.where(points.weight > 0, points.log, 0).min(axis=-1))
+    limit = np.where(weibull, Reason.AT_LIMIT, Reason.OK)
+    limit = np.where(power_law >= reached, Reason.AT_PARETO_LIMIT, limit)
+    interior = (limit == Reason.OK) & np.isfinite(errors).all(axis=0)
     return np.stack([c, d, scale, *errors, converged & interior, limit])
 
 
@@ -114,40 +111,38 @@ def _start(points: WeightedSamples) -> Floats:
     Of samples in two heaps, the likelihood may have one maximum there and one in the Weibull limit,
     so that a second start lies close to that.
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        square = points.log**2
-        variance = points.average(square)
-        square *= points.log
-        skewness = points.average(square) / variance**1.5
-        # Tables must ascend; the skewness falls as d grows.
-        d = np.interp(skewness, _SKEWNESS[::-1], _SHAPES[::-1])
-        c = np.sqrt((special.polygamma(1, 1) + special.polygamma(1, d)) / variance)
-        rho = special.digamma(1) - special.digamma(d)
-        weibull = np.log(np.pi / np.sqrt(6 * variance))
+    square = points.log**2
+    variance = points.average(square)
+    square *= points.log
+    skewness = points.average(square) / variance**1.5
+    # Tables must ascend; the skewness falls as d grows.
+    d = np.interp(skewness, _SKEWNESS[::-1], _SHAPES[::-1])
+    c = np.sqrt((special.polygamma(1, 1) + special.polygamma(1, d)) / variance)
+    rho = special.digamma(1) - special.digamma(d)
+    weibull = np.log(np.pi / np.sqrt(6 * variance))
     cumulants = np.stack([np.log(c), np.log1p(np.logaddexp(0, rho))])
     return np.stack([cumulants, np.stack([weibull, np.full_like(weibull, _NEAR_LIMIT)])])
 
 
 def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log c + mean v - log L - L`` with L = 1 / d."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        c, rho = np.exp(at[0]), _log_expm1(np.expm1(at[1]))
-        level, rest = _logistic(points, c, rho)
-        l_rho, l_c, _ = points.moments(1 - rest)
-        l_rho_rho, l_rho_c, l_c_c = points.moments(_slope(rest))
-        f, g = 1 + 1 / level, 1 / level**2
-        by_c, by_rho = 1 / c - f * l_c, 1 - f * l_rho
-        by_c_c = -1 / c**2 + g * l_c**2 - f * l_c_c
-        by_rho_c = g * l_c * l_rho - f * l_rho_c
-        by_rho_rho = g * l_rho**2 - f * l_rho_rho
-        # From (c, rho) to (a, b): d rho / d q = 1 + e^-rho, and d q / d b = e^b.
-        rise, more = np.exp(at[1]), np.exp(-rho)
-        stretch = rise * (1 + more)
-        value = at[0] + rho - np.log(level) - level
-        mixed = c * stretch * by_rho_c
-        by_b_b = stretch**2 * by_rho_rho + (1 - more * rise) * stretch * by_rho
-        curvatures = c**2 * by_c_c + c * by_c, mixed, by_b_b
-        return np.stack([value, c * by_c, stretch * by_rho, *curvatures])
+    c, rho = np.exp(at[0]), _log_expm1(np.expm1(at[1]))
+    level, rest = _logistic(points, c, rho)
+    l_rho, l_c, _ = points.moments(1 - rest)
+    l_rho_rho, l_rho_c, l_c_c = points.moments(_slope(rest))
+    f, g = 1 + 1 / level, 1 / level**2
+    by_c, by_rho = 1 / c - f * l_c, 1 - f * l_rho
+    by_c_c = -1 / c**2 + g * l_c**2 - f * l_c_c
+    by_rho_c = g * l_c * l_rho - f * l_rho_c
+    by_rho_rho = g * l_rho**2 - f * l_rho_rho
+    # From (c, rho) to (a, b): d rho / d q = 1 + e^-rho, and d q / d b = e^b.
+    rise, more = np.exp(at[1]), np.exp(-rho)
+    stretch = rise * (1 + more)
+    value = at[0] + rho - np.log(level) - level
+    mixed = c * stretch * by_rho_c
+    by_b_b = stretch**2 * by_rho_rho + (1 - more * rise) * stretch * by_rho
+    curvatures = c**2 * by_c_c + c * by_c, mixed, by_b_b
+    return np.stack([value, c * by_c, stretch * by_rho, *curvatures])
 
 
 def _standard_errors(
@@ -195,8 +190,7 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     v += shift[:, np.newaxis]
     # A row without a fit is NaN, which must not hide that another is too large for exp.
     if np.fmax.reduce(v, axis=None, initial=0) > 700:
-        with np.errstate(invalid="ignore"):
-            density = np.logaddexp(0, v)
+        density = np.logaddexp(0, v)
     else:
         density = np.log1p(np.exp(v))
     density *= -(d + 1)[:, np.newaxis]

@@ -33,12 +33,11 @@ _TOLERANCE = 1e-12
 def _estimate(part: Part, *_search: object) -> Estimate:
     sums = part.log_statistics
     shape, converged = gamma_shape(sums.gap)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        scale = np.asarray(sums.mean / shape)
-        # Inverse of the Fisher information; excess = shape * trigamma(shape) - 1.
-        excess = shape * _gap_slope(shape)
-        shape_error = np.sqrt(shape / (sums.n * excess))
-        scale_error = scale * np.sqrt((1 + excess) / shape / (sums.n * excess))
+    scale = np.asarray(sums.mean / shape)
+    # Inverse of the Fisher information; excess = shape * trigamma(shape) - 1.
+    excess = shape * _gap_slope(shape)
+    shape_error = np.sqrt(shape / (sums.n * excess))
+    scale_error = scale * np.sqrt((1 + excess) / shape / (sums.n * excess))
     return Estimate(
         parameters={"shape": shape, "scale": scale},
         standard_errors={"shape": shape_error, "scale": scale_error},
@@ -76,12 +75,11 @@ def _gap_slope(k: Floats) -> Floats:
 
 def _log_likelihood(part: Part, parameters: Parameters) -> Floats:
     sums, k = part.log_statistics, parameters["shape"]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        # Written around mean = k * scale, where the maximum is, so that large terms cancel first.
-        ratio = sums.mean / (k * parameters["scale"])
-        off = k * (np.log(ratio) - (ratio - 1))
-        per_sample = off + _peak(k) - (k - 1) * sums.gap - np.log(sums.mean)
-        return np.asarray(sums.n * per_sample)
+    # Written around mean = k * scale, where the maximum is, so that large terms cancel first.
+    ratio = sums.mean / (k * parameters["scale"])
+    off = k * (np.log(ratio) - (ratio - 1))
+    per_sample = off + _peak(k) - (k - 1) * sums.gap - np.log(sums.mean)
+    return np.asarray(sums.n * per_sample)
 
 
 def _peak(k: Floats) -> Floats:
@@ -95,8 +93,7 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     # With z = x / mean, log f(log x) = k (log z - z + 1) + peak: large terms cancel in the peak.
     log_mean = np.log(shape * parameters["scale"]) - points.log_mean
     log = points.log - log_mean[:, np.newaxis]
-    with np.errstate(over="ignore"):
-        density = log - np.expm1(log)
+    density = log - np.expm1(log)
     density *= shape[:, np.newaxis]
     density += _peak(shape)[:, np.newaxis]
     return density

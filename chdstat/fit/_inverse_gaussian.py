@@ -39,33 +39,30 @@ __all__ = ["INVERSE_GAUSSIAN"]
 
 def _estimate(part: Part, *_search: object) -> Estimate:
     mu, inverse = of_rows(part, INVERSE_GAUSSIAN.minimum, 2, _moments).reshape(2, *part.n.shape)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        shape = mu / inverse
-        return Estimate(
-            parameters={"mu": mu, "lambda": shape},
-            standard_errors={
-                "mu": mu * np.sqrt(inverse / part.n),
-                "lambda": shape * np.sqrt(2 / part.n),
-            },
-            converged=np.isfinite(mu) & np.isfinite(shape) & (shape > 0),
-        )
+    shape = mu / inverse
+    return Estimate(
+        parameters={"mu": mu, "lambda": shape},
+        standard_errors={
+            "mu": mu * np.sqrt(inverse / part.n),
+            "lambda": shape * np.sqrt(2 / part.n),
+        },
+        converged=np.isfinite(mu) & np.isfinite(shape) & (shape > 0),
+    )
 
 
 def _moments(points: WeightedSamples) -> Floats:
     """Return the mean, and mean(mu / x - 1), which is mu / lambda; shape (2, row)."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        mean = points.average(np.exp(points.log))
-        # Of nearly equal samples, mu / x - 1 cancels; its mean is that of (x - mu)^2 / (mu x).
-        half = 0.5 * (points.log - np.log(mean)[:, np.newaxis])
-        return np.stack([np.exp(points.log_mean) * mean, points.average(4 * np.sinh(half) ** 2)])
+    mean = points.average(np.exp(points.log))
+    # Of nearly equal samples, mu / x - 1 cancels; its mean is that of (x - mu)^2 / (mu x).
+    half = 0.5 * (points.log - np.log(mean)[:, np.newaxis])
+    return np.stack([np.exp(points.log_mean) * mean, points.average(4 * np.sinh(half) ** 2)])
 
 
 def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     mu, shape = parameters["mu"], parameters["lambda"]
     log = points.log + (points.log_mean - np.log(mu))[:, np.newaxis]
-    with np.errstate(over="ignore"):
-        # (x - mu)^2 / (mu x) = 4 sinh(log(x / mu) / 2)^2.
-        density = -2 * (shape / mu)[:, np.newaxis] * np.sinh(log / 2) ** 2
+    # (x - mu)^2 / (mu x) = 4 sinh(log(x / mu) / 2)^2.
+    density = -2 * (shape / mu)[:, np.newaxis] * np.sinh(log / 2) ** 2
     density -= log / 2
     density += 0.5 * np.log(shape / mu / (2 * np.pi))[:, np.newaxis]
     return np.asarray(density)

@@ -29,22 +29,20 @@ __all__ = ["LOGNORMAL"]
 
 def _estimate(part: Part, *_search: object) -> Estimate:
     sums = part.log_statistics
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mu, sigma = sums.log_mean, np.sqrt(sums.log_variance)
-        return Estimate(
-            parameters={"mu": mu, "sigma": sigma},
-            standard_errors={"mu": sigma / np.sqrt(sums.n), "sigma": sigma / np.sqrt(2 * sums.n)},
-            converged=np.isfinite(mu),
-        )
+    mu, sigma = sums.log_mean, np.sqrt(sums.log_variance)
+    return Estimate(
+        parameters={"mu": mu, "sigma": sigma},
+        standard_errors={"mu": sigma / np.sqrt(sums.n), "sigma": sigma / np.sqrt(2 * sums.n)},
+        converged=np.isfinite(mu),
+    )
 
 
 def _log_likelihood(part: Part, parameters: Parameters) -> Floats:
     sums, mu, sigma = part.log_statistics, parameters["mu"], parameters["sigma"]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        misfit = (sums.log_variance + (sums.log_mean - mu) ** 2) / (2 * sigma**2)
-        # Minus log x is the Jacobian of the logarithm: likelihoods compare in linear radiance.
-        per_sample = -misfit - np.log(sigma) - 0.5 * np.log(2 * np.pi) - sums.log_mean
-        return np.asarray(sums.n * per_sample)
+    misfit = (sums.log_variance + (sums.log_mean - mu) ** 2) / (2 * sigma**2)
+    # Minus log x is the Jacobian of the logarithm: likelihoods compare in linear radiance.
+    per_sample = -misfit - np.log(sigma) - 0.5 * np.log(2 * np.pi) - sums.log_mean
+    return np.asarray(sums.n * per_sample)
 
 
 def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:

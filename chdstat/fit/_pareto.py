@@ -54,14 +54,13 @@ def _estimate(part: Part, *_search: object) -> Estimate:
     xi, scale, converged, limit = maximise(
         part, _profile, start=_best_of_grid, finish=_finish, names=4, minimum=PARETO.minimum
     )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # Smith 1987, doi:10.1214/aos/1176350499; from xi = -1/2 down they hold no more.
-        regular = np.where(xi > -0.5, 1 + xi, np.nan)
-        errors = {
-            # For bounded tails, the errors in samples do not fall as those in theory do.
-            "xi": np.maximum(regular, _LEAST_ERROR) / np.sqrt(part.n),
-            "scale": scale * np.sqrt(2 * regular / part.n),
-        }
+    # Smith 1987, doi:10.1214/aos/1176350499; from xi = -1/2 down they hold no more.
+    regular = np.where(xi > -0.5, 1 + xi, np.nan)
+    errors = {
+        # For bounded tails, the errors in samples do not fall as those in theory do.
+        "xi": np.maximum(regular, _LEAST_ERROR) / np.sqrt(part.n),
+        "scale": scale * np.sqrt(2 * regular / part.n),
+    }
     return Estimate(
         {"xi": xi, "scale": scale}, errors, converged == 1, np.nan_to_num(limit).astype(np.int8)
     )
@@ -69,14 +68,13 @@ def _estimate(part: Part, *_search: object) -> Estimate:
 
 def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     """Return xi, scale, convergence and the code of where there is no maximum, shape (4, row)."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        u = np.expm1(at[0])
-        relative, _, _ = _moments(points, _ratio(points), u)
-        xi = u * relative
-        scale = np.exp(points.log_mean + points.log_top) * relative
-        # Bins hold no sample at their edge: a support that ends there may be likeliest.
-        bounded = np.zeros_like(converged) if points.single else at[0] < _AT_EDGE
-        converged = (converged | bounded) & (xi > -1)
+    u = np.expm1(at[0])
+    relative, _, _ = _moments(points, _ratio(points), u)
+    xi = u * relative
+    scale = np.exp(points.log_mean + points.log_top) * relative
+    # Bins hold no sample at their edge: a support that ends there may be likeliest.
+    bounded = np.zeros_like(converged) if points.single else at[0] < _AT_EDGE
+    converged = (converged | bounded) & (xi > -1)
     # A search that meets xi = -1 cannot end: beyond, the likelihood has no bound.
     limit = np.where(~converged & (xi < _LEAST), Reason.AT_LIMIT, Reason.OK)
     return np.stack([xi, scale, converged, limit])
@@ -93,15 +91,14 @@ def _best_of_grid(points: WeightedSamples) -> Floats:
 
 def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``-log scale - xi``, by s."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        u, ratio = np.expm1(at[0]), _ratio(points)
-        # g = xi / u is the scale relative to the largest sample.
-        g, slope, curvature = _moments(points, ratio, u)
-        xi = u * g
-        value = np.where(xi > -1, -np.log(g) - xi, np.nan)
-        by_u = -slope / g - g - u * slope
-        by_u_u = -curvature / g + (slope / g) ** 2 - 2 * slope - u * curvature
-        return np.stack([value, (1 + u) * by_u, (1 + u) ** 2 * by_u_u + (1 + u) * by_u])
+    u, ratio = np.expm1(at[0]), _ratio(points)
+    # g = xi / u is the scale relative to the largest sample.
+    g, slope, curvature = _moments(points, ratio, u)
+    xi = u * g
+    value = np.where(xi > -1, -np.log(g) - xi, np.nan)
+    by_u = -slope / g - g - u * slope
+    by_u_u = -curvature / g + (slope / g) ** 2 - 2 * slope - u * curvature
+    return np.stack([value, (1 + u) * by_u, (1 + u) ** 2 * by_u_u + (1 + u) * by_u])
 
 
 def _ratio(points: WeightedSamples) -> Floats:
@@ -139,12 +136,11 @@ def _series(points: WeightedSamples, ratio: Floats, u: Floats) -> Floats:
 def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     xi, scale = parameters["xi"], parameters["scale"]
     log = points.log + (points.log_mean - np.log(scale))[:, np.newaxis]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        x = np.exp(log)
-        product = xi[:, np.newaxis] * x
-        # Near xi = 0, log(1 + xi x) / xi is x less a term of second order.
-        ratio = np.where(np.abs(product) < 1e-9, x, np.log1p(product) / xi[:, np.newaxis])
-        density = np.where(product <= -1, -np.inf, log - (1 + xi)[:, np.newaxis] * ratio)
+    x = np.exp(log)
+    product = xi[:, np.newaxis] * x
+    # Near xi = 0, log(1 + xi x) / xi is x less a term of second order.
+    ratio = np.where(np.abs(product) < 1e-9, x, np.log1p(product) / xi[:, np.newaxis])
+    density = np.where(product <= -1, -np.inf, log - (1 + xi)[:, np.newaxis] * ratio)
     return np.asarray(density)
 
 

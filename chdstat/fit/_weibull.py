@@ -32,11 +32,10 @@ __all__ = ["WEIBULL"]
 def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log k + k mean(log x) - log mean(x^k)``, by log k."""
     k, top = np.exp(at[0]), points.log_top
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        total, first, second = points.moments(_powers(points, k, top))
-        first, second = first / total, second / total
-        second -= first**2
-        value = at[0] - np.log(total) - k * top
+    total, first, second = points.moments(_powers(points, k, top))
+    first, second = first / total, second / total
+    second -= first**2
+    value = at[0] - np.log(total) - k * top
     return np.stack([value, 1 - k * first, -k * first - k**2 * second])
 
 
@@ -72,28 +71,26 @@ def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate
         near=None if near is None else (np.log(near["shape"]), np.zeros(part.n.shape)),
         tolerance=tolerance,
     )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # Inverse of the Fisher information, in closed form: Johnson, Kotz and Balakrishnan,
-        # "Continuous univariate distributions", vol. 1, 1994, chapter 21.
-        root = np.sqrt(6 / part.n) / np.pi
-        scale_factor = np.sqrt(np.pi**2 / 6 + (1 - np.euler_gamma) ** 2)
-        # The mean of (x/s)^k is 1.
-        log_mean = part.log_statistics.log_mean
-        likelihood = np.log(shape) + shape * (log_mean - np.log(scale)) - 1 - log_mean
-        return Estimate(
-            parameters={"shape": shape, "scale": scale},
-            standard_errors={"shape": shape * root, "scale": scale / shape * root * scale_factor},
-            converged=converged == 1,
-            log_likelihood=part.n * likelihood,
-        )
+    # Inverse of the Fisher information, in closed form: Johnson, Kotz and Balakrishnan,
+    # "Continuous univariate distributions", vol. 1, 1994, chapter 21.
+    root = np.sqrt(6 / part.n) / np.pi
+    scale_factor = np.sqrt(np.pi**2 / 6 + (1 - np.euler_gamma) ** 2)
+    # The mean of (x/s)^k is 1.
+    log_mean = part.log_statistics.log_mean
+    likelihood = np.log(shape) + shape * (log_mean - np.log(scale)) - 1 - log_mean
+    return Estimate(
+        parameters={"shape": shape, "scale": scale},
+        standard_errors={"shape": shape * root, "scale": scale / shape * root * scale_factor},
+        converged=converged == 1,
+        log_likelihood=part.n * likelihood,
+    )
 
 
 def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     shape = parameters["shape"]
     power = points.log - (np.log(parameters["scale"]) - points.log_mean)[:, np.newaxis]
     power *= shape[:, np.newaxis]
-    with np.errstate(over="ignore"):
-        density = power - np.exp(power)
+    density = power - np.exp(power)
     density += np.log(shape)[:, np.newaxis]
     return density
 

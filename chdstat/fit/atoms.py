@@ -183,8 +183,7 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     share = np.take_along_axis(kept, run, axis=-1)
     below, above = (np.take_along_axis(v, run, axis=-1) for v in (below, above))
     stays = valid & (rank < share)
-    with np.errstate(invalid="ignore", over="ignore"):
-        spread = ascending * np.exp((rank + 0.5) / np.maximum(share, 1) * (below + above) - below)
+    spread = ascending * np.exp((rank + 0.5) / np.maximum(share, 1) * (below + above) - below)
     moved, still = np.zeros_like(x), np.zeros_like(positive)
     np.put_along_axis(moved, order, np.where(stays & (share > 1), spread, ascending), axis=-1)
     np.put_along_axis(still, order, stays, axis=-1)
@@ -270,8 +269,7 @@ def _surprise(count: Counts, width: Floats) -> tuple[Floats, Floats]:
         undecided[here] = (samples < _ENOUGH) & (room >= 8) | (samples < _MANY) & (room >= 24)
     mean, number = np.exp(log_rate), count[row, at]
     shape = 1 / np.maximum(variance, _LEAST_VARIANCE)
-    with np.errstate(divide="ignore"):
-        tail, seen = (np.log(special.betainc(k, shape, mean / (mean + shape))) for k in (number, 1))
+    tail, seen = (np.log(special.betainc(k, shape, mean / (mean + shape))) for k in (number, 1))
     log_p[row, at], expected[row, at] = tail - seen, mean
     return log_p, expected
 
@@ -344,8 +342,7 @@ def _is_discrete(log: Floats, kept: Counts) -> Mask:
     order = np.argsort(~used, axis=-1, kind="stable")
     step = np.diff(np.take_along_axis(np.where(used, log, np.nan), order, axis=-1), axis=-1)
     heavy = np.take_along_axis(kept, order, axis=-1)[:, 1:-1] >= _HEAVY
-    with np.errstate(invalid="ignore"):
-        uneven = np.abs(np.log(step[:, 1:] / step[:, :-1])) > np.log(_UNEVEN)
+    uneven = np.abs(np.log(step[:, 1:] / step[:, :-1])) > np.log(_UNEVEN)
     few = np.count_nonzero(used, axis=-1) < _FEWEST_VALUES
     most = 2 * np.where(kept >= _HEAVY, kept, 0).sum(axis=-1) > kept.sum(axis=-1)
     several = _IRREGULAR * np.count_nonzero(heavy, axis=-1)
@@ -375,8 +372,7 @@ def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
     top, held = top.reshape(-1)[rows], held.reshape(-1)[rows]
     clamped = whole.positive & ~rest.positive & (whole.x == top[:, np.newaxis])
     parameters = estimate_part(rest, described)[0].parameters
-    with np.errstate(invalid="ignore"):
-        clamped &= (described.distribution(parameters).sf(top) * rest.n > _LAMP * held)[:, None]
+    clamped &= (described.distribution(parameters).sf(top) * rest.n > _LAMP * held)[:, None]
     row, at = np.nonzero(clamped)
     share = (np.cumsum(clamped, axis=-1)[row, at] - 0.5) / held[row]
     filled = replace(

@@ -171,8 +171,7 @@ def _gamma_moments(state: Floats) -> tuple[Floats, Floats]:
 
 def _gamma_median(state: Floats) -> Floats:
     shape = np.exp(state[2])
-    with np.errstate(divide="ignore"):
-        return np.asarray(state[1] + np.log(special.gammaincinv(shape, 0.5) / shape))
+    return np.asarray(state[1] + np.log(special.gammaincinv(shape, 0.5) / shape))
 
 
 def _gamma_scores(groups: SampleGroups, state: Floats) -> tuple[Floats, Floats]:
@@ -306,8 +305,7 @@ def run(
     active, here = np.arange(state.shape[-1]), groups
     for _ in range(cycles):
         # Extrapolation may leave the numbers; what it reached is then not taken.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            state[..., active], value = _cycle(here, family, take_last(state, active))
+        state[..., active], value = _cycle(here, family, take_last(state, active))
         done = value - bound[active] < tolerance * here.n
         bound[active], converged[active] = value, done
         if done.all():
@@ -344,11 +342,10 @@ def refit(
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
     """Return the log density of y, from y, t(y), and coefficients (3, component, ...) of them."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        exponent, top = _exponents(log, statistic, coefficients)
-        total = np.log(np.exp(exponent, out=exponent).sum(axis=0))
-        # Far beyond every component, all terms are minus infinity, and so is their sum.
-        return np.where(top == -np.inf, -np.inf, total + top)
+    exponent, top = _exponents(log, statistic, coefficients)
+    total = np.log(np.exp(exponent, out=exponent).sum(axis=0))
+    # Far beyond every component, all terms are minus infinity, and so is their sum.
+    return np.where(top == -np.inf, -np.inf, total + top)
 
 
 def _cycle(groups: SampleGroups, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:

@@ -236,8 +236,7 @@ class Fit(Result):
 
 def counts_of(part: Part) -> dict[str, Any]:
     """Return the fields that all fits to the same samples share."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        null_share = np.asarray(part.n_null / part.n_good)
+    null_share = np.asarray(part.n_null / part.n_good)
     names = ("n", "n_null", "n_zero", "n_negative", "n_bad")
     counts: dict[str, Any] = {name: getattr(part, name) for name in names}
     return {
@@ -304,10 +303,9 @@ class FamilyFit(ParametricFit[Fit]):
         no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
         few = part.n < max(family.errors_from.values(), default=0)
         why = np.where(few, Reason.TOO_FEW, np.where(no_error, Reason.NOT_REGULAR, Reason.OK))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # Nulls hold nothing about the shape: only their share is estimated from all samples.
-            of_shape = len(parameters) * np.log(part.n)
-            bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
+        # Nulls hold nothing about the shape: only their share is estimated from all samples.
+        of_shape = len(parameters) * np.log(part.n)
+        bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
         return Fit(
             family=family.name,
             parameters=parameters,

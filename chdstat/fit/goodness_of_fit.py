@@ -107,7 +107,7 @@ Fitted: TypeAlias = Fit | Selection
 """What was fitted, a mixture included, and can be tested."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GoodnessOfFit(Statistic[Goodness]):
     """Tests of a family, a fit, or (None) of the best family; options as of `goodness`."""
 
@@ -296,8 +296,7 @@ def _check_fit(part: Part, fit: Fitted) -> None:
     other = np.zeros(part.n.shape, dtype=bool)
     for family, parameters, rows, one in _cases(fit):
         found = family.log_likelihood(part, parameters) + zero_log_likelihood(part)
-        with np.errstate(invalid="ignore"):
-            far = np.abs(found - one.log_likelihood) > _SAME * (part.n + np.abs(found))
+        far = np.abs(found - one.log_likelihood) > _SAME * (part.n + np.abs(found))
         if isinstance(one, Mixture):
             far &= ~(split(part).tied | isinstance(part, PositiveHistogram))
         other |= rows & ((one.n != part.n) | (one.n_null != part.n_null) | far)
@@ -389,9 +388,8 @@ def _replicates(
         times = piece.stop - piece.start
         repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
         # Where the sum of the samples is close to overflow, that of a replicate may: no fit.
-        with np.errstate(all="ignore"):
-            drawn = _draw(part, family, parameters, times, streams)
-            estimate, _ = estimate_part(drawn, family, repeated)
+        drawn = _draw(part, family, parameters, times, streams)
+        estimate, _ = estimate_part(drawn, family, repeated)
         found = _distances(drawn, family, estimate.parameters, tests)
         found = found.reshape(len(part.n), times, len(tests))
         more += np.count_nonzero(found >= least, axis=1)
@@ -445,7 +443,7 @@ def _mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
         return {n: np.stack([parameters[f"{n}_{i + 1}"] for i in range(k)]) for n in units}
 
     def estimate(part: Part, *_search: object) -> Estimate:
-        found = MixtureFit(k, mixture.family).measure(part)
+        found = measured(part, MixtureFit(k, mixture.family))
         return Estimate(numbered(found), {}, found.converged)
 
     def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
@@ -503,10 +501,9 @@ def _distances(
         present = some.valid
         below, above = np.ones((2, *present.shape))
         x, each = some.sorted[present].astype(np.float64), take(parameters, np.repeat(rows, some.n))
-        with np.errstate(all="ignore"):
-            of_samples = np.asarray(family.distribution(each).cdf(x))
-            beyond, far = 1 - of_samples, of_samples > _FAR
-            beyond[far] = family.distribution(take(each, far)).sf(x[far])
+        of_samples = np.asarray(family.distribution(each).cdf(x))
+        beyond, far = 1 - of_samples, of_samples > _FAR
+        beyond[far] = family.distribution(take(each, far)).sf(x[far])
         below[present], above[present] = of_samples, beyond
         statistics = _of_samples(below, above, present, some.n, free)
     found[rows] = np.stack([statistics[test]() for test in tests], axis=-1)
@@ -521,9 +518,8 @@ def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Para
     """
     edges = np.exp(part.log_centers - part.width[:, np.newaxis] / 2)
     columns = {name: value[:, np.newaxis] for name, value in parameters.items()}
-    with np.errstate(all="ignore"):
-        above = np.broadcast_to(family.distribution(columns).sf(edges), part.counts.shape)
-        probability = -np.diff(above, axis=-1, append=0) / above[:, :1]
+    above = np.broadcast_to(family.distribution(columns).sf(edges), part.counts.shape)
+    probability = -np.diff(above, axis=-1, append=0) / above[:, :1]
     return np.asarray(np.maximum(np.nan_to_num(probability), 0))
 
 

@@ -102,8 +102,7 @@ def _maximum(ascending: Floats, n: Counts) -> Floats:
     force = 0.1 / (len(slack) * slack)
     for cycle in range(_CYCLES):
         gap = _sum(force * slack)
-        with np.errstate(all="ignore"):
-            further, force, slack, decrement = _newton(problem, p, force, slack, gap)
+        further, force, slack, decrement = _newton(problem, p, force, slack, gap)
         lost = ~np.isfinite(further).all(axis=0)
         done = lost | (np.maximum(gap, decrement) * n[rows] < _TOLERANCE) | (cycle == _CYCLES - 1)
         if done.any():

@@ -328,9 +328,8 @@ class ChosenMixtures:
         values = self._likelihoods.reshape(*shape, largest) + (jacobian + others)[..., np.newaxis]
         k = self._k.reshape(shape)
         further = 3 * np.arange(largest) * log_samples(n)[..., np.newaxis]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            penalty = 2 * np.log(n)[..., np.newaxis] + further
-            bics = penalty + np.log(part.n_good)[..., np.newaxis] - 2 * values
+        penalty = 2 * np.log(n)[..., np.newaxis] + further
+        bics = penalty + np.log(part.n_good)[..., np.newaxis] - 2 * values
         at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
         chosen, bic = (
             np.where(k > 0, np.take_along_axis(each, at, axis=-1)[..., 0], np.nan)
@@ -534,8 +533,7 @@ def _held_out(
             value = log_likelihood(ascending[other], n[other], solution)
             np.add.at(total[:, i], piece.rows % rows, value)
     enough = halves.n.min(axis=0)[:, np.newaxis] >= 3 * np.arange(1, largest + 1) - 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
+    per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
     return np.where(enough, per_sample, np.nan)
 
 
@@ -592,9 +590,8 @@ def _standard_errors(
     found[rows] = covariance(some, held)
     if k > 1:
         regular[rows] = _is_parabolic(some, held, found[rows])
-    with np.errstate(invalid="ignore", over="ignore"):
-        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1)).T
-        last = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
+    own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1)).T
+    last = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
     described = get_family(family.name)
     errors = [np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)])]
     for name, error, parameter, logarithmic in zip(
@@ -623,14 +620,13 @@ def _is_parabolic(solution: Solution, groups: SampleGroups, found: Floats) -> Ma
     top = em.bound_at(groups, family, solution.state)
     state = np.stack([np.exp(solution.state[0]), *solution.state[1:]])
     good = np.ones(len(top), dtype=bool)
-    with np.errstate(all="ignore"):
-        for parameter in range(3 * k - 1):
-            along = found[:, parameter] / np.sqrt(found[:, parameter, parameter])[:, np.newaxis]
-            step = 1.96 * np.einsum("rp,pik->ikr", along, moves)
-            for end in (state + step, state - step):
-                there = np.stack([np.log(end[0]), *end[1:]])
-                fall = (top - em.bound_at(groups, family, there)) / _FALL
-                good &= (fall > _FLATTER) & (fall < _STEEPER)
+    for parameter in range(3 * k - 1):
+        along = found[:, parameter] / np.sqrt(found[:, parameter, parameter])[:, np.newaxis]
+        step = 1.96 * np.einsum("rp,pik->ikr", along, moves)
+        for end in (state + step, state - step):
+            there = np.stack([np.log(end[0]), *end[1:]])
+            fall = (top - em.bound_at(groups, family, there)) / _FALL
+            good &= (fall > _FLATTER) & (fall < _STEEPER)
     return good
 
 
@@ -671,5 +667,4 @@ def _inverse(information: Floats) -> Floats:
     singular = values[:, :1] <= _WORST * values[:, -1:]
     inverse = np.where(singular, np.nan, 1 / np.where(singular, 1.0, values))
     unscaled = (vectors * inverse[:, np.newaxis, :]) @ vectors.transpose(0, 2, 1)
-    with np.errstate(over="ignore"):
-        return np.asarray(unscaled / size[:, :, np.newaxis] / size[:, np.newaxis, :])
+    return np.asarray(unscaled / size[:, :, np.newaxis] / size[:, np.newaxis, :])

@@ -95,11 +95,8 @@ def maximise(
             return np.concatenate([one, two])
         # The higher end comes first; the other is kept if all points may make it the higher.
         of_one, of_two = climb.value(points, one)[0], climb.value(points, two)[0]
-        with np.errstate(invalid="ignore"):
-            swap = (of_two > of_one) | (np.isnan(of_one) & np.isfinite(of_two))
-            undecided = (np.abs(two - one) > _APART).any(axis=0) & (
-                np.abs(of_two - of_one) < _CLOSE
-            )
+        swap = (of_two > of_one) | (np.isnan(of_one) & np.isfinite(of_two))
+        undecided = (np.abs(two - one) > _APART).any(axis=0) & (np.abs(of_two - of_one) < _CLOSE)
         higher, lower = np.where(swap, two, one), np.where(swap, one, two)
         return np.concatenate([higher, np.where(undecided, lower, np.nan)])
 
@@ -114,8 +111,7 @@ def maximise(
         if len(rows):
             some = points.take(rows)
             there, done = climb.from_start(some, other[:, rows], tolerance)
-            with np.errstate(invalid="ignore"):
-                better = climb.value(some, there)[0] > climb.value(some, at[:, rows])[0]
+            better = climb.value(some, there)[0] > climb.value(some, at[:, rows])[0]
             at[:, rows] = np.where(better, there, at[:, rows])
             converged[rows] = np.where(better, done, converged[rows])
         return finish(points, at, converged)
@@ -177,8 +173,7 @@ class _Climb:
                 at, step, here = at[:, kept], step[:, kept], here[:, kept]
             trial = at + step
             there = self.value(points, trial)
-            with np.errstate(invalid="ignore"):
-                climbs = there[0] >= here[0] - 1e-11 * (1 + np.abs(here[0]))
+            climbs = there[0] >= here[0] - 1e-11 * (1 + np.abs(here[0]))
             if climbs.all() and not damping.any():
                 at, here = trial, there
                 continue
@@ -201,12 +196,11 @@ class _Climb:
             )
         determinant = a * d - b * b
         concave = (a < 0) & (determinant > 0)
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            if not concave.all() or damping.any():
-                size = np.abs(a) + np.abs(d)
-                largest = (a + d) / 2 + np.sqrt(((a - d) / 2) ** 2 + b**2)
-                shift = np.where(concave, 0, largest + _CONCAVE * size) + damping * size
-                a, d = a - shift, d - shift
-                determinant = a * d - b * b
-            p, q = by_first / determinant, by_second / determinant
-            return np.stack([b * q - d * p, b * p - a * q])
+        if not concave.all() or damping.any():
+            size = np.abs(a) + np.abs(d)
+            largest = (a + d) / 2 + np.sqrt(((a - d) / 2) ** 2 + b**2)
+            shift = np.where(concave, 0, largest + _CONCAVE * size) + damping * size
+            a, d = a - shift, d - shift
+            determinant = a * d - b * b
+        p, q = by_first / determinant, by_second / determinant
+        return np.stack([b * q - d * p, b * p - a * q])

@@ -94,8 +94,7 @@ def _fields_of(solution: Solution, owner: Counts, groups: SampleGroups) -> Float
 def _density(solution: Solution, y: Floats) -> Floats:
     """Return the log density of the mixtures at y, shape (point, row)."""
     coefficients = solution.family.coefficients(solution.state)[:, :, np.newaxis]
-    with np.errstate(over="ignore"):
-        return em.log_density(y, solution.family.transform(y), coefficients)
+    return em.log_density(y, solution.family.transform(y), coefficients)
 
 
 def _valleys(solution: Solution, spread: Floats) -> Floats:
@@ -174,9 +173,8 @@ def _errors(solution: Solution, groups: SampleGroups, owner: Counts, order: Coun
     for step, move in zip(steps, moves[..., np.newaxis], strict=True):
         rise = separation(state + step * move) - separation(state - step * move)
         slopes.append(rise / (2 * step))
-    with np.errstate(invalid="ignore"):
-        gradient, found = np.stack(slopes), covariance(solution, groups)
-        error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
+    gradient, found = np.stack(slopes), covariance(solution, groups)
+    error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
     return np.asarray(error * (1 + (_FEW / groups.n) ** 2))
 
 
@@ -334,12 +332,11 @@ def unimodal_scores(
         np.where(bounded, value - 0.5 * _BOUNDED * log_n, -np.inf)
         for value in (-n * np.log(high - low), n * (mean - log_range))
     ]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # Exponential above the smallest, or below the largest.
-        scores += [
-            -part.n * (np.log(distance) + 1) - 0.5 * (_BOUNDED - 1) * log_n
-            for distance in (mean - low, high - mean)
-        ]
+    # Exponential above the smallest, or below the largest.
+    scores += [
+        -part.n * (np.log(distance) + 1) - 0.5 * (_BOUNDED - 1) * log_n
+        for distance in (mean - low, high - mean)
+    ]
     return np.where(usable, np.fmax.reduce(scores), np.nan)
 
 

@@ -207,8 +207,7 @@ def log_likelihood(log_sorted: Floats, n: Counts, solution: Solution) -> Floats:
     for part in spans(len(n), max(1, _CHUNK // log_sorted.shape[-1])):
         valid = np.arange(log_sorted.shape[-1]) < n[part, np.newaxis]
         y = np.where(valid, log_sorted[part] - solution.origin[part, np.newaxis], 0.0)
-        with np.errstate(over="ignore"):
-            density = em.log_density(y, family.transform(y), coefficients[:, :, part])
+        density = em.log_density(y, family.transform(y), coefficients[:, :, part])
         values[part] = np.vecdot(density, valid)
     return values
 

@@ -409,15 +409,14 @@ def _compare(
         to[:] = family.log_density(points, take(fitted, other))
     np.copyto(density, 0, where=points.weight == 0)
     n = halves.n.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        log = np.where(halves.n > 0, halves.n * points.log_mean.reshape(2, -1), 0).sum(axis=0) / n
-        loss = -density.sum(axis=-1).reshape(-1, 2, len(rows)).sum(axis=1).T / n[:, np.newaxis]
-        order, best, margin = _ranked(loss)
-        first, second = (np.tile(order[:, i], 2) for i in (0, min(1, len(fits) - 1)))
-        every = np.arange(len(other))
-        difference = density[first, every] - density[second, every]
-        square = np.vecdot(difference, difference).reshape(2, -1).sum(axis=0) / n - margin**2
-        error = np.sqrt(np.maximum(square, 0) / (n - 1))
+    log = np.where(halves.n > 0, halves.n * points.log_mean.reshape(2, -1), 0).sum(axis=0) / n
+    loss = -density.sum(axis=-1).reshape(-1, 2, len(rows)).sum(axis=1).T / n[:, np.newaxis]
+    order, best, margin = _ranked(loss)
+    first, second = (np.tile(order[:, i], 2) for i in (0, min(1, len(fits) - 1)))
+    every = np.arange(len(other))
+    difference = density[first, every] - density[second, every]
+    square = np.vecdot(difference, difference).reshape(2, -1).sum(axis=0) / n - margin**2
+    error = np.sqrt(np.maximum(square, 0) / (n - 1))
     margins = np.stack([margin, np.where(np.isfinite(margin), error, np.nan)])
     return loss + log[:, np.newaxis], best, margins
 
@@ -429,8 +428,7 @@ def _ranked(values: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int8],
     """
     order = np.argsort(values, axis=-1)
     ascending = np.take_along_axis(values, order[..., :2], axis=-1)
-    with np.errstate(invalid="ignore"):
-        margin = ascending[..., -1] - ascending[..., 0]
+    margin = ascending[..., -1] - ascending[..., 0]
     if values.shape[-1] < 2:
         margin = margin * np.nan
     best = np.where(np.isnan(ascending[..., 0]), -1, order[..., 0]).astype(np.int8)
@@ -454,7 +452,6 @@ def _vuong(part: Part, one: Fit, other: Fit) -> tuple[Floats, Floats]:
         mean = points.average(difference)
         difference -= mean[:, np.newaxis]
         difference *= difference
-        with np.errstate(invalid="ignore", divide="ignore"):
-            z[points.rows] = mean * np.sqrt(points.n / points.average(difference))
+        z[points.rows] = mean * np.sqrt(points.n / points.average(difference))
     p_value = np.asarray(2 * special.ndtr(-np.abs(z)))
     return z.reshape(part.n.shape), p_value.reshape(part.n.shape)

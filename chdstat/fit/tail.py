@@ -402,8 +402,7 @@ def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:
     its shape is 1 or more, the index is 0; below 1, its tail above a finite threshold is a little
     heavier than an exponential.
     """
-    with np.errstate(divide="ignore"):
-        log_variance = np.log(np.nan_to_num(part.log_statistics.log_variance))
+    log_variance = np.log(np.nan_to_num(part.log_statistics.log_variance))
     log_share = np.log(np.maximum(excesses, 1) / np.maximum(part.n, 1))
     low, high = np.transpose([ends[[0, -1]] for ends in _GAMMA_INDEX.grid])
     at = np.clip(np.stack([log_variance, log_share], axis=-1), low, high)
@@ -420,8 +419,7 @@ def _is_light(part: PositivePart, *estimates: tuple[Floats, Counts]) -> Mask:
     """
     total, variance = np.zeros(part.n.shape), np.zeros(part.n.shape)
     for xi, k in estimates:
-        with np.errstate(invalid="ignore"):
-            difference = np.log1p(np.maximum(xi, -0.99)) - np.log1p(_gamma_index(part, k))
+        difference = np.log1p(np.maximum(xi, -0.99)) - np.log1p(_gamma_index(part, k))
         total += k**0.25 * np.maximum(difference * np.sqrt(k), _LEAST_SCORE)
         for _, other in estimates:
             shared = np.sqrt(np.minimum(k, other) / np.maximum(np.maximum(k, other), 1))
@@ -460,8 +458,7 @@ def _deviation(xi: Floats) -> Floats:
 
 def _p_value(xi: Floats, tested: float | Floats, root: Floats) -> Floats:
     """Return the p-value of a tail index at most `tested`, by the Gaussian log(1 + xi)."""
-    with np.errstate(divide="ignore"):
-        log = np.log(np.maximum(1 + xi, 0))
+    log = np.log(np.maximum(1 + xi, 0))
     return np.asarray(special.ndtr((np.log1p(tested) - log) * root))
 
 
@@ -676,8 +673,7 @@ def _excesses(
     top = np.maximum(top, low)
     excess = np.log(top) - np.log(low) if log else top - low
     largest = excess[:, -1].copy()
-    with np.errstate(invalid="ignore", divide="ignore"):
-        excess /= largest[:, np.newaxis]
+    excess /= largest[:, np.newaxis]
     return _Excesses(y=excess, rank=rank, n=k, threshold=threshold, largest=largest)
 
 
@@ -690,13 +686,12 @@ def _generalised_pareto(e: _Excesses) -> tuple[Floats, Floats, Mask]:
     place = e.y.shape[1] - e.n + _quartile(e.n) - 1
     quartile = np.take_along_axis(e.y, place[:, np.newaxis], axis=-1)[:, 0]
     points = 20 + np.sqrt(e.n).astype(np.int64)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        weight, theta = _profile(count, mean, quartile, points, e.n)
-        best = np.vecdot(weight, theta) / weight.sum(axis=-1)
-        log = np.log1p(-best[:, np.newaxis] * e.y)
-        xi = log.sum(axis=-1) / e.n
-        passed = _anderson_darling(-log / xi[:, np.newaxis], e) <= _critical(xi, e.n)
-        return xi, -xi / best, passed
+    weight, theta = _profile(count, mean, quartile, points, e.n)
+    best = np.vecdot(weight, theta) / weight.sum(axis=-1)
+    log = np.log1p(-best[:, np.newaxis] * e.y)
+    xi = log.sum(axis=-1) / e.n
+    passed = _anderson_darling(-log / xi[:, np.newaxis], e) <= _critical(xi, e.n)
+    return xi, -xi / best, passed
 
 
 def _profile(
@@ -734,13 +729,12 @@ def _groups(e: _Excesses) -> tuple[Floats, Floats]:
 
 def _power_law(e: _Excesses) -> tuple[Floats, Floats, Mask]:
     """Average the log excesses: Hill (1975)."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = e.y.sum(axis=-1) / e.n
-        statistic = _anderson_darling(-e.y / mean[:, np.newaxis], e)
-        xi = np.where(mean > 0, mean * e.largest, np.nan)
-        # D'Agostino and Stephens (1986), table 4.14: 5 % of an exponential of unknown scale.
-        passed = statistic * (1 + 0.6 / e.n) <= 1.321
-        return xi, e.threshold / e.largest, np.asarray(passed)
+    mean = e.y.sum(axis=-1) / e.n
+    statistic = _anderson_darling(-e.y / mean[:, np.newaxis], e)
+    xi = np.where(mean > 0, mean * e.largest, np.nan)
+    # D'Agostino and Stephens (1986), table 4.14: 5 % of an exponential of unknown scale.
+    passed = statistic * (1 + 0.6 / e.n) <= 1.321
+    return xi, e.threshold / e.largest, np.asarray(passed)
 
 
 def _anderson_darling(log_survival: Floats, e: _Excesses) -> Floats:

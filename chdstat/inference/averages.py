@@ -158,9 +158,8 @@ class NormalityOfMeans(Statistic[GaussianityOfMeans]):
         predicted = skewness[..., np.newaxis] / np.sqrt(sizes)
         # Bonferroni over the sizes: else each further one would be a chance to fail.
         rejected = found["p_value"] * len(sizes) <= self.alpha
-        with np.errstate(all="ignore"):
-            clear = np.abs(skewness) > 2 * np.sqrt(6 / n)
-            ratio = np.where(clear[..., np.newaxis], found["skewness"] / predicted, np.nan)
+        clear = np.abs(skewness) > 2 * np.sqrt(6 / n)
+        ratio = np.where(clear[..., np.newaxis], found["skewness"] / predicted, np.nan)
         return GaussianityOfMeans(
             test=self.test,
             n_means=self.n_means,
@@ -416,18 +415,17 @@ def _predict(
     reason = np.select([few, ends, heavy], codes, tail.reason).reshape(-1).astype(np.int8)
     index = index.reshape(-1)
     found = np.full((3, len(rows)), np.nan)
-    with np.errstate(all="ignore"):
-        for part in spans(len(rows), max(1, _CHUNK // samples)):
-            relative, own = _relative(rows[part], good[part])
-            reason[part] = np.where(own == Reason.OK, reason[part], own)
-            known = np.flatnonzero(reason[part] == Reason.OK)
-            at = np.arange(len(rows))[part][known]
-            excess = good[at] & (rows[at] > threshold[at, np.newaxis])
-            bounds, sharing = _bounds(relative[known], good[at], excess, index[at])
-            reason[at[sharing < _SHARING]] = Reason.UNIDENTIFIED
-            bounds[2] = np.fmax(bounds[2], _of_lognormal(rows[at], good[at]))
-            needed = np.stack([_predicted(*shape, n_means=n_means) for shape in bounds])
-            found[:, at] = np.where(sharing < _SHARING, np.nan, needed)
+    for part in spans(len(rows), max(1, _CHUNK // samples)):
+        relative, own = _relative(rows[part], good[part])
+        reason[part] = np.where(own == Reason.OK, reason[part], own)
+        known = np.flatnonzero(reason[part] == Reason.OK)
+        at = np.arange(len(rows))[part][known]
+        excess = good[at] & (rows[at] > threshold[at, np.newaxis])
+        bounds, sharing = _bounds(relative[known], good[at], excess, index[at])
+        reason[at[sharing < _SHARING]] = Reason.UNIDENTIFIED
+        bounds[2] = np.fmax(bounds[2], _of_lognormal(rows[at], good[at]))
+        needed = np.stack([_predicted(*shape, n_means=n_means) for shape in bounds])
+        found[:, at] = np.where(sharing < _SHARING, np.nan, needed)
     low, n, high = found.reshape(3, *batch)
     return n, np.stack([low, high], axis=-1), reason.reshape(batch)
 
@@ -565,12 +563,11 @@ def _tested(
     reason = np.empty((len(rows), len(sizes)), dtype=np.int8)
     whole = np.empty((3, len(rows)))
     # Rows that have no answer are computed, too, and masked by their reason.
-    with np.errstate(all="ignore"):
-        for part in spans(len(rows), max(1, _CHUNK_OF_MEANS // samples)):
-            levels = list(nested_averages(rows[part], masks[part], np.union1d(1, sizes)))
-            whole[:, part] = _of_samples(levels[0])
-            wanted = [level for level in levels if level.size in sizes]
-            found[:, part], reason[part] = _of_averages(wanted, n_means, test)
+    for part in spans(len(rows), max(1, _CHUNK_OF_MEANS // samples)):
+        levels = list(nested_averages(rows[part], masks[part], np.union1d(1, sizes)))
+        whole[:, part] = _of_samples(levels[0])
+        wanted = [level for level in levels if level.size in sizes]
+        found[:, part], reason[part] = _of_averages(wanted, n_means, test)
     names = ("statistic", "p_value", "skewness", "kurtosis")
     tested = dict(zip(names, found.reshape(4, *batch, len(sizes)), strict=True))
     return {**tested, "reason": reason.reshape(*batch, len(sizes))}, whole.reshape(3, *batch)

@@ -58,32 +58,29 @@ def dips(ascending: Floats, n: Counts) -> Floats:
     deviation = np.ones(len(ascending))
     rows = np.flatnonzero(x[high] > x[low])
     low, high = low[rows], high[rows]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        convex, concave = _candidates(ascending)
-        minorant, majorant = _Curve(x, low, convex, 1), _Curve(x, high, concave, -1)
-        while len(rows):
-            minorant.narrow(low, high)
-            majorant.narrow(low, high)
-            g, l = minorant.vertices, majorant.vertices  # noqa: E741 - as in the paper
-            at_g, g_place = _largest(majorant.above(g), g, low)
-            at_l, l_place = _largest(-minorant.above(l), l, low)
-            inner_low = np.where(at_g > at_l, g_place, g[np.searchsorted(g, l_place, "right") - 1])
-            inner_high = np.where(at_g > at_l, l[np.searchsorted(l, g_place)], l_place)
-            open_ = np.maximum(at_g, at_l) + 1 > deviation[rows]
-            rows, low, high, inner_low, inner_high = (
-                values[open_] for values in (rows, low, high, inner_low, inner_high)
-            )
-            if not len(rows):
-                break
-            left, right = _ranges(low, inner_low + 1), _ranges(inner_high, high + 1)
-            of_left = np.maximum.reduceat(-minorant.above(left), np.searchsorted(left, low))
-            of_right = np.maximum.reduceat(
-                majorant.above(right), np.searchsorted(right, inner_high)
-            )
-            deviation[rows] = np.maximum(deviation[rows], np.maximum(of_left, of_right) + 1)
-            shrunk = (inner_low > low) | (inner_high < high)
-            open_ = shrunk & (x[inner_high] > x[inner_low])
-            rows, low, high = rows[open_], inner_low[open_], inner_high[open_]
+    convex, concave = _candidates(ascending)
+    minorant, majorant = _Curve(x, low, convex, 1), _Curve(x, high, concave, -1)
+    while len(rows):
+        minorant.narrow(low, high)
+        majorant.narrow(low, high)
+        g, l = minorant.vertices, majorant.vertices  # noqa: E741 - as in the paper
+        at_g, g_place = _largest(majorant.above(g), g, low)
+        at_l, l_place = _largest(-minorant.above(l), l, low)
+        inner_low = np.where(at_g > at_l, g_place, g[np.searchsorted(g, l_place, "right") - 1])
+        inner_high = np.where(at_g > at_l, l[np.searchsorted(l, g_place)], l_place)
+        open_ = np.maximum(at_g, at_l) + 1 > deviation[rows]
+        rows, low, high, inner_low, inner_high = (
+            values[open_] for values in (rows, low, high, inner_low, inner_high)
+        )
+        if not len(rows):
+            break
+        left, right = _ranges(low, inner_low + 1), _ranges(inner_high, high + 1)
+        of_left = np.maximum.reduceat(-minorant.above(left), np.searchsorted(left, low))
+        of_right = np.maximum.reduceat(majorant.above(right), np.searchsorted(right, inner_high))
+        deviation[rows] = np.maximum(deviation[rows], np.maximum(of_left, of_right) + 1)
+        shrunk = (inner_low > low) | (inner_high < high)
+        open_ = shrunk & (x[inner_high] > x[inner_low])
+        rows, low, high = rows[open_], inner_low[open_], inner_high[open_]
     return deviation / (2 * n)
 
 

@@ -301,8 +301,7 @@ def _tied_shares(part: PositivePart) -> Floats:
     tied = np.empty(len(n))
     for piece in spans(len(n), max(1, _CHUNK // samples)):
         tied[piece] = np.count_nonzero(_tied(ascending[piece], n[piece]), axis=-1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray((tied / n).reshape(part.n.shape))
+    return np.asarray((tied / n).reshape(part.n.shape))
 
 
 def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
@@ -374,9 +373,8 @@ def _steps(value: Floats) -> Floats:
     are compared as they are, and as ratios: rounded floats, and powers, have steps that grow.
     """
     gaps = np.zeros((2, len(value), value.shape[-1] + 1))
-    with np.errstate(invalid="ignore"):
-        for gap, x in zip(gaps, (value, np.log(value)), strict=True):
-            gap[:, 1:-1] = np.where(value[:, 1:] < np.inf, np.diff(x, axis=-1), 0)
+    for gap, x in zip(gaps, (value, np.log(value)), strict=True):
+        gap[:, 1:-1] = np.where(value[:, 1:] < np.inf, np.diff(x, axis=-1), 0)
     for _ in range(2):  # A gap beside one that is no step has to compare with the other side.
         beside = np.maximum(gaps[..., :-2], gaps[..., 2:])
         gaps[..., 1:-1] *= (gaps[..., 1:-1] <= _WIDER * beside).any(axis=0)

@@ -290,20 +290,19 @@ def run_tests(
     statistic = np.full((len(rows), *shape), np.nan)
     p_value = np.full((len(rows), *shape), np.nan)
     moments = np.full((2, len(rows), len(transforms)), np.nan)
-    with np.errstate(all="ignore"):
-        for part in _chunks(counts, usable.reshape(-1)):
-            x, left_out, largest = _copied(rows, counts, part)
-            for i, transform in enumerate(transforms):
-                y = TRANSFORMS[transform](x, largest)
-                standard = standardise(y, counts[part], left_out)
-                moments[:, part, i] = standard.skewness, standard.kurtosis
-                for j, test in enumerate(tests):
-                    enough = standard.n >= test.minimum
-                    statistic[part, i, j] = np.where(enough, test.statistic(standard), np.nan)
-        # Of many rows at once: a p-value takes many operations on few numbers.
-        for span in spans(len(rows), _ROWS):
-            for i, j in np.ndindex(shape):
-                p_value[span, i, j] = tests[j].p_value(statistic[span, i, j], counts[span])
+    for part in _chunks(counts, usable.reshape(-1)):
+        x, left_out, largest = _copied(rows, counts, part)
+        for i, transform in enumerate(transforms):
+            y = TRANSFORMS[transform](x, largest)
+            standard = standardise(y, counts[part], left_out)
+            moments[:, part, i] = standard.skewness, standard.kurtosis
+            for j, test in enumerate(tests):
+                enough = standard.n >= test.minimum
+                statistic[part, i, j] = np.where(enough, test.statistic(standard), np.nan)
+    # Of many rows at once: a p-value takes many operations on few numbers.
+    for span in spans(len(rows), _ROWS):
+        for i, j in np.ndindex(shape):
+            p_value[span, i, j] = tests[j].p_value(statistic[span, i, j], counts[span])
     found = {"statistic": statistic, "p_value": p_value}
     found |= {"skewness": moments[0], "kurtosis": moments[1]}
     return {name: values.reshape(*n.shape, *values.shape[1:]) for name, values in found.items()}

@@ -24,6 +24,7 @@ from chdstat.patterns.classification import (
     choose_regions,
     classify,
 )
+from chdstat.patterns.definitions import PATTERNS, Pattern, Thresholds
 from chdstat.patterns.known_chds import CHD, CHDS, Component
 from chdstat.patterns.pixel import Pixel
 from chdstat.patterns.regions import Regions
@@ -41,7 +42,6 @@ from chdstat.patterns.simulation import (
     truth,
     truth_of,
 )
-from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
 
 __all__ = [
     "CHD",

@@ -1,8 +1,8 @@
 """Patterns: which pixels are null-heavy, long-tailed, bimodal, constant, and what the rest is.
 
-`chdstat.patterns.table` says what a pattern means, its statistic, and the rule that turns it into a
-flag at a threshold. `classify` applies all rules to the luminance of each pixel. Flags do not
-exclude each other, but for those that describe a plain body; `Label` says which comes first.
+`chdstat.patterns.definitions` says what a pattern means, its statistic, and the rule that turns it
+into a flag at a threshold. `classify` applies all rules to the luminance of each pixel. Flags do
+not exclude each other, but for those that describe a plain body; `Label` says which comes first.
 `agreement` compares labels with those of the neighbours: labels that mean something form regions;
 labels that are noise look like the same labels shuffled.
 """
@@ -27,7 +27,7 @@ from chdstat._core.resampling import q_values
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED
-from chdstat.patterns.table import PATTERNS, Thresholds, gather
+from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
 from chdstat.rendering.recipes import Region
 from chdstat.summary.runner import Source, of_source, run
 

@@ -21,7 +21,7 @@ from chdstat.fit.tail import Tail, tail_index
 from chdstat.inference.modes import Modality, modality
 from chdstat.patterns.attribution import By, by_part, groups_of, part_names, shares
 from chdstat.patterns.classification import Label, Patterns, classify
-from chdstat.patterns.table import PATTERNS
+from chdstat.patterns.definitions import PATTERNS
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import LightPart

@@ -22,9 +22,10 @@ from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError, check_option
 from chdstat.patterns.classification import Classification, Label
+from chdstat.patterns.definitions import PATTERNS, Thresholds, firefly_limit
 from chdstat.patterns.known_chds import CHD, CHDS, Component, Kind, random_chd
-from chdstat.patterns.table import PATTERNS, Thresholds, firefly_limit
 from chdstat.samples import Samples
+from chdstat.summary.runner import measured
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -414,7 +415,7 @@ def flag_scores(
         nulls = rng.negative_binomial(samples, [1 - chd.null_share for chd in these])
         none = np.zeros_like(nulls)
         part = PositivePart(x, np.asarray(x > 0), none + samples, nulls, none, none, none)
-        patterns = Classification(thresholds).measure(part)
+        patterns = measured(part, Classification(thresholds))
         wanted = _codes([truth(chd) for chd in these])
         ratio = patterns.statistics["firefly_dominated"] / limit
         wanted["firefly_dominated"] = np.select([ratio >= 2, ratio <= 0.5], [1, 0], -1)

@@ -116,31 +116,35 @@ def run(
 
         def of_block(block: npt.NDArray[np.float32]) -> Mapped:
             part = PositivePart.of_pixels(block, rows=statistic.rows)
-            return statistic.variables(statistic.measure(part))
+            return statistic.variables(measured(part, statistic))
 
         kinds: Any = {"logarithms": statistic.logarithms, "description": description}
         return statistic.finish(given.map(of_block, **kinds, progress=progress))
     if dataset is not None:
         import xarray as xr
 
-        found = statistic.variables(statistic.measure(Histogram.of_dataset(dataset).positive))
+        found = statistic.variables(measured(Histogram.of_dataset(dataset).positive, statistic))
         coords = {name: dataset[name] for name in ("y", "x", "channel") if name in dataset.coords}
         named = {name: (("y", "x", *dims), values) for name, (dims, values) in found.items()}
         return statistic.finish(xr.Dataset(named, coords=coords, attrs=dataset.attrs))
     if isinstance(given, Histogram):
-        return statistic.measure(given.positive)
+        return measured(given.positive, statistic)
     if statistic.rows == "luminance":
         pixels = as_pixels(given)
         warn_left_out(pixels, channel_axis=-2, logarithms=True, within=_USERS)
-        return statistic.measure(PositivePart.of_pixels(pixels, rows="luminance"))
+        return measured(PositivePart.of_pixels(pixels, rows="luminance"), statistic)
     samples = as_samples(given)
     warn_left_out(samples, logarithms=statistic.logarithms, within=_USERS)
-    return statistic.measure(PositivePart.of(samples, null=null))
+    return measured(PositivePart.of(samples, null=null), statistic)
 
 
 def measured(part: Part, statistic: Statistic[Found]) -> Found:
-    """Return a statistic of rows of samples, which is measured once, whoever asks."""
+    """Return a statistic of rows of samples, which is measured once, whoever asks.
+
+    What has no number is NaN and has a reason: NumPy need not warn of it.
+    """
     if statistic not in part.found:
-        part.found[statistic] = statistic.measure(part)
+        with np.errstate(all="ignore"):
+            part.found[statistic] = statistic.measure(part)
     known: Found = part.found[statistic]
     return known

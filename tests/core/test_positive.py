@@ -8,6 +8,7 @@ from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import FamilySelection
+from chdstat.summary.runner import measured
 
 X = np.array(
     [
@@ -119,8 +120,8 @@ def x():
 @pytest.mark.parametrize("rows", [1, slice(0, 3)])
 def test_a_part_of_a_result_is_that_of_the_rows(x, rows):
     selection = FamilySelection((FAMILIES["gamma"], FAMILIES["lognormal"]))
-    whole = take_rows(selection.measure(PositivePart.of(x)), rows, axis=2)
-    part = selection.measure(PositivePart.of(x[:, :, rows]))
+    whole = take_rows(measured(PositivePart.of(x), selection), rows, axis=2)
+    part = measured(PositivePart.of(x[:, :, rows]), selection)
     np.testing.assert_array_equal(whole.values, part.values)
     np.testing.assert_array_equal(whole.best, part.best)
     np.testing.assert_array_equal(

@@ -210,6 +210,7 @@ def test_more_components_are_never_less_likely(family):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
+@np.errstate(all="ignore")
 def test_every_cycle_raises_the_penalised_bound(family):
     ascending = logarithms(renders(np.random.default_rng(10), 40, 300))
     kind = COMPONENTS[family]

@@ -148,6 +148,7 @@ def test_power_against_an_exponential(test):
     assert (run(x, [test])[1] < 0.01).mean() > 0.95
 
 
+@np.errstate(all="ignore")
 def test_rows_of_any_length_are_as_if_alone():
     rng = np.random.default_rng(6)
     n = rng.integers(8, 700, size=300)

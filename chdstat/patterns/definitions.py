@@ -293,8 +293,7 @@ class Pattern:
 
 
 def _null_share(e: PixelStatistics) -> Floats:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(e.part.n_null / e.part.n_good)
+    return np.asarray(e.part.n_null / e.part.n_good)
 
 
 def _null_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
@@ -340,8 +339,7 @@ def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
     significantly better than gamma, too: of 32 exponential samples, it often is a little better. Of
     two tests, the smaller p-value counts twice (Bonferroni).
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        of_body = np.fmax(special.ndtr(-e.body_index / e.body_index_se), special.ndtr(e.vuong_z))
+    of_body = np.fmax(special.ndtr(-e.body_index / e.body_index_se), special.ndtr(e.vuong_z))
     both = np.minimum(2 * np.fmin(of_body, e.tail.p_exponential), 1.0)
     return np.where(_body_is_long(e, t), both, e.tail.p_exponential)
 
