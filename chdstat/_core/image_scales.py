@@ -1,8 +1,9 @@
 """Image scales: how bright an image is, for the screen, for published thresholds, and on average.
 
 `display_stops` and `tonemap` are for showing it. `exposure_unit` is the radiance that an exposure
-as usual shows as 1. `mean_radiance` is its mean, which a few fireflies do not move. `layer_weights`
-splits samples between layers of brightness.
+as usual shows as 1. `mean_radiance` is its mean, which a few fireflies do not move.
+`relative_scale` is what squared errors are relative to, `layer_weights` splits samples between
+layers of brightness.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, Reals, as_pixels, is_bad, spans
+from chdstat._core.arrays import Array, LeftOut, Reals, as_pixels, is_bad, spans
 from chdstat.errors import InputError
 
 __all__ = [
     "BASE",
+    "DARK",
     "LAYERS",
     "RadianceSums",
     "display_stops",
@@ -24,6 +26,7 @@ __all__ = [
     "layer_weights",
     "mean_of_pixels",
     "mean_radiance",
+    "relative_scale",
     "tonemap",
 ]
 
@@ -31,6 +34,8 @@ BASE = 8.0
 """Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
 LAYERS = 6
 """Number of layers, of brightness b^0 to b^5: as above."""
+DARK = 0.01
+"""Share of the squared mean of a scene that keeps relative errors of its dark pixels finite."""
 _WHITE, _PERCENTILE = 0.8, 90
 _KEY = 0.09
 """Log-average of what is shown, at least: a stop below the middle grey of Reinhard et al."""
@@ -42,6 +47,23 @@ _SHARE = 0.04
 _PIXELS_A_FIREFLY, _MOST_FIREFLIES = 128, 8
 """An image has one firefly less than it has times so many pixels, and fewer than so many in all."""
 _SAMPLES_AT_ONCE = 2**18
+
+
+def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array:
+    """Return y^2 + 0.01 m^2, over which squared errors of radiances y are relative errors.
+
+    So no pixel counts as darker than a tenth of the scene, whose mean m is `of_scene`; None takes
+    the mean of all y that are finite.
+
+    Examples
+    --------
+    >>> relative_scale(np.array([0.0, 2.0]), 10), relative_scale(np.array([0.0, 20.0]))
+    (array([1., 5.]), array([  1., 401.]))
+    """
+    if of_scene is None:
+        known = value[np.isfinite(value)]
+        of_scene = known.mean() if known.size else np.nan
+    return np.asarray(value**2 + DARK * np.square(of_scene))
 
 
 def display_stops(image: npt.ArrayLike) -> float:

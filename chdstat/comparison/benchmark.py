@@ -22,6 +22,7 @@ import numpy as np
 from chdstat._core.arrays import Array, Seed, seed_number, whole
 from chdstat._core.display import Card, Shown, latex, number, percent
 from chdstat._core.files import checked_target, replacing
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
 from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
@@ -557,7 +558,7 @@ def _measured(
         )
         raise InputError(message)
     mean = abs(float(reference.mean()))
-    weight = 1 / (np.square(reference) + 0.01 * mean**2)
+    weight = 1 / relative_scale(reference, mean)
     blocks, cases = Blocks.grid(*reference.shape[:2]), []
     for n in numbers:
         few = samples.first(n)

@@ -18,6 +18,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Array, generator, spans
 from chdstat._core.display import number, percent, with_interval
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
 from chdstat.estimators.registry import LABELS
 
@@ -49,8 +50,6 @@ MEASURES = {
 SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
 """What is summed over the estimates of every estimator and channel; the last is 1 for each."""
 
-_EPSILON = 0.01
-"""Share of the squared scene mean that keeps relMSE finite in the dark."""
 _REPLICATES, _AT_ONCE = 1000, 64
 _SAME = 1e-6
 """Relative difference below which an estimate is the mean, summed in another order."""
@@ -106,7 +105,7 @@ def relative_squared(error: Array, reference: Array, scene_mean: Array) -> Array
     even in a scene without light.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = error**2 / (reference**2 + _EPSILON * scene_mean**2)
+        relative = error**2 / relative_scale(reference, scene_mean)
     return np.where(error == 0, 0.0, relative)
 
 

@@ -17,7 +17,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, Seed, plain, seed_number
 from chdstat._core.display import Card, Shown, Width, number, percent, png, with_interval
-from chdstat._core.image_scales import tonemap
+from chdstat._core.image_scales import relative_scale, tonemap
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.work import finished
@@ -40,8 +40,6 @@ _LEAST_TERMS = 8
 """Fewer give no p-value that is small enough."""
 _OF_WINDOWS = 0.8
 """Share of alpha for windows; the rest is for single pixels."""
-_RELATIVE = 0.01
-"""Of the squared mean radiance, as in relMSE."""
 _TENTH = 0.1
 
 
@@ -453,7 +451,7 @@ def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
 def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interval[float]:
     """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
     mean = (maps["mean_a"][..., 0] + maps["mean_b"][..., 0]) / 2
-    scale = mean**2 + _RELATIVE * np.nanmean(mean) ** 2
+    scale = relative_scale(mean, np.nanmean(mean))
     with np.errstate(invalid="ignore", divide="ignore"):
         costs = [
             (maps[name] / scale * time).ravel()

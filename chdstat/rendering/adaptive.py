@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from chdstat._core.arrays import Floats, Image, Mask, is_bad, spans
+from chdstat._core.image_scales import DARK
 from chdstat._core.moments import Moments
 from chdstat.errors import InputError, check_option
 from chdstat.samples import Samples
@@ -56,8 +57,6 @@ _SURE = 64
 """First samples that predict an error, at most."""
 _MOST = 8.0
 """Largest number of samples of a pixel, over the mean."""
-_DARK = 0.01
-"""Of the squared mean of the scene, which keeps relative errors of dark pixels finite."""
 _LEFT = 1 / 16
 """Of the squared mean of a pixel, what is left at least when its variance is taken off."""
 _ROWS = 16
@@ -187,7 +186,7 @@ class _Seen(NamedTuple):
             *square.shape[:2]
         ):  # which decides for the other one, without its samples
             of_scene[half] = self.mean[half].mean(axis=0) if half.any() else 0
-        scale = square + _DARK * of_scene**2
+        scale = square + DARK * of_scene**2
         relative = np.divide(self.variance, scale, out=np.zeros_like(scale), where=scale > 0)
         return np.asarray(relative.mean(axis=-1))
 

@@ -7,7 +7,7 @@ pixels of regions, and returns statistics of values at them with intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -177,8 +177,6 @@ class PixelSet:
     ) -> Interval[float]:
         """Return the sum of x over that of y, shapes (pixel,), of the pixels that have both."""
         known = np.isfinite(x + y)
-        if not known.any():
-            return Interval.unknown(level=self.level)
         used = self if known.all() else self[known]
         above, below = used.blocks.sums(x[known]), used.blocks.sums(y[known])
         return used.interval(lambda w: (w @ above) / (w @ below), bounds)
@@ -361,21 +359,19 @@ class SceneData:
         return PixelSet(("image",), y, x, np.zeros_like(y), blocks, level_of(tests))
 
     def scattered(
-        self, pixels: int, *, across: int = 8, allowed: Mask | None = None
-    ) -> Iterator[PixelSet]:
-        """Yield pixels drawn from each of `across` x `across` blocks, separately by block.
+        self, pixels: int, *, across: int = 8, tests: int = 1, allowed: Mask | None = None
+    ) -> PixelSet:
+        """Return pixels drawn from each of `across` x `across` blocks, which are read one by one.
 
         They are about `pixels` in all, among those `allowed`, shape (y, x); None draws from all.
         """
-        rng, whole = generator(0), self.whole(across=across)
-        each = max(1, pixels // len(whole.blocks))
-        possible = np.ones(len(whole), dtype=bool) if allowed is None else allowed.ravel()
-        for block in range(len(whole.blocks)):
-            here = np.flatnonzero((whole.blocks.of_pixel == block) & possible)
-            some = np.sort(rng.permutation(here)[:each])
-            if len(some):
-                blocks = Blocks(np.full(len(some), block), whole.blocks.region)
-                yield replace(whole[some], blocks=blocks)
+        rng, whole = generator(0), self.whole(across=across, tests=tests)
+        block, count = whole.blocks.of_pixel, len(whole.blocks)
+        possible = True if allowed is None else allowed.ravel()
+        every = (rng.permutation(np.flatnonzero((block == i) & possible)) for i in range(count))
+        some = np.concatenate([np.sort(here[: max(1, pixels // count)]) for here in every])
+        blocks = Blocks(block[some], whole.blocks.region)
+        return replace(whole, y=whole.y[some], x=whole.x[some], region=block[some], blocks=blocks)
 
     def radiance(self, patch: PixelSet) -> Floats:
         """Return the samples of a patch, shape (pixel, channel, sample).
@@ -383,7 +379,7 @@ class SceneData:
         A sample with a bad channel is NaN in all channels.
         """
         x = np.empty((len(patch), *self.samples.shape[2:]))
-        for i in range(len(patch.names)):
+        for i in np.unique(patch.region):
             here = patch.region == i
             ys, xs = patch.y[here], patch.x[here]
             top, left = int(ys.min()), int(xs.min())

@@ -98,8 +98,6 @@ def pooled_distance(
     shapes: Sequence[LogChds], blocks: Sequence[Blocks], *, level: float
 ) -> Interval[float]:
     """Return the distance between the mean shapes of two patches, with halves against noise."""
-    if not all(chds.known.any() for chds in shapes):
-        return Interval.unknown(level=level)
     known = [of_patch[chds.known] for chds, of_patch in zip(shapes, blocks, strict=True)]
     first = len(known[0])
     means = [_mean_shape(s[s.known], of_patch) for s, of_patch in zip(shapes, known, strict=True)]
@@ -185,17 +183,13 @@ def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Flo
     tuple
         Radiance, shape (pixel, n), and the blocks that the pixels lie in.
     """
-    rng, blocks = generator(0), data.whole(across=across).blocks
-    radiance, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
-    for patch in data.scattered(pixels, across=across, allowed=_positive(data) >= n):
-        x = data.radiance(patch)
-        light = x[:, x.shape[1] // 2]
-        # Positive ones first, in an order drawn at random.
-        rank = np.where(light > 0, rng.random(light.shape), 2)
-        first = np.argpartition(rank, n - 1, axis=-1)[:, :n]
-        radiance.append(np.take_along_axis(light, first, axis=-1))
-        places.append(patch.blocks.of_pixel)
-    return np.concatenate(radiance), Blocks(np.concatenate(places), blocks.region)
+    patch = data.scattered(pixels, across=across, allowed=_positive(data) >= n)
+    x = data.radiance(patch)
+    light = x[:, x.shape[1] // 2]
+    # Positive ones first, in an order drawn at random.
+    rank = np.where(light > 0, generator(0).random(light.shape), 2)
+    first = np.argpartition(rank, n - 1, axis=-1)[:, :n]
+    return np.take_along_axis(light, first, axis=-1), patch.blocks
 
 
 def _positive(data: SceneData) -> Counts:

@@ -270,10 +270,8 @@ def _skewness(data: SceneData, whole: PixelSet) -> Interval[float]:
 
     skewness = data.summary["skewness"].to_numpy() / np.sqrt(_AVERAGED)
     median = whole.median(skewness.reshape(len(whole), -1))
-    some = (data.radiance(patch) for patch in data.scattered(1024))
-    grown = [growing(np.nan_to_num(x), np.isfinite(x), of_averages) for x in some]
-    quarter, half, all_samples = (np.concatenate(values) for values in zip(*grown, strict=True))
-    return with_room(median, (quarter, half, all_samples))
+    x = data.radiance(data.scattered(1024))
+    return with_room(median, growing(np.nan_to_num(x), np.isfinite(x), of_averages))
 
 
 def _slope(batches: Floats, whole: PixelSet) -> Interval[float]:

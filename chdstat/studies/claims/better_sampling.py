@@ -19,7 +19,8 @@ from collections.abc import Callable
 import numpy as np
 
 from chdstat._core.arrays import Floats
-from chdstat._core.resampling import Blocks, mean_of
+from chdstat._core.image_scales import relative_scale
+from chdstat._core.resampling import Blocks
 from chdstat.fit import tail_index
 from chdstat.studies.claim import claim
 from chdstat.studies.claims.between_renders import samples_ratio
@@ -34,8 +35,6 @@ _LONG = 0.25
 """Tail index from which the sample variance has an infinite variance of its own."""
 _LITTLE = 0.01
 """Of a share, an index or a decade: below it, nothing became less."""
-_DARK = 0.01
-"""Of the squared mean of the scene, which keeps relative errors of dark pixels finite."""
 
 
 # --- path guiding ---------------------------------------------------------------------------------
@@ -52,11 +51,8 @@ def tails(data: SceneData) -> Measurement:
     """Compare shares of nulls and tail indices with those of path guiding, pixel by pixel."""
     pair, whole = data.with_guided, data.whole(tests=2)
     null = np.stack([scene.summary["null_share"].to_numpy().ravel() for scene in pair])
-    patches = list(data.scattered(_TAIL_PIXELS))
-    blocks = Blocks(np.concatenate([p.blocks.of_pixel for p in patches]), whole.blocks.region)
-    xi = np.stack(
-        [np.concatenate([tail_index(scene.light(p)).xi for p in patches]) for scene in pair]
-    )
+    some = data.scattered(_TAIL_PIXELS, tests=2)
+    xi = np.stack([tail_index(scene.light(some)).xi for scene in pair])
     tests, missing = list[ClaimTest](), list[str]()
     if (null > 0).any():
         fewer = whole.mean(null[1] - null[0])
@@ -64,7 +60,7 @@ def tails(data: SceneData) -> Measurement:
     else:
         missing.append("needs nulls, which guiding could make rarer")
     if np.isfinite(xi).all(axis=0).any():
-        lighter = mean_of(xi[1] - xi[0], blocks, level=whole.level)
+        lighter = some.mean(xi[1] - xi[0])
         tests.append(ClaimTest("tail index, guided less own", lighter, most=-_LITTLE))
     else:
         missing.append("needs positive samples enough for tail indices")
@@ -141,9 +137,8 @@ def counts(data: SceneData) -> Measurement:
     require(adaptive.shape[:2] == data.samples.shape[:2], "adaptive samples in the same size")
     whole = data.whole()
     mean, variance = (data.summary[n].to_numpy().astype(np.float64) for n in ("mean", "variance"))
-    known = mean[np.isfinite(mean)]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        squared = variance / (mean**2 + _DARK * (known.mean() if known.size else math.nan) ** 2)
+        squared = variance / relative_scale(mean)
     even = logs(squared).reshape(len(whole), -1) / 2
     adapted = even - np.log10(numbers).reshape(len(whole), 1) / 2
     spreads = [_spread(log, whole.blocks) for log in (adapted, even)]

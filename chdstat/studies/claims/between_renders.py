@@ -22,6 +22,7 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
 from chdstat.inference import modality
 from chdstat.patterns import Label
@@ -386,10 +387,8 @@ def variances(spread: Samples) -> Floats:
             of_means[ys, xs] = length * means.var(axis=-1, ddof=1)
             within = x.var(axis=-1, ddof=1).mean(axis=-1)
         single[ys, xs] = (of_means[ys, xs] + (length - 1) * within) / length
-    known = mean[np.isfinite(mean)]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        unit = mean**2 + 0.01 * (known.mean() if known.size else np.nan) ** 2
-        found = np.stack([of_means, single]) / unit
+        found = np.stack([of_means, single]) / relative_scale(mean)
     return np.where(np.isfinite(found), found, np.nan).reshape(2, -1)
 
 
@@ -459,23 +458,16 @@ def _sequences(block: Image, length: int) -> Floats:
 
 def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
     """Return the share of pixels in which samples of a sequence are not independent."""
-    most = slice(0, min(spread.spp // length, 32) * length)
-    patches = list(data.scattered(512))
-    x = np.concatenate(
-        [
-            _sequences(spread.read(slice(y, y + 1), slice(x, x + 1), most)[0], length)
-            for patch in patches
-            for y, x in zip(patch.y.tolist(), patch.x.tolist(), strict=True)
-        ]
-    )
+    count = min(spread.spp // length, 32)
+    first, some = spread.isel(sample=slice(0, count * length)), data.scattered(512)
+    x = SceneData(data.name, first).light(some).reshape(len(some), count, length)
     p, of_all = p_of_independence(x)
     q = q_values(p[:, np.newaxis])[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = length * x.mean(axis=-1).var(axis=-1, ddof=1) / x.var(axis=(-2, -1), ddof=1)
-    known, number = np.isfinite(q), np.arange(len(patches))
-    blocks = Blocks(np.repeat(number, [len(patch) for patch in patches]), 0 * number)
+    known = np.isfinite(q)
     shares = {
-        f"share_{side}": mean_of(np.where(known, (q <= 0.05) & differs, np.nan), blocks).to_dict()
+        f"share_{side}": some.mean(np.where(known, (q <= 0.05) & differs, np.nan)).to_dict()
         for side, differs in (("lower", ratio < 1), ("higher", ratio > 1))
     }
     return {"p_value": of_all if known.any() else None, **shares}

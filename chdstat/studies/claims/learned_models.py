@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, generator, is_bad
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison, compare
 from chdstat.comparison.entries import entry_of, estimate_by
@@ -303,7 +304,7 @@ def _scale(x: Array, estimate: Floats) -> Floats:
     """
     size = np.maximum(np.abs(x).mean(axis=-1, dtype=np.float64), np.nan_to_num(np.abs(estimate)))
     bright = size.max(axis=-1, keepdims=True)
-    return np.asarray(np.sqrt(bright**2 + 0.01 * bright.mean() ** 2))
+    return np.asarray(np.sqrt(relative_scale(bright)))
 
 
 def _largest(change: Floats, scale: Floats) -> float:

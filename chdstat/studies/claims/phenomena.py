@@ -33,6 +33,7 @@ from chdstat.studies.scene_data import (
     SceneData,
     largest_interval,
     logs,
+    means_by_region,
     positive_quantiles,
 )
 from chdstat.studies.shape_distances import (
@@ -740,36 +741,21 @@ def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> M
 
 def _pixels(data: SceneData, phenomenon: str, tests: int) -> PixelSet:
     """Return the pixels of a phenomenon, or some from all over the image."""
-    if phenomenon != "image":
-        return data.patch(phenomenon, f"of phenomenon {phenomenon}", tests=tests)
-    every = list(data.scattered(512))
-    y, x, block = (
-        np.concatenate(parts)
-        for parts in zip(*((p.y, p.x, p.blocks.of_pixel) for p in every), strict=True)
-    )
-    blocks = Blocks(block, every[0].blocks.region)[:]
-    return PixelSet(("image",), y, x, np.zeros_like(y), blocks, level_of(tests))
+    if phenomenon == "image":
+        return data.scattered(512, tests=tests)
+    return data.patch(phenomenon, f"of phenomenon {phenomenon}", tests=tests)
 
 
 def _difference(values: Sequence[Floats], sets: Sequence[PixelSet]) -> Interval[float]:
     """Return the mean of the first values, less that of the second ones if there are any."""
     if len(values) == 1:
         return sets[0].mean(values[0])
-    known = [np.isfinite(v) for v in values]
-    level = sets[0].level
+    known, level = [np.isfinite(v) for v in values], sets[0].level
     if not all(k.any() for k in known):
         return Interval.unknown(level=level)
-    used = [pixels.blocks[k] for pixels, k in zip(sets, known, strict=True)]
-    joined, first = Blocks.join(used), len(used[0])
-    every = np.concatenate([v[k] for v, k in zip(values, known, strict=True)])
-    sums, count = joined.sums(every), joined.sums(np.ones(len(every)))
-
-    def difference(weights: Floats) -> Floats:
-        parts = slice(None, first), slice(first, None)
-        one, two = ((weights[:, p] @ sums[p]) / (weights[:, p] @ count[p]) for p in parts)
-        return np.asarray(one - two)
-
-    return interval_of(difference, joined, level=level)
+    joined = Blocks.join([pixels.blocks[k] for pixels, k in zip(sets, known, strict=True)])
+    means = means_by_region(np.concatenate(values)[np.concatenate(known)], joined)
+    return interval_of(lambda weights: means(weights) @ [1, -1], joined, level=level)
 
 
 @claim(
