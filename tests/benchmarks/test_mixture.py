@@ -1,4 +1,4 @@
-"""Mixtures and modes: numbers of components, errors, likelihood against scikit-learn's, time.
+"""Mixtures: numbers of components, errors, and likelihood against scikit-learn's.
 
 The likelihoods are measured on the stores that the environment variable CHDSTAT_STORES names, their
 paths separated by colons; without it, on simulated rows.
@@ -109,33 +109,6 @@ def test_one_law_has_one_component(as_benchmark, family, effort):
     assert worst <= 100 * stats.binom.isf(1e-3 / len(cells), ROWS, 0.05) / ROWS
 
 
-@pytest.mark.parametrize("bound", [0.8, 0.95, 0.99])
-@pytest.mark.parametrize("family", ONE_LAW)
-def test_a_clamped_law_has_one_component(as_benchmark, family, bound):
-    parameters, draw = ONE_LAW[family]
-    for parameter, n in product(parameters, (64, 256, 1024)):
-        x = draw(np.random.default_rng(n), parameter, (ROWS, n))
-        top = np.quantile(draw(np.random.default_rng(1), parameter, 200_000), bound)
-        result = chd.fit.mixture(np.minimum(x, top), family=family)
-        several, named = np.mean(result.k > 1), np.mean(result.atoms[:, 0] == top)
-        print(f"\n{family} {parameter:g}, {n}: k > 1 {several:.3f}, atom named {named:.3f}", end="")
-
-
-@pytest.mark.parametrize("family", ONE_LAW)
-def test_histograms_and_samples_mostly_agree(as_benchmark, family):
-    parameters, draw = ONE_LAW[family]
-    print(f"\n{family}: k > 1 of samples, of histograms; share of equal k")
-    for n, parameter in product((64, 256, 1024), parameters):
-        x = draw(np.random.default_rng(n), parameter, (ROWS, n))
-        k, of_bins = (chd.fit.mixture(source, family=family).k for source in (x, chd.histogram(x)))
-        shares = np.mean(k > 1), np.mean(of_bins > 1), np.mean(k == of_bins)
-        print(f"{parameter:5g}{n:6}" + "".join(f"{share:8.3f}" for share in shares))
-    for n, distance in product((128, 512), (3, 5)):
-        x = two_laws(np.random.default_rng(n), family, (ROWS, n), distance, 0.3)
-        k, of_bins = (chd.fit.mixture(source, family=family).k for source in (x, chd.histogram(x)))
-        print(f"D = {distance}{n:6}   equal {np.mean(k == of_bins):.3f}")
-
-
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_two_components_are_found(as_benchmark, family):
     print(f"\n{family}: share of {ROWS} rows with k = 2, k > 2, before")
@@ -199,18 +172,3 @@ def test_likelihood_against_the_best_of_five_starts(benchmark, source, k):
         f"lower by {np.max(missing):.4f} at worst"
     )
     assert share >= 0.97
-
-
-@pytest.mark.parametrize("effort", ["fast", "thorough"])
-def test_mixtures_of_one_to_three(benchmark, effort):
-    benchmark(chd.fit.mixture, simulated_pixels(1024), effort=effort)
-
-
-@pytest.mark.parametrize("spp", [512, 2048])
-def test_modes(benchmark, spp):
-    benchmark(chd.modality, simulated_pixels(1024, spp))
-
-
-def test_scikit_learn(benchmark):
-    rows = [np.log(x[x > 0])[:, np.newaxis] for x in simulated_pixels(16)]
-    benchmark(lambda: [GaussianMixture(k, random_state=0).fit(y) for y in rows for k in (1, 2, 3)])

@@ -27,16 +27,6 @@ BODIES = {
     "Weibull 0.7": stats.weibull_min(0.7),
     "Weibull 1.5": stats.weibull_min(1.5),
 }
-TAILS = {
-    "GPD 1": stats.genpareto(1.0),
-    "Pareto 1.5": stats.genpareto(2 / 3),
-    "|t| 1.5": stats.t(1.5),
-    "Frechet 1.5": stats.invweibull(1.5),
-}
-SHARES, SIZES = (0.003, 0.01, 0.03, 0.1), tuple(2**i for i in range(7, 14))
-RARE = [(share, samples) for share in SHARES for samples in SIZES if share * samples >= 20]
-FEW = ((0.003, 8192), (0.01, 2048), (0.03, 1024), (0.1, 256), (0.1, 512))
-"""Shares of a rare heavy tail and numbers of samples: 20 and more are of the tail."""
 MUST = ("exponential", "gamma 0.5", "gamma 2", "uniform")
 
 
@@ -62,33 +52,6 @@ def test_bodies_alone(benchmark, samples):
     for name, tail in found.items():
         print(_line(f"{name}, {samples} samples", tail))
     assert all(found[name].variance_trusted.mean() >= 0.9 - 0.045 for name in MUST)
-
-
-@pytest.mark.parametrize("heavy", TAILS)
-def test_rare_heavy_tails(benchmark, heavy):
-    rng = np.random.default_rng(len(heavy))
-    names = [name for name in BODIES if not name.startswith("gamma")]
-
-    def draw(body, share, samples):
-        shape = (ROWS, samples)
-        rare = rng.random(shape) < share
-        tail = 5 + np.abs(TAILS[heavy].rvs(shape, random_state=rng))
-        return np.where(rare, tail, BODIES[body].rvs(shape, random_state=rng))
-
-    def run():
-        return {
-            (body, share, samples): chd.fit.tail_index(draw(body, share, samples))
-            for body in names
-            for share, samples in (RARE if (heavy, body) == ("GPD 1", "exponential") else FEW)
-        }
-
-    found = benchmark.pedantic(run, rounds=1)
-    print(f"\n{HEADER}")
-    for (body, share, samples), tail in found.items():
-        print(_line(f"{body} + {share:g} {heavy}, {samples}", tail))
-    if heavy == "GPD 1":
-        trusted = [t.variance_trusted.mean() for (b, *_), t in found.items() if b == "exponential"]
-        assert max(trusted) <= 0.05 + 0.033
 
 
 GRAFTED = {
