@@ -9,6 +9,9 @@
 `model`
     ``model("progressive")`` and ``model("elek2019")`` return estimators that were trained for a few
     iterations on ``stored()``: for tests of what is done with a model, not of how good it is.
+`run`
+    ``run("info", store)`` runs a command of chdstat in this process and returns its exit code, what
+    it printed, and its errors.
 `wavefront`, `backend`
     Names of backends that draw wavefronts, and of all. Tests run with each of them: with cuda where
     it works, and with llvm, where a test is skipped if that does not.
@@ -67,6 +70,25 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def scenes_folder() -> Path:
     """Folder of real scenes, for tests marked `external`."""
     return Path(os.environ[_SCENES])
+
+
+@pytest.fixture
+def run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Return what runs a command: ``code, out, err = run("info", path)``."""
+    from chdstat.cli import main
+
+    monkeypatch.delenv("COLUMNS", raising=False)  # some runners of tests set it
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        return int(ended.value.code or 0), out, err
+
+    return call
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, SceneError
 from chdstat.rendering.recipes import load_recipe
 
@@ -204,11 +203,9 @@ def test_mutated_recipes_are_read_or_refused_in_words(tmp_path):
     ],
     ids=lambda a: " ".join(a)[:60],
 )
-def test_commands_end_without_a_traceback(tmp_path, monkeypatch, capsys, arguments):
+def test_commands_end_without_a_traceback(tmp_path, monkeypatch, run, arguments):
     (tmp_path / "notes.txt").write_text("mine")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["chdstat", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code in (1, 2)
-    assert capsys.readouterr().err
+    code, _, err = run(*arguments)
+    assert code in (1, 2)
+    assert err

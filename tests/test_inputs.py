@@ -11,14 +11,12 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat import estimators, fit
-from chdstat.cli import main
 from chdstat.errors import InputError, LeftOutWarning, StoreError
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.inputs import Profile
 from chdstat.inference import gaussianity_of_means
 from chdstat.patterns import random_chds
 from chdstat.samples import Samples
-from chdstat.samples.store import Store
 from chdstat.summary.histograms import StreamingHistogram
 from chdstat.summary.statistics import Summary
 
@@ -248,12 +246,7 @@ OF_IMAGES = {
 
 @pytest.fixture(scope="module")
 def stored(x, tmp_path_factory):
-    path = tmp_path_factory.mktemp("stores") / "s.zarr"
-    store = Store.create(path, shape=(HEIGHT, WIDTH, 3, SPP), attrs={"scene": "a"})
-    for chunk in store.pending():
-        store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
-    store.close()
-    return path
+    return Samples.from_array(x).save(tmp_path_factory.mktemp("stores") / "s.zarr").path
 
 
 @pytest.mark.parametrize("name", OF_IMAGES)
@@ -372,19 +365,12 @@ def test_arrays_tell_negative_samples_too(x):
 
 
 @pytest.mark.filterwarnings("default::chdstat.errors.LeftOutWarning")
-def test_a_command_prints_one_line_of_it(large, tmp_path, monkeypatch, capsys):
-    path = tmp_path / "s.zarr"
+def test_a_command_prints_one_line_of_it(large, tmp_path, run):
     bad = large.copy()
     bad[:, :, :, :8] = np.inf
-    store = Store.create(path, shape=(12, 12, 3, SPP), attrs={"scene": "made up"})
-    for chunk in store.pending():
-        store.write(chunk, bad[chunk.ys, chunk.xs, :, chunk.ss])
-    monkeypatch.setattr("sys.argv", ["chdstat", "analyze", str(path)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    lines = capsys.readouterr().err.splitlines()
-    assert [line for line in lines if line.startswith("chdstat:")] == [
+    code, _, err = run("analyze", Samples.from_array(bad).save(tmp_path / "s.zarr").path)
+    assert code == 0
+    assert [line for line in err.splitlines() if line.startswith("chdstat:")] == [
         "chdstat: 25.0 % of the samples (1152 of 4608) are bad and were left out: "
         "0 NaN or masked, 1152 infinite"
     ]

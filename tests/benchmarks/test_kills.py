@@ -1,8 +1,8 @@
 """Kills: what is run again after one gives the same files to the bit, and nothing is left over.
 
 ``--benchmark-only -s`` kills commands at 100 random moments between the first sign of progress and
-the end of the work, and before 50 random accesses to files, and prints the table; a few kills run
-with the other tests. CHDSTAT_KILLS changes their number, CHDSTAT_KILLED, such as
+the end of the work, and before 50 random accesses to files, and prints the table; `pytest -m slow`
+runs a few. CHDSTAT_KILLS changes their number, CHDSTAT_KILLED, such as
 ``analyze,estimate``, which commands are killed.
 """
 
@@ -208,10 +208,6 @@ def test_some_kills(campaign):
     for at in ("moment", "access"):
         fates = kill(campaign, ["append", "analyze", "estimate"], 3, at, 1)
         assert {key[2] for key in fates} == {"same"}
-
-
-def test_one_kill(campaign):
-    assert kill(campaign, ["append"], 1, "access", 2) == {("access", "append", "same"): 1}
 
 
 def test_all_kills(as_benchmark, campaign):

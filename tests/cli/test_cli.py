@@ -21,21 +21,6 @@ from chdstat.rendering import RenderOptions
 ROOT = Path(chd.__file__).parent
 
 
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run chdstat with arguments; return exit code, output, errors."""
-    monkeypatch.delenv("COLUMNS", raising=False)  # some runners of tests set it
-
-    def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return call
-
-
 @pytest.fixture(scope="module")
 def store(tmp_path_factory):
     path = tmp_path_factory.mktemp("cli") / "box.zarr"

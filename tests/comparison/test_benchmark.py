@@ -8,7 +8,6 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
-from chdstat.cli import main
 from chdstat.comparison import benchmark, denoised
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
@@ -178,14 +177,11 @@ def test_what_cannot_be_judged_is_refused(change, told):
         chd.bench({"a": images(1)}, **options)
 
 
-def test_the_command_prints_and_writes_the_table(tmp_path, monkeypatch, capsys):
+def test_the_command_prints_and_writes_the_table(tmp_path, monkeypatch, run):
     images(1, 64).save(tmp_path / "a.zarr")
     chd.io.write_exr(tmp_path / "truth.exr", TRUTH.astype(np.float32))
     monkeypatch.chdir(tmp_path)
     line = "bench a.zarr -e mean -e median --spp 16 --reference a=truth.exr -o t.tex -q --image "
-    monkeypatch.setattr("sys.argv", ["chdstat", *(line + "ideal@a=truth.exr").split()])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    assert "ideal" in capsys.readouterr().out
+    code, out, _ = run(*(line + "ideal@a=truth.exr").split())
+    assert (code, "ideal" in out) == (0, True)
     assert "median" in (tmp_path / "t.tex").read_text()

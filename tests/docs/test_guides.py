@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.cli import main
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -136,8 +135,8 @@ def bring(words: list[str], stores: dict[str, Path]) -> None:
             shutil.copytree(stores[of], word)
 
 
-def type_in(line: str, stores: dict[str, Path], monkeypatch) -> int:
-    """Type a line as in a terminal, and return its exit code."""
+def type_in(line: str, stores: dict[str, Path], run) -> tuple[int, str]:
+    """Type a line as in a terminal; return its exit code and what it says of errors."""
     words = shlex.split(line.split(">")[0], comments=True)
     words = [name for word in words for name in (sorted(glob.glob(word)) or [word])]  # noqa: PTH207
     assert words[0] == "chdstat", line
@@ -150,12 +149,9 @@ def type_in(line: str, stores: dict[str, Path], monkeypatch) -> int:
     if "--plugin" in words:  # which stays in the process that loads it
         call = [sys.executable, "-m", "chdstat", *words[1:], *small.split()]
         done = subprocess.run(call, check=False, capture_output=True, text=True)
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
-        return 0
-    monkeypatch.setattr("sys.argv", [*words, *small.split()])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return int(ended.value.code or 0)
+        return done.returncode, done.stderr
+    code, _, err = run(*words[1:], *small.split())
+    return code, err
 
 
 class Shown:
@@ -173,14 +169,14 @@ class Shown:
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 @pytest.mark.parametrize("page", dict(lines()))
-def test_every_line_to_type_succeeds(page, folder, stores, monkeypatch, capsys):
+def test_every_line_to_type_succeeds(page, folder, stores, monkeypatch, run):
     monkeypatch.setattr(chd, "explore", Shown)
     for of, line in lines():
         if of == page:
-            code = type_in(line, stores, monkeypatch)
+            code, err = type_in(line, stores, run)
             # Renders that differ are no error.
             allowed = {0, 3, 4} if " contrast " in line else {0}
-            assert code in allowed, f"{line}\n{capsys.readouterr().err}"
+            assert code in allowed, f"{line}\n{err}"
 
 
 def test_lines_that_are_run_elsewhere_are_there():

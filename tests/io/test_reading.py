@@ -13,7 +13,6 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.io import lazy
 from chdstat.io.reading import FORMATS
@@ -23,19 +22,6 @@ FRAMES = np.random.default_rng(5).gamma(2.0, size=(40, 6, 9, 3)).astype(np.float
 RADIANCE = np.moveaxis(FRAMES, 0, -1)
 IMAGES = np.random.default_rng(3).gamma(0.5, size=(130, 7, 9, 3)).astype(np.float32)
 ALBEDO = np.random.default_rng(4).random((130, 7, 9, 3)).astype(np.float32)
-
-
-@pytest.fixture
-def run(monkeypatch):
-    """Return a function that runs a command, which must succeed."""
-
-    def command(*arguments: object) -> None:
-        monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code
-
-    return command
 
 
 @pytest.fixture(scope="module")
@@ -192,8 +178,9 @@ def test_the_command_imports_and_appends(tmp_path, run):
     np.save(tmp_path / "x.npy", FRAMES)
     np.save(tmp_path / "y.npy", FRAMES + 1)
     where = ("-o", tmp_path / "own.zarr", "--axes", "syxc", "-q")
-    run("import", tmp_path / "x.npy", *where, "--renderer", "mine 1.2", "--seed", "4")
-    run("import", tmp_path / "y.npy", *where, "--append", "--seed", "5")
+    line = ("import", tmp_path / "x.npy", *where, "--renderer", "mine 1.2", "--seed", "4")
+    assert run(*line)[0] == 0
+    assert run("import", tmp_path / "y.npy", *where, "--append", "--seed", "5")[0] == 0
     samples = chd.open(tmp_path / "own.zarr")
     assert np.array_equal(samples.read(ss=slice(40)), RADIANCE)
     assert np.array_equal(samples.read(ss=slice(40, 80)), RADIANCE + 1)
@@ -204,8 +191,8 @@ def test_the_command_imports_and_appends(tmp_path, run):
 
 def test_frames_are_named_after_their_store_unless_told_otherwise(stack, tmp_path, run):
     frames = sorted(stack.glob("*.exr"))[:3]
-    run("import", *frames, "-o", tmp_path / "kitchen.zarr", "-q")
-    run("import", *frames, "-o", tmp_path / "own.zarr", "--scene", "attic", "-q")
+    assert run("import", *frames, "-o", tmp_path / "kitchen.zarr", "-q")[0] == 0
+    assert run("import", *frames, "-o", tmp_path / "own.zarr", "--scene", "attic", "-q")[0] == 0
     assert chd.open(tmp_path / "kitchen.zarr").name == "kitchen"
     assert chd.open(tmp_path / "own.zarr").name == "attic"
 

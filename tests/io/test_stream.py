@@ -16,7 +16,6 @@ import pytest
 from google_crc32c import value as checksum
 
 import chdstat as chd
-from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
 from tests.io.writers import block, dense, end, entries, samples_block, start
 
@@ -247,13 +246,10 @@ def test_the_header_is_shipped_and_short():
     assert all("<" in line for line in text.splitlines() if line.startswith("#include"))
 
 
-def test_the_samples_of_a_path_tracer_become_an_analysis(tracer, tmp_path, monkeypatch, capsys):
+def test_the_samples_of_a_path_tracer_become_an_analysis(tracer, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     subprocess.run([tracer, "box.chds", "80", "70", "32", "5", "image.f32"], check=True)
-    monkeypatch.setattr("sys.argv", ["chdstat", "import", "box.chds", "-o", "box.zarr", "-q"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
+    assert run("import", "box.chds", "-o", "box.zarr", "-q")[0] == 0
     samples = chd.open("box.zarr")
     assert samples.shape == (70, 80, 3, 32)
     assert samples.attrs["renderer"] == "tracer.cpp"

@@ -5,7 +5,6 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.cli import main
 from chdstat.errors import InputError
 from chdstat.viz import tonemap
 
@@ -46,22 +45,15 @@ def test_attributes_that_netcdf_has_no_type_for_are_json(tmp_path):
     assert found.attrs["none"] is None
 
 
-def test_the_command_exports_maps(tmp_path, monkeypatch, capsys):
-    def export(source, kind, name):
-        line = ["chdstat", "export", source, "--as", kind, "-o", tmp_path / name]
-        monkeypatch.setattr("sys.argv", [*map(str, line)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return int(ended.value.code or 0)
-
+def test_the_command_exports_maps(tmp_path, run):
     store, found = SAMPLES.save(tmp_path / "x.zarr").path, tmp_path / "maps.zarr"
     chd.summarize(SAMPLES).to_zarr(found, consolidated=False)
     for kind, name in {"exr": "d.exr", "netcdf": "e.nc"}.items():
-        assert export(found, kind, name) == 0
-        assert (tmp_path / name).exists()
-    assert "d.exr" in capsys.readouterr().out
-    assert export(store, "exr", "f.exr") == 1
-    assert "holds samples, not maps" in capsys.readouterr().err
+        code, out, _ = run("export", found, "--as", kind, "-o", tmp_path / name)
+        assert (code, (tmp_path / name).exists(), name in out) == (0, True, True)
+    code, _, err = run("export", store, "--as", "exr", "-o", tmp_path / "f.exr")
+    assert code == 1
+    assert "holds samples, not maps" in err
 
 
 IMAGE = np.random.default_rng(3).gamma(0.5, size=(5, 7, 3)).astype(np.float32)

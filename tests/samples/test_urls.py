@@ -18,7 +18,6 @@ from upath import UPath
 import chdstat as chd
 import chdstat.samples
 from chdstat._core import files
-from chdstat.cli import main
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 
@@ -112,17 +111,14 @@ def test_damage_is_named_and_repaired(either, expected):
 
 
 @pytest.mark.parametrize("words", ["analyze {} -o", "render cornell-box --summary-only -o"])
-def test_maps_go_to_folders(expected, tmp_path, monkeypatch, capsys, words):
+def test_maps_go_to_folders(expected, tmp_path, monkeypatch, run, words):
     monkeypatch.chdir(tmp_path)
     url = "memory://maps/box.zarr"
     if not chdstat.samples.is_store(url):
         expected.save(url, progress=False)
-    command = ["chdstat", *words.format(url).split(), "memory://maps/maps.zarr"]
-    monkeypatch.setattr("sys.argv", command)
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code
-    assert "only stores of samples may lie behind URLs" in capsys.readouterr().err
+    code, _, err = run(*words.format(url).split(), "memory://maps/maps.zarr")
+    assert code
+    assert "only stores of samples may lie behind URLs" in err
     assert not list(tmp_path.iterdir())
 
 
