@@ -17,7 +17,7 @@ import chdstat as chd
 from chdstat._core.work import beside, client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
-from chdstat.estimators.combining import combine
+from chdstat.estimators import combine
 from chdstat.estimators.shapes import PowerSums
 from chdstat.inference.modes import ModalMixture
 from chdstat.rendering import render_batches, workers

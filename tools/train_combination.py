@@ -25,8 +25,8 @@ import numpy as np
 import torch
 
 import chdstat as chd
-from chdstat.estimators.combining.halves import Measured, candidates
-from chdstat.estimators.combining.weights import LEVELS, comparisons, unit_of
+from chdstat.estimators.default_estimate.candidates import Measured, candidates
+from chdstat.estimators.default_estimate.weighting_network import LEVELS, comparisons, unit_of
 from chdstat.estimators.training import write_model
 from chdstat.rendering import render_batches
 
@@ -52,7 +52,7 @@ NUMBERS = 8, 24, 64, 256
 """Samples of a pixel that are estimated from."""
 PER_THIRD = 3_000
 """Pixels of an image that tell how wide intervals are where it is dark, between, and bright."""
-TARGET = Path(chd.__file__).parent / "estimators/combining.weights.safetensors"
+TARGET = Path(chd.__file__).parent / "estimators/combination.weighting_network.safetensors"
 STEPS, AT_ONCE, HIDDEN, RATE, DECAY = 500, 6, 48, 3e-3, 1e-2
 WORSE = 3.0
 """How much more an error above that of the denoiser counts, in logarithms."""

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Array, whole
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.estimates import through_denoiser
+from chdstat.estimators.default_estimate.candidates import through_denoiser
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
 from chdstat.estimators.validation import check_spp

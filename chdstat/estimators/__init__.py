@@ -21,9 +21,15 @@ from typing import Any
 import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
-from chdstat.estimators.combining import Combination, CombinationStream, combine
 from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
-from chdstat.estimators.estimates import estimate, refine, write_estimates
+from chdstat.estimators.estimates import (
+    Combination,
+    CombinationStream,
+    combine,
+    estimate,
+    refine,
+    write_estimates,
+)
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
 from chdstat.estimators.progressive import Progressive

@@ -1,9 +1,22 @@
-"""Estimates: a better image from the samples that are there, and a file of it.
+"""Estimates: the default estimate of an image, and the file of it.
 
-`estimate` is the one call from samples to radiance. It combines the mean, an outlier-free mean and
-denoised images of both by their errors on held-out samples, without a reference, or lets a model
-estimate that was trained before. Nothing is trained. `write_estimates` puts the image in an EXR
-file, with the certainty, the interval and the mean beside it. `chdstat.estimators` has the parts.
+`estimate` is the one call from samples to radiance. By default it combines the mean, an
+outlier-free mean and denoised images of both, pixel by pixel; or it lets a model estimate that was
+trained before. Nothing is trained. `write_estimates` puts the image in an EXR file, with the
+certainty, the interval and the mean beside it.
+
+No single candidate is the best everywhere: a denoiser loses what is small and bright, the mean is
+noisy, and which of them is nearer to the truth differs from pixel to pixel. `combine` weights the
+candidates by their error on held-out samples: they are made of one half of the samples and compared
+with the mean of the other half, whose noise is independent and unbiased (van der Laan, Polley and
+Hubbard 2007, "Super learner", doi:10.2202/1544-6115.1309). A network turns these comparisons into
+weights and into the width of an interval. `chdstat.estimators.default_estimate` has the parts:
+candidates, the network, and how much of the mean a pixel keeps.
+
+Weights per pixel for candidates follow Back et al. 2020, "Deep combiner for independent and
+correlated pixel estimates", doi:10.1145/3414685.3417847, and Firmino et al. 2022, "Progressive
+denoising of Monte Carlo rendered images", doi:10.1111/cgf.14454, which mixes by an estimated error;
+both train on the error of two estimates, here it is any number of them.
 """
 
 from __future__ import annotations
@@ -12,30 +25,39 @@ import json
 import logging
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special, stats
 
 from chdstat import __version__
+from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.files import checked_target
-from chdstat._core.work import check_memory
+from chdstat._core.work import check_memory, checkpoints
 from chdstat.errors import InputError
-from chdstat.estimators.combining import LEAST, Combination, CombinationStream, combine
+from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
+from chdstat.estimators.default_estimate.mean_weights import Proposal, weight_of_mean
+from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
 from chdstat.estimators.progressive import Progressive
+from chdstat.estimators.progressive.errors import check_loss_weight
 from chdstat.estimators.registry import (
     Estimates,
     check_positive,
     check_probability,
     mean_of_good,
+    register,
 )
+from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
-from chdstat.io import denoise, write_image
+from chdstat.estimators.validation import reordered
+from chdstat.io import denoise as run_denoiser
+from chdstat.io import write_image
 from chdstat.io.writing import IMAGES
-from chdstat.samples import ImageLike, Samples, check_equal_counts
+from chdstat.samples import ImageLike, Samples, check_equal_counts, checkpoint_key
 from chdstat.samples.dependence import check_independent
 
 if TYPE_CHECKING:
@@ -43,7 +65,19 @@ if TYPE_CHECKING:
 
     from chdstat.rendering import Rendering
 
-__all__ = ["check_denoiser", "estimate", "refine", "through_denoiser", "write_estimates"]
+__all__ = [
+    "Combination",
+    "CombinationStream",
+    "check_denoiser",
+    "combination",
+    "combine",
+    "error_of_sum",
+    "estimate",
+    "give_back",
+    "interval_of_mean",
+    "refine",
+    "write_estimates",
+]
 
 _log = logging.getLogger("chdstat")
 
@@ -54,6 +88,17 @@ _COPIES = 2.2
 """Memory that an estimate by a model takes, over that of its samples (measured)."""
 _USUAL_CHANNELS = (1, 3)
 """Numbers of channels that EXR has names for."""
+_BELOW = 0.001
+"""Probability, for normal samples, that radiance is less than its floor."""
+_AGREES = 1.5
+"""Standard errors that the sum of an image is left away from that of the mean."""
+_MOST = 0.05
+"""Share of its radiance that a pixel is given back at most."""
+_LEAST = 4
+"""Samples of a pixel, of which each half needs two."""
+
+
+# --- from samples to an image, and its file ---
 
 
 def estimate(
@@ -126,7 +171,8 @@ def estimate(
     ((16, 16, 3), (16, 16))
     """
     options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
-    return _last(_Estimated.refined(samples, model, options)).final
+    *_, last = _estimates(samples, model, options)
+    return last.final
 
 
 def refine(
@@ -170,8 +216,8 @@ def refine(
     check_probability(level=level)
     if seconds is not None:
         check_positive(seconds=seconds)
-    if rendering.spp < LEAST:
-        message = f"expected at least {LEAST} samples of a pixel, got {rendering.spp}"
+    if rendering.spp < _LEAST:
+        message = f"expected at least {_LEAST} samples of a pixel, got {rendering.spp}"
         raise InputError(message)
     y, x, channels, _ = rendering.shape
     stream, due, begin = CombinationStream((y, x, channels)), _FIRST, time.monotonic()
@@ -179,7 +225,7 @@ def refine(
         for chunk, samples in chunks:
             stream.update(samples, rows=chunk.ys, columns=chunk.xs)
         late = seconds is not None and time.monotonic() - begin >= seconds
-        enough = stream.spp >= LEAST
+        enough = stream.spp >= _LEAST
         if enough and (late or stream.spp >= min(due, rendering.spp)):
             yield stream.estimate(features=rendering.features, level=level)
             due = 2 * stream.spp
@@ -248,7 +294,7 @@ def write_estimates(
     if not hasattr(samples, "batch") and (seconds, relative_error) != (None, None):
         message = "seconds and relative_error stop a rendering; these samples are there already"
         raise InputError(message)
-    for image in _Estimated.refined(samples, model, options, seconds):
+    for image in _estimates(samples, model, options, seconds):
         write_image(
             target,
             image.final.radiance,
@@ -256,18 +302,12 @@ def write_estimates(
             extra=image.layers(),
             attributes=image.header(),
         )
-        found = image.first
+        found = image.found
         if relative_error is not None and isinstance(found, Combination):
             _log.info("%d spp: relative error %.3g", found.spp, found.relative_error)
             if found.relative_error <= relative_error:
                 break
     return target
-
-
-def _last(images: Iterator[_Estimated]) -> _Estimated:
-    """Return the last of some images."""
-    *_, image = images
-    return image
 
 
 @dataclass(frozen=True)
@@ -291,9 +331,9 @@ class _Estimated:
     ----------
     source, options
         The samples or the rendering, and how they were estimated from.
-    model, about, training
-        The estimator, None for a combination, its provenance, and what it was trained on.
-    first
+    model
+        The estimator; None for a combination.
+    found
         Before the denoiser.
     mean
         Of the same samples, shape (y, x, channel).
@@ -302,40 +342,71 @@ class _Estimated:
     source: Samples | Rendering
     options: _Options
     model: AnyModel | None
-    about: Mapping[str, Any]
-    training: str
-    first: Estimates
+    found: Estimates
     mean: npt.NDArray[np.float32]
 
-    @classmethod
-    def refined(
-        cls,
-        source: Any,
-        model: AnyModel | str | Path | None,
-        options: _Options,
-        seconds: float | None = None,
-    ) -> Iterator[_Estimated]:
-        """Yield the estimate; of a rendering, one after another, of more and more samples."""
-        if not 0 <= options.loss_weight <= 1:
-            message = (
-                f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
-            )
-            raise InputError(message)
-        check_probability(level=options.level)
-        own = load_model(model) if isinstance(model, str | Path) else model
-        # A rendering has batches; to test for its class would load Mitsuba here.
-        if hasattr(source, "batch"):
-            cls._check_rendering(source, own, options)
-            for found in refine(source, level=options.level, seconds=seconds):
-                yield cls._combined(source, options, found)
-            return
-        samples = first_samples(source, options.spp)
-        if options.denoise:
-            check_denoiser(samples.shape[2])  # refused before the work, not after
-        if own is not None:
-            check_equal_counts(samples, "a trained estimator reads all pixels alike")
-            yield cls._by(own, samples, options)
-            return
+    @cached_property
+    def final(self) -> Estimates:
+        """The estimate, after the denoiser where there is one."""
+        if not self.options.denoise:
+            return self.found
+        radiance = through_denoiser(self.found.radiance, self.source.features)
+        if isinstance(self.found, Combination):
+            radiance = self.found.guarded(radiance)
+        return replace(self.found, radiance=radiance)
+
+    def layers(self) -> dict[str, npt.NDArray[Any]]:
+        layers: dict[str, npt.NDArray[Any]] = {"mean": self.mean}
+        if not np.isnan(self.found.level):
+            layers |= {name: getattr(self.found, name) for name in ("certainty", "low", "high")}
+        if isinstance(self.found, Combination):
+            weights = self.found.weights.items()
+            layers |= {f"weight_{name.replace(' ', '_')}": image for name, image in weights}
+        return layers | ({"estimate": self.found.radiance} if self.options.denoise else {})
+
+    def header(self) -> dict[str, str]:
+        found, model = self.found, self.model
+        training, known = "before", {} if model is None else model.provenance
+        if isinstance(found, Combination):
+            training = "before, on built-in scenes with references"
+            known = {"bias": found.bias, "bias_error": found.bias_error}
+        about = {
+            "software": f"chdstat {__version__}",
+            "scene": self.source.name,
+            "spp": getattr(found, "spp", self.source.spp),
+            "estimator": "combination" if model is None else model.name,
+            "training": training,
+            "loss_weight": self.options.loss_weight if isinstance(model, Progressive) else "none",
+            "level": "none" if np.isnan(found.level) else found.level,
+            "denoiser": "Open Image Denoise" if self.options.denoise else "none",
+            "samples": self.source.attrs,
+            "model": known,
+        }
+        return {
+            k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in about.items()
+        }
+
+
+def _estimates(
+    source: Any,
+    model: AnyModel | str | Path | None,
+    options: _Options,
+    seconds: float | None = None,
+) -> Iterator[_Estimated]:
+    """Yield the estimate; of a rendering, one after another, of more and more samples."""
+    check_loss_weight(options.loss_weight)
+    check_probability(level=options.level)
+    model = load_model(model) if isinstance(model, str | Path) else model
+    # A rendering has batches; to test for its class would load Mitsuba here.
+    if hasattr(source, "batch"):
+        _check_rendering(source, model, options)
+        for found in refine(source, level=options.level, seconds=seconds):
+            yield _Estimated(source, options, None, found, found.mean)
+        return
+    samples = first_samples(source, options.spp)
+    if options.denoise:
+        check_denoiser(samples.shape[2])  # refused before the work, not after
+    if model is None:
         found = combine(
             samples,
             level=options.level,
@@ -343,112 +414,432 @@ class _Estimated:
             client=options.client,
             checkpoint=options.checkpoint,
         )
-        yield cls._combined(samples, options, found)
+        yield _Estimated(samples, options, None, found, found.mean)
+    else:
+        check_equal_counts(samples, "a trained estimator reads all pixels alike")
+        yield _Estimated(samples, options, model, *_by_model(model, samples, options))
 
-    @classmethod
-    def _combined(cls, source: Any, options: _Options, found: Combination) -> _Estimated:
-        about = {"bias": found.bias, "bias_error": found.bias_error}
-        training = "before, on built-in scenes with references"
-        return cls(source, options, None, about, training, found, found.mean)
 
-    @staticmethod
-    def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) -> None:
-        """Refuse what could not be estimated after the rendering."""
-        check_independent(rendering)
-        message = None
-        if model is not None:
-            message = (
-                f"{model!r} needs the samples, of which none are kept while rendering: render "
-                "first and estimate from the store, or leave the model out"
-            )
-        elif options.spp not in (None, rendering.spp):
-            message = (
-                f"spp of a rendering is set where it is made: {rendering.spp}, "
-                f"got {options.spp} here"
-            )
-        elif options.client is not None:
-            message = (
-                "a rendering draws in one process: leave client or --workers out, or render first "
-                "and estimate from the store"
-            )
-        if message is not None:
-            raise InputError(message)
-        if options.denoise:
-            check_denoiser(rendering.shape[2])
-
-    @classmethod
-    def _by(cls, model: AnyModel, samples: Samples, options: _Options) -> _Estimated:
-        """Let a model estimate."""
-        check_memory(
-            _COPIES * samples.nbytes,
-            f"the {samples.spp} spp of an estimate and what it computes of them",
-            "use fewer, by spp or --spp, or leave the model out",
+def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) -> None:
+    """Refuse what could not be estimated after the rendering."""
+    check_independent(rendering)
+    message = None
+    if model is not None:
+        message = (
+            f"{model!r} needs the samples, of which none are kept while rendering: render "
+            "first and estimate from the store, or leave the model out"
         )
-        x = samples.read()
-        if isinstance(model, Progressive):
-            found = model.estimate(samples, loss_weight=options.loss_weight, level=options.level)
-        else:
-            radiance = model.predict(x)
-            unknown = np.full_like(radiance, np.nan)
-            found = Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
-        mean = mean_of_good(x).astype(np.float32)
-        return cls(samples, options, model, model.provenance, "before", found, mean)
-
-    @cached_property
-    def final(self) -> Estimates:
-        """The estimate, after the denoiser where there is one."""
-        if not self.options.denoise:
-            return self.first
-        radiance = through_denoiser(self.first.radiance, self.source.features)
-        if isinstance(self.first, Combination):
-            radiance = self.first.guarded(radiance)
-        return replace(self.first, radiance=radiance)
-
-    def layers(self) -> dict[str, npt.NDArray[Any]]:
-        found: dict[str, npt.NDArray[Any]] = {"mean": self.mean}
-        if not np.isnan(self.first.level):
-            found |= {name: getattr(self.first, name) for name in ("certainty", "low", "high")}
-        if isinstance(self.first, Combination):
-            weights = self.first.weights.items()
-            found |= {f"weight_{name.replace(' ', '_')}": image for name, image in weights}
-        return found | ({"estimate": self.first.radiance} if self.options.denoise else {})
-
-    def header(self) -> dict[str, str]:
-        mixes = isinstance(self.model, Progressive)
-        about = {
-            "software": f"chdstat {__version__}",
-            "scene": self.source.name,
-            "spp": getattr(self.first, "spp", self.source.spp),
-            "estimator": "combination" if self.model is None else self.model.name,
-            "training": self.training,
-            "loss_weight": self.options.loss_weight if mixes else "none",
-            "level": "none" if np.isnan(self.first.level) else self.first.level,
-            "denoiser": "Open Image Denoise" if self.options.denoise else "none",
-            "samples": self.source.attrs,
-            "model": self.about,
-        }
-        return {
-            k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in about.items()
-        }
+    elif options.spp not in (None, rendering.spp):
+        message = (
+            f"spp of a rendering is set where it is made: {rendering.spp}, got {options.spp} here"
+        )
+    elif options.client is not None:
+        message = (
+            "a rendering draws in one process: leave client or --workers out, or render first "
+            "and estimate from the store"
+        )
+    if message is not None:
+        raise InputError(message)
+    if options.denoise:
+        check_denoiser(rendering.shape[2])
 
 
-def through_denoiser(
-    radiance: npt.NDArray[Any],
-    features: Mapping[str, npt.NDArray[Any]],
-    *,
-    certainty: npt.NDArray[Any] | None = None,
-) -> npt.NDArray[Any]:
-    """Return estimates denoised, with albedo and normal where `features` have an albedo.
-
-    Estimates of signed samples, and those of a network, may be negative. The denoiser takes no
-    negative radiance: it counts as 0.
-    """
-    start = np.where(radiance < 0, 0, radiance)
-    albedo = features.get("albedo")
-    normal = None if albedo is None else features.get("normal")
-    return denoise(start, albedo=albedo, normal=normal, certainty=certainty)
+def _by_model(
+    model: AnyModel, samples: Samples, options: _Options
+) -> tuple[Estimates, npt.NDArray[np.float32]]:
+    """Let a model estimate; return the mean of the samples, too."""
+    check_memory(
+        _COPIES * samples.nbytes,
+        f"the {samples.spp} spp of an estimate and what it computes of them",
+        "use fewer, by spp or --spp, or leave the model out",
+    )
+    x = samples.read()
+    if isinstance(model, Progressive):
+        found = model.estimate(samples, loss_weight=options.loss_weight, level=options.level)
+    else:
+        radiance = model.predict(x)
+        unknown = np.full_like(radiance, np.nan)
+        found = Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
+    return found, mean_of_good(x).astype(np.float32)
 
 
 def check_denoiser(channels: int) -> None:
     """Raise InputError where the denoiser cannot be loaded or takes no such image."""
-    denoise(np.zeros((1, 1, channels)))
+    run_denoiser(np.zeros((1, 1, channels)))
+
+
+# --- the combination of candidates ---
+
+
+@dataclass(frozen=True, repr=False)
+class Combination(Estimates):
+    """Estimates from several candidates, with what each of them was given.
+
+    Attributes
+    ----------
+    mean
+        Of each channel's good samples, shape (y, x, channel).
+    weights
+        Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is what
+        the mean was not given. Where the weighted sum is significantly darker than the mean of the
+        samples, the estimate is the lower end of the mean's interval instead; and where the image
+        as a whole is, it is made brighter (or darker) in proportion, but for what is certain.
+    bias
+        How much brighter the image is than the mean of all samples, which has no bias, as a share
+        of it.
+    bias_error
+        Standard error of that mean, as a share of it: a bias below twice this may be none.
+    least
+        The lower end of the mean's interval, shape (y, x, channel).
+    spp
+        Samples of a pixel, at most.
+    """
+
+    mean: Image = field(default_factory=lambda: np.empty(0, np.float32))
+    weights: Mapping[str, Image] = field(default_factory=dict)
+    bias: float = np.nan
+    bias_error: float = np.nan
+    least: Image = field(default_factory=lambda: np.empty(0, np.float32))
+    spp: int = 0
+
+    @property
+    def relative_error(self) -> float:
+        """Root of the image's mean squared error over its mean, as the intervals estimate it."""
+        width = (self.high - self.low) / (2 * stats.norm.ppf(0.5 + self.level / 2))
+        return float(np.sqrt(np.nanmean(np.square(width, dtype=np.float64)))) / float(
+            np.abs(np.nanmean(self.radiance, dtype=np.float64))
+        )
+
+    def guarded(self, denoised: Image) -> Image:
+        """Mix a denoised image of these estimates with them, by the weights of denoised candidates.
+
+        Candidates that are not denoised keep their weight: where denoising did not pay, it does
+        not pay afterwards. And no denoiser moves a pixel out of the interval of its mean.
+        """
+        unseen = [image for name, image in self.weights.items() if "denoised" not in name]
+        kept = np.clip(np.sum(unseen, axis=0), 0, 1)[..., np.newaxis]
+        least, most = self.least, 2 * self.mean - self.least
+        found = kept * self.radiance + (1 - kept) * denoised
+        within = np.clip(found, np.minimum(self.radiance, least), np.maximum(self.radiance, most))
+        return np.asarray(within, np.float32)
+
+
+def combine(
+    samples: npt.ArrayLike | Samples,
+    *,
+    features: Mapping[str, npt.NDArray[Any]] | None = None,
+    level: float = 0.9,
+    progress: bool | None = False,
+    client: Client | None = None,
+    checkpoint: str | Path | None = None,
+) -> Combination:
+    """Estimate radiance by candidates that are weighted by their error on held-out samples.
+
+    Parameters
+    ----------
+    samples
+        `Samples`, which are read tile by tile, or an array (y, x, channel, sample): 1 or 3
+        channels, at least 4 samples of each pixel.
+    features
+        First-hit features by name, of which ``albedo`` and ``normal`` guide the denoiser; None
+        takes those of `Samples`.
+    level
+        Probability of the interval.
+    progress
+        Show a progress bar; None shows it on a terminal.
+    client, checkpoint
+        As for `chdstat.analyze`: workers of a cluster, and a folder that keeps what they have done.
+
+    Returns
+    -------
+    Combination
+        Shape (y, x, channel), in the unit of the samples; NaN where no sample is good.
+
+    Raises
+    ------
+    InputError
+        If there are less than 4 samples, or no 1 or 3 channels.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> samples = chd.render("cornell-box", spp=16, size=(16, 16), progress=False)
+    >>> found = combine(samples)
+    >>> found.radiance.shape, sorted(found.weights)[:2]
+    ((16, 16, 3), ['denoised', 'denoised shared_shape'])
+    """
+    check_probability(level=level)
+    shape = np.shape(samples)
+    if len(shape) != 4 or shape[2] not in (1, 3) or shape[3] < _LEAST:
+        message = (
+            f"expected samples (y, x, channel, sample) of 1 or 3 channels, at least {_LEAST} of a "
+            f"pixel, got shape {shape}"
+        )
+        raise InputError(message)
+    image = (
+        samples
+        if isinstance(samples, Samples)
+        else Samples.from_array(np.asarray(samples, np.float32))
+    )
+    known = (image.features if features is None else features) or {}
+    with checkpoints(checkpoint, partial(checkpoint_key, image)) as kept:
+        measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
+    return _combine_measured(measured, known, level=level, client=client)
+
+
+class CombinationStream:
+    """Samples of an image as they come, of which only sums are kept.
+
+    The memory does not depend on their number. What `estimate` returns is, to the bit, what
+    `combine` makes of the same samples in the same order, however they are cut into batches.
+
+    Parameters
+    ----------
+    shape
+        Of the image: (y, x, channel), 1 or 3 channels.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).exponential(size=(16, 16, 3, 32)).astype(np.float32)
+    >>> stream = CombinationStream((16, 16, 3))
+    >>> for batch in np.split(x, 4, axis=-1):
+    ...     stream.update(batch)
+    >>> stream.spp, np.array_equal(stream.estimate().radiance, combine(x).radiance)
+    (32, True)
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        if len(shape) != 3 or shape[2] not in (1, 3):
+            message = f"expected the shape (y, x, channel) of 1 or 3 channels, got {shape}"
+            raise InputError(message)
+        self._halves = [PowerSums.empty(shape) for _ in range(2)]
+        self._drawn = np.zeros(shape[:2], np.int64)
+        self.shape = shape
+
+    @property
+    def spp(self) -> int:
+        """Samples that every pixel has."""
+        return int(self._drawn.min())
+
+    def update(
+        self, batch: npt.ArrayLike, *, rows: slice = slice(None), columns: slice = slice(None)
+    ) -> None:
+        """Add samples, shape (y, x, channel, sample), of the image or of a part of it."""
+        x, drawn = np.asarray(batch), self._drawn[rows, columns]
+        if x.ndim != 4 or x.shape[:3] != (*drawn.shape, self.shape[2]):
+            expected = (*drawn.shape, self.shape[2], "sample")
+            message = f"expected samples of shape {expected}, got {x.shape}"
+            raise InputError(message)
+        if drawn.min() != drawn.max():
+            message = (
+                "expected a part of pixels that have as many samples as each other, got "
+                f"{drawn.min()} to {drawn.max()}"
+            )
+            raise InputError(message)
+        for i in range(2):
+            half = self._halves[(int(drawn.min()) + i) % 2]
+            half.part(rows, columns).update(x[..., i::2])
+        drawn += x.shape[-1]
+
+    def merge(self, other: CombinationStream) -> None:
+        """Add the samples of another stream, such as that of another worker."""
+        if self.shape != other.shape:
+            message = f"expected a stream of an image of shape {self.shape}, got {other.shape}"
+            raise InputError(message)
+        pairs = zip(self._halves, other._halves, strict=True)
+        self._halves = [one.merged(two) for one, two in pairs]
+        self._drawn += other._drawn
+
+    def estimate(
+        self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
+    ) -> Combination:
+        """Estimate the radiance from the samples until now, as `combine` does."""
+        if self.spp < _LEAST:
+            message = f"expected at least {_LEAST} samples of a pixel, got {self.spp}"
+            raise InputError(message)
+        return _combine_measured(Measured.of_halves(*self._halves), features or {}, level=level)
+
+
+def _combine_measured(
+    measured: Measured,
+    features: Mapping[str, npt.NDArray[Any]],
+    *,
+    level: float = 0.9,
+    client: Client | None = None,
+) -> Combination:
+    """Combine candidates, as `combine` does, from statistics of the samples and of their halves."""
+    check_probability(level=level)
+    made = [candidates(start, features, client) for start in measured.starts]
+    names, unit = list(made[0]), unit_of(made[0])
+    mean, error = measured.mean, measured.errors[0]
+    ends = interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
+    if len(names) > 2:
+        weighting = WeightingNetwork.shipped(with_features="albedo" in features)
+        weights, width = weighting(made, measured, unit)
+        half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
+    else:
+        # Nothing is denoised: the limited mean is proposed, as certain as the mean is.
+        weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
+        half = ends[1] - mean
+    proposed = [
+        Proposal(
+            _weighted(weights, images),
+            np.nan_to_num(start["mean"]),
+            error_of_mean,
+            np.nan_to_num(start["shared_shape"]),
+        )
+        for images, start, error_of_mean in zip(made, measured.starts, measured.errors, strict=True)
+    ]
+    del made
+    of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
+    proposal = proposed[0].image
+    radiance = proposal + of_mean * (mean - proposal)
+    balanced = give_back(radiance, mean, error, 1 - of_mean)
+    # Where no light was found, the mean has no interval.
+    ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
+    # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
+    below, above = (
+        np.hypot((1 - of_mean) * half, np.sqrt(of_mean) * reach)
+        for reach in (mean - ends[0], ends[1] - mean)
+    )
+    low, high = balanced - below, balanced + above
+    weights = (weights * (1 - of_mean)).astype(np.float32)
+    weights[..., names.index("mean")] += of_mean[..., 0]
+    lost = np.isnan(measured.starts[0]["mean"]) & ~measured.absurd[..., np.newaxis]
+
+    def in_its_unit(image: Reals) -> Image:
+        return np.where(lost, np.nan, image * measured.unit).astype(np.float32)
+
+    bias, bias_error = _bias(np.where(lost, 0, balanced), mean, error)
+    return Combination(
+        in_its_unit(balanced),
+        1 - weights[..., names.index("mean")],
+        in_its_unit(low if measured.signed else np.maximum(low, 0)),
+        in_its_unit(high),
+        level,
+        mean=in_its_unit(mean),
+        weights={name: weights[..., j] for j, name in enumerate(names)},
+        bias=bias,
+        bias_error=bias_error,
+        least=in_its_unit(_floor(mean, error, measured.count)),
+        spp=int(measured.count.max(initial=0)),
+    )
+
+
+@register(
+    "combination",
+    source="this library, after van der Laan, Polley and Hubbard 2007",
+    place=8,
+    minimum_samples=_LEAST,
+    uses_neighbours=True,
+    joint_channels=True,
+    uses_features=True,
+    learns=True,
+)
+def combination(
+    x: npt.ArrayLike, *, features: Mapping[str, npt.NDArray[Any]] | None = None
+) -> Image:
+    """Weight the mean, an outlier-free mean and denoised images of both, pixel by pixel.
+
+    The radiance of `combine`, whose network was trained once, on built-in scenes.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample) of 1 or 3 channels, at least 4.
+    features
+        First-hit features of the image, as of `Samples.features`.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit of `x`.
+
+    Raises
+    ------
+    InputError
+        As for `combine`.
+
+    References
+    ----------
+    M. J. van der Laan, E. C. Polley and A. E. Hubbard, "Super learner", Statistical Applications in
+    Genetics and Molecular Biology 6(1), 2007, doi:10.2202/1544-6115.1309.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(0).exponential(size=(16, 16, 3, 16))
+    >>> combination(image).shape
+    (16, 16, 3)
+    """
+    samples = as_pixels(x, minimum=_LEAST, image=True)
+    return combine(reordered(samples)[0], features=features).radiance
+
+
+def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
+    """Return the sum of images (y, x, channel) with weights (y, x, candidate)."""
+    found = np.zeros(next(iter(images.values())).shape, np.float32)
+    for j, image in enumerate(images.values()):
+        found += weights[..., j, np.newaxis] * image
+    return found
+
+
+def interval_of_mean(
+    mean: Reals, error: Reals, count: Reals, level: float, *, signed: bool
+) -> Reals:
+    """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
+
+    Means of positive samples are nearly gamma distributed, of the shape k = (mean / error)^2: those
+    of exponential samples are so, and k equal ones among many nulls are nearly (Garwood 1936,
+    doi:10.1093/biomet/28.3-4.437). k is smaller by the square of the
+    ratio of the normal quantile to Student's. Signed samples have Student's interval.
+    """
+    tails = np.array((0.5 + level / 2, 0.5 - level / 2))
+    n = np.maximum(count.astype(np.float64) - 1, 1)
+    student = special.stdtrit(n, tails[0])
+    ends = np.stack([mean - student * error, mean + student * error])
+    skewed = (mean > 0) & (error > 1e-3 * mean) & (not signed)
+    m, of_error = mean[skewed], error[skewed]
+    k = np.square(m / of_error * (special.ndtri(tails[0]) / student[skewed]))
+    ends[:, skewed] = m * k / np.maximum(special.gammaincinv(k, tails[:, np.newaxis]), 1e-30)
+    return ends
+
+
+def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
+    """Return what a pixel's radiance is at least when it is denoised once more.
+
+    The lower end of Student's interval. One bright sample of n makes mean and standard error
+    alike, k of them a standard error of about mean / sqrt(k): only light that many samples found
+    is kept by it. Skewness to the bright, as of radiance, makes this end the more certain.
+    """
+    counts, place = np.unique(count, return_inverse=True)
+    certain = special.stdtrit(np.maximum(counts.astype(np.float64) - 1, 1), 1 - _BELOW)
+    return np.asarray(mean - certain[place] * error)
+
+
+def give_back(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals:
+    """Return an image whose sum agrees with that of the mean, which has no bias.
+
+    What proposals lose or add beyond `_AGREES` standard errors of that sum is given back in
+    proportion to radiance, or to twice the standard error of a pixel that is known better, and to
+    how far it was moved from its mean, so that what is certain stays. It is no more than `_MOST` of
+    it: more would be guessed at.
+    """
+    apart = float(radiance.sum(dtype=np.float64) - mean.sum())
+    lost = np.sign(apart) * max(abs(apart) - _AGREES * error_of_sum(error), 0)
+    share = np.clip(radiance, 0, 2 * error) * moved
+    return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -_MOST, _MOST) * share)
+
+
+def error_of_sum(error: Reals) -> float:
+    """Return the standard error of an image's sum, of those of its pixels."""
+    # Channels of a sample vary together: their errors add up as if they were the same.
+    return float(np.sqrt(np.square(error.sum(axis=-1)).sum()))
+
+
+def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
+    """Return by how much an image is brighter than the mean, and the standard error of that."""
+    whole = float(mean.sum())
+    if not whole:
+        return np.nan, np.nan
+    of_radiance = float(np.nansum(radiance, dtype=np.float64))
+    return of_radiance / whole - 1, error_of_sum(error) / abs(whole)

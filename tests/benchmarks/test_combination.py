@@ -22,9 +22,8 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import Interval
-from chdstat.estimators.combining import Combination
-from chdstat.estimators.combining.halves import Measured, candidates
-from chdstat.estimators.estimates import through_denoiser
+from chdstat.estimators import Combination
+from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
 from chdstat.estimators.training import train_model
 from chdstat.rendering import render_batches
 from chdstat.studies.claims import SceneData

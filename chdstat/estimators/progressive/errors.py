@@ -28,6 +28,7 @@ import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
 from chdstat._core.arrays import Indices, Reals
+from chdstat.errors import InputError
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.learning import TrainingSet
@@ -39,6 +40,7 @@ __all__ = [
     "FULL",
     "LOSSES",
     "ErrorModel",
+    "check_loss_weight",
     "checked_shares",
     "error_terms",
     "of_size",
@@ -176,6 +178,13 @@ def between_sizes(sizes: Reals, count: npt.NDArray[Any]) -> tuple[Indices, Indic
     place = np.interp(np.log2(np.maximum(count, 1)), np.log2(sizes), np.arange(last + 1))
     below = np.floor(place).astype(np.int64)
     return below, np.minimum(below + 1, last), place - below
+
+
+def check_loss_weight(loss_weight: float) -> None:
+    """Refuse a mixture of the losses that is none."""
+    if not 0 <= loss_weight <= 1:
+        message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {loss_weight}"
+        raise InputError(message)
 
 
 # --- how far to follow a network ---------------------------------------------------------------

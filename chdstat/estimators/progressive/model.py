@@ -277,9 +277,7 @@ class Progressive(TrainedModel[learning.Learned]):
                 "train one for these"
             )
             raise InputError(message)
-        if not 0 <= loss_weight <= 1:
-            message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {loss_weight}"
-            raise InputError(message)
+        errors.check_loss_weight(loss_weight)
 
     def _described(self, features: Features | None, shape: tuple[int, ...]) -> Array | None:
         """Return the numbers of the first hit of pixels, shape (pixel, number)."""

@@ -7,10 +7,16 @@ from scipy import stats
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Combination, CombinationStream, combine, estimate, write_estimates
-from chdstat.estimators.combining import halves, weighting, weights
-from chdstat.estimators.combining.halves import Measured, candidates
-from chdstat.estimators.combining.weights import LEVELS, Weighting, comparisons, unit_of
-from chdstat.estimators.estimates import through_denoiser
+from chdstat.estimators import estimates as weighting
+from chdstat.estimators.default_estimate import candidates as halves
+from chdstat.estimators.default_estimate import weighting_network as weights
+from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
+from chdstat.estimators.default_estimate.weighting_network import (
+    LEVELS,
+    WeightingNetwork,
+    comparisons,
+    unit_of,
+)
 from chdstat.io import read_exr
 
 
@@ -92,7 +98,7 @@ def test_intervals_hold_the_reference_and_are_wider_for_more(samples, found, ref
 
 def test_widths_are_those_of_thirds_of_brightness():
     steps = np.arange(1, 6) * np.array([[1.0], [2.0], [4.0]])
-    weighting = Weighting([], np.zeros(1), np.ones(1), steps)
+    weighting = WeightingNetwork([], np.zeros(1), np.ones(1), steps)
     unit = np.random.default_rng(0).permutation(600).reshape(20, 30)
     # 0.998 is as far from 0.99 as that is from 0.95: errors fall off exponentially.
     for level, place in ((0.5, 1), (0.9, 3), (0.99, 5), (0.998, 6)):
@@ -231,7 +237,7 @@ def test_a_network_sees_ratios_only(samples):
     inputs, scaled = seen(x), seen(x * 256)
     assert np.allclose(inputs, scaled, atol=0.05)
     assert np.isfinite(inputs).all()
-    assert Weighting.shipped(with_features=False).centre.shape == inputs.shape[-1:]
+    assert WeightingNetwork.shipped(with_features=False).centre.shape == inputs.shape[-1:]
 
 
 def test_bands_of_rows_are_parts_of_the_whole(monkeypatch):

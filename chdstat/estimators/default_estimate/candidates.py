@@ -1,4 +1,4 @@
-"""Halves: sums over all samples and over each half of them, and the candidates of a combination.
+"""Candidates: the images that a combination weights, from all samples and from each half of them.
 
 Samples are read once, tile by tile; only images of sums are kept.
 """
@@ -23,7 +23,7 @@ from chdstat.samples.tiles import Work
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Measured", "candidates"]
+__all__ = ["Measured", "candidates", "through_denoiser"]
 
 
 _BAND = 2**19
@@ -161,14 +161,13 @@ def candidates(
     library of the denoiser cannot be loaded, nothing is denoised.
     """
     starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
-    albedo = features.get("albedo")
-    normal = None if albedo is None else features.get("normal")
-    kinds: dict[str, Any] = {} if albedo is None else {"denoised with features": (albedo, normal)}
-    kinds = {**kinds, "denoised": (None, None)} if works() else {}
+    guides = {name: features[name] for name in ("albedo", "normal") if name in features}
+    kinds = {"denoised with features": guides} if "albedo" in guides else {}
+    kinds = {**kinds, "denoised": {}} if works() else {}
     jobs = {
-        kind if name == "mean" else f"{kind} {name}": (np.maximum(image, 0), *guides)
+        kind if name == "mean" else f"{kind} {name}": (image, own)
         for name, image in starts.items()
-        for kind, guides in kinds.items()
+        for kind, own in kinds.items()
     }
     # One at a time here: the denoiser uses all cores by itself.
     denoised = in_order(_denoised, jobs.values(), workers=1, client=client)
@@ -176,7 +175,24 @@ def candidates(
     return {name: image.astype(np.float32) for name, image in found.items()}
 
 
-def _denoised(job: tuple[Reals, Any, Any]) -> Reals:
+def _denoised(job: tuple[Reals, Mapping[str, npt.NDArray[Any]]]) -> Reals:
     """Return an image denoised; a black one as it is, since the denoiser would see light in it."""
-    image, albedo, normal = job
-    return denoise(image, albedo=albedo, normal=normal) if image.any() else image
+    image, features = job
+    return through_denoiser(image, features) if (image > 0).any() else np.maximum(image, 0)
+
+
+def through_denoiser(
+    radiance: npt.NDArray[Any],
+    features: Mapping[str, npt.NDArray[Any]],
+    *,
+    certainty: npt.NDArray[Any] | None = None,
+) -> npt.NDArray[Any]:
+    """Return estimates denoised, with albedo and normal where `features` have an albedo.
+
+    Estimates of signed samples, and those of a network, may be negative. The denoiser takes no
+    negative radiance: it counts as 0.
+    """
+    start = np.where(radiance < 0, 0, radiance)
+    albedo = features.get("albedo")
+    normal = None if albedo is None else features.get("normal")
+    return denoise(start, albedo=albedo, normal=normal, certainty=certainty)

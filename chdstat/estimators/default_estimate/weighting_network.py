@@ -15,15 +15,15 @@ import numpy as np
 from scipy import ndimage, stats
 
 from chdstat._core.arrays import Image, Reals, spans
-from chdstat.estimators.combining.halves import Measured
+from chdstat.estimators.default_estimate.candidates import Measured
 from chdstat.estimators.training import read_model
 
-__all__ = ["LEVELS", "Weighting", "comparisons", "unit_of"]
+__all__ = ["LEVELS", "WeightingNetwork", "comparisons", "unit_of"]
 
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Probabilities of which the width of an interval was measured."""
-_SHIPPED = Path(__file__).with_name("weights.safetensors")
+_SHIPPED = Path(__file__).with_name("weighting_network.safetensors")
 _ROWS = 2**16
 """Pixels whose weights are computed at once."""
 _SCALES = (1.5, 4.0, 12.0)
@@ -37,7 +37,7 @@ _BAND = 2**19
 
 
 @dataclass(frozen=True)
-class Weighting:
+class WeightingNetwork:
     """The network from comparisons to weights and to the width of an interval.
 
     Attributes
@@ -59,7 +59,7 @@ class Weighting:
 
     @classmethod
     @functools.cache
-    def shipped(cls, *, with_features: bool) -> Weighting:
+    def shipped(cls, *, with_features: bool) -> WeightingNetwork:
         """Return the network that comes with the library."""
         arrays, _ = read_model(_SHIPPED)
         kind = "features" if with_features else "plain"
