@@ -16,7 +16,6 @@ from chdstat.cli.program import (
     SceneOrStore,
     StorePath,
     command,
-    flag,
     option,
     pairs_of,
 )
@@ -57,7 +56,7 @@ def train(
     estimator: Annotated[
         str, option("The learned estimator to train.", "-e", "--estimator", metavar="NAME")
     ] = "progressive",
-    features: Annotated[bool, flag("--features", "Use first-hit features as inputs.")] = False,
+    features: Annotated[bool, option("Use first-hit features as inputs.")] = False,
 ) -> None:
     """Train an estimator on a scene and write it to a file."""
     from chdstat.estimators.training import check_choice, train_model
@@ -102,12 +101,8 @@ def estimate(
         float, option("Of a model: from 0, least MSE, to 1, least relMSE.")
     ] = 0.5,
     level: Annotated[float, option("Probability of the interval.")] = 0.9,
-    denoise: Annotated[
-        bool, flag("--denoise", "Denoise the estimate with Open Image Denoise.")
-    ] = False,
-    while_rendering: Annotated[
-        bool, flag("--while-rendering", "Estimate from a render; keep no samples.")
-    ] = False,
+    denoise: Annotated[bool, option("Denoise the estimate with Open Image Denoise.")] = False,
+    while_rendering: Annotated[bool, option("Estimate from a render; keep no samples.")] = False,
     seconds: Annotated[
         float | None,
         option("While rendering: stop after so many seconds.", "--time", unset="all samples"),
@@ -171,9 +166,7 @@ def _drawn(source: str, asked: CommonOptions, *, endless: bool) -> Samples | Ren
             f"{source if asked.store is None else asked.store}"
         )
         raise InputError(message)
-    settings = asked.settings
-    if endless:
-        settings.setdefault("spp", _ENDLESS)
+    settings = ({"spp": _ENDLESS} if endless else {}) | asked.settings
     return render_batches(asked.scene(source), progress=asked.progress, **settings)
 
 
@@ -189,15 +182,11 @@ def compare(
     max_batches: Annotated[
         int, option("Largest number of batches per pixel that are estimated from.")
     ] = 16,
-    patterns: Annotated[
-        bool, flag("--patterns", "Also compare for each pattern of pixels.")
-    ] = False,
-    denoise: Annotated[bool, flag("--denoise", "Also compare after Open Image Denoise.")] = False,
-    curve: Annotated[
-        bool, flag("--curve", "Also measure errors against the number of samples.")
-    ] = False,
+    patterns: Annotated[bool, option("Also compare for each pattern of pixels.")] = False,
+    denoise: Annotated[bool, option("Also compare after Open Image Denoise.")] = False,
+    curve: Annotated[bool, option("Also measure errors against the number of samples.")] = False,
     out: Annotated[
-        Path | None, option("New folder for figures and numbers.", "--out", "-o", unset="none")
+        Path | None, option("New folder for figures and numbers.", "--out", "-o")
     ] = None,
 ) -> None:
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
@@ -245,11 +234,9 @@ def contrast(
     seconds: Annotated[
         float | None, option("Compare what each renders in this time.", unset="all samples")
     ] = None,
-    out: Annotated[
-        Path | None, option("A page with maps to write, .pdf.", "--out", "-o", unset="none")
-    ] = None,
+    out: Annotated[Path | None, option("A page with maps to write, .pdf.", "--out", "-o")] = None,
     distributions: Annotated[
-        bool, flag("--distributions", "Test variances and distributions of pixels, too.")
+        bool, option("Test variances and distributions of pixels, too.")
     ] = False,
 ) -> None:
     """Test whether two renders have the same mean, and which is more efficient.
@@ -305,16 +292,12 @@ def bench(
     image: Annotated[
         list[str] | None,
         option(
-            "A finished image of another program, EXR; can be repeated.",
-            metavar="NAME@SCENE=FILE",
-            unset="none",
+            "A finished image of another program, EXR; can be repeated.", metavar="NAME@SCENE=FILE"
         ),
     ] = None,
-    folder: Annotated[
-        Path | None, option("Where renders and references are kept.", unset="none")
-    ] = None,
+    folder: Annotated[Path | None, option("Where renders and references are kept.")] = None,
     out: Annotated[
-        Path | None, option("Table to write: .csv, .tex, .json, .pdf.", "--out", "-o", unset="none")
+        Path | None, option("Table to write: .csv, .tex, .json, .pdf.", "--out", "-o")
     ] = None,
 ) -> None:
     """Compare estimators on several scenes against converged references, as a paper would."""
@@ -327,7 +310,6 @@ def bench(
     for key, file in pairs_of("--image", image).items():
         name, _, scene = key.partition("@")
         images.setdefault(name, {})[scene] = file
-    settings: dict[str, Any] = {**asked.settings}
     found = chdstat.bench(
         scenes,
         asked.estimator or None,
@@ -338,7 +320,7 @@ def bench(
         images=images,
         folder=folder,
         progress=asked.progress,
-        **settings,
+        **asked.settings,
     )
     if out is not None:
         found.save(out)

@@ -13,12 +13,13 @@ import warnings
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass
-from inspect import Signature, signature
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_args
 
 import typer
 import typer.core
+from typer.models import OptionInfo
 
 from chdstat import __version__
 from chdstat._core.files import checked_target, is_path, local, place_of, remove
@@ -50,7 +51,6 @@ __all__ = [
     "StorePath",
     "app",
     "command",
-    "flag",
     "main",
     "option",
     "pairs_of",
@@ -100,13 +100,11 @@ app = typer.Typer(
 
 
 def option(about: str, *names: str, unset: str | None = None, **more: Any) -> Any:
-    """Return an option of a command; `unset` is its default, as the help shows it."""
+    """Return an option of a command; `unset` is its default, as the help shows it.
+
+    That of an option whose default is None is "none", unless told.
+    """
     return typer.Option(*names, help=about, show_default=unset or True, **more)
-
-
-def flag(name: str, about: str) -> Any:
-    """Return an option of a command that is given or not."""
-    return typer.Option(name, help=about)
 
 
 def _scene_names(begun: str) -> list[tuple[str, str]]:
@@ -240,7 +238,6 @@ class CommonOptions:
             "be repeated.",
             "--plugin",
             metavar="FILE",
-            unset="none",
         ),
     ] = None
     store: Annotated[
@@ -270,16 +267,14 @@ class CommonOptions:
             unset="none: threads",
         ),
     ] = None
-    overwrite: Annotated[bool, flag("--overwrite", "Replace an output that is there already.")] = (
-        False
-    )
+    overwrite: Annotated[bool, option("Replace an output that is there already.")] = False
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Show no progress, and not what to do next.")
+        bool, option("Show no progress, and not what to do next.", "--quiet", "-q")
     ] = False
-    as_json: Annotated[bool, flag("--json", "Print JSON for scripts.")] = False
+    as_json: Annotated[bool, option("Print JSON for scripts.", "--json")] = False
 
     @property
-    def settings(self) -> RenderSettings:
+    def settings(self) -> dict[str, Any]:
         """Those settings of a render that were given."""
         parsed = {
             "size": _numbers_in("--size", self.size, "WxH", "128x128"),
@@ -287,8 +282,7 @@ class CommonOptions:
             "integrator": _integrator_of(self.integrator),
         }
         fields = vars(self) | parsed
-        given = {n: fields[n] for n in RenderSettings.__annotations__ if fields[n] is not None}
-        return cast("RenderSettings", given)
+        return {n: fields[n] for n in RenderSettings.__annotations__ if fields[n] is not None}
 
     @property
     def progress(self) -> bool:
@@ -374,13 +368,7 @@ def command(
 
     def enter(function: Callable[..., None]) -> Callable[..., None]:
         own = signature(function, eval_str=True).parameters
-        options = [_SHARED[key] for key in shared]
-        for i, key in enumerate(shared):
-            if key in unset:
-                kind, how = get_args(_SHARED[key].annotation)
-                how = copy(how)
-                how.show_default = unset[key]
-                options[i] = _SHARED[key].replace(annotation=Annotated[kind, how])
+        taken = [_SHARED[key] for key in shared] + [own[key] for key in own if key != "asked"]
 
         @functools.wraps(function)
         def run(**given: Any) -> None:
@@ -388,11 +376,26 @@ def command(
             _load_plugins(asked.plugin)
             function(**given, asked=asked)
 
-        options += [p.replace(kind=p.KEYWORD_ONLY) for p in own.values() if p.name != "asked"]
+        options = [_parameter(one, unset.get(one.name)) for one in taken]
         run.__signature__ = Signature(options)  # type: ignore[attr-defined]
         return app.command(name, epilog=f"Example: chdstat {example}")(run)
 
     return enter
+
+
+def _parameter(declared: Parameter, unset: str | None) -> Parameter:
+    """Return a parameter as typer takes it, with its default as the help shows it.
+
+    A truth value is an option that is given or not, without one that takes it back.
+    """
+    kind, how = get_args(declared.annotation)
+    if isinstance(how, OptionInfo):
+        how = copy(how)
+        if kind is bool and how.default is ...:  # which holds the first of its names
+            how.param_decls = (f"--{declared.name.replace('_', '-')}",)
+        if unset or (declared.default is None and how.show_default is True):
+            how.show_default = unset or "none"
+    return declared.replace(kind=Parameter.KEYWORD_ONLY, annotation=Annotated[kind, how])
 
 
 def _load_plugins(files: list[Path] | None) -> None:

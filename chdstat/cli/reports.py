@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,7 +16,6 @@ from chdstat.cli.program import (
     SceneOrStore,
     StorePath,
     command,
-    flag,
     option,
     pairs_of,
 )
@@ -37,14 +36,11 @@ _RECIPE_SIZE = "the recipe's, or 128 along the longer edge"
 def analyze(
     store: StorePath,
     asked: CommonOptions,
-    out: Annotated[
-        Path | None, option("New zarr store for all maps.", "--out", "-o", unset="none")
-    ] = None,
+    out: Annotated[Path | None, option("New zarr store for all maps.", "--out", "-o")] = None,
     threshold: Annotated[
         list[str] | None,
         option(
-            "Threshold of a pattern, such as tail_index=0.3; can be repeated.",
-            metavar="NAME=VALUE",
+            "Threshold of a pattern, such as tail_index=0.3; can be repeated.", metavar="NAME=VALUE"
         ),
     ] = None,
     resamples: Annotated[
@@ -120,15 +116,12 @@ def report(
     ] = None,
     full: Annotated[
         bool,
-        flag("--full", "Add the case study, the claims of the paper, averages and trainings."),
+        option("Add the case study, the claims of the paper, averages and trainings."),
     ] = False,
-    claims: Annotated[bool, flag("--claims", "Only test the claims of the paper.")] = False,
+    claims: Annotated[bool, option("Only test the claims of the paper.")] = False,
     as_published: Annotated[
         bool,
-        flag(
-            "--as-published",
-            "Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours.",
-        ),
+        option("Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours."),
     ] = False,
 ) -> None:
     """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps."""
@@ -186,7 +179,7 @@ def study(
             "all study scenes without any.",
         ),
     ] = None,
-    out: Annotated[Path | None, option("The PDF to write.", "--out", "-o", unset="none")] = None,
+    out: Annotated[Path | None, option("The PDF to write.", "--out", "-o")] = None,
     store: Annotated[
         Path, option("Folder of stores that are kept, and resumed from.", metavar="FOLDER")
     ] = Path("renders/out"),
@@ -199,10 +192,9 @@ def study(
     ] = "independent",
     integrators: Annotated[
         bool,
-        flag(
-            "--integrators",
+        option(
             "Render scenes by path guiding and adaptively, and built-in ones by five more "
-            "integrators, too.",
+            "integrators, too."
         ),
     ] = False,
 ) -> None:
@@ -212,7 +204,6 @@ def study(
 
     if out:
         asked.target(out, ".pdf")  # refused before the work, not after
-    settings: dict[str, Any] = {**asked.settings}
     found = chdstat.study(
         scenes or None,
         folder=store,
@@ -220,7 +211,7 @@ def study(
         sampler=sampler,
         integrators=integrators,
         progress=asked.progress,
-        **settings,
+        **asked.settings,
     )
     if asked.as_json:
         output.print_json(found.to_dict())
@@ -252,18 +243,15 @@ def explore(
     model: Annotated[
         list[Path] | None, option("A trained estimator to show; can be repeated.")
     ] = None,
-    maps: Annotated[
-        Path | None, option("Maps that 'chdstat analyze -o' wrote, to show.", unset="none")
-    ] = None,
+    maps: Annotated[Path | None, option("Maps that 'chdstat analyze -o' wrote, to show.")] = None,
     port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 5006,
     browser: Annotated[
-        bool, flag("--browser/--no-browser", "Open the page in the browser.")
+        bool, option("Open the page in the browser.", "--browser/--no-browser")
     ] = True,
 ) -> None:
     """Show the distribution of any pixel on a page in the browser, served on localhost only."""
     import chdstat
 
-    settings: dict[str, Any] = {**asked.settings}
     explorer = chdstat.explore(
         [one if one.lower().endswith(".exr") else asked.source(one) for one in sources],
         reference=reference,
@@ -271,7 +259,7 @@ def explore(
         maps=maps,
         port=port,
         browser=browser,
-        **settings,
+        **asked.settings,
     )
     typer.echo(f"{explorer.url} (Ctrl-C stops)")
     explorer.wait()
@@ -317,9 +305,7 @@ def list_names(
 @command("doctor", "as_json")
 def doctor(
     asked: CommonOptions,
-    fresh: Annotated[
-        bool, flag("--fresh", "Ignore cached results and test the backends again.")
-    ] = False,
+    fresh: Annotated[bool, option("Ignore cached results and test the backends again.")] = False,
 ) -> None:
     """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions."""
     from chdstat.io import denoiser

@@ -17,7 +17,6 @@ from chdstat.cli.program import (
     SceneName,
     StorePath,
     command,
-    flag,
     option,
 )
 from chdstat.errors import ChdstatError, InputError
@@ -44,16 +43,13 @@ def render(
         ),
     ],
     asked: CommonOptions,
-    direct: Annotated[
-        bool, flag("--direct", "Also store the direct light of each sample.")
-    ] = False,
+    direct: Annotated[bool, option("Also store the direct light of each sample.")] = False,
     light: Annotated[
         list[str] | None,
         option(
             "Also store what each sample has by this light alone; a pattern such as 'lamp-*' is a "
             "group of them. Repeat it for several.",
             metavar="NAME",
-            unset="none",
         ),
     ] = None,
     by_depth: Annotated[
@@ -61,15 +57,13 @@ def render(
         option(
             "Also store the light of each sample by the length of its path, up to this.",
             metavar="SEGMENTS",
-            unset="none",
         ),
     ] = None,
     adaptive: Annotated[
         bool,
-        flag(
-            "--adaptive",
+        option(
             "Draw samples where they are needed: --spp is their mean number, a quarter of which "
-            "tells how noisy each pixel is.",
+            "tells how noisy each pixel is."
         ),
     ] = False,
     error: Annotated[
@@ -78,15 +72,11 @@ def render(
             "Draw as many adaptive samples as reach this relative error of the image, such as "
             ".02, but --spp at most.",
             metavar="ERROR",
-            unset="none",
         ),
     ] = None,
     summary_only: Annotated[
         bool,
-        flag(
-            "--summary-only",
-            "Keep no samples: write maps of statistics, histograms and families instead.",
-        ),
+        option("Keep no samples: write maps of statistics, histograms and families instead."),
     ] = False,
 ) -> None:
     """Render a scene and keep every sample.
@@ -101,7 +91,7 @@ def render(
 
     if not is_remote(out) and not out.parent.exists():
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
-    settings, described = asked.settings, asked.scene(scene)
+    described = asked.scene(scene)
     if summary_only:
         if direct or by_depth or light or adaptive or error is not None:
             message = (
@@ -111,7 +101,7 @@ def render(
             raise InputError(message)
         asked.target(out)
         with asked.client() as client, kept_until_written(out) as checkpoint:
-            rendering = render_batches(described, progress=False, **settings)
+            rendering = render_batches(described, progress=False, **asked.settings)
             work: dict[str, Any] = {"client": client, "progress": asked.progress}
             maps = chdstat.analyze(rendering, checkpoint=checkpoint, **work)
             save(maps, asked.replaced(out))
@@ -131,14 +121,14 @@ def render(
             out=out,
             client=client,
             progress=asked.progress,
-            **settings,
+            **asked.settings,
         )
     output.say_samples(samples, as_json=asked.as_json, quiet=asked.quiet)
 
 
 def _feature(name: str) -> Any:
     what = f"First-hit {name}: a layer of the files, or a file of it."
-    return option(what, metavar="NAME|FILE", unset="none")
+    return option(what, metavar="NAME|FILE")
 
 
 @command("import frames/*.exr -o own.zarr --scene kitchen", *OUTPUT, name="import")
@@ -200,7 +190,7 @@ def import_samples(
     renderer: Annotated[str | None, option("What rendered it.", unset="unknown")] = None,
     seed: Annotated[int | None, option("Seed that it was rendered with.", unset="unknown")] = None,
     unit: Annotated[str | None, option("Unit of radiance.", unset="W sr-1 m-2")] = None,
-    append: Annotated[bool, flag("--append", "Add the samples to those of the store.")] = False,
+    append: Annotated[bool, option("Add the samples to those of the store.")] = False,
 ) -> None:
     """Write samples of another renderer to a store, which every command takes.
 
@@ -282,7 +272,7 @@ def export(
 def info(
     store: StorePath,
     asked: CommonOptions,
-    verify: Annotated[bool, flag("--verify", "Read everything and list damaged files.")] = False,
+    verify: Annotated[bool, option("Read everything and list damaged files.")] = False,
 ) -> None:
     """Describe a store, and say whether it is complete and sound."""
     from chdstat.samples import inspect

@@ -28,7 +28,7 @@ from chdstat._core.arrays import Array, Image
 from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.samples.layout import FOREIGN
 from chdstat.samples.samples import single
-from chdstat.samples.tiles import BATCH, SampleSource, pieces
+from chdstat.samples.tiles import BATCH, SampleSource, gathered
 
 __all__ = [
     "DAMAGED",
@@ -233,12 +233,10 @@ class Frames:
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample)."""
-        height, width, channels, spp = self.shape
-        rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
-        found = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
-        for number, to, of in pieces(samples, BATCH):
-            found[..., to] = np.moveaxis(self._batch(number)[of, ys, xs], 0, -1)
-        return found
+        edges = *self.shape[:2], BATCH
+        return gathered(
+            self.shape, (ys, xs, ss), edges, lambda _y, _x, s: np.moveaxis(self._batch(s), 0, -1)
+        )
 
     def read_features(self) -> dict[str, Image]:
         """Return features by name, each the average over all images."""

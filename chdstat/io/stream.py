@@ -28,7 +28,7 @@ from chdstat._core.files import checksum
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
 from chdstat.io.lazy import Opened, ReadOptions, readable
-from chdstat.samples.tiles import BATCH, pieces
+from chdstat.samples.tiles import BATCH, gathered
 
 __all__ = ["StreamSource", "get_include", "open_stream"]
 
@@ -142,16 +142,7 @@ class StreamSource:
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample), NaN where there are none."""
-        height, width, channels, spp = self.shape
-        rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
-        cuts = (pieces(rows, _EDGE), pieces(columns, _EDGE), pieces(samples, self._window))
-        part = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
-        for (y, to_y, of_y), (x, to_x, of_x), (window, to_s, of_s) in itertools.product(*cuts):
-            found = self._decoded(y, x, window)[of_y, of_x, :, of_s]
-            if found.shape == part.shape:
-                return found  # without a copy
-            part[to_y, to_x, :, to_s] = found
-        return part
+        return gathered(self.shape, (ys, xs, ss), (_EDGE, _EDGE, self._window), self._decoded)
 
     def read_features(self) -> dict[str, Image]:
         """Return the first-hit features: averages of what was added, 0 where nothing was."""

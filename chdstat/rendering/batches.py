@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +23,7 @@ from chdstat.rendering.renders import checked_renderer
 from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
-from chdstat.samples.tiles import BATCH, TILE, Chunk, chunk_grid, pieces
+from chdstat.samples.tiles import BATCH, TILE, Chunk, chunk_grid, gathered
 from chdstat.scenes import SceneLike
 
 __all__ = ["Rendering", "render_batches"]
@@ -253,16 +252,12 @@ class _Drawn:
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples."""
-        height, width, channels, spp = self.shape
-        rows, columns, samples = range(height)[ys], range(width)[xs], range(spp)[ss]
-        found = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
-        chunks = {
-            chunk.index: chunk for chunk in chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
-        }
-        cuts = pieces(samples, BATCH), pieces(rows, TILE), pieces(columns, TILE)
-        for (b, to_s, of_s), (y, to_y, of_y), (x, to_x, of_x) in itertools.product(*cuts):
-            found[to_y, to_x, :, to_s] = self._chunk(chunks[y, x, b])[of_y, of_x, :, of_s]
-        return found
+        height, width, _, spp = self.shape
+        grid = chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
+        chunks = {chunk.index: chunk for chunk in grid}
+        return gathered(
+            self.shape, (ys, xs, ss), (TILE, TILE, BATCH), lambda *index: self._chunk(chunks[index])
+        )
 
     def read_features(self) -> dict[str, Image]:
         """Return no features."""

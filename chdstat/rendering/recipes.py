@@ -9,14 +9,14 @@ from __future__ import annotations
 import os
 import reprlib
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import chdstat
 from chdstat.errors import InputError
-from chdstat.rendering.options import scene_integrator, scene_size
+from chdstat.rendering.options import RenderOptions, scene_integrator, scene_size
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.scene_files import is_file
@@ -34,8 +34,6 @@ __all__ = [
 
 _EDGE = 128
 """Longest edge of the image where neither the user nor a recipe gives a size."""
-_BOUNDS = "0 <= left < right <= 1, top < bottom alike"
-"""Of a region's rectangle, as errors say it."""
 SCHEMA = 1
 _KEYS = ("schema", "name", "scene", "integrator", "size", "spp", "seed", "regions")
 _LONGEST, _DOTS = 2**16, 1000
@@ -87,12 +85,16 @@ class Region:
     note: str = ""
 
     def __post_init__(self) -> None:
-        if not _in_image(self.rectangle):
+        given = tuple(self.rectangle)
+        numbers = len(given) == 4 and all(type(v) in (int, float) for v in given)
+        if not (numbers and 0 <= given[0] < given[2] <= 1 and 0 <= given[1] < given[3] <= 1):
             message = (
-                "rectangle must be (left, top, right, bottom) as fractions of the image, "
-                f"{_BOUNDS}, got {self.rectangle}"
+                f"rectangle of region {self.name!r} must be (left, top, right, bottom) as "
+                "fractions of the image, 0 <= left < right <= 1, top < bottom alike, got "
+                f"{reprlib.repr(given)}"
             )
             raise InputError(message)
+        object.__setattr__(self, "rectangle", tuple(map(float, given)))
 
     def pixels(self, height: int, width: int) -> tuple[slice, slice]:
         """Return the rows and columns that the region covers, at least one of each.
@@ -109,12 +111,6 @@ class Region:
         """Return (y, x) of the pixel in the middle."""
         ys, xs = self.pixels(height, width)
         return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
-
-
-def _in_image(rectangle: Sequence[float]) -> bool:
-    """Return whether left, top, right and bottom bound a part of the image, in fractions of it."""
-    left, top, right, bottom = rectangle
-    return 0 <= left < right <= 1 and 0 <= top < bottom <= 1
 
 
 def _covered(low: float, high: float, length: int) -> slice:
@@ -291,13 +287,14 @@ def _toml(path: Path) -> dict[str, Any]:
 def _recipe(content: Mapping[str, Any]) -> Recipe:
     _expect(content.get("schema") == SCHEMA, "schema", SCHEMA, content.get("schema"))
     _only_known(content, _KEYS)
-    size = _key(content, "size", list)
-    good = len(size) == 2 and all(type(v) is int and v >= 1 for v in size)
-    _expect(good, "size", "[width, height]", size)
-    spp, seed = _key(content, "spp", int), _key(content, "seed", int)
-    _expect(spp >= 1, "spp", "at least 1", spp)
-    _expect(seed >= 0, "seed", "at least 0", seed)
-    kind, max_depth = _integrator(content.get("integrator", {}))
+    integrator = _key(content, "integrator", dict, optional=True) or {}
+    _only_known(integrator, ("type", "max_depth"), "integrator.")
+    used = RenderOptions(
+        size=_key(content, "size", list),
+        spp=_key(content, "spp", int),
+        seed=_key(content, "seed", int),
+        max_depth=integrator.get("max_depth"),
+    )
     regions = content.get("regions", [])
     tables = isinstance(regions, list) and all(isinstance(r, Mapping) for r in regions)
     _expect(tables, "regions", "tables [[regions]]", regions)
@@ -305,43 +302,32 @@ def _recipe(content: Mapping[str, Any]) -> Recipe:
     _expect(len({str(n) for n in names}) == len(names), "regions", "distinct names", names)
     return Recipe(
         scene=_key(content, "scene", str),
-        size=(size[0], size[1]),
-        spp=spp,
-        seed=seed,
-        max_depth=max_depth,
+        size=cast("tuple[int, int]", used.size),
+        spp=used.spp,
+        seed=cast("int", used.seed),
+        max_depth=used.max_depth,
         regions=tuple(_region(i, region) for i, region in enumerate(regions)),
-        integrator=kind,
-        name=_key(content, "name", str) if "name" in content else None,
+        integrator=_key(integrator, "type", str, "integrator.", optional=True),
+        name=_key(content, "name", str, optional=True),
     )
-
-
-def _integrator(content: Any) -> tuple[str | None, int | None]:
-    """Return the type and the path length of a recipe's integrator; -1 is no limit in Mitsuba."""
-    _expect(isinstance(content, Mapping), "integrator", "a table", content)
-    _only_known(content, ("type", "max_depth"), "integrator.")
-    kind, depth = content.get("type"), content.get("max_depth")
-    _expect(kind is None or isinstance(kind, str), "integrator.type", "a str", kind)
-    good = depth is None or (type(depth) is int and (depth >= 1 or depth == -1))
-    _expect(good, "integrator.max_depth", "at least 1, or -1 for no limit", depth)
-    return kind, depth
 
 
 def _region(index: int, content: Mapping[str, Any]) -> Region:
     where = f"regions[{index}]."
     _only_known(content, ("name", "phenomenon", "rectangle", "note"), where)
-    rectangle = _key(content, "rectangle", list, where)
-    numbers = len(rectangle) == 4 and all(type(v) in (int, float) for v in rectangle)
-    _expect(numbers and _in_image(rectangle), f"{where}rectangle", _BOUNDS, rectangle)
     phenomenon = _key(content, "phenomenon", str, where)
     known = ", ".join(PHENOMENA)
     _expect(phenomenon in PHENOMENA, f"{where}phenomenon", f"one of {known}", phenomenon)
-    note = content.get("note", "")
-    _expect(isinstance(note, str), f"{where}note", "a str", note)
-    left, top, right, bottom = (float(v) for v in rectangle)
-    return Region(_key(content, "name", str, where), phenomenon, (left, top, right, bottom), note)
+    name, rectangle = _key(content, "name", str, where), _key(content, "rectangle", list, where)
+    note = _key(content, "note", str, where, optional=True) or ""
+    return Region(name, phenomenon, rectangle, note)
 
 
-def _key(content: Mapping[str, Any], name: str, kind: type, where: str = "") -> Any:
+def _key(
+    content: Mapping[str, Any], name: str, kind: type, where: str = "", *, optional: bool = False
+) -> Any:
+    if optional and name not in content:
+        return None
     value = content.get(name)
     # In Python a truth value is a whole number; in a recipe it is a mistake.
     good = isinstance(value, kind) and not isinstance(value, bool)

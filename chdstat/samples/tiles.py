@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
@@ -39,6 +39,7 @@ __all__ = [
     "Work",
     "assemble",
     "chunk_grid",
+    "gathered",
     "labelled",
     "over_tiles",
     "pieces",
@@ -157,6 +158,37 @@ def pieces(places: range, edge: int) -> Iterator[tuple[int, slice, slice]]:
         if i < j:
             inside = slice(places[i] - ends[0], places[j - 1] - ends[0] + 1, places.step)
             yield number, slice(i, j), inside
+
+
+def gathered(
+    shape: Sequence[int],
+    places: Sequence[slice],
+    edges: Sequence[int],
+    piece: Callable[[int, int, int], Image],
+) -> Image:
+    """Put a part of the samples together from pieces that are read or drawn as a whole.
+
+    Parameters
+    ----------
+    shape
+        Of all samples, (y, x, channel, sample).
+    places, edges
+        Rows, columns and samples of the part, and how many of each a piece has.
+    piece
+        Takes the numbers of a piece along these axes; returns it, (y, x, channel, sample).
+    """
+    lengths = shape[0], shape[1], shape[3]
+    kept = [range(length)[place] for length, place in zip(lengths, places, strict=True)]
+    ys, xs, ss = map(len, kept)
+    part = np.empty((ys, xs, shape[2], ss), np.float32)
+    for (y, to_y, of_y), (x, to_x, of_x), (s, to_s, of_s) in itertools.product(
+        *map(pieces, kept, edges)
+    ):
+        found = piece(y, x, s)[of_y, of_x, :, of_s]
+        if found.shape == part.shape:
+            return found  # without a copy
+        part[to_y, to_x, :, to_s] = found
+    return part
 
 
 def tiles(

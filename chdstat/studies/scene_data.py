@@ -284,6 +284,20 @@ class SceneData:
     comparison: Comparison | None = None
     complexity: float | None = None
 
+    @property
+    def renders(self) -> dict[str, Samples]:
+        """The image and the other renders of this view by name, as far as there are any."""
+        found = {
+            "image": self.samples,
+            "shorter_paths": self.shorter,
+            "another_integrator": self.integrator,
+            "spread_samples": self.spread,
+            **self.integrators,
+            "guided": self.guided,
+            "adaptive": self.adaptive,
+        }
+        return {name: samples for name, samples in found.items() if samples is not None}
+
     @cached_property
     def analysis(self) -> xr.Dataset:
         """Everything per pixel."""

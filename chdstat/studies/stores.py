@@ -200,44 +200,34 @@ class Stores:
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
         spp, seed = int(recipe.spp), int(recipe.seed)
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
-        # Each has a seed of its own: tests of a difference take all samples for independent.
-        again, early, short, in_sequences = (replace(recipe, seed=seed + i) for i in (1, 2, 3, 4))
-        short = replace(short, spp=half, max_depth=SHORT)
+
+        def more(number: int, spp: int, scene: Scene = source, **how: Any) -> Samples:
+            """Render with a seed of its own: tests of a difference take samples for independent."""
+            depth = how.pop("max_depth", recipe.max_depth)
+            changed = replace(recipe, seed=seed + number, spp=spp, max_depth=depth)
+            return self._rendered(scene, changed, **how)
+
+        other: dict[str, Any] = {}
         variants = _variants(source, samples)
-        other = variants.pop(_EARLY, None)
-        roulette = None if other is None else self._rendered(other, replace(early, spp=quarter))
-        # The path length is part of each of them; Mitsuba's `direct` has none.
-        integrators = {
-            name: self._rendered(
-                variant, replace(recipe, spp=quarter, seed=seed + 5 + i, max_depth=None)
-            )
-            for i, (name, variant) in enumerate(variants.items() if self.integrators else ())
-        }
-        if integrators and roulette is not None:
-            integrators = {_EARLY: roulette, **integrators}
-        spread = None
+        if (early := variants.pop(_EARLY, None)) is not None:
+            other["integrator"] = more(2, quarter, early)
+        if depth < 0 or depth > SHORT:
+            other["shorter"] = more(3, half, max_depth=SHORT)
         if self.sampler != "independent":
             length = SPREAD[self.sampler]
-            in_sequences = replace(in_sequences, spp=_SEQUENCES * length)
-            spread = self._rendered(source, in_sequences, sampler=self.sampler, sequence=length)
-        guided = adaptive = None
+            spp = _SEQUENCES * length
+            other["spread"] = more(4, spp, sampler=self.sampler, sequence=length)
         if self.integrators:
-            by_guide, uneven = (replace(recipe, spp=quarter, seed=seed + i) for i in (10, 11))
+            # The path length is part of each of them; Mitsuba's `direct` has none.
+            by = {
+                name: more(5 + i, quarter, variant, max_depth=None)
+                for i, (name, variant) in enumerate(variants.items())
+            }
+            other["integrators"] = by if early is None else {_EARLY: other["integrator"], **by}
             if samples.attrs["backend"] != "scalar" and not isinstance(source.source, LiveScene):
-                guided = self._rendered(source, by_guide, integrator="guided")
-            adaptive = self._rendered(source, uneven, adaptive=True)
-        data = SceneData(
-            scene.name,
-            samples,
-            scene.regions,
-            shorter=self._rendered(source, short) if depth < 0 or depth > SHORT else None,
-            integrator=roulette,
-            spread=spread,
-            integrators=integrators,
-            guided=guided,
-            adaptive=adaptive,
-        )
-        return data, self._rendered(source, replace(again, spp=half))
+                other["guided"] = more(10, quarter, integrator="guided")
+            other["adaptive"] = more(11, quarter, adaptive=True)
+        return SceneData(scene.name, samples, scene.regions, **other), more(1, half)
 
     def _rendered(self, scene: Scene, recipe: recipes.Recipe, **how: Any) -> Samples:
         out = None

@@ -105,16 +105,9 @@ class SceneStudy(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but arrays, ready for JSON."""
-        renders = {
-            "image": self.data.samples,
-            "shorter_paths": self.data.shorter,
-            "another_integrator": self.data.integrator,
-            "spread_samples": self.data.spread,
-            "another_seed": self.again,
-            **self.data.integrators,
-            "guided": self.data.guided,
-            "adaptive": self.data.adaptive,
-        }
+        renders = self.data.renders
+        if self.again is not None:
+            renders["another_seed"] = self.again
         return {
             "scene": self.name,
             "regions": [plain(vars(region)) for region in self.data.regions],
@@ -124,7 +117,7 @@ class SceneStudy(Shown):
                 {**f.to_dict(), "verdict_of_another_seed": self.repeated.get(f.number)}
                 for f in self.findings
             ],
-            "renders": {name: _provenance(s) for name, s in renders.items() if s is not None},
+            "renders": {name: _provenance(samples) for name, samples in renders.items()},
             "seconds": plain(self.seconds),
             "notes": list(self.notes),
         }
@@ -400,13 +393,12 @@ def _findings(
 ) -> Findings:
     """Test the claims about one scene, those of another seed `again`."""
     claims = [c for c in CLAIMS if not (c.across or (again and c.once))]
-    renders = (data.shorter, data.spread, data.guided, data.adaptive, *data.integrators.values())
-    others = ["" if s is None else cache_key(s) for s in renders]
+    renders = {name: cache_key(samples) for name, samples in data.renders.items()}
     return stores.cache(data.samples).record(
         "findings",
         Findings,
         lambda: tuple(claim.find(data) for claim in claims),
-        inputs=(data.name, data.regions, *others, [c.number for c in claims], *inputs),
+        inputs=(data.name, data.regions, renders, [c.number for c in claims], *inputs),
     )
 
 
@@ -414,8 +406,9 @@ def _repeated(data: SceneData, again: Samples | None, stores: Stores) -> dict[in
     """Return what another seed says, by number of the claim."""
     if again is None:
         return {}
-    other = replace(data, samples=again, given=None, integrator=None, spread=None, comparison=None)
-    other = replace(other, integrators={}, guided=None, adaptive=None)
+    other = SceneData(
+        data.name, again, data.regions, shorter=data.shorter, given_shorter=data.given_shorter
+    )
     return {f.number: f for f in _findings(other, stores, again=True)}
 
 
@@ -423,12 +416,11 @@ def _across(scenes: Sequence[SceneData], stores: Stores) -> Findings:
     """Test the claims that compare scenes."""
     first, *others = scenes
     names = tuple(data.name for data in scenes)
-    renders = [(data.samples, data.shorter, data.integrator) for data in scenes]
-    keys = [[s and cache_key(s) for s in of_scene] for of_scene in renders]
+    keys = [[cache_key(samples) for samples in data.renders.values()] for data in scenes]
 
     def find() -> Findings:
         return tuple(claim.find(first, others) for claim in CLAIMS if claim.across)
 
-    if any(key == "" for of_scene in keys for key in of_scene):  # of samples in memory
+    if not all(map(all, keys)):  # some are in memory
         return find()
     return stores.cache(first.samples).record("across", Findings, find, inputs=(names, keys))

@@ -16,7 +16,6 @@ import chdstat as chd
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
 from chdstat.estimators.training import train_model
 from chdstat.patterns import atlas
-from chdstat.rendering.recipes import PHENOMENA
 from chdstat.reporting.study_report import document
 from chdstat.studies import stores, studies, study
 from chdstat.studies.claims import CLAIMS, SceneData
@@ -286,19 +285,10 @@ def test_seeds_that_contradict_each_other_cannot_tell():
     assert yes.confirmed(replace(no, verdict="cannot tell")) is yes
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (("[0.3, 0.3, 0.7, 0.7]", "[0.3, 0.3, 1.7, 0.7]"), r"regions\[0\]\.rectangle"),
-        (("[0.3, 0.3, 0.7, 0.7]", "[0.3, 0.3, 0.3, 0.7]"), r"regions\[0\]\.rectangle"),
-        (('"diffuse"', '"shiny"'), rf"regions\[0\]\.phenomenon must be one of {PHENOMENA[0]}"),
-        (("schema = 1", "schema = 7"), "schema must be 1, got 7"),
-    ],
-)
-def test_a_wrong_recipe_is_refused_with_file_and_key(change, said, tmp_path):
+def test_a_wrong_recipe_is_refused_before_any_work(tmp_path):
     path = tmp_path / "box.toml"
-    path.write_text(RECIPE.replace(*change))
-    with pytest.raises(InputError, match=rf"box\.toml.*{said}"):
+    path.write_text(RECIPE.replace("schema = 1", "schema = 7"))
+    with pytest.raises(InputError, match=r"box\.toml: schema must be 1, got 7"):
         study(path, folder=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
