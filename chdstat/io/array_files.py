@@ -26,6 +26,9 @@ from chdstat.samples.samples import axes_of
 
 __all__ = ["load_npy", "open_npy", "open_npz", "open_xarray"]
 
+_SAMPLES = ("samples", "radiance")
+"""Names of arrays that say that they hold the samples."""
+
 
 def load_npy(path: Path) -> Array:
     """Return the array in a .npy file, mapped into memory.
@@ -79,7 +82,8 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Ignored
         Other arrays.
     Refused
-        As of arrays; names that are not there.
+        As of arrays; several largest ones, none or more than one of which is called "samples" or
+        "radiance"; names that are not there.
     """
     sources = []
     for path in paths:
@@ -105,7 +109,8 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Ignored
         Other variables, coordinates.
     Refused
-        As of arrays; HDF5 and netCDF 4 without the package ``h5netcdf``.
+        As of arrays; several largest variables, as of archives; HDF5 and netCDF 4 without the
+        package ``h5netcdf``.
     """
     import xarray as xr
 
@@ -181,7 +186,15 @@ def _variable(path: Path, arrays: Mapping[str, Any], wanted: str | None) -> str:
     if wanted and wanted not in arrays:
         message = f"{path} holds no array {wanted!r}, but {', '.join(fit)}"
         raise InputError(message)
-    return wanted or max(fit, key=lambda name: fit[name])
+    largest = [name for name in fit if fit[name] == max(fit.values())]
+    named = [name for name in largest if name in _SAMPLES]
+    if not wanted and len(named or largest) > 1:
+        message = (
+            f"{path} holds {len(largest)} arrays that could be the samples; give one as variable: "
+            f"{', '.join(largest)}"
+        )
+        raise InputError(message)
+    return wanted or (named or largest)[0]
 
 
 def _features(path: Path, arrays: Any, options: ReadOptions) -> dict[str, Array]:

@@ -48,6 +48,10 @@ _LARGEST = 2**26
 _OVERFLOW = float(np.finfo(np.float16).max)
 _COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
 _CIE = ("x", "y", "z")
+_BEAUTY = re.compile(
+    r"|(.*\W)?(rgba?|beauty|colou?r|combined|main|default|left|c|ci)", re.IGNORECASE
+)
+"""Names of the first of several parts that say that it is the image."""
 _ORDERS = (*_COLOURS, _CIE, ("u", "v"), ("y",), ("z",))
 """Channels of a layer in their order, in capitals or not; files have them in the alphabet's."""
 _SPACES = ("colorinteropid", "colorspace")
@@ -177,6 +181,8 @@ class Planes:
         are called as layers are: ``normal.X`` is the channel X of the part "normal".
     unread
         Why other channels cannot be read, by name.
+    parts
+        Names of the parts that hold colours.
     notes
         Warnings about the file by kind; of each kind, one is shown.
     """
@@ -186,6 +192,7 @@ class Planes:
     window: Rectangle
     channels: Mapping[str, Array]
     unread: Mapping[str, str]
+    parts: Sequence[str]
     notes: dict[str, str]
 
     @property
@@ -240,6 +247,12 @@ class Planes:
         if radiance and coloured and _ordered(top, _CIE):  # which may be positions
             orders = _COLOURS
         if found := next((f for order in orders if (f := _ordered(top, order))), ()):
+            image, *others = self.parts or [""]
+            if radiance and others and not _BEAUTY.fullmatch(image):
+                self.notes["parts"] = (
+                    f"{self.path} has {len(self.parts)} parts of colours: the first, {image!r}, is "
+                    f"taken for the image; {advice} {', '.join(others)} for another"
+                )
             return self._readable(found)
         only = coloured or ([] if radiance or top else layers)
         if len(only) == 1:
@@ -420,9 +433,9 @@ def read_planes(path: Path) -> Planes:
     except (OSError, RuntimeError, ValueError, MemoryError) as error:
         message = f"{path} is damaged or cut off; write or copy it again ({error})"
         raise StoreError(message) from error
-    return Planes(
-        path, attributes, display, channels, unread, _notes(path, attributes, data, display)
-    )
+    coloured = [part for part, held in parts if _coloured(_own([*held]))]
+    notes = _notes(path, attributes, data, display)
+    return Planes(path, attributes, display, channels, unread, coloured, notes)
 
 
 def _window(header: Mapping[str, Any], name: str) -> Rectangle:

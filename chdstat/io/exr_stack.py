@@ -39,9 +39,10 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
         Data windows: placed in the display window, 0 outside of them; colours of other primaries:
         to linear Rec. 709; ``X``, ``Y``, ``Z`` without a layer: CIE XYZ to linear Rec. 709.
     Warned of
-        Both conversions of colours; overscan, which is cut; a colour space that is not known or not
-        linear; chromaticities that are none; pixels that are no squares; half floats of 65504 or
-        infinity; copies.
+        Both conversions of colours; several parts of colours, the first of which is called like no
+        image; overscan, which is cut; a colour space that is not known or not linear;
+        chromaticities that are none; pixels that are no squares; half floats of 65504 or infinity;
+        copies.
     Ignored
         Alpha, other layers, levels but the first of mipmaps, ``whiteLuminance``, ``expTime``,
         ``adoptedNeutral`` and other attributes.

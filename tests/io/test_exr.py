@@ -414,6 +414,21 @@ def test_a_part_is_a_layer_also_the_first(tmp_path):
     np.testing.assert_array_equal(found.features["depth"], IMAGE[..., 0])
 
 
+@pytest.mark.parametrize("first", ["albedo", "beauty"])
+def test_the_first_of_several_parts_of_colours_is_told_where_its_name_does_not(tmp_path, first):
+    images = np.random.default_rng(0).random((2, 4, 5, 3), dtype=np.float32)
+    parts = [planes_of(image) for image in images]
+    path = exr(tmp_path / "parts.exr", parts[0], (parts[1], {"name": "light"}), name=first)
+    with warnings.catch_warnings(record=True, action="always") as told:
+        assert (chd.io.read(path).read()[..., 0] == images[0]).all()
+    assert [str(warning.message) for warning in told] == (first == "albedo") * [
+        f"{path} has 2 parts of colours: the first, 'albedo', is taken for the image; give the "
+        "layer of the samples as variable, one of light for another"
+    ]
+    with warnings.catch_warnings(action="error"):
+        assert (chd.io.read(path, variable="light").read()[..., 0] == images[1]).all()
+
+
 def test_xyz_is_taken_for_colours_only_where_nothing_else_is(tmp_path):
     xyz = planes_of(IMAGE, "XYZ")
     alone = exr(tmp_path / "a.exr", xyz)

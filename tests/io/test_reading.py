@@ -249,3 +249,23 @@ def test_no_room_for_what_is_decoded_is_said(stack, monkeypatch):
     monkeypatch.setattr(lazy.tempfile, "TemporaryFile", full)
     with pytest.raises(StoreError, match="No space left on device; TMPDIR names another"):
         chd.io.read(stack).read()
+
+
+@pytest.mark.parametrize("kind", ["npz", "nc"])
+def test_arrays_of_one_size_are_not_chosen_from_by_their_order(tmp_path, kind):
+    diffuse, glossy = np.random.default_rng(0).random((2, 4, 5, 3, 8), dtype=np.float32)
+
+    def read(variable=None, **arrays):
+        path = tmp_path / f"both.{kind}"
+        if kind == "npz":
+            np.savez(path, **arrays)
+        else:
+            dims = {4: ("y", "x", "channel", "sample"), 3: ("y", "x", "sample")}
+            xr.Dataset({n: (dims[a.ndim], a) for n, a in arrays.items()}).to_netcdf(path)
+        return chd.io.read(path, variable=variable).read()
+
+    with pytest.raises(InputError, match="2 arrays that could be the samples.*: diffuse, glossy"):
+        read(diffuse=diffuse, glossy=glossy)
+    assert (read("glossy", diffuse=diffuse, glossy=glossy) == glossy).all()
+    assert (read(diffuse=diffuse, samples=glossy) == glossy).all()
+    assert (read(diffuse=diffuse[:, :, 0], glossy=glossy) == glossy).all()
