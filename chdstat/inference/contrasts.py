@@ -387,14 +387,17 @@ def _why_not(
     differ: bool,
 ) -> tuple[str, int | None]:
     """Return why one cannot tell whether means differ, "" where one can, and what spp would."""
+    spp = min(pair.spp)
     if not np.isfinite(maps["p_value"]).any():
+        if spp < 2:
+            needs = f"a contrast needs at least 2 samples per pixel, got {spp}"
+            return f"{needs}: render {_LEAST_TERMS} or more", _LEAST_TERMS
         if (maps["reason"] == Reason.CONSTANT).any():
             return (
                 "the samples of A and B are equal, one by one, as of one render given twice",
                 None,
             )
         return "no pixel has samples to compare", None
-    spp = min(pair.spp)
     if pair.terms < _LEAST_TERMS:
         return f"{spp} samples per pixel are too few, render {_LEAST_TERMS} or more", _LEAST_TERMS
     if differ:

@@ -243,7 +243,7 @@ class _Report:
             curve = self.curve(comparison) if full and comparison is not None else None
             alone = self.estimated() if comparison is None and noise else None
             drawn = figures.report_figures(found, alone, curve, full=full)
-        return Document("report.typ", entries, drawn)
+        return Document("scene_report.typ", entries, drawn)
 
     def compared(self, dataset: xr.Dataset, noise: Noise) -> tuple[Comparison | None, str]:
         """Return the estimators side by side, or why they cannot be compared."""

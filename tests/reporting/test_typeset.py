@@ -29,7 +29,7 @@ def test_a_figure_has_the_size_in_which_it_was_drawn(tmp_path, width):
         pdf.close()
 
 
-@pytest.mark.parametrize("name", ["parts.typ", "report.typ", "study.typ"])
+@pytest.mark.parametrize("name", ["parts.typ", "scene_report.typ", "study.typ"])
 def test_no_semicolon_of_a_sentence_ends_an_expression(name):
     # Typst takes the one after "#data.number" for the end of code; "\\;" is a letter.
     text = (TEMPLATES / name).read_text(encoding="utf-8")
