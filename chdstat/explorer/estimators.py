@@ -11,7 +11,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from chdstat.comparison.entries import choose, estimate_by, takes
 from chdstat.comparison.metrics import SUMS, errors_of
 from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import MLP, Progressive, registry
-from chdstat.estimators.training import TrainedModel, load_model
+from chdstat.estimators.training import TrainedModel
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import BATCHES, Box, PixelIndex
@@ -32,12 +31,11 @@ from chdstat.explorer.view import BATCHES, Box, PixelIndex
 __all__ = [
     "BATCHES_AROUND",
     "SLOW",
-    "Learner",
     "ScoredEstimate",
     "ScoringBatches",
     "batches_of",
     "fixed",
-    "learners",
+    "score_model",
     "scored",
     "scored_around",
 ]
@@ -270,91 +268,57 @@ def scored_around(
 # --- trained estimators -------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Learner:
-    """A trained estimator.
+def score_model(
+    name: str,
+    model: TrainedModel[Any],
+    batches: ScoringBatches,
+    source: StoreSource | None,
+    place: PixelIndex | Box,
+    unit: float | None,
+) -> ScoredEstimate | None:
+    """Score a trained estimator; None where the model does not apply.
 
-    Attributes
+    That is one for another number of samples or channels, and one that looks around where there is
+    no image, as for a region.
+
+    Parameters
     ----------
-    name
-        Of its file, or of the model.
-    model
-        The trained model.
+    name, model
+        What it is called, and the model.
+    batches
+        Batches of the place.
+    source
+        The store that has the pixels around; None where there is none.
+    place
+        (y, x), or the four numbers of a region.
+    unit
+        Mean radiance of the image; None where it is not known.
     """
-
-    name: str
-    model: TrainedModel[Any]
-
-    def score(
-        self,
-        batches: ScoringBatches,
-        source: StoreSource | None,
-        place: PixelIndex | Box,
-        unit: float | None,
-    ) -> ScoredEstimate | None:
-        """Return the estimate of a place; None where the model does not apply.
-
-        That is one for another number of samples or channels, and one that looks around where there
-        is no image, as for a region.
-
-        Parameters
-        ----------
-        batches
-            Batches of the place.
-        source
-            The store that has the pixels around; None where there is none.
-        place
-            (y, x), or the four numbers of a region.
-        unit
-            Mean radiance of the image; None where it is not known.
-        """
-        model = self.model
-        if isinstance(model, MLP) and model.inputs == batches.n:
-            return replace(batches.score(self.name, model.predict(batches.x)), given=True)
-        if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
-            return None
-        known = source is not None and model.trained_on(source.samples.attrs)
-        own = unit if known else None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", OtherSceneWarning)
-            if source is not None and len(place) == 2 and (model.with_features or not known):
-                # Of another scene, the pixels around say how far to follow the model.
-                batches = batches.first(BATCHES_AROUND)
-                cuts, features, at = _windows(source, place, batches, _AROUND_LEARNED)
-                if model.with_features and not features:
-                    return None
-                found = [model.estimate(cut, features=features, unit=own) for cut in cuts]
-            elif model.with_features:
-                return None
-            else:  # without an image, from the batches of the place
-                found, at = [model.estimate(batches.x, unit=own)], None
-        names = ("radiance", "certainty", "low", "high")
-        fields = [[getattr(e, name) for e in found] for name in names]
-        radiance, certainty, low, high = (
-            field[0] if at is None else np.stack([values[at] for values in field])
-            for field in fields
-        )
-        one = batches.score(self.name, radiance)
-        return replace(
-            one,
-            certainty=float(_average(certainty)),
-            low=_average(low),
-            high=_average(high),
-            given=True,
-        )
-
-
-def learners(models: Sequence[TrainedModel[Any] | str | Path]) -> list[Learner]:
-    """Return trained estimators, read from their files where they are files.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be read, or holds something else.
-    """
-    return [
-        Learner(Path(model).stem, load_model(model))
-        if isinstance(model, str | Path)
-        else Learner(model.name, model)
-        for model in models
-    ]
+    if isinstance(model, MLP) and model.inputs == batches.n:
+        return replace(batches.score(name, model.predict(batches.x)), given=True)
+    if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
+        return None
+    known = source is not None and model.trained_on(source.samples.attrs)
+    images, features = [batches.x], dict[str, Image]()
+    at: Any = ()
+    # Of another scene, the pixels around say how far to follow the model.
+    if source is not None and len(place) == 2 and (model.with_features or not known):
+        batches = batches.first(BATCHES_AROUND)
+        images, features, at = _windows(source, place, batches, _AROUND_LEARNED)
+    if model.with_features and not features:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", OtherSceneWarning)
+        options: Any = {"features": features or None, "unit": unit if known else None}
+        found = [model.estimate(x, **options) for x in images]
+    radiance, certainty, low, high = (
+        np.stack([getattr(e, name)[at] for e in found]).reshape(len(batches.x), -1)
+        for name in ("radiance", "certainty", "low", "high")
+    )
+    return replace(
+        batches.score(name, radiance),
+        certainty=float(_average(certainty)[0]),
+        low=_average(low),
+        high=_average(high),
+        given=True,
+    )

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from chdstat import viz
-from chdstat._core.arrays import Image, take_rows
+from chdstat._core.arrays import Image
 from chdstat._core.display import percent
 from chdstat._core.files import is_exr, scratch
 from chdstat.explorer.selection import SelectionPlots
@@ -154,19 +154,13 @@ def _figure(plots: SelectionPlots) -> Figure:
     family = plots.view.families[0] if plots.view.families else ""
     drawn = []
     for key, place in zip(plots.keys, plots.places, strict=True):
-        count = len(place.channels)
-        fits = [place.positive(family, row) if family else None for row in range(count)]
+        rows = range(len(place.channels))
+        fits = [place.positive(family, row) if family else None for row in rows]
         named = dict.fromkeys(called(fit[0]) for fit in fits if fit is not None)
-        panel = viz.Panel(
-            name=_mark(key).name,
-            linear=take_rows(place.histograms["linear"], slice(count), axis=0),
-            log=take_rows(place.histograms["log"], slice(count), axis=0),
-            channels=place.channels,
-            fits=[None if fit is None else fit[1] for fit in fits],
-            mean=place.moments.mean[:count].tolist(),
-            note=f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}",
-        )
-        drawn.append(panel)
+        note = f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}"
+        densities = [None if fit is None else fit[1] for fit in fits]
+        about: Any = {"channels": place.channels, "fits": densities, "note": note}
+        drawn.append(viz.Panel.of(_mark(key).name, place.samples, **about))
     return viz.chd_grid(drawn, columns=1 if len(drawn) == 1 else 2)
 
 

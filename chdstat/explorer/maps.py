@@ -1,8 +1,8 @@
 """Maps: one number or label per pixel, over the image.
 
-`MAPS` is the table. Some come with the image (`of_overall`); for the others, `walk` goes through
-the store tile by tile and shows what it has so far. Names and units of what an analysis wrote to a
-file come from its attributes (`read_maps`).
+`MAPS` is the table, `DIFFERENCES` and `CONTRASTS` are those of two images. Some maps come with the
+image; for the others, `walk` goes through the store tile by tile and shows what it has so far.
+Names and units of what an analysis wrote to a file come from its attributes (`read_maps`).
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from chdstat import inference
-from chdstat._core.arrays import Array, Image, luminance, spans
+from chdstat._core.arrays import Array, Image, spans
 from chdstat._core.positive import PositivePart
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError
 from chdstat.explorer.estimators import batches_of, fixed
-from chdstat.explorer.sources import Overall, StoreSource
+from chdstat.explorer.place import FINITE, finite_variance
+from chdstat.explorer.sources import StoreSource
 from chdstat.fit.families import SELECTED
 from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
@@ -43,10 +44,8 @@ __all__ = [
     "IMAGES",
     "MAPS",
     "Map",
-    "contrast_of",
-    "difference_of",
     "map_kind",
-    "of_overall",
+    "map_of",
     "ramp",
     "read_maps",
     "walk",
@@ -86,6 +85,8 @@ class Map:
         In the address, and for readers.
     unit
         Of the colour bar.
+    of
+        Returns the numbers (y, x), of what its table says; None where they need no computing.
     names
         Of codes, for a map of labels; empty for a map of numbers.
     ordered
@@ -97,7 +98,7 @@ class Map:
     diverging
         Whether 0 stands in the middle, between two colours.
     values
-        Shape (y, x), float32; NaN where there is nothing to say. Empty in `MAPS`.
+        Shape (y, x), float32; NaN where there is nothing to say. Empty in tables.
     done
         Share of the image that is computed.
     note
@@ -107,6 +108,7 @@ class Map:
     name: str
     title: str
     unit: str = ""
+    of: Callable[..., npt.ArrayLike] | None = None
     names: Mapping[int, str] = field(default_factory=dict)
     ordered: bool = False
     log: bool = False
@@ -136,58 +138,107 @@ class Map:
             return self.ends
         finite = self.values[np.isfinite(self.values)]
         if not finite.size:
-            return 0.0, 1.0
+            return -float(self.diverging), 1.0
+        if self.diverging:
+            most = float(np.percentile(np.abs(finite), 99)) or 1.0
+            return -most, most
         low, high = (float(v) for v in np.percentile(finite, (1, 99)))
         if self.log:  # a lamp has no variance but that of rounding
             low = max(low, high - _DECADES)
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
+    def filled(self, found: npt.ArrayLike) -> Map:
+        """Return the map of these numbers; what is not finite is NaN."""
+        values = np.asarray(found)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = np.log10(values) if self.log else values
+        return replace(
+            self, values=np.where(np.isfinite(values), values, np.nan).astype(np.float32)
+        )
 
-IMAGES = ("null_share", "variance", "variation", "relative_error", "bad_count")
-"""Maps that come with the image, a scene's too."""
-_FINITE = {0: "suspect", 1: "samples cannot tell", 2: "looks finite"}
+
+def _table(*maps: Map) -> dict[str, Map]:
+    return {one.name: one for one in maps}
+
+
+def _against_reference(found: Contrast) -> Array:
+    """Return the difference over the reference in per cent; an image that is exact is that."""
+    maps, sign = found.maps, -1.0 if found.spp[1] is None else 1.0
+    base = maps["mean_a" if sign > 0 else "mean_b"].to_numpy()[..., 0]
+    return np.asarray(100 * sign * maps["difference"].to_numpy()[..., 0] / np.abs(base))
+
+
+def _best_family(part: PositivePart) -> Array:
+    best = measured(part, FamilySelection()).best
+    return np.where(best < 0, np.nan, best)
+
+
+def _n_needed(part: PositivePart) -> Array:
+    """Return the place of the N needed among those tested; one more where it is larger."""
+    spp = part.x.shape[-1]
+    if spp < inference.N_MEANS:
+        return np.full(part.n.shape, np.nan)
+    sizes = inference.sizes_of_means(spp)
+    needed = measured(part, NormalityOfMeans(tuple(sizes.tolist()))).n_needed
+    place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
+    return np.where(needed == inference.MORE_THAN_TESTED, len(sizes), place)
+
+
 _FAMILIES = dict(enumerate(map(called, SELECTED)))
 _PATTERNS = {int(label): called(label.name.lower()) for label in Label}
-MAPS: dict[str, Map] = {
-    kind.name: kind
-    for kind in (
-        Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),
-        Map("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
-        Map("variation", "Standard deviation over mean", _OVER_MEAN, log=True, ends=(-2, 2)),
-        # One bright sample among nulls has an error as large as the mean.
-        Map("relative_error", "Standard error over mean", _OVER_MEAN, log=True, ends=(-3, 0)),
-        Map("bad_count", "Bad samples", "samples"),
-        Map("tail_index", "Tail index", "generalised Pareto ξ, luminance", ends=(-0.5, 1)),
-        Map("finite_variance", "Is the variance finite?", "by the tail of luminance", _FINITE,
-            ordered=True),
-        Map("best_family", "Best family", "by BIC, luminance", _FAMILIES),
-        Map("pattern", "Pattern", "primary label", _PATTERNS),
-        Map("n_needed", "N needed for Gaussian averages", "samples, luminance"),
-    )
-}  # fmt: skip
-DIFFERENCES: dict[str, Map] = {
-    kind.name: kind
-    for kind in (
-        Map("diff:signed", "Difference", "shown minus reference, luminance", diverging=True),
-        Map("diff:absolute", "Absolute difference", "luminance"),
-        Map("diff:squared", "Squared difference", "log10, luminance", log=True),
-        Map("diff:relative", "Relative difference",
-            "shown minus reference, over their mean, luminance", ends=(-1, 1), diverging=True),
-    )
-}  # fmt: skip
-"""Maps of two images."""
-CONTRASTS: dict[str, Map] = {
-    kind.name: kind
-    for kind in (
-        Map("contrast:difference", "Difference over reference", "%, luminance", ends=(-100, 100),
-            diverging=True),
-        Map("contrast:p", "Significance of the difference", "−log10 p, least over channels",
-            ends=(0, 4)),
-        Map("contrast:efficiency", "Efficiency over the reference", "log2", ends=(-3, 3),
-            diverging=True),
-    )
-}  # fmt: skip
+IMAGES = _table(
+    Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),
+    Map("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
+    Map("variation", "Standard deviation over mean", _OVER_MEAN, log=True, ends=(-2, 2)),
+    # One bright sample among nulls has an error as large as the mean.
+    Map("relative_error", "Standard error over mean", _OVER_MEAN, log=True, ends=(-3, 0)),
+    Map("bad_count", "Bad samples", "samples"),
+)
+"""Maps that come with the image, a scene's too, as `chdstat.explorer.sources.Overall` has them."""
+MAPS = IMAGES | _table(
+    Map("tail_index", "Tail index", "generalised Pareto ξ, luminance",
+        lambda part: measured(part, TailIndex()).xi, ends=(-0.5, 1)),
+    Map("finite_variance", "Is the variance finite?", "by the tail of luminance",
+        lambda part: finite_variance(measured(part, TailIndex())), FINITE, ordered=True),
+    Map("best_family", "Best family", "by BIC, luminance", _best_family, _FAMILIES),
+    Map("pattern", "Pattern", "primary label", names=_PATTERNS),
+    Map("n_needed", "N needed for Gaussian averages", "samples, luminance", _n_needed),
+)  # fmt: skip
+"""Those, and maps for which samples are read: of the luminance of pixels, for `walk`."""
+DIFFERENCES = _table(
+    Map("diff:signed", "Difference", "shown minus reference, luminance", lambda a, b: b - a,
+        diverging=True),
+    Map("diff:absolute", "Absolute difference", "luminance", lambda a, b: abs(b - a)),
+    Map("diff:squared", "Squared difference", "log10, luminance", lambda a, b: (b - a) ** 2,
+        log=True),
+    Map("diff:relative", "Relative difference", "shown minus reference, over their mean, luminance",
+        lambda a, b: (b - a) / ((a + b) / 2), ends=(-1, 1), diverging=True),
+)  # fmt: skip
+"""Maps of two images: of the luminance of the reference and of what is shown."""
+CONTRASTS = _table(
+    Map("contrast:difference", "Difference over reference", "%, luminance", _against_reference,
+        ends=(-100, 100), diverging=True),
+    Map("contrast:p", "Significance of the difference", "−log10 p, least over channels",
+        lambda found: -np.log10(found.maps["p_value"].min("channel")), ends=(0, 4)),
+    Map("contrast:efficiency", "Efficiency over the reference", "log2",
+        lambda found: np.log2(found.maps["efficiency"]), ends=(-3, 3), diverging=True),
+)  # fmt: skip
 """Maps of what `chdstat.contrast` says of two renders."""
+
+
+def map_of(name: str, *found: Any, note: str = "") -> Map:
+    """Return a map of a table, of what this says.
+
+    Examples
+    --------
+    >>> one, other = np.array([[1.0]]), np.array([[3.0]])
+    >>> [f"{map_of(name, one, other).values[0, 0]:.2f}" for name in DIFFERENCES]
+    ['2.00', '2.00', '0.60', '1.00']
+    """
+    kind = replace(map_kind(name), note=note)
+    assert kind.of is not None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return kind.filled(kind.of(*found))
 
 
 def map_kind(name: str, spp: int = 0) -> Map:
@@ -250,65 +301,10 @@ def read_maps(path: str | Path, size: tuple[int, int]) -> dict[str, Map]:
                 f"{_FILE}{name}",
                 name.replace("_", " ").capitalize(),
                 unit if len(unit) <= _LONGEST else "",
-                names,
+                names=names,
                 values=values.to_numpy().astype(np.float32),
             )
     return maps
-
-
-def difference_of(one: Overall, other: Overall, name: str) -> Map | None:
-    """Return one of `DIFFERENCES` of two images, None for another map.
-
-    Examples
-    --------
-    >>> image = Overall.empty(1, 1, 3)
-    >>> one, other = (replace(image, mean=np.full((1, 1, 3), v, np.float32)) for v in (1, 3))
-    >>> [f"{difference_of(one, other, name).values[0, 0]:.2f}" for name in DIFFERENCES]
-    ['2.00', '2.00', '0.60', '1.00']
-    """
-    if name not in DIFFERENCES:
-        return None
-    first, second = (luminance(image.mean, channel_axis=-1) for image in (one, other))
-    kind, values = DIFFERENCES[name], second - first
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if name == "diff:relative":
-            values = values / ((first + second) / 2)
-        elif name == "diff:squared":
-            values = np.log10(values**2)
-        elif name == "diff:absolute":
-            values = np.abs(values)
-    values = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
-    if name == "diff:signed":
-        most = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
-        kind = replace(kind, ends=(-most or -1.0, most or 1.0))
-    return replace(kind, values=values)
-
-
-def contrast_of(found: Contrast, name: str) -> Map:
-    """Return one of `CONTRASTS`, with the conclusion; of an exact image, that is the reference."""
-    maps, sign = found.maps, -1.0 if found.spp[1] is None else 1.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if name == "contrast:p":
-            values = -np.log10(maps["p_value"].min("channel").to_numpy())
-        elif name == "contrast:efficiency":
-            values = np.log2(maps["efficiency"].to_numpy())
-        else:
-            base = maps["mean_a" if sign > 0 else "mean_b"].to_numpy()[..., 0]
-            values = 100 * sign * maps["difference"].to_numpy()[..., 0] / np.abs(base)
-    values = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
-    note = f"A {found.names[0]}, B {found.names[1]}. {found.conclusion}"
-    return replace(CONTRASTS[name], values=values, note=note)
-
-
-def of_overall(overall: Overall, name: str) -> Map | None:
-    """Return a map that comes with the image, None for one that does not."""
-    if name not in IMAGES:
-        return None
-    values = getattr(overall, name)
-    if MAPS[name].log:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            values = np.where(values > 0, np.log10(values), np.nan).astype(np.float32)
-    return replace(MAPS[name], values=values)
 
 
 def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
@@ -325,17 +321,15 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
     places = list(product(*(spans(length, _TILE) for length in source.size)))
 
     # Coarsely first, a pixel for each cell, which takes little more than reading.
-    for i, (ys, xs) in enumerate(places):
-        yield _COARSE_SHARE * i / len(places), values
-        cells, _ = _of_tile(name, np.ascontiguousarray(source.read(ys, xs)[::_CELL, ::_CELL]))
-        height, width = values[ys, xs].shape
-        values[ys, xs] = cells.repeat(_CELL, 0).repeat(_CELL, 1)[:height, :width]
-
-    parts = []
-    for i, (ys, xs) in enumerate(places):
-        yield _COARSE_SHARE + (1 - _COARSE_SHARE) * i / len(places), values
-        values[ys, xs], variables = _of_tile(name, source.read(ys, xs))
-        parts.append((ys, xs, variables))
+    for step, before, share in ((_CELL, 0, _COARSE_SHARE), (1, _COARSE_SHARE, 1 - _COARSE_SHARE)):
+        parts = []
+        for i, (ys, xs) in enumerate(places):
+            yield before + share * i / len(places), values
+            block = np.ascontiguousarray(source.read(ys, xs)[::step, ::step])
+            cells, variables = _of_tile(name, block)
+            height, width = values[ys, xs].shape
+            values[ys, xs] = cells.repeat(step, 0).repeat(step, 1)[:height, :width]
+            parts.append((ys, xs, variables))
     if name == "pattern":
         # Over the image, flags are decided with p-values corrected for its size.
         whole = assemble(source.samples, iter(parts), progress=False)
@@ -352,38 +346,7 @@ def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
         return np.asarray(variables["label"][1]), variables
     if name.startswith(_ERROR):
         return _error(name.removeprefix(_ERROR), block), {}
-    return _OF_LUMINANCE[name](PositivePart.of_pixels(block, rows="luminance")), {}
-
-
-def _finite_variance(part: PositivePart) -> Array:
-    tail = measured(part, TailIndex())
-    trusted = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
-    return np.where(tail.reason == Reason.OK, trusted, np.nan)
-
-
-def _best_family(part: PositivePart) -> Array:
-    best = measured(part, FamilySelection()).best
-    return np.where(best < 0, np.nan, best)
-
-
-def _n_needed(part: PositivePart) -> Array:
-    """Return the place of the N needed among those tested; one more where it is larger."""
-    spp = part.x.shape[-1]
-    if spp < inference.N_MEANS:
-        return np.full(part.n.shape, np.nan)
-    sizes = inference.sizes_of_means(spp)
-    needed = measured(part, NormalityOfMeans(tuple(sizes.tolist()))).n_needed
-    place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
-    return np.where(needed == inference.MORE_THAN_TESTED, len(sizes), place)
-
-
-_OF_LUMINANCE: dict[str, Callable[[PositivePart], Array]] = {
-    "tail_index": lambda part: measured(part, TailIndex()).xi,
-    "finite_variance": _finite_variance,
-    "best_family": _best_family,
-    "n_needed": _n_needed,
-}
-"""How maps are computed from the luminance of pixels."""
+    return map_of(name, PositivePart.of_pixels(block, rows="luminance")).values, {}
 
 
 def _error(name: str, block: Image) -> npt.NDArray[Any]:

@@ -26,6 +26,7 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
+from chdstat.errors import Reason
 from chdstat.explorer.sources import MOST_POOLED, Overall, Sampled
 from chdstat.explorer.view import PixelIndex
 from chdstat.fit import Fit, Mixture
@@ -43,7 +44,16 @@ from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.runner import measured
 from chdstat.viz.chd import FEWEST_FITTED
 
-__all__ = ["MOST_TESTED", "RESAMPLES", "PlaceStatistics", "first_pixel", "goodness", "suggest"]
+__all__ = [
+    "FINITE",
+    "MOST_TESTED",
+    "RESAMPLES",
+    "PlaceStatistics",
+    "finite_variance",
+    "first_pixel",
+    "goodness",
+    "suggest",
+]
 
 _OF_FIRST = {"part", "_further_fits", "_positive", "patterns", "gaussianity", "means"}
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
@@ -51,6 +61,9 @@ RESAMPLES = 199
 _POINTS = 96
 MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
+
+FINITE = {0: "suspect", 1: "cannot tell", 2: "yes"}
+"""Whether a variance is finite, by the codes of `finite_variance`."""
 
 FittedCurve = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
 """Name of a fit, and density and quantiles of its positive part."""
@@ -247,6 +260,12 @@ class PlaceStatistics:
 def _positive_quantiles(mixture: Mixture, level: Floats) -> Floats:
     zero = np.float64(mixture.zero_share)
     return mixture.ppf(zero + (1 - zero) * level)
+
+
+def finite_variance(tail: Tail) -> Floats:
+    """Return codes of `FINITE`; NaN where there is no tail."""
+    codes = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
+    return np.where(tail.reason == Reason.OK, codes, np.nan)
 
 
 def goodness(

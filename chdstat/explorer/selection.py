@@ -195,9 +195,9 @@ class SelectionResults:
         unit = overall.unit if np.isfinite(overall.mean).any() else None
         store = plots.source if isinstance(plots.source, StoreSource) else None
         found = [*quick, *estimators.scored(batches, names=estimators.SLOW, step=step)]
-        for learner in shared.learners:
+        for name, model in shared.models:
             step()
-            learned = learner.score(batches, store, key, unit)
+            learned = estimators.score_model(name, model, batches, store, key, unit)
             found += [] if learned is None else [learned]
         if store is None or len(key) != 2:
             return self._estimates_table(plots, found, said)

@@ -21,20 +21,18 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import luminance
 from chdstat._core.files import is_exr
 from chdstat._core.work import Cache, user_cache
 from chdstat.errors import InputError
-from chdstat.estimators.training import TrainedModel
-from chdstat.explorer.estimators import Learner, learners
+from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.explorer.maps import (
     CONTRASTS,
     DIFFERENCES,
     IMAGES,
     Map,
-    contrast_of,
-    difference_of,
     map_kind,
-    of_overall,
+    map_of,
     read_maps,
     walk,
 )
@@ -106,7 +104,10 @@ def opened(
     StoreError, SceneError, RenderError
         If something cannot be read or rendered.
     """
-    trained = learners(models)
+    trained = [
+        (Path(one).stem, load_model(one)) if isinstance(one, str | Path) else (one.name, one)
+        for one in models
+    ]
     found = [one if isinstance(one, SceneSource) else _opened(one) for one in sources]
     truth = None if reference is None else _store(reference)
     for one in (*found[1:], *([] if truth is None else [truth])):
@@ -148,8 +149,8 @@ class Shared:
         What is on the page: stores, a scene, images.
     reference
         A store of the same scene with more samples, which errors are measured against.
-    learners
-        Trained estimators of the selection.
+    models
+        Names of trained estimators, and these.
     given
         Maps that were computed before, by name.
 
@@ -174,12 +175,12 @@ class Shared:
         self,
         sources: Sequence[AnySource],
         reference: StoreSource | None = None,
-        learners: Sequence[Learner] = (),
+        models: Sequence[tuple[str, TrainedModel[Any]]] = (),
         given: Mapping[str, Map] = MappingProxyType({}),
     ) -> None:
         self.sources, self.reference = list(sources), reference
         self.names = _distinct(self.sources)
-        self.learners, self.given = tuple(learners), given
+        self.models, self.given = models, given
         empty = Overall.empty(*sources[0].size, len(sources[0].channels))
         self.overalls = [empty for _ in sources]
         self._contrasts: dict[str, Contrast] = {}
@@ -269,12 +270,17 @@ class Shared:
         if name in self.given:
             return self.given[name]
         if name in DIFFERENCES and shown != reference:
-            return difference_of(self.overalls[reference], overall, name)
+            pair = (self.overalls[reference].mean, overall.mean)
+            return map_of(name, *(luminance(mean, channel_axis=-1) for mean in pair))
         if name in IMAGES and not isinstance(self.sources[shown], ImageSource):
-            return of_overall(overall, name)
+            return IMAGES[name].filled(getattr(overall, name))
         key = self.key(view)
         found = self._contrasts.get(key)
-        return self.maps.get(key) if found is None else contrast_of(found, name)
+        if found is None:
+            return self.maps.get(key)
+        return map_of(
+            name, found, note=f"A {found.names[0]}, B {found.names[1]}. {found.conclusion}"
+        )
 
     def refresh(self) -> None:
         """Go on with the samples that were added to stores since, if there are any."""

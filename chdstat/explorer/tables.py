@@ -17,7 +17,13 @@ from chdstat._core.display import number, percent, reasons, with_interval
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
 from chdstat.explorer.estimators import ScoredEstimate
-from chdstat.explorer.place import MOST_TESTED, RESAMPLES, PlaceStatistics
+from chdstat.explorer.place import (
+    FINITE,
+    MOST_TESTED,
+    RESAMPLES,
+    PlaceStatistics,
+    finite_variance,
+)
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
 from chdstat.viz.estimators import called, estimator_name
@@ -254,12 +260,8 @@ def _parameters(place: PlaceStatistics, row: int) -> str:
 
 
 def _finite_variance(place: PlaceStatistics, row: int) -> str:
-    tail = place.tail
-    if tail.reason[row] != Reason.OK:
-        return "—"
-    if tail.variance_trusted[row]:
-        return "yes"
-    return "cannot tell" if tail.variance_unidentified[row] else "suspect"
+    code = float(finite_variance(place.tail)[row])
+    return FINITE[int(code)] if np.isfinite(code) else "—"
 
 
 def _needed(place: PlaceStatistics, row: int) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.estimators import batches_of, learners
+from chdstat.explorer.estimators import batches_of, score_model
 from chdstat.explorer.sources import StoreSource
 
 PLACE = (5, 7)
@@ -29,8 +29,7 @@ def model(samples):
 def scored(model, samples, n=16, place=PLACE):
     x = samples[PLACE]
     batches = batches_of(x, n)
-    (learner,) = learners([model])
-    return learner.score(batches, StoreSource(samples), place, 2.0)
+    return score_model("mine", model, batches, StoreSource(samples), place, 2.0)
 
 
 def test_one_of_this_scene_says_what_it_says_elsewhere(samples, model):
