@@ -9,7 +9,7 @@ features, not all of it: its estimate is close to that of `chdstat.estimate`, no
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -15,7 +15,7 @@ import base64
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, cycle
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ _ROW_HEIGHT = 0.78
 
 @dataclass(frozen=True)
 class Trace:
-    """A line, or the outline of an area.
+    """A line.
 
     Attributes
     ----------
@@ -103,7 +103,9 @@ class Trace:
     dash
         Line dash in Bokeh's words.
     width
-        In screen pixels.
+        In screen pixels; 0 for none but the area.
+    fill
+        Whether the area that it goes around is filled.
     """
 
     x: Array
@@ -111,6 +113,7 @@ class Trace:
     color: str
     dash: str = "solid"
     width: float = 1.3
+    fill: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,11 +122,8 @@ class PanelData:
 
     Attributes
     ----------
-    areas, lines
-        Filled and drawn.
-    marks
-        x, lower and upper end, and colour of vertical lines; they span the panel where the ends
-        are None.
+    lines
+        What is drawn.
     texts
         Side ("left" or "right"), y, text and colour of labels inside the panel.
     notes
@@ -136,9 +136,7 @@ class PanelData:
         Label of the vertical axis, where it is not that of the panel's kind.
     """
 
-    areas: Sequence[Trace] = ()
     lines: Sequence[Trace] = ()
-    marks: Sequence[tuple[float, float | None, float | None, str]] = ()
     texts: Sequence[tuple[str, float, str, str]] = ()
     notes: Sequence[str] = ()
     rows: int = 0
@@ -245,7 +243,6 @@ def _densities(
     """Draw densities upon each other, or each pixel in a row of its own."""
     found = [(s, density(s)) for s in series]
     rows = max((s.pixel for s in series), default=0)
-    own_x = rows > 0 and name != "log"
     if not rows:
         notes = _uncounted(series, name) if name != "averages" else []
         notes += dict.fromkeys(d.note for _, d in found if d.note)
@@ -253,73 +250,62 @@ def _densities(
         notes += [f"{percent(beyond)} beyond"] if beyond > 0 else []
         values = [f"{s.name} {number(d.value)}" for s, d in found if d.value is not None]
         notes += [f"constant: {', '.join(values)}"] if values else []
-        return replace(_row(found, None, own_x=False), notes=notes)
-    parts = [
-        _row([f for f in found if f[0].pixel == i + 1], rows - 1 - i, own_x=own_x)
-        for i in range(rows)
-    ]
-    names = ("areas", "lines", "marks", "texts")
-    whole: Any = {n: list(chain.from_iterable(getattr(p, n) for p in parts)) for n in names}
+        return PanelData(_upon_each_other(found), notes=notes)
+    lines, texts, own_x = list[Trace](), list[Any](), name != "log"
+    for pixel in range(1, rows + 1):
+        group = [(s, d) for s, d in found if s.pixel == pixel]
+        base, color, ends = rows - pixel, PIXEL_COLORS[pixel - 1], _ends(d for _, d in group)
+        note = f"{percent(group[0][0].place.null_share)} null"
+        if ends and own_x:
+            note = " – ".join(dict.fromkeys(map(number, ends)))
+        lines += _in_row(_upon_each_other(group), base, ends if own_x else None)
+        # The note stands above the upper tail, where there is room.
+        texts.append(("left", base, str(pixel), color))
+        texts.append(("right", base + 0.7 * _ROW_HEIGHT, note, color))
     note = "each density over its peak" + (", on an axis of its own" if own_x else "")
-    return PanelData(**whole, notes=[note], rows=rows, own_x=own_x)
+    return PanelData(lines, texts, [note], rows=rows, own_x=own_x)
 
 
-def _row(
-    group: Sequence[tuple[Series, SeriesCurve]], base: int | None, *, own_x: bool
-) -> PanelData:
-    """Draw densities with a common axis, above a base line where there are several rows."""
-    outlines = [(s, *d.outline) for s, d in group if d.outline is not None]
-    peak = max((float(y.max()) for _, _, y in outlines), default=1.0) or 1.0
-    spikes = [(s, d.value) for s, d in group if d.value is not None]
-    ends = [x for _, x, _ in outlines] + [np.array([value]) for _, value in spikes]
-    if not ends:
-        return PanelData(texts=_labels(group, base, None))
-    whole = np.concatenate(ends)
-    low, high = float(whole.min()), float(whole.max())
+def _upon_each_other(found: Iterable[tuple[Series, SeriesCurve]]) -> list[Trace]:
+    """Draw densities on one axis, with their curves and a dashed line at their means.
 
-    def across(x: Array) -> Array:
-        return (x - low) / (high - low) if high > low else np.full_like(x, 0.5)
-
-    def put(x: Array, y: Array, *look: Any) -> Trace:
-        x = across(x) if own_x else x
-        return Trace(x, y if base is None else base + _ROW_HEIGHT * y / peak, *look)
-
-    areas, lines, marks = [], [], []
-    for s, x, y in outlines:
-        lines.append(put(x, y, s.color, s.dash, 1.2))
-        areas.append(put(x, y, s.color))
-    for s, d in group:
-        top = 1.2 * peak if base is not None else np.inf
-        for curve in d.curves:
-            inside = (curve.x >= low) & (curve.x <= high) | (not own_x)
-            height = np.minimum(curve.y, top)[inside]
-            lines.append(put(curve.x[inside], height, s.color, curve.dash, curve.width))
-        if np.isfinite(d.mean) and d.value is None:
-            at = float(across(np.array(d.mean))) if own_x else d.mean
-            feet = (None, None) if base is None else (base, base + _ROW_HEIGHT)
-            marks.append((at, *feet, s.color))
-    # Nearly equal samples have no density to speak of: a spike says where they are.
-    for s, value in spikes:
-        lines.append(put(np.full(2, value), np.array([0.0, peak]), s.color, s.dash, 3.0))
-    return PanelData(areas, lines, marks, _labels(group, base, (low, high) if own_x else None))
+    Nearly equal samples have no density to speak of: a spike says where they are.
+    """
+    known = [(s, d) for s, d in found if d.outline is not None or d.value is not None]
+    outlines = [Trace(*d.outline, s.color, s.dash, 1.2, fill=True) for s, d in known if d.outline]
+    curves = [curve for _, d in known for curve in d.curves]
+    peak = max((float(t.y.max()) for t in outlines), default=1.0) or 1.0
+    top = max([peak, *(float(np.nanmax(t.y)) for t in curves)])
+    lines = [*outlines, *curves]
+    for s, d in known:
+        if d.value is not None:
+            lines.append(Trace(np.full(2, d.value), np.array([0, peak]), s.color, s.dash, 3.0))
+        elif np.isfinite(d.mean):
+            lines.append(Trace(np.full(2, d.mean), np.array([0, top]), s.color, "dashed", 1.0))
+    return lines
 
 
-def _labels(
-    group: Sequence[tuple[Series, SeriesCurve]],
-    base: int | None,
-    span: tuple[float, float] | None,
-) -> list[tuple[str, float, str, str]]:
-    """Return the number of a pixel, and the range of its row or the share of its nulls."""
-    if base is None or not group:
-        return []
-    s = group[0][0]
-    note = f"{percent(s.place.null_share)} null"
-    if span is not None:
-        note = " – ".join(dict.fromkeys(number(end) for end in span))
-    # Above the upper tail, where there is room.
-    above = base + 0.7 * _ROW_HEIGHT
-    color = PIXEL_COLORS[s.pixel - 1]
-    return [("left", base, str(s.pixel), color), ("right", above, note, color)]
+def _ends(densities: Iterable[SeriesCurve]) -> Extent | None:
+    """Return the least and the largest radiance of densities; None where there is none."""
+    parts = [np.ravel(d.value if d.outline is None else d.outline[0]) for d in densities]
+    known = np.concatenate(parts).astype(np.float64)
+    known = known[np.isfinite(known)]
+    return (float(known.min()), float(known.max())) if known.size else None
+
+
+def _in_row(lines: Sequence[Trace], base: int, ends: Extent | None) -> list[Trace]:
+    """Return lines above a base, over their peak, and from one end to the other if there are."""
+    peak = max((float(t.y.max()) for t in lines if t.fill), default=1.0) or 1.0
+    found = []
+    for line in lines:
+        x, y = line.x, base + _ROW_HEIGHT * np.minimum(line.y / peak, 1.2)
+        if ends is not None:
+            low, high = ends
+            inside = (x >= low) & (x <= high)
+            x, y = x[inside], y[inside]
+            x = (x - low) / (high - low) if high > low else np.full(len(x), 0.5)
+        found.append(replace(line, x=x, y=y))
+    return found
 
 
 def _histograms(scale: str, view: View, series: Sequence[Series]) -> PanelData:
@@ -421,7 +407,7 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
 
 
 def _running(_: View, series: Sequence[Series]) -> PanelData:
-    areas, lines, tails = [], [], []
+    lines, tails = [], []
     several = any(s.pixel for s in series)
     for s in series:
         at, means, errors = s.place.running
@@ -431,7 +417,8 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
         if several and mean[-1] > 0:
             mean, error = mean / mean[-1], error / mean[-1]
         band = np.concatenate([mean - error, (mean + error)[::-1]])
-        areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
+        around = np.concatenate([at, at[::-1]])
+        lines.append(Trace(around, band, s.color, width=0.0, fill=True))
         lines.append(Trace(at, mean, s.color, s.dash, 1.6))
         tails += [(s.name, s.place.tail, s.row)] if s.constant is None else []
     caution = ""
@@ -442,7 +429,7 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
     elif any(tail.variance_unidentified[row] for _, tail, row in tails):
         caution = " · too few samples to say whether the variance is finite"
     y = "over the mean of all" if several else ""
-    return PanelData(areas, lines, notes=[f"95 % interval of the mean{caution}"], y=y)
+    return PanelData(lines, notes=[f"95 % interval of the mean{caution}"], y=y)
 
 
 def _averages(view: View, series: Sequence[Series]) -> PanelData:
@@ -531,17 +518,16 @@ def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
 
 # --- figures, and how what they draw travels to the page ----------------------------------------
 
-_MARKS = ("x", "low", "high", "color")
 _TEXTS = ("x", "y", "text", "color", "align", "offset")
-"""Columns of vertical lines and of labels."""
+"""Columns of labels."""
 _LETTERS = 42
 """Characters that there is room for at most along a logarithmic axis."""
 
 
 def panel_plot(name: str) -> tuple[Any, list[models.Model]]:
-    """Return a plot of areas, lines, vertical marks and labels, and what the shell fills of it.
+    """Return a plot of areas, lines and labels, and what the shell fills of it.
 
-    That is: the sources of these four, the ranges across and up, axes, grids, and the plot.
+    That is: the sources of these three, the ranges across and up, axes, grids, and the plot.
     """
     kind = PANELS[name]
     ranges = models.Range1d(0.1, 1), models.Range1d(0.1, 1)
@@ -565,17 +551,13 @@ def panel_plot(name: str) -> tuple[Any, list[models.Model]]:
         outline_line_color=_LINES,
     )
     _style(plot)
-    columns = (("xs", "ys", "color"), ("xs", "ys", "color", "dash", "width"), _MARKS, _TEXTS)
+    columns = (("xs", "ys", "color"), ("xs", "ys", "color", "dash", "width"), _TEXTS)
     sources = [models.ColumnDataSource({name: [] for name in names}) for names in columns]
-    areas, lines, marks, texts = sources
+    areas, lines, texts = sources
     plot.patches("xs", "ys", source=areas, color="color", fill_alpha=0.2, line_alpha=0)
     plot.multi_line(
         "xs", "ys", source=lines, line_color="color", line_dash="dash", line_width="width"
     )
-    plot.segment(
-        "x", "low", "x", "high", source=marks, line_color="color", line_dash="dashed",
-        line_alpha=0.9,
-    )  # fmt: skip
     plot.text(
         "x", "y", "text", source=texts, text_color="color", text_align="align", x_offset="offset",
         text_font_size="11px", y_offset=-1,
@@ -617,42 +599,30 @@ def encode_panels(panels: Mapping[str, PanelData]) -> dict[str, Any]:
     All numbers are one array of float64 in base64; traces say how many of them are theirs, x before
     y.
     """
-    numbers: list[npt.NDArray[np.float64]] = []
-
-    def packed(traces: Sequence[Trace]) -> list[dict[str, Any]]:
-        for trace in traces:
-            numbers.extend((np.asarray(trace.x, np.float64), np.asarray(trace.y, np.float64)))
-        return [{"n": len(t.x), "color": t.color, "dash": t.dash, "width": t.width} for t in traces]
-
+    numbers: list[npt.NDArray[np.float64]] = [np.empty(0)]
     found = {}
     for name, panel in panels.items():
-        (left, right), (bottom, top) = shown = extent(name, panel) or ((0, 1), (0, 1))
+        (left, right), (bottom, top) = extent(name, panel) or ((0, 1), (0, 1))
         ends = {"left": (left, 4), "right": (right, -4)}
-        marks = [
-            (x, bottom if low is None else low, top if high is None else high, color)
-            for x, low, high, color in panel.marks
-        ]
         texts = [
             (ends[side][0], y, text, color, side, ends[side][1])
             for side, y, text, color in panel.texts
         ]
+        numbers += [np.asarray(v, np.float64) for t in panel.lines for v in (t.x, t.y)]
         found[name] = {
-            "areas": packed(panel.areas),
-            "lines": packed(panel.lines),
-            "marks": _columns(_MARKS, marks),
-            "texts": _columns(_TEXTS, texts),
-            "extent": shown,
+            "lines": [
+                {"n": len(t.x), "color": t.color, "dash": t.dash, "width": t.width, "fill": t.fill}
+                for t in panel.lines
+            ],
+            "texts": {column: [row[i] for row in texts] for i, column in enumerate(_TEXTS)},
+            "extent": ((left, right), (bottom, top)),
             "empty": not panel.lines,
             "rows": panel.rows,
             "own_x": panel.own_x,
             "y": panel.y or PANELS[name].y,
         }
-    whole = np.concatenate(numbers) if numbers else np.empty(0)
-    return {"panels": found, "numbers": base64.b64encode(whole.tobytes()).decode("ascii")}
-
-
-def _columns(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, list[Any]]:
-    return {name: [row[i] for row in rows] for i, name in enumerate(names)}
+    whole = np.concatenate(numbers).tobytes()
+    return {"panels": found, "numbers": base64.b64encode(whole).decode("ascii")}
 
 
 _MARGIN = 0.04
@@ -670,10 +640,9 @@ def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
     >>> extent("linear", PanelData(lines=[line]))
     ((-0.4, 10.4), (0.0, 2.08))
     """
-    kind, traces = PANELS[name], (*panel.areas, *panel.lines)
-    marks = np.array([mark[0] for mark in panel.marks])
-    across = _span([*(t.x for t in traces), marks], kind.x_scale)
-    up = _span([t.y for t in traces], kind.y_scale)
+    kind = PANELS[name]
+    across = _span([t.x for t in panel.lines], kind.x_scale)
+    up = _span([t.y for t in panel.lines], kind.y_scale)
     if across is None or up is None:
         return None
     if panel.own_x:

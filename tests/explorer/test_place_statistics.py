@@ -65,7 +65,7 @@ def test_no_sample_breaks_panels_or_tables(name, channel):
         *drawn.values(),
         *panels(view, series_of(view, {"a": [place], "b": [place]})).values(),
     ]:
-        for trace in (*panel.areas, *panel.lines):
+        for trace in panel.lines:
             assert len(trace.x) == len(trace.y)
     encode_panels(drawn)
     assert len(tables.headline(place)) == 5
@@ -118,11 +118,11 @@ def test_rows_of_several_pixels_stay_apart_and_keep_their_shape():
     drawn = panels(View(), series_of(View(), {"a": places}))
     for name in ("linear", "log", "averages"):
         assert drawn[name].rows == 2
-        first, second = drawn[name].areas
+        first, second = (t for t in drawn[name].lines if t.fill)
         assert second.y.min() == pytest.approx(0)
         assert first.y.min() == pytest.approx(1)
         assert second.y.max() < 1
-    one, two = (a.x for a in drawn["linear"].areas)
+    one, two = (a.x for a in drawn["linear"].lines if a.fill)
     assert (one.min(), one.max()) == (two.min(), two.max()) == (0, 1)
 
 
@@ -134,12 +134,12 @@ def test_the_same_pixel_of_several_stores_stands_in_one_plot():
         ("a", "luminance"),
         ("b", "luminance"),
     ]
-    areas = panels(View(), found)["log"].areas
+    areas = [t for t in panels(View(), found)["log"].lines if t.fill]
     assert [a.color for a in areas] == [s.color for s in found]
     assert len({s.color for s in found}) == 2
     drawn = panels(View(), series_of(View(), {"a": [one, two], "b": [two, one]}))["linear"]
     assert drawn.rows == 2
-    assert [a.y.max() >= 1 for a in drawn.areas] == [True, True, False, False]
+    assert [a.y.max() >= 1 for a in drawn.lines if a.fill] == [True, True, False, False]
 
 
 def test_the_place_says_what_the_library_says():
@@ -210,7 +210,7 @@ def test_few_fireflies_among_the_averages_squeeze_nothing():
         "averages"
     ]
     assert drawn.notes[-1] == "0.2\u00a0% beyond"
-    for area in drawn.areas:
+    for area in (t for t in drawn.lines if t.fill):
         assert area.x.max() < 10
         assert np.trapezoid(area.y, area.x) == pytest.approx(0.998, abs=1e-6)
 
@@ -244,7 +244,7 @@ def test_extents_hold_all_that_is_drawn():
     place = PlaceStatistics(gamma(), RGB)
     for name, panel in panels(View(), series_of(View(), {"a": [place]})).items():
         (left, right), (bottom, top) = extent(name, panel)
-        for trace in (*panel.areas, *panel.lines):
+        for trace in panel.lines:
             y = trace.y[np.isfinite(trace.y)]
             assert left < trace.x.min()
             assert trace.x.max() < right

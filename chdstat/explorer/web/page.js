@@ -423,17 +423,14 @@ window.chdstat = (() => {
     let at = 0;
     const take = (n) => numbers.subarray(at, (at += n));
     for (const [name, panel] of Object.entries(item.panels)) {
-      const [areas, lines, lineMarks, texts, xr, yr, xaxis, yaxis, xgrid] = models.panels[name];
-      const columns = (traces) => {
-        const both = traces.map((t) => [take(t.n), take(t.n)]);
-        return { xs: both.map((b) => b[0]), ys: both.map((b) => b[1]), color: traces.map((t) => tint(t.color)) };
-      };
+      const [areas, lines, texts, xr, yr, xaxis, yaxis, xgrid] = models.panels[name];
+      const traces = panel.lines.map((t) => ({ ...t, color: tint(t.color), x: take(t.n), y: take(t.n) }));
+      const columns = (some) => ({ xs: some.map((t) => t.x), ys: some.map((t) => t.y), color: some.map((t) => t.color) });
       $(`#panel-${name}`).hidden = panel.empty;
-      put(areas, columns(panel.areas));
-      const drawn = columns(panel.lines);
-      put(lines, { ...drawn, dash: panel.lines.map((t) => t.dash), width: panel.lines.map((t) => t.width) });
-      for (const [source, data] of [[lineMarks, panel.marks], [texts, panel.texts]])
-        put(source, { ...data, color: data.color.map(tint) });
+      put(areas, columns(traces.filter((t) => t.fill)));
+      const drawn = traces.filter((t) => t.width);
+      put(lines, { ...columns(drawn), dash: drawn.map((t) => t.dash), width: drawn.map((t) => t.width) });
+      put(texts, { ...panel.texts, color: panel.texts.color.map(tint) });
       for (const [i, [start, end]] of panel.extent.entries()) [xr, yr][i].setv({ start, end }, { sync: false });
       // An axis that changes lays the plot out anew, which takes longer than the rest.
       change(yaxis, { axis_label: panel.y, visible: !panel.rows });
