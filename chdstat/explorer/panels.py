@@ -254,7 +254,7 @@ def _densities(
     lines, texts, own_x = list[Trace](), list[Any](), name != "log"
     for pixel in range(1, rows + 1):
         group = [(s, d) for s, d in found if s.pixel == pixel]
-        base, color, ends = rows - pixel, PIXEL_COLORS[pixel - 1], _ends(d for _, d in group)
+        base, color, ends = rows - pixel, PIXEL_COLORS[pixel - 1], _ends([d for _, d in group])
         note = f"{percent(group[0][0].place.null_share)} null"
         if ends and own_x:
             note = " – ".join(dict.fromkeys(map(number, ends)))
@@ -285,12 +285,11 @@ def _upon_each_other(found: Iterable[tuple[Series, SeriesCurve]]) -> list[Trace]
     return lines
 
 
-def _ends(densities: Iterable[SeriesCurve]) -> Extent | None:
+def _ends(densities: Sequence[SeriesCurve]) -> Extent | None:
     """Return the least and the largest radiance of densities; None where there is none."""
-    parts = [np.ravel(d.value if d.outline is None else d.outline[0]) for d in densities]
-    known = np.concatenate(parts).astype(np.float64)
-    known = known[np.isfinite(known)]
-    return (float(known.min()), float(known.max())) if known.size else None
+    known = [d.value for d in densities if d.value is not None]
+    known += [float(d.outline[0][i]) for d in densities if d.outline for i in (0, -1)]
+    return (min(known), max(known)) if known else None
 
 
 def _in_row(lines: Sequence[Trace], base: int, ends: Extent | None) -> list[Trace]:
