@@ -292,7 +292,7 @@ def read_maps(path: str | Path, size: tuple[int, int]) -> dict[str, Map]:
         message = f"the maps in {path} must have {expected} pixels, got {got}"
         raise InputError(message)
     maps = {}
-    for variable, values in found.data_vars.items():
+    for variable, values in sorted(found.data_vars.items()):
         if values.dims == ("y", "x") and values.dtype.kind in "bif":
             name, unit = str(variable).lower(), str(values.attrs.get("long_name", ""))
             names = names_of(values) if "flag_meanings" in values.attrs else {}

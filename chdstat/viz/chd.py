@@ -18,7 +18,6 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from chdstat._core.arrays import Array, is_bad, is_null, luminance, take_rows
 from chdstat._core.display import Width
@@ -39,6 +38,7 @@ from chdstat.viz.styling import (
     per_cent,
     qualitative,
     style,
+    swatches,
     verbatim,
 )
 
@@ -46,6 +46,7 @@ __all__ = [
     "DASHES",
     "FEWEST_FITTED",
     "LINES",
+    "MEAN",
     "SCALES",
     "Channels",
     "Density",
@@ -59,6 +60,7 @@ __all__ = [
     "colors_of",
     "draw_fit",
     "draw_histograms",
+    "draw_means",
     "fits",
     "scales_of",
     "share_radiance",
@@ -80,6 +82,8 @@ _CURVE_POINTS = 400
 LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
 DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
 """Colours and line styles of curves, in turn."""
+MEAN: Any = (0, (3, 2))
+"""Dashes of the line of a mean."""
 _ROOM = 1.35
 """Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
 _BINS = 40
@@ -303,6 +307,13 @@ def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> Non
     ax.set_ylim(0, top)
 
 
+def draw_means(ax: Axes, means: Sequence[float], colors: Sequence[Any]) -> None:
+    """Draw dashed lines at positive means."""
+    for mean, color in zip(means, colors, strict=False):
+        if mean > 0:  # and no NaN
+            ax.axvline(mean, 0, 0.92, color=color, linewidth=0.9, linestyle=MEAN)
+
+
 def colors_of(channels: Sequence[str] | Mapping[str, Any]) -> list[str]:
     """Return the colours of channels by their names."""
     return [_COLORS.get(name, PALETTE[i % len(PALETTE)]) for i, name in enumerate(channels)]
@@ -378,6 +389,10 @@ class Panel:
         mean = samples[:, ~bad].astype(np.float64).mean(axis=-1).tolist() if not bad.all() else ()
         return cls(name, linear, log, channels, fits, mean, note)
 
+    def histograms(self, scale: Scale) -> dict[str, Histogram]:
+        """Return the histogram of each channel on a scale, by the name of the channel."""
+        return by_channel(self.linear if scale == "linear" else self.log, self.channels)
+
     def select(self, channels: Channels) -> Self:
         """Return the panel with some of its channels, as `chd_pair` takes them.
 
@@ -391,7 +406,7 @@ class Panel:
         >>> Panel.of("wall", [[0, 1, 2], [0, 2, 4], [1, 1, 1]]).select("luminance").channels
         ['luminance']
         """
-        names = [*by_channel(self.log, self.channels)]
+        names = [*self.histograms("log")]
         found = chosen(names, channels)
         rows = np.array([names.index(name) for name in found])
         fits, means = ([v[i] for i in rows if i < len(v)] for v in (self.fits, self.mean))
@@ -563,13 +578,11 @@ def _draw_pixel(
     color: str = PALETTE[4],
 ) -> None:
     """Draw a pixel into its axes, which are named if nothing stands below them."""
-    names = [*by_channel(panel.log, panel.channels)]
+    names = [*panel.histograms("log")]
     for ax, scale in zip(axes, scales, strict=False):
         counted = panel.linear if scale == "linear" else panel.log
         chd_axes(counted, names=names, channels=names, fits=panel.fits, ax=ax)
-        for mean, shade in zip(panel.mean, colors_of(names), strict=False):
-            if np.isfinite(mean) and mean > 0:
-                ax.axvline(mean, 0, 0.92, color=shade, linewidth=0.8, linestyle=(0, (3, 2)))
+        draw_means(ax, panel.mean, colors_of(names))
         ax.set_xlabel(_axis_name(_quantity(names), scale, room) if below else "")
     if panel.luminance is not None:
         _draw_luminance(axes[-1], panel.luminance, color)
@@ -619,22 +632,19 @@ def share_radiance(axes: Sequence[Axes]) -> None:
 
 def _name_channels(figure: Figure, ax: Axes, panel: Panel) -> None:
     """Name the colours: in the axes where these are of radiance alone, else above all."""
-    names = list(by_channel(panel.log, panel.channels))
-    handles = [
-        Line2D([], [], color=color, label=verbatim(name))
-        for name, color in zip(names, colors_of(names), strict=True)
-    ]
+    names = [*panel.histograms("log")]
+    handles = swatches(dict(zip(names, colors_of(names), strict=True)))
     if panel.luminance is None:
         if names != [_LUMINANCE]:  # which its axis says
             ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
         return
-    handles.append(Line2D([], [], color=_COLORS[_LUMINANCE], label=_LUMINANCE))
+    handles += swatches({_LUMINANCE: _COLORS[_LUMINANCE]})
     others = "in the colour of the region: its other pixels"
     below: dict[str, Any] = {"loc": "outside upper center", "handlelength": 1, "ncols": 5}
     if len(panel.luminance.counts) > 1 and narrow(inches("page", figure)):
         below |= {"title": others, "title_fontsize": "medium"}
     elif len(panel.luminance.counts) > 1:
-        handles.append(Line2D([], [], linestyle="", label=others))
+        handles += swatches({others: "none"})
     figure.legend(handles=handles, **below)
 
 

@@ -18,7 +18,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from chdstat._core.arrays import Array, luminance
@@ -27,12 +26,13 @@ from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram, Scale
 from chdstat.viz.chd import (
+    MEAN,
     Channels,
     Panel,
-    by_channel,
     colors_of,
     draw_fit,
     draw_histograms,
+    draw_means,
     one_of,
     scales_of,
     share_radiance,
@@ -51,6 +51,8 @@ from chdstat.viz.styling import (
     panels_in,
     qualitative,
     style,
+    swatches,
+    two_parts,
     verbatim,
 )
 
@@ -73,8 +75,6 @@ _DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 0.8)))
 """Of the channels, where the colour is that of the region."""
 _FRAMES = (PALETTE[0], PALETTE[1], PALETTE[2])
 """Colours of parts that are magnified."""
-_MEAN: Any = (0, (3, 2))
-"""Dashes of the line of a mean."""
 _OF_IMAGE = 0.43
 """Share of the width that the image of a study takes."""
 _ROW, _ROWS = 0.68, 4.1
@@ -255,61 +255,38 @@ def region_study(
         message = f"expected a panel for each region, got {len(panels)} for {len(marks)}"
         raise InputError(message)
     shown, across, kinds = tonemap(image), inches(width, fig), scales_of(scales)
-    lit = all("luminance" in by_channel(panel.log, panel.channels) for panel in panels)
-    panels = [
-        panel.select("luminance" if channels is None and lit else channels) for panel in panels
-    ]
-    rows, below, columns = len(marks), narrow(across), 1 + len(kinds)
-    aspect = shown.shape[0] / shown.shape[1]
-    share = 1.0 if below else _OF_IMAGE
-    seen, listed = share * across * aspect, min(_ROW * rows, _ROWS) + 0.4
-    explained = 0.2 * (1 + len(panels[0].log.counts)) + 0.3
-    figure = page(
-        fig,
-        seen + explained + listed if below else max(listed, seen + explained),
-        width,
-        hspace=0.01,
-    )
-    parts: Any = (2, 1) if below else (1, 2)
-    outer = figure.add_gridspec(
-        *parts,
-        **(
-            {"height_ratios": [seen + explained, listed]}
-            if below
-            else {"width_ratios": [share, 1 - share]}
-        ),
-    )
-    ratios = [0.2, *[0.8 / len(kinds)] * len(kinds)]
-    cells = outer[1].subgridspec(rows, columns, width_ratios=ratios)
-    whole = figure.add_subplot(outer[0])
+    lit = all("luminance" in panel.histograms("log") for panel in panels)
+    wanted = "luminance" if channels is None and lit else channels
+    panels = [panel.select(wanted) for panel in panels]
+    rows, high = len(marks), across * shown.shape[0] / shown.shape[1]
+    listed, explained = min(_ROW * rows, _ROWS) + 0.4, 0.2 * (1 + len(panels[0].log.counts)) + 0.3
+    height = max(listed, _OF_IMAGE * high + explained)
+    figure, left, right = two_parts(fig, width, height, _OF_IMAGE, (high + explained, listed))
+    whole = left.subplots()
     draw_marked(whole, shown, marks)
     whole.set_anchor("N")
+    ratios = [0.2, *[0.8 / len(kinds)] * len(kinds)]
+    cells = right.subplots(rows, 1 + len(kinds), squeeze=False, width_ratios=ratios)
     colors = qualitative(rows)
-    axes = []
     for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
-        _inset(figure.add_subplot(cells[i, 0]), shown, mark, i, titled=False)
-        axes.append([figure.add_subplot(cells[i, 1 + k]) for k in range(len(kinds))])
-        for ax, scale in zip(axes[-1], kinds, strict=True):
+        inset, *axes = cells[i]
+        _inset(inset, shown, mark, i, titled=False)
+        for ax, scale in zip(axes, kinds, strict=True):
             _draw_region(ax, panel, scale, colors[i])
             ax.tick_params(pad=1.5, labelbottom=i == rows - 1 or scale == "linear")
             ax.minorticks_off()  # between decades there is nothing to read
-        title = f"{i + 1} {verbatim(mark.name)}"
-        axes[-1][0].set_title(title, loc="left", pad=2, fontweight="bold")
-        axes[-1][-1].set_title(
-            notes[i] if i < len(notes) else panel.note, loc="right", pad=2, color="#444444"
-        )
-    for k, scale in enumerate(kinds):
+        axes[0].set_title(f"{i + 1} {verbatim(mark.name)}", loc="left", pad=2, fontweight="bold")
+        note = notes[i] if i < len(notes) else panel.note
+        axes[-1].set_title(note, loc="right", pad=2, color="#444444")
+    for column, scale in zip(cells.T[1:], kinds, strict=True):
         if scale == "log":
-            share_radiance([row[k] for row in axes])
-        axes[-1][k].set_xlabel(f"radiance in {UNIT}" + ", log scale" * (scale == "log"))
-    for row, panel in zip(axes, panels, strict=True):
-        for ax, scale in zip(row, kinds, strict=True):
-            found = by_channel(panel.linear if scale == "linear" else panel.log, panel.channels)
-            for (_, counted), density, color in zip(
-                found.items(), panel.fits, _lines(found), strict=False
-            ):
-                if density is not None:
-                    draw_fit(ax, counted, density, color=color, linewidth=1.3)
+            share_radiance(column)
+        column[-1].set_xlabel(f"radiance in {UNIT}" + ", log scale" * (scale == "log"))
+        for ax, panel in zip(column, panels, strict=True):  # over what it then shows
+            found = panel.histograms(scale)
+            for counted, fit, color in zip(found.values(), panel.fits, _lines(found), strict=False):
+                if fit is not None:
+                    draw_fit(ax, counted, fit, color=color, linewidth=1.3)
     whole.legend(
         handles=_explained(panels, colors[0]), loc="upper left", bbox_to_anchor=(-0.01, -0.01),
         borderaxespad=0.2, handlelength=1.6,
@@ -324,7 +301,7 @@ def _lines(found: Mapping[str, Histogram]) -> list[str]:
 
 def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
     """Draw the histogram and the mean of a pixel, in the colour of its region or in theirs."""
-    found = by_channel(panel.linear if scale == "linear" else panel.log, panel.channels)
+    found = panel.histograms(scale)
     alone = len(found) == 1
     dark = tuple(0.6 * part for part in to_rgb(color))
     lines = [dark] if alone else colors_of(found)
@@ -334,25 +311,20 @@ def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
     ax.spines["bottom"].set(color=color, linewidth=2)
     if scale == "linear":
         ax.locator_params(axis="x", nbins=3)
-    for mean, line in zip(panel.mean, lines, strict=False):
-        if np.isfinite(mean) and mean > 0:
-            ax.axvline(mean, 0, 0.92, color=line, linewidth=0.9, linestyle=_MEAN)
+    draw_means(ax, panel.mean, lines)
 
 
 def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
     """Return a legend's swatches of what `region_study` draws."""
-    names = list(by_channel(panels[0].log, panels[0].channels))
-    seen = "samples that are not null"
+    names, seen = [*panels[0].histograms("log")], "samples that are not null"
     handles: list[Artist] = [Patch(color=color, alpha=_FILLED, label=f"{seen}, {names[0]}")]
     if len(names) > 1:
-        handles = [
-            Line2D([], [], color=shade, label=f"{seen}, {verbatim(name)}")
-            for name, shade in zip(names, colors_of(names), strict=True)
-        ]
+        shades = zip(names, colors_of(names), strict=True)
+        handles = swatches({f"{seen}, {name}": shade for name, shade in shades})
     if any(fit is not None for panel in panels for fit in panel.fits):
-        handles.append(Line2D([], [], color="#111111", linewidth=1.3, label="best fit"))
+        handles += swatches({"best fit": "#111111"}, linewidth=1.3)
     if any(panel.mean for panel in panels):
-        handles.append(Line2D([], [], color="#444444", linestyle=_MEAN, label="mean"))
+        handles += swatches({"mean": "#444444"}, linestyle=MEAN)
     return handles
 
 
@@ -537,14 +509,9 @@ def view_pair(
         message = f"expected two images of one view, got {len(images)}"
         raise InputError(message)
     first, second = images.values()
-    across, aspect = inches(width, fig), np.shape(first)[0] / np.shape(first)[1]
-    if narrow(across):
-        high = 0.47 * across * aspect + 0.25
-        figure = page(fig, high + 2.0, width)
-        left, right = figure.subfigures(2, 1, height_ratios=[high, 2.0], squeeze=False).flat
-    else:
-        figure = page(fig, max(0.225 * across * aspect, 1.5) + 0.35, width)
-        left, right = figure.subfigures(1, 2, width_ratios=[1.05, 1], squeeze=False).flat
+    high = inches(width, fig) * np.shape(first)[0] / np.shape(first)[1]
+    height, below = max(0.225 * high, 1.5) + 0.35, (0.47 * high + 0.25, 2.0)
+    figure, left, right = two_parts(fig, width, height, 0.51, below)
     exposure = display_stops(second)
     for ax, (name, image), color in zip(grid(left, 2, 2), images.items(), _PAIR, strict=True):
         ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")

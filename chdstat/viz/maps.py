@@ -42,6 +42,7 @@ from chdstat.viz.styling import (
     qualitative,
     sequential,
     style,
+    two_parts,
     verbatim,
 )
 
@@ -372,15 +373,10 @@ def atlas(found: Atlas, *, width: Width = "page", fig: Figure | None = None) -> 
     columns = 2 if number <= 8 else 3
     rows = max(2, -(-number // columns))
     aspect = found.labels.shape[0] / found.labels.shape[1]
-    across = inches(width, fig)
-    if narrow(across):
-        parts = [min(across * aspect, 3.4) + 0.2, 0.8 * rows + 0.3]
-        figure = page(fig, sum(parts), width)
-        left, right = figure.subfigures(2, 1, height_ratios=parts, squeeze=False).flat
-    else:
-        figure = page(fig, max(_OF_MAP * across * aspect + 0.2, 0.8 * rows + 0.3), width)
-        ratios = [_OF_MAP, 1 - _OF_MAP]
-        left, right = figure.subfigures(1, 2, width_ratios=ratios, squeeze=False).flat
+    across, listed = inches(width, fig), 0.8 * rows + 0.3
+    height = max(_OF_MAP * across * aspect + 0.2, listed)
+    below = (min(across * aspect, 3.4) + 0.2, listed)
+    figure, left, right = two_parts(fig, width, height, _OF_MAP, below)
     missing = float((found.labels < 0).mean())
     note = f"   (grey: none, {_percent(missing)})" if missing else ""
     colors = qualitative(number)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.display import Width
@@ -26,6 +25,7 @@ from chdstat.viz.styling import (
     page,
     qualitative,
     style,
+    swatches,
     verbatim,
 )
 
@@ -120,10 +120,8 @@ def renders_compared(
         ax.set_xlabel(f"luminance ({UNIT}), log scale")
         ax.set_ylabel("" if i % columns else "density")
     if places:
-        handles = [Line2D([], [], color=c, label=verbatim(name)) for name, c in colors.items()]
-        figure.legend(
-            handles=handles, loc="outside lower center", ncols=2 * columns, handlelength=1
-        )
+        look: Any = {"loc": "outside lower center", "ncols": 2 * columns, "handlelength": 1}
+        figure.legend(handles=swatches(colors), **look)
     return figure
 
 

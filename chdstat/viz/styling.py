@@ -16,18 +16,20 @@ import logging
 import math
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps, font_manager
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import Colormap, to_hex, to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
 from chdstat._core.display import Width
@@ -59,6 +61,8 @@ __all__ = [
     "sequential",
     "spelt",
     "style",
+    "swatches",
+    "two_parts",
     "verbatim",
 ]
 
@@ -210,6 +214,29 @@ def page(
     return StyledFigure(figsize=(inches(width), min(height, HEIGHT)), layout=layout)
 
 
+def two_parts(
+    fig: Figure | None, width: Width, height: float, share: float, below: Sequence[float]
+) -> tuple[Figure, SubFigure, SubFigure]:
+    """Return the figure to draw into and its parts, one below the other where it is narrow.
+
+    Parameters
+    ----------
+    fig, width
+        As for `page`.
+    height, share
+        Height of a new figure in inches, and the share of its width that the first part takes.
+    below
+        Heights of the parts where one stands below the other.
+    """
+    if narrow(inches(width, fig)):
+        figure = page(fig, sum(below), width)
+        parts: Any = figure.subfigures(2, 1, height_ratios=below)
+    else:
+        figure = page(fig, height, width)
+        parts = figure.subfigures(1, 2, width_ratios=(share, 1 - share))
+    return figure, parts[0], parts[1]
+
+
 def axes_in(ax: Axes | None, height: float, width: Width) -> Axes:
     """Return the axes to draw into: the given ones, or those of a new figure."""
     return page(None, height, width).subplots() if ax is None else ax
@@ -282,6 +309,11 @@ def plain_log(axis: Axis, numbers: Sequence[int] = (1, 2, 5)) -> None:
     axis.set_major_locator(LogLocator(subs=numbers))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
+
+
+def swatches(colors: Mapping[str, str], **look: Any) -> list[Artist]:
+    """Return lines for a legend, by what they are called."""
+    return [Line2D([], [], color=c, label=verbatim(name), **look) for name, c in colors.items()]
 
 
 def bare(ax: Axes, title: str = "") -> None:
