@@ -397,7 +397,7 @@ window.chdstat = (() => {
     document.documentElement.dataset.theme = name;
     $("#theme").textContent = name === "light" ? "Dark" : "Light";
     const style = getComputedStyle(document.documentElement), color = (v) => style.getPropertyValue(`--${v}`).trim();
-    for (const [, , , , , , xaxis, yaxis, xgrid, ygrid, plot] of Object.values(models.panels)) {
+    for (const [, , , , , xaxis, yaxis, xgrid, ygrid, plot] of Object.values(models.panels)) {
       const quiet = { sync: false };
       plot.setv({ background_fill_color: color("panel"), outline_line_color: color("line") }, quiet);
       for (const grid of [xgrid, ygrid]) grid.setv({ grid_line_color: color("grid") }, quiet);
