@@ -1,7 +1,7 @@
 """Estimates of one place by fixed and trained estimators, and their errors.
 
 `batches_of` cuts the samples of a place into batches; `scored` and `scored_around` let the fixed
-estimators estimate from them, `Learner.score` a trained one. An estimator that looks at the
+estimators estimate from them, `score_model` scores a trained one. An estimator that looks at the
 pixels around, as the default estimate does, is given a part of the image with its first-hit
 features, not all of it: its estimate is close to that of `chdstat.estimate`, not the same.
 """

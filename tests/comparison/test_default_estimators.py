@@ -12,7 +12,7 @@ from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.entries import DEFAULT_ESTIMATE, choose, entry_of
 from chdstat.errors import InputError
 from chdstat.estimators import lookup, registry
-from chdstat.explorer.estimators import batches_of, learners, scored, scored_around
+from chdstat.explorer.estimators import batches_of, score_model, scored, scored_around
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.tables import estimates_table
 from chdstat.viz.estimators import called, estimator_name
@@ -51,8 +51,8 @@ def by_bench(samples):
 def by_explorer(samples):
     place = 8, 8
     batches, source = batches_of(samples[place], N), StoreSource(samples)
-    (learner,) = learners([lookup("elek2019").train(samples, progress=False)])
-    found = [learner.score(batches, source, place, None), *scored(batches)]
+    model = lookup("elek2019").train(samples, progress=False)
+    found = [score_model(model.name, model, batches, source, place, None), *scored(batches)]
     found += scored_around(batches, source, place)
     rows = estimates_table(found, samples.channels, N, "")["rows"]
     shown = {estimator_name(name): name for name in DEFAULT_ESTIMATORS}
