@@ -64,7 +64,7 @@ def train(
     target = asked.target(out, ".safetensors")  # refused before the work, not after
     check_choice(estimator, with_features=features)
     trained = train_model(
-        asked.samples(source),
+        asked.samples(source, seed=None),
         estimator,
         with_features=features,
         spp=asked.spp,
@@ -98,8 +98,9 @@ def estimate(
         ),
     ] = None,
     loss_weight: Annotated[
-        float, option("Of a model: from 0, least MSE, to 1, least relMSE.")
-    ] = 0.5,
+        float | None,
+        option("Of a progressive model: from 0, least MSE, to 1, least relMSE.", unset="0.5"),
+    ] = None,
     level: Annotated[float, option("Probability of the interval.")] = 0.9,
     denoise: Annotated[bool, option("Denoise the estimate with Open Image Denoise.")] = False,
     while_rendering: Annotated[bool, option("Estimate from a render; keep no samples.")] = False,
@@ -132,7 +133,11 @@ def estimate(
     target = asked.target(out, *IMAGES)  # refused before the work, not after
     trained = None if model is None else load_model(model)
     endless = (seconds, relative_error) != (None, None)
-    samples = _drawn(source, asked, endless=endless) if while_rendering else asked.samples(source)
+    samples = (
+        _drawn(source, asked, endless=endless)
+        if while_rendering
+        else asked.samples(source, seed=asked.seed)
+    )
     with asked.client() as client, kept_until_written(out) as checkpoint:
         path = write_estimates(
             target,

@@ -305,15 +305,18 @@ class CommonOptions:
         refuse_render(name, {"-D": self.define or None})
         return place_of(name)
 
-    def samples(self, name: str) -> Samples:
-        """Return the samples of a finished store, or render those of a scene."""
+    def samples(self, name: str, *, seed: int | None) -> Samples:
+        """Return the samples of a finished store, or render those of a scene.
+
+        `seed` is of the render; None where it is of what is done with a store, too.
+        """
         from chdstat.rendering import refuse_render, render
         from chdstat.samples import open as open_store
 
         found = self.source(name)
         if is_path(found):
-            # A seed may be that of a training, and spp the number of first samples.
-            settings = {**self.settings, "spp": None, "seed": None, "store": self.store}
+            # spp is the number of first samples.
+            settings = {**self.settings, "spp": None, "seed": seed, "store": self.store}
             refuse_render(name, settings)
             return open_store(found)
         return render(found, **self.settings, out=self.store, progress=self.progress)

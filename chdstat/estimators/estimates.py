@@ -106,7 +106,7 @@ def estimate(
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
-    loss_weight: float = 0.5,
+    loss_weight: float | None = None,
     level: float = 0.9,
     denoise: bool = False,
     progress: bool | None = None,
@@ -131,7 +131,8 @@ def estimate(
     spp
         Use the first so many samples; None uses all.
     loss_weight
-        Of a `Progressive`: 0 for the least MSE, 1 for the least relMSE, and what lies between.
+        Of a `Progressive`: 0 for the least MSE, 1 for the least relMSE, and what lies between; None
+        is 0.5. Of others, it has no place.
     level
         Probability of the interval.
     denoise
@@ -239,7 +240,7 @@ def write_estimates(
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
-    loss_weight: float = 0.5,
+    loss_weight: float | None = None,
     level: float = 0.9,
     denoise: bool = False,
     progress: bool | None = None,
@@ -315,12 +316,17 @@ class _Options:
     """Options of `estimate`."""
 
     spp: int | None
-    loss_weight: float
+    loss_weight: float | None
     level: float
     denoise: bool
     progress: bool | None
     client: Client | None
     checkpoint: str | Path | None
+
+    @property
+    def weight(self) -> float:
+        """The loss weight of a `Progressive`."""
+        return 0.5 if self.loss_weight is None else self.loss_weight
 
 
 @dataclass(frozen=True)
@@ -376,7 +382,7 @@ class _Estimated:
             "spp": getattr(found, "spp", self.source.spp),
             "estimator": "combination" if model is None else model.name,
             "training": training,
-            "loss_weight": self.options.loss_weight if isinstance(model, Progressive) else "none",
+            "loss_weight": self.options.weight if isinstance(model, Progressive) else "none",
             "level": "none" if np.isnan(found.level) else found.level,
             "denoiser": "Open Image Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,
@@ -394,9 +400,12 @@ def _estimates(
     seconds: float | None = None,
 ) -> Iterator[_Estimated]:
     """Yield the estimate; of a rendering, one after another, of more and more samples."""
-    check_loss_weight(options.loss_weight)
+    check_loss_weight(options.weight)
     check_probability(level=options.level)
     model = load_model(model) if isinstance(model, str | Path) else model
+    if options.loss_weight is not None and not isinstance(model, Progressive):
+        message = "loss_weight is of a progressive model: give one as model, or leave it out"
+        raise InputError(message)
     # A rendering has batches; to test for its class would load Mitsuba here.
     if hasattr(source, "batch"):
         _check_rendering(source, model, options)
@@ -455,7 +464,7 @@ def _by_model(
     )
     x = samples.read()
     if isinstance(model, Progressive):
-        found = model.estimate(samples, loss_weight=options.loss_weight, level=options.level)
+        found = model.estimate(samples, loss_weight=options.weight, level=options.level)
     else:
         radiance = model.predict(x)
         unknown = np.full_like(radiance, np.nan)

@@ -328,7 +328,10 @@ def canonical(value: Any) -> bytes:
 def attributes_of(path: Path) -> dict[str, Any]:
     """Return the attributes of a store, from the first of its two manifests that is sound."""
     if path.is_file():
-        message = f"{path} is a file; a store is a folder, as 'chdstat render' writes it"
+        message = (
+            f"{path} is a file; a store is a folder, as 'chdstat render' writes it. Make one of "
+            f"samples of another renderer with: chdstat import {path} -o {path.stem}.zarr"
+        )
         raise StoreError(message)
     found = []
     for name in ("zarr.json", "radiance/zarr.json"):
