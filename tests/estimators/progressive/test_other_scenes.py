@@ -105,7 +105,8 @@ def test_too_few_samples_to_compare_halves_are_averaged(of_lamps, n):
     assert of_lamps.predict(x) == pytest.approx(x.mean(axis=-1), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["fireflies", pytest.param("lamps", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["fireflies", "lamps"])
 def test_with_a_reference_no_error_is_above_the_means_and_the_image_keeps_its_mean(name):
     """Of one training the image's mean drifts by about as much as its few splits scatter."""
     samples = world(name, np.random.default_rng(4))
