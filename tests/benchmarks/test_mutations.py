@@ -1,6 +1,6 @@
 """Mutations of all files of a store and of a model: the right answer or an error, nothing else.
 
-``--benchmark-only -s`` makes 2000 of them and prints the table; a few run with the other tests. A
+``--benchmark-only -s`` makes 2000 of them and prints the table; `pytest -m slow` makes a few. A
 mutation flips bits, cuts off, empties, deletes, swaps or overwrites a file, puts a folder or the
 file of another store in its place, or edits its JSON. Each is followed by `info`, `open` and a read
 of all that is there, some by `analyze`, `estimate` and a render that repairs. CHDSTAT_MUTATIONS
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import chdstat as chd
 from chdstat.errors import ChdstatError
@@ -280,6 +281,7 @@ def check(fates: Counter[tuple[str, ...]], longest: float) -> None:
     assert longest < LONGEST
 
 
+@pytest.mark.slow
 def test_some_mutations(tmp_path):
     fates, longest = Campaign(tmp_path).run(30, seed=1, costly=15)
     check(fates, longest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import re
 import shutil
@@ -15,8 +16,9 @@ import pytest
 import chdstat as chd
 from chdstat._core.display import percent
 from chdstat.analysis import save
-from chdstat.explorer import Explorer
+from chdstat.explorer import Explorer, selection
 from chdstat.explorer.maps import IMAGES
+from chdstat.explorer.place import goodness
 from chdstat.io import write_exr
 from chdstat.patterns import Label
 from chdstat.samples.store import Store
@@ -405,7 +407,8 @@ def test_an_address_that_is_wrong_is_explained(person, store_path):
     assert one.chips == ["1: y 1 x 1"]
 
 
-def test_fits_are_tested_when_asked(person, store_path):
+def test_fits_are_tested_when_asked(person, store_path, monkeypatch):
+    monkeypatch.setattr(selection, "goodness", functools.partial(goodness, resamples=9))
     one = person(store_path).open("?p=20,10")
     assert not one.page.locator("#goodness progress").is_visible()
     one.page.get_by_role("button", name="Test the fits").click()

@@ -26,6 +26,8 @@ from chdstat.samples.tiles import TILE, chunk_grid
 ALPHA = 1e-3
 SIZE = (12, 10)
 SEQUENCES = [("stratified", 16), ("multijitter", 15), ("orthogonal", 25), ("ldsampler", 16)]
+SPREAD = [SEQUENCES[0], SEQUENCES[3]]
+"""One that jitters in strata and the one of low discrepancy: Mitsuba scrambles both kinds apart."""
 NUMBERS: dict[str, Any] = {
     "type": "scene",
     "integrator": {"type": "three_random_numbers"},
@@ -85,12 +87,6 @@ def variance_ratio(x: np.ndarray, length: int) -> float:
     return float(length * means.var(axis=-1, ddof=1).mean() / x.var(axis=-1, ddof=1).mean())
 
 
-def p_of_variance(z: np.ndarray) -> float:
-    """Return the p-value that numbers have the variance 1 around 0, from both sides."""
-    p = scipy.stats.chi2.cdf((z**2).sum(), z.size)
-    return float(2 * min(p, 1 - p))
-
-
 # --- within a sequence --------------------------------------------------------------------------
 
 
@@ -110,22 +106,7 @@ def test_of_independent_samples_strata_hold_what_chance_gives(backend):
     assert (strata == np.arange(16)).all(axis=-1).mean() < 0.01
 
 
-@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
-def test_means_of_sequences_vary_far_less_than_means_of_independent_samples(
-    backend, sampler, length
-):
-    """Of one uniform number in each of n strata, the mean has 1/n^2 of the variance.
-
-    Those of the low-discrepancy sampler lie at one place within all strata: 1/n.
-    """
-    expected = length ** (-1 if sampler == "ldsampler" else -2)
-    x = spread(backend, sampler, length)
-    assert variance_ratio(x, length) == pytest.approx(expected, rel=0.06)
-    means = by_sequence(independent(backend)[..., : 32 * length], length).mean(axis=-1)
-    assert p_of_variance((means - 0.5) * np.sqrt(12 * length)) > ALPHA
-
-
-@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+@pytest.mark.parametrize(("sampler", "length"), SPREAD)
 def test_positions_on_the_film_are_spread(backend, sampler, length):
     """Radiance is linear across a pixel: strata of a fourth leave a sixteenth of the variance."""
     x = spread(backend, sampler, length, "directions")[:, :, :2]
@@ -137,7 +118,7 @@ def test_positions_on_the_film_are_spread(backend, sampler, length):
 # --- between sequences --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+@pytest.mark.parametrize(("sampler", "length"), SPREAD)
 def test_sequences_are_independent_of_each_other(backend, sampler, length):
     x = spread(backend, sampler, length)
     if sampler == "ldsampler":  # one scramble for all numbers of a sequence
