@@ -238,7 +238,7 @@ def test_statistics_need_no_renderer():
     loaded = loaded_by(
         "import numpy as np, chdstat as chd\n"
         "chd.summarize(chd.Samples.from_array(np.ones((2, 2, 3, 64))))\n"
-        "chd.histogram(np.ones(64)), chd.fit"
+        "chd.histogram(np.ones(64)), chd.fit, chd.estimators.mean(np.ones(8))"
     )
     assert "chdstat.summary.statistics" in loaded
     assert not {"mitsuba", "drjit", "torch", "matplotlib", "zarr"} & loaded

@@ -134,15 +134,6 @@ def test_the_unit_makes_thresholds_relative():
     assert estimators.zirr2018(x) != pytest.approx(found, rel=1e-3)
 
 
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole():
-    x = image(3, (1, 1, 3, 8))
-    spoilt = x.copy()
-    spoilt[0, 0, 1, 7] = np.nan
-    found = estimators.zirr2018_pixel(spoilt, unit=1.0)
-    assert found == pytest.approx(estimators.zirr2018_pixel(x[..., :7], unit=1.0), rel=1e-12)
-
-
 @pytest.mark.parametrize("options", [{"kappa": 0.0}, {"kappa": -1.0}, {"unit": 0.0}])
 def test_options_out_of_range_are_refused(options):
     with pytest.raises(InputError, match="got"):

@@ -81,16 +81,6 @@ def test_patches_without_noise_stay():
     assert np.allclose(estimators.boughida2017(x), x[..., 0])
 
 
-def test_pixels_that_are_bad_touch_no_other():
-    x = np.random.default_rng(2).exponential(size=(16, 16, 3, 8))
-    x[5, 6], x[9, 9, 0, 1:], x[12, 3] = np.nan, np.inf, 0
-    found = estimators.boughida2017(x)
-    assert np.isnan(found[5, 6]).all()
-    assert found[9, 9, 0] == x[9, 9, 0, 0]
-    assert np.isfinite(np.delete(found.reshape(-1, 3), 5 * 16 + 6, axis=0)).all()
-    assert found[8:, 8:].min() > 0
-
-
 def test_small_images_are_taken_and_what_is_none_refused():
     x = np.random.default_rng(2).exponential(size=(2, 5, 3, 8))
     assert np.allclose(estimators.boughida2017(x), x.mean(axis=-1))

@@ -13,6 +13,7 @@ from chdstat.errors import InputError
 
 NAMES = estimators.names("fixed")
 ENTRIES = {name: estimators.lookup(name) for name in NAMES}
+NEIGHBOURS = [name for name in NAMES if ENTRIES[name].uses_neighbours]
 OF_PIXELS = [name for name in NAMES if not ENTRIES[name].uses_neighbours]
 PARAMETERS = {
     name: {*inspect.signature(entry.function).parameters} for name, entry in ENTRIES.items()
@@ -138,10 +139,34 @@ def test_bad_samples_are_left_out(name):
     spoilt[..., 32] = np.nan
     spoilt[0, 0, :, 32] = np.inf
     spoilt[1, 1, :, 32] = -np.inf
+    if ENTRIES[name].joint_channels:  # of which one bad channel spoils the sample
+        spoilt[2, 2, :, 32] = 1.0, np.nan, 1.0
     if name in SPLIT:
         assert np.isfinite(ENTRIES[name](spoilt)).all()
     else:
         assert ENTRIES[name](spoilt) == pytest.approx(ENTRIES[name](x[..., :32]), rel=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+@pytest.mark.parametrize("name", NEIGHBOURS)
+def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(name):
+    x = images(12, (6, 6, 3, 16))
+    x[2, 3, :, :] = np.nan
+    x[4, 4, 0, :] = -np.inf
+    found = ENTRIES[name](x)
+    assert np.isnan(found[2, 3]).all()
+    assert np.isnan(found[4, 4, 0])
+    elsewhere = np.ones((6, 6), bool)
+    elsewhere[[2, 4], [3, 4]] = False
+    assert np.isfinite(found[elsewhere]).all()
+    assert (found[elsewhere] < 20).all()
+
+
+@pytest.mark.parametrize("name", NEIGHBOURS)
+def test_one_pixel_and_one_row_are_images(name):
+    one, row = images(15, (1, 1, 3, 16)), images(16, (1, 9, 3, 16))
+    assert ENTRIES[name](one).shape == (1, 1, 3)
+    assert ENTRIES[name](row).shape == (1, 9, 3)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -27,7 +29,16 @@ def test_what_is_saved_is_read_as_what_it_is(tmp_path, name, kind):
     again = load_model(tmp_path / "a.safetensors")
     assert type(model) is type(again) is kind
     x = image().read(ss=slice(0, 32))
+    if kind is Progressive:
+        for loss_weight in (0.0, 0.5, 1.0):
+            found, right = (vars(m.estimate(x, loss_weight=loss_weight)) for m in (again, model))
+            np.testing.assert_equal(found, right)
     assert (again.predict(x) == model.predict(x)).all()
+    assert again.provenance == json.loads(json.dumps(model.provenance))
+    assert (again.train_pixels == model.train_pixels).all()
+    assert again.train_shape == model.train_shape
+    np.testing.assert_equal(vars(again.history), vars(model.history))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
 
 
 @pytest.mark.parametrize(("name", "kind"), [("progressive", Progressive), ("elek2019", MLP)])

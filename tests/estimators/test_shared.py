@@ -279,22 +279,6 @@ def rms(values):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize("function", ALL)
-def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
-    x = image(12, (6, 6, 3, 16))
-    x[2, 3, :, :] = np.nan
-    x[4, 4, 0, :] = -np.inf
-    found = function(x)
-    assert np.isnan(found[2, 3]).all()
-    assert np.isnan(found[4, 4, 0])
-    assert found[4, 4, 1:] == pytest.approx(x[4, 4, 1:].mean(axis=-1))
-    elsewhere = np.ones((6, 6), bool)
-    elsewhere[[2, 4], [3, 4]] = False
-    assert np.isfinite(found[elsewhere]).all()
-    assert (found[elsewhere] < 20).all()
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize(
     "function",
     [estimators.sakai2024, estimators.shared_patches, estimators.shared_shape],
@@ -305,13 +289,6 @@ def test_one_good_sample_is_not_compared(function):
     assert np.isfinite(function(x)).all()
     if function is estimators.sakai2024:
         assert function(x)[2, 2] == pytest.approx(x[2, 2, :, 0])
-
-
-@pytest.mark.parametrize("function", ALL)
-def test_one_pixel_and_one_row_are_images(function):
-    one, row = image(15, (1, 1, 3, 16)), image(16, (1, 9, 3, 16))
-    assert function(one) == pytest.approx(one.mean(axis=-1), rel=1e-9)
-    assert function(row).shape == (1, 9, 3)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 5])

@@ -91,14 +91,3 @@ ALL = ["gmon_shrinkage", "gamma_shrinkage", "lognormal_shrinkage", "mixture_shri
 def test_one_channel_alone_is_not_shrunk(name):
     x = np.random.default_rng(8).lognormal(0, 2, size=(20, 1, 32))
     assert estimators.lookup(name)(x) == pytest.approx(x.mean(axis=-1), rel=1e-12)
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize("name", ALL)
-def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole(name):
-    x = np.random.default_rng(9).lognormal(0, 1, size=(3, 33))
-    spoilt = x.copy()
-    spoilt[1, 32] = np.nan
-    bad = x.copy()
-    bad[:, 32] = np.nan
-    assert estimators.lookup(name)(spoilt) == pytest.approx(estimators.lookup(name)(bad), rel=1e-12)

@@ -1,6 +1,5 @@
 """The progressive estimator: scale, order and number of samples, bad input, files."""
 
-import json
 import pickle
 
 import numpy as np
@@ -198,21 +197,6 @@ def test_an_untrained_one_says_so(tmp_path):
             call()
 
 
-def test_a_saved_one_comes_back_to_the_bit(trained, fresh, tmp_path):
-    trained.save(tmp_path / "model.safetensors")
-    loaded = Progressive.load(tmp_path / "model.safetensors")
-    for loss_weight in BALANCES:
-        found, expected = (m.estimate(fresh.x, loss_weight=loss_weight) for m in (loaded, trained))
-        for name in ("radiance", "certainty", "low", "high"):
-            assert (getattr(found, name) == getattr(expected, name)).all()
-    assert loaded.provenance == json.loads(json.dumps(trained.provenance))
-    assert (loaded.train_pixels == trained.train_pixels).all()
-    assert loaded.train_shape == trained.train_shape
-    assert (loaded.history.validation_loss == trained.history.validation_loss).all()
-    assert (loaded.unit, loaded.channels) == (trained.unit, 3)
-    assert [p.name for p in tmp_path.iterdir()] == ["model.safetensors"]
-
-
 def test_loading_unpickles_nothing(trained, tmp_path, monkeypatch):
     trained.save(tmp_path / "model")
 
@@ -253,9 +237,3 @@ def test_a_file_with_parts_missing_or_of_another_shape_is_refused(trained, tmp_p
     rewritten(tmp_path / "model", change)
     with pytest.raises(StoreError, match="does not hold a whole network"):
         Progressive.load(tmp_path / "model")
-
-
-def test_pixels_outside_the_image_are_refused():
-    samples = chd.Samples.from_array(np.ones((8, 8, 3, 16)))
-    with pytest.raises(InputError, match="lie in the image of 8 x 8"):
-        Progressive().train(samples, pixels=[[0, 8]], iterations=1, progress=False)
