@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
@@ -73,27 +72,12 @@ def test_pixels_that_trained_are_exposed_and_at_most_half(trained):
     assert (trained.train_pixels == draw_pixels((24, 24), 6400, seed=0)).all()
 
 
-def test_the_same_seed_trains_the_same_network_and_another_does_not(trained):
-    x = image(seed=5).read()[..., :32]
-    again = MLP.preset("elek2019").train(image(), seed=0, iterations=600)
-    other = MLP.preset("elek2019").train(image(), seed=1, iterations=600)
-    assert (again.predict(x) == trained.predict(x)).all()
-    assert (other.predict(x) != trained.predict(x)).any()
-
-
 def test_scaling_the_radiance_scales_the_estimate():
     dim = image(spp=64)
     bright = chd.Samples.from_array(1024 * dim.read())
     x = dim.read()[..., :32]
     models = [MLP.preset("elek2019").train(s, iterations=200) for s in (dim, bright)]
     assert models[1].predict(1024 * x) == pytest.approx(1024 * models[0].predict(x), rel=1e-3)
-
-
-def test_training_leaves_the_global_state_of_torch_alone():
-    threads, state = torch.get_num_threads(), torch.random.get_rng_state()
-    MLP.preset("elek2019").train(image(spp=64), iterations=1)
-    assert torch.get_num_threads() == threads
-    assert torch.equal(torch.random.get_rng_state(), state)
 
 
 def test_leading_axes_are_a_batch(trained):
@@ -119,20 +103,6 @@ def test_a_bad_sample_counts_as_the_mean_of_the_others(trained):
 def test_an_estimate_that_overflows_is_the_mean(trained):
     x = np.full(32, 3e38, np.float32)
     assert np.isfinite(trained.predict(x))
-
-
-def test_a_black_scene_is_estimated_black():
-    model = MLP.preset("elek2019").train(
-        chd.Samples.from_array(np.zeros((4, 4, 3, 64))), iterations=10
-    )
-    assert (model.predict(np.zeros((2, 32))) == 0).all()
-
-
-def test_fireflies_beyond_all_bounds_leave_a_finite_network():
-    x = image(spp=64).read().copy()
-    x[::2, :, :, 7] = 1e37
-    model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=200)
-    assert np.isfinite(model.predict(x[..., :32])).all()
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

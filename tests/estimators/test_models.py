@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
@@ -20,6 +21,54 @@ def image(spp=64, features=False):
     x = rng.lognormal(size=(16, 16, 1, 1)) * rng.gamma(0.7, size=(16, 16, 3, spp))
     known = {"albedo": np.full((16, 16, 3), 0.5)} if features else None
     return chd.Samples.from_array(x, features=known, scene="made up")
+
+
+BOTH = pytest.mark.parametrize("name", ["progressive", "elek2019"])
+
+
+def trained(x, name, iterations=5, **options):
+    samples = chd.Samples.from_array(x, axes="yxcs")
+    return train_model(samples, name, iterations=iterations, progress=False, **options)
+
+
+@BOTH
+def test_the_same_seed_trains_the_same_network_and_another_does_not(name):
+    x = image().read()
+    first, again, other = (trained(x, name, seed=seed).predict(x[..., :32]) for seed in (0, 0, 1))
+    assert (again == first).all()
+    assert (other != first).any()
+
+
+@BOTH
+def test_training_leaves_the_global_state_alone(name):
+    threads, state = torch.get_num_threads(), torch.random.get_rng_state()
+    numbers = np.random.get_state()[1].copy()  # noqa: NPY002 - the state that must not change
+    x = image().read()
+    trained(x, name, iterations=1).predict(x[..., :32])
+    assert torch.get_num_threads() == threads
+    assert torch.equal(torch.random.get_rng_state(), state)
+    assert (np.random.get_state()[1] == numbers).all()  # noqa: NPY002
+
+
+ODD = {
+    **{f"{level:g} everywhere": lambda x, v=level: v + 0 * x for level in (0, 1e-42, 1.0, 1e30)},
+    "black and dark channels": lambda x: x * np.array([1, 0, 1e-20])[:, np.newaxis],
+    "fireflies": lambda x: np.where(np.arange(64) == 7, 1e30, x),
+}
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [*product(["progressive"], ODD), *product(["elek2019"], [*ODD][:1] + [*ODD][2:])],
+)
+def test_any_image_trains_a_finite_network(name, what):
+    x = ODD[what](image().read().astype(np.float64)).astype(np.float32)
+    model = trained(x, name)
+    found = model.predict(x[..., :32])
+    assert np.isfinite(found).all()
+    assert x.any() or not found.any()
+    assert np.isfinite(model.history.train_loss).all()
 
 
 @pytest.mark.parametrize(("name", "kind"), [("progressive_relmse", Progressive), ("elek2019", MLP)])
