@@ -38,11 +38,13 @@ __all__ = [
     "batch_rows",
     "block_numbers",
     "check_real",
+    "chunks",
     "generator",
     "is_bad",
     "is_null",
     "luminance",
     "plain",
+    "rows_alike",
     "seed_number",
     "spans",
     "take_rows",
@@ -69,6 +71,8 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 Seed: TypeAlias = int | np.random.Generator | None
 """What a random function takes: a whole number from 0, a generator, or None for a new one."""
 
+_CACHED = 2**18
+"""Samples worked on at once: their float64 copies stay in the cache."""
 _TOLERATED = 0.01
 """Share of the samples that may be left out without a warning."""
 
@@ -401,6 +405,41 @@ def spans(length: int, step: int) -> Iterator[slice]:
     """
     for start in range(0, length, step):
         yield slice(start, min(start + step, length))
+
+
+def chunks(rows: int, width: int) -> Iterator[slice]:
+    """Cut rows of so many samples into slices whose float64 copies stay in the cache.
+
+    Examples
+    --------
+    >>> list(chunks(3, 2**17))
+    [slice(0, 2, None), slice(2, 3, None)]
+    """
+    return spans(rows, max(1, _CACHED // max(1, width)))
+
+
+def rows_alike(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[np.intp]]:
+    """Yield the usable rows in pieces that stay in the cache, those of the fewest samples first.
+
+    A piece needs as many columns as its rows have samples `n`, at most `width`: null-heavy pixels
+    cost what they hold.
+
+    Examples
+    --------
+    >>> n = np.array([2**17, 1, 2**17, 0, 2**17])
+    >>> [rows.tolist() for rows in rows_alike(n, n > 0, 2**18)]
+    [[1, 0], [2, 4]]
+    """
+    rows = np.flatnonzero(usable)
+    rows = rows[np.argsort(n[rows], kind="stable")]
+    start = 0
+    while start < len(rows):
+        # As many rows as there may be of the widest among them.
+        least = max(1, int(n[rows[start]]))
+        widest = int(n[rows[min(start + _CACHED // least, len(rows) - 1)]])
+        stop = start + max(1, _CACHED // max(1, min(width, widest)))
+        yield rows[start:stop]
+        start = stop
 
 
 def _in_order(x: Any, name: str) -> Any:

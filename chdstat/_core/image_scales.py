@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, LeftOut, Reals, as_pixels, is_bad, spans
+from chdstat._core.arrays import Array, LeftOut, Reals, as_pixels, chunks, is_bad
 from chdstat.errors import InputError
 
 __all__ = [
@@ -46,7 +46,6 @@ _SHARE = 0.04
 """Of the radiance of an image that one sample may make up, if no other of its pixel is like it."""
 _PIXELS_A_FIREFLY, _MOST_FIREFLIES = 128, 8
 """An image has one firefly less than it has times so many pixels, and fewer than so many in all."""
-_SAMPLES_AT_ONCE = 2**18
 
 
 def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array:
@@ -253,7 +252,7 @@ class RadianceSums:
             return
         row = int(np.prod(x.shape[1:]))
         extreme, others, count = (a[where] for a in (self.extreme, self.others, self.count))
-        for part in spans(len(x), max(1, _SAMPLES_AT_ONCE // row)):
+        for part in chunks(len(x), row):
             with np.errstate(over="ignore", invalid="ignore"):
                 grey = x[part].mean(axis=-2, dtype=np.float64)
             bad = is_bad(x[part]).any(axis=-2) | ~np.isfinite(grey)

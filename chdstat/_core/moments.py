@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Mask, chunks
 from chdstat.errors import InputError
 
 __all__ = ["COUNTS", "Batches", "Moments", "PixelMoments"]
@@ -23,8 +23,6 @@ __all__ = ["COUNTS", "Batches", "Moments", "PixelMoments"]
 COUNTS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
 """Names of the counts of samples that `PixelMoments` keeps."""
 
-_CHUNK = 2**16
-"""Samples worked on at once: their float64 copies stay in the cache."""
 _LONG = 256
 
 
@@ -55,7 +53,7 @@ class Moments:
         rows = x.reshape(-1, n)
         masks = None if good is None else np.broadcast_to(good, x.shape).reshape(-1, n)
         fields = np.empty((7, len(rows)))
-        for part in spans(len(rows), max(1, _CHUNK // n)):
+        for part in chunks(len(rows), n):
             fields[:, part] = _fields(rows[part], None if masks is None else masks[part])
         return cls(*fields.reshape(7, *x.shape[:-1]))
 

@@ -26,10 +26,10 @@ from chdstat._core.arrays import (
     Floats,
     Mask,
     as_samples,
+    chunks,
     is_bad,
     is_null,
     luminance,
-    spans,
     take_rows,
 )
 from chdstat._core.reasons import first_of
@@ -50,9 +50,6 @@ CONSTANT_SPREAD = 1e-6
 
 SMALLEST = 5e-324
 """The smallest positive number in double precision."""
-
-_CHUNK = 2**16
-"""Samples worked on at once: their float64 copies stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +212,7 @@ class PositivePart(_Rows):
         samples = self.x.shape[-1]
         rows, masks = self.x.reshape(-1, samples), self.positive.reshape(-1, samples)
         sums = np.empty((3, len(rows)))
-        for part in spans(len(rows), max(1, _CHUNK // samples)):
+        for part in chunks(len(rows), samples):
             sums[:, part] = _log_sums(rows[part], masks[part])
         mean, gap, log_variance = sums.reshape(3, *self.n.shape)
         return LogStatistics(n=self.n, mean=mean, gap=gap, log_variance=log_variance)

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Mask, chunks
 from chdstat._core.positive import LogStatistics, Part, PositivePart
 from chdstat.errors import Reason
 from chdstat.fit.families import estimate_part, get_family
@@ -56,7 +56,6 @@ other, but for a quarter of them."""
 _LEAST_VARIANCE = 1e-12
 _FEWEST = 3
 """Least samples of an atom."""
-_CHUNK = 2**18
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ def split(part: Part) -> Atoms:
     if rows.size:
         x = np.array(part.x, dtype=np.float64).reshape(-1, samples)
         positive = np.array(part.positive).reshape(-1, samples)
-        for piece in spans(len(rows), max(1, _CHUNK // samples)):
+        for piece in chunks(len(rows), samples):
             at = rows[piece]
             found = _split_rows(x[at], positive[at], n[at])
             values[at], counts[at], discrete[at], x[at], positive[at] = found

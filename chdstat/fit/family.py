@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Mask, batch_rows
+from chdstat._core.arrays import Floats, Mask, batch_rows, rows_alike
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
 
@@ -29,8 +29,6 @@ RADIANCE = "W sr-1 m-2"
 TIGHT = 3e-5
 """Newton steps at which a search ends: what they leave is of the order of their squares."""
 
-_CHUNK = 2**17
-"""Samples worked on at once: three or four arrays of them stay in the cache."""
 _THIN = 32
 _EDGES = np.sin(np.linspace(0, np.pi / 2, _THIN + 1)) ** 2
 """Quantiles at which the samples are parted: close at both ends, where single samples count."""
@@ -206,18 +204,8 @@ def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[Weighted
     With `thin`, samples are replaced by 32 of them, each with the weight of its neighbours: enough
     to come close to the maximum of all of them, for a sixteenth of the cost at 512.
     """
-    n = part.n.ravel()
-    rows = np.flatnonzero(usable)
-    rows = rows[np.argsort(n[rows], kind="stable")]
-    width = _THIN if thin else width_of(part)
-    start = 0
-    while start < len(rows):
-        # A block has as many rows as there may be of the widest in it.
-        least = max(1, int(n[rows[start]]))
-        widest = int(n[rows[min(start + _CHUNK // least, len(rows) - 1)]])
-        step = max(1, _CHUNK // min(width, widest))
-        yield points_of(part, rows[start : start + step], thin=thin)
-        start += step
+    for rows in rows_alike(part.n.ravel(), usable, _THIN if thin else width_of(part)):
+        yield points_of(part, rows, thin=thin)
 
 
 def of_rows(

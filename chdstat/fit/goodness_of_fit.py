@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, Seed, seed_number, spans, whole
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, chunks, rows_alike, seed_number, whole
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_probability
@@ -325,8 +325,6 @@ def _cases(
         yield *_mixture_family(fit, k), np.asarray(fit.k == k), fit
 
 
-_CHUNK = 2**18
-"""Samples or bins worked on at once: fits of many rows cost less for each."""
 _EQUAL = 1e-9
 """Relative difference below which two statistics are the same, but for rounding."""
 
@@ -347,11 +345,8 @@ def _bootstrap(
     """
     table = np.full((3, part.n.size, len(tests)), np.nan)
     statistic, p_value, fitted = table
-    rows = np.flatnonzero(usable)
-    # Rows of as many samples go together: a block is as wide as its rows need.
-    rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
-    for block in spans(len(rows), max(1, _CHUNK // width_of(part) // max(1, resamples))):
-        here = rows[block]
+    times = max(1, resamples)
+    for here in rows_alike(part.n.ravel() * times, usable.ravel(), width_of(part) * times):
         some = take_part(part, here)
         known = take(parameters, here)
         statistic[here] = _distances(some, family, known, tests)
@@ -384,7 +379,7 @@ def _replicates(
     streams = [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
     more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
     least = statistic[:, np.newaxis] * (1 - _EQUAL)
-    for piece in spans(resamples, max(1, _CHUNK // width_of(part) // len(part.n))):
+    for piece in chunks(resamples, width_of(part) * len(part.n)):
         times = piece.stop - piece.start
         repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
         # Where the sum of the samples is close to overflow, that of a replicate may: no fit.

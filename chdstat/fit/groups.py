@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, spans
+from chdstat._core.arrays import Counts, Floats, chunks
 
 __all__ = ["SampleGroups", "groups_of_bins", "groups_of_each", "groups_of_samples"]
-
-_CHUNK = 2**17
 
 SPREAD_FLOOR = 1e-3
 """Least standard deviation of a component in log x: its square is scikit-learn's `reg_covar`."""
@@ -73,7 +71,7 @@ def groups_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> SampleGr
     nearly equal ones, come into groups of their own.
     """
     pieces = []
-    for part in spans(len(n), max(1, _CHUNK // log_sorted.shape[-1])):
+    for part in chunks(len(n), log_sorted.shape[-1]):
         y, origin = _relative(log_sorted[part], n[part])
         edges = _edges(y, n[part], most)
         count = np.diff(edges, axis=-1).astype(np.float64)

@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Mask, chunks, spans
 from chdstat._core.positive import Part, PositiveHistogram
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
@@ -50,8 +50,6 @@ __all__ = [
     "sums_below",
 ]
 
-_CHUNK = 2**17
-"""Samples worked on at once: they stay in the cache."""
 _LEAST_MASS = 1e-300
 _BINS = 16
 """Histograms are padded to a multiple of so many filled bins."""
@@ -191,7 +189,7 @@ class Piece:
         converged = solution.converged.copy()
         value = log_likelihood(samples, n, solution)
         blurred = np.flatnonzero(value - solution.log_likelihood > self.plan.loss * n)
-        for piece in spans(len(blurred), max(1, _CHUNK // samples.shape[-1])):
+        for piece in chunks(len(blurred), samples.shape[-1]):
             rows = blurred[piece]
             singles, start = groups_of_each(samples[rows], n[rows]), take_last(state, rows)
             further = em.run(singles, family, start, cycles=_SAMPLE_CYCLES, tolerance=_TOLERANCE)
@@ -204,7 +202,7 @@ def log_likelihood(log_sorted: Floats, n: Counts, solution: Solution) -> Floats:
     """Return the log-likelihood of log x of samples in ascending order, shape (row,)."""
     values, family = np.empty(len(n)), solution.family
     coefficients = family.coefficients(solution.state)[..., np.newaxis]
-    for part in spans(len(n), max(1, _CHUNK // log_sorted.shape[-1])):
+    for part in chunks(len(n), log_sorted.shape[-1]):
         valid = np.arange(log_sorted.shape[-1]) < n[part, np.newaxis]
         y = np.where(valid, log_sorted[part] - solution.origin[part, np.newaxis], 0.0)
         density = em.log_density(y, family.transform(y), coefficients[:, :, part])

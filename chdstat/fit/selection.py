@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Floats, Mask, spans
+from chdstat._core.arrays import Floats, Mask, chunks
 from chdstat._core.display import Card, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.reasons import label_variables, place_attributes
@@ -48,8 +48,6 @@ __all__ = [
 
 Criterion = Literal["aic", "bic", "held_out"]
 
-_CHUNK = 2**18
-"""Samples of the rows worked on at once."""
 _NAMES = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}
 
 
@@ -173,7 +171,7 @@ class HeldOutLikelihood(Statistic[HeldOut]):
         margins = np.full((2, n.size), np.nan)
         # Rows with similar numbers of samples, so that those of a piece fill it.
         order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
-        for span in spans(len(order), max(1, _CHUNK // part.x.shape[-1])):
+        for span in chunks(len(order), part.x.shape[-1]):
             rows = order[span]
             loss[rows], best[rows], margins[:, rows] = _compare(halves_of(part, rows), rows, fits)
         margin, error = (each.reshape(shape) for each in margins)

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, special
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Mask, rows_alike, spans
 from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
@@ -516,8 +516,6 @@ def _check(share: TailShare, tested: float, level: float) -> None:
 MINIMUM_EXCESSES = 10
 """Fewer samples above the threshold give no tail index."""
 
-_CHUNK = 2**17
-"""Samples worked on at once: several float64 copies of them stay in the cache."""
 _LARGEST_SHARE = 0.5
 _STEPS = 3
 _CELLS, _SINGLES = 32, 8
@@ -630,9 +628,8 @@ def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usab
         Where the rows belong in the batch, shape (...): other rows get NaN and 0.
     """
     values = np.full((5, usable.size), np.nan)
-    place, order = np.flatnonzero(usable), np.argsort(k[:, 0], kind="stable")
-    for part in spans(len(n), max(1, _CHUNK // int(k.max(initial=1)))):
-        rows = order[part]
+    place = np.flatnonzero(usable)
+    for rows in rows_alike(k.max(axis=1), np.ones(len(n), bool), ascending.shape[-1]):
         values[:, place[rows]] = _choose(model, ascending, n, k, rows)
     xi, scale, threshold, count, first_xi = values.reshape(5, *usable.shape)
     return _Fits(xi, scale, threshold, np.nan_to_num(count).astype(np.int64), first_xi)

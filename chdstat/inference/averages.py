@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, as_samples, is_bad, spans
+from chdstat._core.arrays import Counts, Floats, Mask, as_samples, chunks, is_bad
 from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
 from chdstat._core.reasons import first_of
 from chdstat._core.resampling import Z_95
@@ -392,8 +392,6 @@ _SHARING = 4.0
 """Least samples that a fourth moment rests on: one sample alone tells no moment."""
 _GAUSSIAN = 4.0
 """Standard errors within which skewness and kurtosis of logarithms are those of a Gaussian."""
-_CHUNK = 2**16
-"""Samples worked on at once: their float64 copies stay in the cache."""
 
 
 def _predict(
@@ -415,7 +413,7 @@ def _predict(
     reason = np.select([few, ends, heavy], codes, tail.reason).reshape(-1).astype(np.int8)
     index = index.reshape(-1)
     found = np.full((3, len(rows)), np.nan)
-    for part in spans(len(rows), max(1, _CHUNK // samples)):
+    for part in chunks(len(rows), samples):
         relative, own = _relative(rows[part], good[part])
         reason[part] = np.where(own == Reason.OK, reason[part], own)
         known = np.flatnonzero(reason[part] == Reason.OK)
@@ -544,10 +542,6 @@ def _standardised(
     return about_mean / variance**1.5, fourth / variance**2 - 3
 
 
-_CHUNK_OF_MEANS = 2**17
-"""Samples worked on at once: their float64 copies stay in the cache."""
-
-
 def _tested(
     x: npt.NDArray[Any], bad: Mask, sizes: Counts, n_means: int, test: NormalityTest
 ) -> tuple[dict[str, npt.NDArray[Any]], Floats]:
@@ -563,7 +557,7 @@ def _tested(
     reason = np.empty((len(rows), len(sizes)), dtype=np.int8)
     whole = np.empty((3, len(rows)))
     # Rows that have no answer are computed, too, and masked by their reason.
-    for part in spans(len(rows), max(1, _CHUNK_OF_MEANS // samples)):
+    for part in chunks(len(rows), samples):
         levels = list(nested_averages(rows[part], masks[part], np.union1d(1, sizes)))
         whole[:, part] = _of_samples(levels[0])
         wanted = [level for level in levels if level.size in sizes]

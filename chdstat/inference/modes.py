@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Mask, chunks
 from chdstat._core.display import Card, Width, each, reasons, with_error, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
@@ -291,7 +291,6 @@ def _at_samples(part: PositivePart, place: Floats) -> Floats:
 
 _LIGHTS, _LEAST_OF_LIGHT = 3, 3
 """Values, at most, that samples share for another reason than rounding, and samples of each."""
-_CHUNK = 2**16
 
 
 def _tied_shares(part: PositivePart) -> Floats:
@@ -299,7 +298,7 @@ def _tied_shares(part: PositivePart) -> Floats:
     samples = part.x.shape[-1]
     ascending, n = part.sorted.reshape(-1, samples), part.n.reshape(-1)
     tied = np.empty(len(n))
-    for piece in spans(len(n), max(1, _CHUNK // samples)):
+    for piece in chunks(len(n), samples):
         tied[piece] = np.count_nonzero(_tied(ascending[piece], n[piece]), axis=-1)
     return np.asarray((tied / n).reshape(part.n.shape))
 
@@ -313,7 +312,7 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
     samples = part.x.shape[-1]
     steps = np.zeros(part.n.size, dtype=bool)
     rows = np.flatnonzero(tied_share.reshape(-1) > LEAST_WEIGHT)
-    for piece in spans(len(rows), max(1, _CHUNK // samples)):
+    for piece in chunks(len(rows), samples):
         at = rows[piece]
         ascending, n = part.sorted.reshape(-1, samples)[at], part.n.reshape(-1)[at]
         run = _runs(ascending) + samples * np.arange(len(at))[:, np.newaxis]
@@ -396,9 +395,6 @@ def _tied(ascending: npt.NDArray[Any], n: Counts) -> Mask:
     return tied
 
 
-_DIPS_AT_ONCE = 2**19
-
-
 def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, Floats]:
     """Return dips of log radiance and p-values; NaN where not usable.
 
@@ -409,7 +405,7 @@ def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats,
     ascending = part.sorted.reshape(-1, samples)
     log_sorted = part.log_sorted.reshape(-1, samples)
     rows = np.flatnonzero(usable)
-    for piece in spans(len(rows), max(1, _DIPS_AT_ONCE // samples)):
+    for piece in chunks(len(rows), samples):
         at = rows[piece]
         log, move = log_sorted[at], tied[at]
         log[move] = np.log(_without_ties(ascending[at[move]], n[at[move]]))

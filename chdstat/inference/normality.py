@@ -23,7 +23,7 @@ samples. Those of `TESTS` are simulated by tools/make_normality_tables.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
+from chdstat._core.arrays import Counts, Floats, Mask, rows_alike, spans
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability
@@ -64,8 +64,6 @@ __all__ = [
 TestName = Literal["anderson-darling", "shapiro-wilk", "dagostino"]
 Transform = Literal["log", "linear", "sqrt"]
 
-_CHUNK = 2**17
-"""Samples worked on at once: their float64 copies stay in the cache."""
 _ROWS = 2**11
 """Rows whose p-values are computed at once."""
 
@@ -290,7 +288,7 @@ def run_tests(
     statistic = np.full((len(rows), *shape), np.nan)
     p_value = np.full((len(rows), *shape), np.nan)
     moments = np.full((2, len(rows), len(transforms)), np.nan)
-    for part in _chunks(counts, usable.reshape(-1)):
+    for part in rows_alike(counts, usable.reshape(-1), rows.shape[-1]):
         x, left_out, largest = _copied(rows, counts, part)
         for i, transform in enumerate(transforms):
             y = TRANSFORMS[transform](x, largest)
@@ -308,23 +306,12 @@ def run_tests(
     return {name: values.reshape(*n.shape, *values.shape[1:]) for name, values in found.items()}
 
 
-def _chunks(n: Counts, usable: Mask) -> Iterator[npt.NDArray[np.intp]]:
-    """Yield rows of about the same number of samples, so that little is computed in vain."""
-    order = np.flatnonzero(usable)
-    order = order[np.argsort(-n[order], kind="stable")]
-    start = 0
-    while start < len(order):
-        stop = start + max(1, _CHUNK // max(1, int(n[order[start]])))
-        yield order[start:stop]
-        start = stop
-
-
 def _copied(
     rows: npt.NDArray[Any], n: Counts, part: npt.NDArray[np.intp]
 ) -> tuple[Floats, Mask | None, Floats]:
     """Return the samples, 1 behind the last; what stands there; and the largest, shape (row, 1)."""
     count = n[part]
-    x = rows[part, : count[0]].astype(np.float64)
+    x = rows[part, : count[-1]].astype(np.float64)
     largest = x[np.arange(len(x)), count - 1][:, np.newaxis]
     if count[-1] == count[0]:
         return x, None, largest

@@ -21,9 +21,9 @@ from chdstat._core.arrays import (
     Mask,
     all_good,
     as_samples,
+    chunks,
     is_bad,
     is_null,
-    spans,
     warn_left_out,
 )
 from chdstat._core.positive import PositiveHistogram
@@ -44,8 +44,6 @@ __all__ = [
     "linear_support",
 ]
 
-_CHUNK = 2**16
-"""Samples binned at once: the temporaries stay in the cache."""
 Scale: TypeAlias = Literal["linear", "log"]
 
 SCALES: tuple[Scale, ...] = ("linear", "log")
@@ -501,8 +499,8 @@ class StreamingHistogram:
         nulls = np.broadcast_to(np.count_nonzero(null, axis=-1), shape)
         rows = block.reshape(-1, n)
         bads = None if bad is None else bad.reshape(-1, n)
-        for part in spans(len(rows), max(1, _CHUNK // n)):
-            for columns in spans(n, _CHUNK):
+        for part in chunks(len(rows), n):
+            for columns in chunks(n, 1):
                 some = None if bads is None else bads[part, columns]
                 slots = self._slots(rows[part, columns], part, some)
                 slots += np.arange(part.start, part.stop)[:, np.newaxis] * self._counts.shape[1]
