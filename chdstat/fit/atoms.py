@@ -36,7 +36,7 @@ from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import take_part
 from chdstat.fit.groups import cumulative
 
-__all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "split"]
+__all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "distinct_values", "split"]
 
 MOST_ATOMS = 8
 """Most atoms of a row: one with more has no continuous part to speak of."""
@@ -163,7 +163,7 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     order = np.argsort(np.where(positive, x, np.inf), axis=-1, kind="stable")
     ascending = np.take_along_axis(x, order, axis=-1)
     valid = np.arange(x.shape[-1]) < n[:, np.newaxis]
-    value, count, run = _table(ascending, valid)
+    value, count, run = distinct_values(ascending, n)
     log = np.log(value)
     kept, atoms, counts, many = _without_atoms(count, _widths(log))
     discrete = many | _is_discrete(log, kept)
@@ -189,11 +189,12 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     return np.where(counts > 0, values, np.nan), counts, discrete, moved, still
 
 
-def _table(ascending: Floats, valid: Mask) -> tuple[Floats, Counts, Counts]:
-    """Return distinct values, how many samples each has, and which one each sample has.
+def distinct_values(ascending: npt.NDArray[Any], n: Counts) -> tuple[Floats, Counts, Counts]:
+    """Return distinct values of the first `n` samples, how many have each, and which each has.
 
     The last of the values, shape (row, value), is always none: NaN, without samples.
     """
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
     begins = np.ones(ascending.shape, dtype=bool)
     begins[:, 1:] = ascending[:, 1:] != ascending[:, :-1]
     begins &= valid

@@ -20,7 +20,7 @@ log-concave density has no fixed number of parameters. What they count as here w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat._core.positive import PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, Solution
-from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, Fit, zero_log_likelihood
+from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, zero_log_likelihood
 from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups, take_last
 from chdstat.fit.log_concave import log_concave_likelihood
 from chdstat.fit.mixtures import covariance, directions
@@ -306,20 +306,17 @@ _NEXT = 3
 _LEAST_ABOVE = 1e-12
 
 
-def unimodal_scores(
-    part: PositivePart, usable: Mask, bounded: Mask, *, fits: Iterable[Fit] | None = None
-) -> Floats:
+def unimodal_scores(part: PositivePart, usable: Mask, bounded: Mask) -> Floats:
     """Return the largest score of distributions of one mode, shape (...); NaN where not usable.
 
-    They are `fits`, or else those of the families that `select` compares by default; Pareto
-    distributions above a floor, and the like below a ceiling; and, for the rows that may be
-    `bounded`, the uniform and the log-uniform distribution.
+    They are those of the families that `select` compares by default; Pareto distributions above a
+    floor, and the like below a ceiling; and, for the rows that may be `bounded`, the uniform and
+    the log-uniform distribution.
     """
     # What likelihoods of radiance have beside those of log radiance of positive samples.
     rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
     log_n = log_samples(part.n)
-    if fits is None:
-        fits = (measured(part, FamilyFit(FAMILIES[name])) for name in SELECTED)
+    fits = [measured(part, FamilyFit(FAMILIES[name])) for name in SELECTED]
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
     last = np.maximum(part.n - 1, 0)[..., np.newaxis]
     high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]

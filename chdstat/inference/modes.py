@@ -29,14 +29,13 @@ from chdstat._core.display import Card, Width, each, reasons, with_error, writte
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import Reason
-from chdstat.fit.atoms import before_clamps, split
+from chdstat.fit.atoms import before_clamps, distinct_values, split
 from chdstat.fit.em import Solution
 from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
 from chdstat.fit.search import Piece
-from chdstat.fit.selection import FamilySelection
 from chdstat.inference.dip import dip_p, dips
-from chdstat.summary.runner import Source, measured, of_source, run
+from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -156,9 +155,40 @@ class Modes(Statistic[Modality]):
     result: ClassVar = Modality
     description: ClassVar = "counting modes"
 
-    def measure(self, part: PositivePart) -> Modality:
-        """Look for modes of each row."""
-        return _modality(part)
+    def measure(
+        self,
+        part: PositivePart,
+        also: Callable[[Piece, list[Solution]], None] = lambda *_: None,
+    ) -> Modality:
+        """Look for modes of each row; `also` gets the mixtures."""
+        reason = part.reason(_MINIMUM)
+        ok = reason == Reason.OK
+        tied_share = np.where(ok, _tied_shares(part), np.nan)
+        steps = _on_steps(part, tied_share)
+        smooth = _spread_steps(part, steps) if steps.any() else part
+        dip, p_value = _dips_of_part(smooth, ok, (tied_share > 0) & ~steps)
+        # Uniform samples are what the dip test takes for granted: where it speaks against them, a
+        # few modes side by side are not to be mistaken for them.
+        bounded = p_value >= _LEVEL
+        rival = unimodal_scores(part, ok, bounded)
+        if steps.any():
+            # Fits to samples as they were rounded do not compare with those to what was spread.
+            of_steps = PositivePart.of(smooth.x[steps])
+            rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
+        peaks = best_peaks(smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also)
+        return Modality(
+            dip=dip,
+            dip_p_value=p_value,
+            tied_share=tied_share,
+            modes=peaks.count,
+            places=_at_samples(part, peaks.place) / np.log(10),
+            weights=peaks.weight,
+            ashman_d=peaks.ashman_d[..., : MODES - 1],
+            ashman_d_se=peaks.ashman_d_se[..., : MODES - 1],
+            delta_bic=peaks.delta_bic,
+            n=part.n,
+            reason=reason,
+        )
 
 
 @dataclass(frozen=True)
@@ -183,7 +213,7 @@ class ModalMixture(MixtureFit):
             at = np.flatnonzero(~apart[piece.rows])
             chosen.enter(piece.take(at), [solution.take(at) for solution in solutions])
 
-        part.found[Modes()] = _modality(part, also=enter)
+        part.found[Modes()] = Modes().measure(part, enter)
         chosen.search_rest("lognormal", "fast")
         return chosen.result("lognormal")
 
@@ -226,41 +256,6 @@ def modality(
     return run(Modes(), x, null=null, progress=progress)
 
 
-def _modality(
-    part: PositivePart, *, also: Callable[[Piece, list[Solution]], None] = lambda *_: None
-) -> Modality:
-    """Look for modes of each row; `also` gets the mixtures."""
-    reason = part.reason(_MINIMUM)
-    ok = reason == Reason.OK
-    tied_share = np.where(ok, _tied_shares(part), np.nan)
-    steps = _on_steps(part, tied_share)
-    smooth = _spread_steps(part, steps) if steps.any() else part
-    dip, p_value = _dips_of_part(smooth, ok, (tied_share > 0) & ~steps)
-    # Uniform samples are what the dip test takes for granted: where it speaks against them, a few
-    # modes side by side are not to be mistaken for them.
-    bounded = p_value >= _LEVEL
-    fits = measured(part, FamilySelection()).fits.values()
-    rival = unimodal_scores(part, ok, bounded, fits=fits)
-    if steps.any():
-        # Fits to samples as they were rounded do not compare with those to what was spread.
-        of_steps = PositivePart.of(smooth.x[steps])
-        rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
-    peaks = best_peaks(smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also)
-    return Modality(
-        dip=dip,
-        dip_p_value=p_value,
-        tied_share=tied_share,
-        modes=peaks.count,
-        places=_at_samples(part, peaks.place) / np.log(10),
-        weights=peaks.weight,
-        ashman_d=peaks.ashman_d[..., : MODES - 1],
-        ashman_d_se=peaks.ashman_d_se[..., : MODES - 1],
-        delta_bic=peaks.delta_bic,
-        n=part.n,
-        reason=reason,
-    )
-
-
 def _at_samples(part: PositivePart, place: Floats) -> Floats:
     """Return the log radiance of the sample nearest to each ascending place, shape (..., mode).
 
@@ -299,7 +294,11 @@ def _tied_shares(part: PositivePart) -> Floats:
     ascending, n = part.sorted.reshape(-1, samples), part.n.reshape(-1)
     tied = np.empty(len(n))
     for piece in chunks(len(n), samples):
-        tied[piece] = np.count_nonzero(_tied(ascending[piece], n[piece]), axis=-1)
+        equal = ascending[piece, 1:] == ascending[piece, :-1]
+        equal &= np.arange(1, samples) < n[piece, np.newaxis]
+        first = equal.copy()  # of two or more
+        first[:, 1:] &= ~equal[:, :-1]
+        tied[piece] = np.count_nonzero(equal, axis=-1) + np.count_nonzero(first, axis=-1)
     return np.asarray((tied / n).reshape(part.n.shape))
 
 
@@ -315,14 +314,12 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
     for piece in chunks(len(rows), samples):
         at = rows[piece]
         ascending, n = part.sorted.reshape(-1, samples)[at], part.n.reshape(-1)[at]
-        run = _runs(ascending) + samples * np.arange(len(at))[:, np.newaxis]
-        counts = np.bincount(run[_tied(ascending, n)], minlength=run.size).reshape(-1, samples)
+        _, counts, _ = distinct_values(ascending, n)
+        counts = np.where(counts > 1, counts, 0)
         least = LEAST_WEIGHT * n
-        highest = np.partition(counts, -_LIGHTS, axis=-1)[:, -_LIGHTS:]
-        of_lights = np.where(
-            highest >= np.maximum(least, _LEAST_OF_LIGHT)[:, np.newaxis], highest, 0
-        ).sum(axis=-1)
-        steps[at] = counts.sum(axis=-1) - of_lights >= least
+        lights = np.sort(counts, axis=-1)[:, -_LIGHTS:]
+        lights[lights < np.maximum(least, _LEAST_OF_LIGHT)[:, np.newaxis]] = 0
+        steps[at] = counts.sum(axis=-1) - lights.sum(axis=-1) >= least
     return steps.reshape(part.n.shape)
 
 
@@ -340,14 +337,9 @@ def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = Fal
     Those of a tie are spread evenly over half a float32 spacing to either side, or, where they were
     `rounded`, half-way to the next values, as far as these are a step away.
     """
-    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
-    exact = np.where(valid, ascending, np.inf).astype(np.float64)
-    run = _runs(exact)
-    places = run + exact.shape[-1] * np.arange(len(run))[:, np.newaxis]
-    count = np.bincount(places.reshape(-1), minlength=run.size).reshape(run.shape)
-    value = np.full(exact.shape, np.inf)
-    np.put_along_axis(value, run, exact, axis=-1)
-    spacing = np.spacing(np.where(value < np.inf, value, 1).astype(np.float32))
+    exact = ascending.astype(np.float64)
+    value, count, run = distinct_values(exact, n)
+    spacing = np.spacing(np.where(np.isnan(value), 1, value).astype(np.float32))
     down = up = spacing.astype(np.float64)
     if rounded:
         steps = _steps(value)
@@ -355,10 +347,10 @@ def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = Fal
         # The outer steps are as wide on both sides, within positive numbers.
         down = np.where(below > 0, below, np.maximum(down, np.minimum(above, value)))
         up = np.where(above > 0, above, np.maximum(up, below))
-    of_value = (count.cumsum(axis=-1) - count, value - down / 2, (down + up) / 2)
-    first, lowest, width = (np.take_along_axis(v, run, axis=-1) for v in of_value)
-    share = (np.arange(exact.shape[-1]) - first + 0.5) / np.take_along_axis(count, run, axis=-1)
-    return np.where(_tied(ascending, n), lowest + share * width, exact)
+    of_value = (count.cumsum(axis=-1) - count, count, value - down / 2, (down + up) / 2)
+    first, equal, lowest, width = (np.take_along_axis(v, run, axis=-1) for v in of_value)
+    share = (np.arange(exact.shape[-1]) - first + 0.5) / equal
+    return np.where(equal > 1, lowest + share * width, exact)
 
 
 _WIDER = 3.0
@@ -368,8 +360,8 @@ _WIDER = 3.0
 def _steps(value: Floats) -> Floats:
     """Return the steps between ascending values, and 0 where a gap is none, as before the first.
 
-    The values, shape (row, value), are padded with infinity; the result has one column more. Gaps
-    are compared as they are, and as ratios: rounded floats, and powers, have steps that grow.
+    The values, shape (row, value), are padded with NaN; the result has one column more. Gaps are
+    compared as they are, and as ratios: rounded floats, and powers, have steps that grow.
     """
     gaps = np.zeros((2, len(value), value.shape[-1] + 1))
     for gap, x in zip(gaps, (value, np.log(value)), strict=True):
@@ -378,21 +370,6 @@ def _steps(value: Floats) -> Floats:
         beside = np.maximum(gaps[..., :-2], gaps[..., 2:])
         gaps[..., 1:-1] *= (gaps[..., 1:-1] <= _WIDER * beside).any(axis=0)
     return np.asarray(gaps[0])
-
-
-def _runs(ascending: npt.NDArray[Any]) -> Counts:
-    """Return the number of the value of each sample in its row: 0 for all of the smallest."""
-    run = np.zeros(ascending.shape, dtype=np.int64)
-    np.cumsum(ascending[:, 1:] != ascending[:, :-1], axis=-1, out=run[:, 1:])
-    return run
-
-
-def _tied(ascending: npt.NDArray[Any], n: Counts) -> Mask:
-    tied = np.zeros(ascending.shape, dtype=bool)
-    tied[:, 1:] = ascending[:, 1:] == ascending[:, :-1]
-    tied[:, :-1] |= tied[:, 1:]
-    tied &= np.arange(ascending.shape[-1]) < n[:, np.newaxis]
-    return tied
 
 
 def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, Floats]:
