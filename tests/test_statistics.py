@@ -45,6 +45,7 @@ def _rows() -> dict[str, np.ndarray]:
         "two values": np.where(np.arange(N) % 3, 1.0, 4.0),
         "three values": 2.0 ** (np.arange(N) % 3),
         "clamped": np.minimum(usual, np.median(usual)),
+        "rounded": np.round(usual, 1) + 0.1,
         "half of one value": np.where(np.arange(N) % 2, usual, 1.0),
         "subnormal": usual * 1e-43,
         "huge": usual * 1e30,

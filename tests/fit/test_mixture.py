@@ -413,21 +413,6 @@ def test_what_is_spread_stays_between_its_neighbours_and_in_order():
         assert len(np.unique(now)) == len(now)
 
 
-def test_a_row_does_not_depend_on_the_others():
-    rng = np.random.default_rng(25)
-    x = two_lights(rng, (6, 200))
-    x[1] = rounded(x[1], 5)
-    x[2, :40] = 3.0
-    x[3] = np.round(x[3]) + 1
-    x[4, 10:] = 0
-    together = mixture(x)
-    for row in range(6):
-        alone = mixture(x[row])
-        assert alone.k == together.k[row]
-        np.testing.assert_array_equal(alone.atoms, together.atoms[row])
-        np.testing.assert_allclose(alone.parameters["mu"], together.parameters["mu"][row])
-
-
 FEW_VALUES = {
     "two": np.repeat([1.0, 2.0], 20),
     "three": np.repeat([1.0, 2.0, 2.5], 20),
@@ -488,6 +473,3 @@ def test_bad_options():
             mixture(x, wrong)
     with pytest.raises(InputError, match="max_k must be"):
         mixture(x, max_k=0)
-
-
-# --- images -------------------------------------------------------------------------------------

@@ -292,8 +292,6 @@ def test_n_needed_over_an_image_is_corrected_for_the_image():
     known = dataset["n_predicted_reason"] == Reason.OK
     assert not known.any()
     np.testing.assert_array_equal(dataset["n_predicted_reason"][2:], Reason.TOO_FEW)
-    for variable in dataset.data_vars.values():
-        assert {"long_name", "units"} <= set(variable.attrs)
 
 
 def test_predictions_over_an_image():

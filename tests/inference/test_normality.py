@@ -241,8 +241,6 @@ def test_image(transform):
     assert np.isnan(dataset["rejected"][0, 0]).all()
     share = float(dataset["rejected"].mean())
     assert share < 0.05 if transform == "log" else share > 0.95
-    for variable in dataset.data_vars.values():
-        assert {"long_name", "units"} <= set(variable.attrs)
 
 
 def test_wrong_options_are_refused():

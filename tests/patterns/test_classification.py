@@ -175,22 +175,6 @@ def test_thresholds_move_the_flags():
     assert not classify(two, thresholds=Thresholds(ashman_d=20.0)).flags["bimodal"].any()
 
 
-def test_statistics_are_those_of_the_modules_upstream():
-    x = np.random.default_rng(6).gamma(0.7, size=(5, SPP))
-    x[1, ::2] *= 1000
-    patterns = classify(x[:, np.newaxis])
-    tail, modes = chd.fit.tail_index(x), chd.modality(x)
-    np.testing.assert_allclose(patterns.statistics["long_tail"], tail.xi)
-    np.testing.assert_allclose(patterns.dip, modes.dip)
-    np.testing.assert_allclose(patterns.p_values["bimodal"], modes.dip_p_value)
-    widest = np.nanmax(modes.ashman_d, axis=-1, initial=-1)
-    np.testing.assert_allclose(patterns.statistics["bimodal"][1], widest[1])
-    np.testing.assert_array_equal(patterns.statistics["null_heavy"], 0)
-    np.testing.assert_array_equal(patterns.p_values["null_heavy"], 1)
-    low, high = np.moveaxis(patterns.intervals["long_tail"], -1, 0)
-    assert ((low <= tail.xi) & (tail.xi <= high)).all()
-
-
 @pytest.mark.parametrize(
     "component",
     [Component("gamma", 0.4), Component("gamma", 3.0), Component("lognormal", 0.8)],
