@@ -26,7 +26,7 @@ from chdstat._core.work import checkpoints, in_order
 from chdstat.errors import InputError
 from chdstat.fit.goodness_of_fit import GoodnessOfFit
 from chdstat.fit.mixtures import MixtureFit
-from chdstat.fit.selection import FamilySelection, family_shares
+from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import (
     MORE_THAN_TESTED,
@@ -622,15 +622,12 @@ def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float
 
 def pooled_shares(found: xr.Dataset, variable: str = "best_family") -> dict[str, Interval[float]]:
     """Return the share of pixel channels that each family describes best, with Wilson intervals."""
-    shares = family_shares(found, variable=variable)
-    total = int(shares["n_pixels"].sum())
-    counts = (shares["family_share"].fillna(0) * shares["n_pixels"]).sum("channel").round()
-    interval = wilson(counts.values, np.full(counts.shape, total))
+    names = found[variable].attrs["flag_meanings"].split()[1:]
+    counts = np.bincount(1 + found[variable].values.ravel(), minlength=1 + len(names))[1:]
+    ends = wilson(counts, counts.sum())
     return {
-        str(name): Interval(float(count) / total if total else np.nan, float(low), float(high))
-        for name, count, (low, high) in zip(
-            counts["family"].values, counts.values, interval, strict=True
-        )
+        name: Interval(_share(count, counts), float(low), float(high))
+        for name, count, (low, high) in zip(names, counts, ends, strict=True)
     }
 
 

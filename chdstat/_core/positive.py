@@ -233,12 +233,16 @@ class PositivePart(_Rows):
         return np.asarray(np.log(self.sorted, dtype=np.float64))
 
     @property
+    def largest(self) -> Floats:
+        """The largest of the positive samples, infinite of none; shape (...)."""
+        last = np.maximum(self.n - 1, 0)[..., np.newaxis]
+        return np.take_along_axis(self.sorted, last, axis=-1)[..., 0].astype(np.float64)
+
+    @property
     def largest_share(self) -> Floats:
         """Share of the sum of the positive samples that the largest one carries, NaN of none."""
-        last = np.maximum(self.n - 1, 0)[..., np.newaxis]
-        largest = np.take_along_axis(self.sorted, last, axis=-1)[..., 0].astype(np.float64)
         with np.errstate(invalid="ignore"):
-            share = largest / self.log_statistics.mean / self.n
+            share = self.largest / self.log_statistics.mean / self.n
         return np.where(self.n > 0, share, np.nan)
 
     @property

@@ -32,8 +32,9 @@ from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
 from chdstat._core.positive import Part
+from chdstat._core.statistic import RADIANCE
 from chdstat.errors import Reason
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
+from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
 
 __all__ = ["BURR"]

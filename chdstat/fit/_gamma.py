@@ -22,7 +22,8 @@ from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
 from chdstat._core.positive import Part
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples
+from chdstat._core.statistic import RADIANCE
+from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples
 
 __all__ = ["GAMMA", "gamma_shape", "gap_of_shape"]
 

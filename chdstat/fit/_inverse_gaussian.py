@@ -24,8 +24,8 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats
 from chdstat._core.positive import Part
+from chdstat._core.statistic import RADIANCE
 from chdstat.fit.family import (
-    RADIANCE,
     Estimate,
     Family,
     Parameters,

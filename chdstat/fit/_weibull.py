@@ -23,7 +23,8 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats, Mask
 from chdstat._core.positive import Part
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, WeightedSamples, summed
+from chdstat._core.statistic import RADIANCE
+from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
 
 __all__ = ["WEIBULL"]

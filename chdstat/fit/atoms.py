@@ -362,9 +362,8 @@ def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
     """
     if not isinstance(part, PositivePart) or not isinstance(atoms.rest, PositivePart):
         return atoms.rest
-    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
-    top = np.take_along_axis(part.sorted, last, axis=-1).astype(np.float64)
-    held = np.where(atoms.values == top, atoms.counts, 0).sum(axis=-1)
+    top = part.largest
+    held = np.where(atoms.values == top[..., np.newaxis], atoms.counts, 0).sum(axis=-1)
     rows = np.flatnonzero((held > 0) & ~atoms.discrete)
     if not rows.size:
         return atoms.rest

@@ -24,8 +24,6 @@ __all__ = ["Estimate", "Family", "Parameters", "WeightedSamples", "blocks", "of_
 Parameters = Mapping[str, Floats]
 LogDensity = Callable[["WeightedSamples", Parameters], Floats]
 
-RADIANCE = "W sr-1 m-2"
-"""Unit of a scale parameter."""
 TIGHT = 3e-5
 """Newton steps at which a search ends: what they leave is of the order of their squares."""
 

@@ -21,7 +21,7 @@ log-concave density has no fixed number of parameters. What they count as here w
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,7 @@ from chdstat.fit.mixtures import covariance, directions
 from chdstat.fit.search import Piece, log_samples, score, search
 from chdstat.summary.runner import measured
 
-__all__ = ["LEAST_WEIGHT", "Peaks", "best_peaks", "unimodal_scores"]
+__all__ = ["LEAST_WEIGHT", "best_peaks", "unimodal_scores"]
 
 _DEPTH = 0.98
 """A valley is a valley where the density falls below this share of the lower peak."""
@@ -182,33 +182,6 @@ _FIELDS = 4
 """Numbers of a mode: place, weight, separation from the next mode, and its standard error."""
 
 
-@dataclass(frozen=True)
-class Peaks:
-    """Modes of every row; NaN where there are none.
-
-    Attributes
-    ----------
-    count
-        Modes, shape (...); 0 where the row is not usable.
-    place
-        Top of each mode in log radiance, shape (..., mode).
-    weight
-        Its mass, that of its component and of those that belong to it, shape (..., mode).
-    ashman_d, ashman_d_se
-        Its separation from the next mode, and the standard error of that, NaN where the information
-        of the mixture is singular; shape (..., mode), of which the last is not used.
-    delta_bic
-        Twice what the score of the best mixture is above that of one mode, shape (...).
-    """
-
-    count: npt.NDArray[np.int8]
-    place: Floats
-    weight: Floats
-    ashman_d: Floats
-    ashman_d_se: Floats
-    delta_bic: Floats
-
-
 def best_peaks(
     part: PositivePart,
     usable: Mask,
@@ -217,12 +190,24 @@ def best_peaks(
     *,
     doubtful: Mask,
     also: Callable[[Piece, list[Solution]], None] = lambda *_: None,
-) -> Peaks:
+) -> tuple[npt.NDArray[np.int8], Floats, Floats]:
     """Find the peaks of the usable rows.
 
     `unimodal` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
     Where one mode is not out of the question, `doubtful`, a mixture of more has to beat those of
     `_edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
+
+    Returns
+    -------
+    ndarray
+        How many there are, shape (...); 0 where the row is not usable.
+    ndarray
+        Of each, NaN where there is none, shape (field, ..., mode): its top in log radiance; its
+        mass, that of its component and of those that belong to it; its separation from the next one
+        (Ashman's D), and the standard error of that, NaN where the information of the mixture is
+        singular. The last separation is not used.
+    ndarray
+        Twice what the score of the best mixture is above that of one mode, shape (...).
     """
     shape, size = part.n.shape, part.n.size
     log_n, one_mode = log_samples(part.n).reshape(-1), unimodal.reshape(-1)
@@ -237,8 +222,7 @@ def best_peaks(
         )
         delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
         also(piece, solutions)
-    place, weight, ashman_d, error = table.reshape(_FIELDS, *shape, max_k)
-    return Peaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
+    return count.reshape(shape), table.reshape(_FIELDS, *shape, max_k), delta.reshape(shape)
 
 
 def _of_piece(
@@ -318,9 +302,8 @@ def unimodal_scores(part: PositivePart, usable: Mask, bounded: Mask) -> Floats:
     log_n = log_samples(part.n)
     fits = [measured(part, FamilyFit(FAMILIES[name])) for name in SELECTED]
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
-    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
-    high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]
-    low, high = np.where(usable, part.log_sorted[..., 0], 0.0), np.where(usable, high, 1.0)
+    low = np.where(usable, part.log_sorted[..., 0], 0.0)
+    high = np.where(usable, np.log(part.largest), 1.0)
     mean, n = part.log_statistics.log_mean, part.n.astype(np.float64)
     # Between the extremes a and b, log-uniform and uniform: -n log(log b - log a), and
     # sum(log x) - n log(b - a), without b or a, which may be as large as there are numbers.

@@ -22,7 +22,7 @@ from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.reasons import label_variables, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.families import (
     FAMILIES,
     SELECTED,
@@ -319,9 +319,7 @@ def select(
     >>> str(selection.names), bool(selection.vuong_z < -2)
     ('lognormal', True)
     """
-    if criterion not in get_args(Criterion):
-        message = f"criterion must be 'aic', 'bic' or 'held_out', got {criterion!r}"
-        raise InputError(message)
+    check_option("criterion", criterion, get_args(Criterion))
     if isinstance(families, str) or not families:
         message = f"families must be a sequence of one or more families, got {families!r}"
         raise InputError(message)

@@ -20,6 +20,7 @@ from chdstat._core.display import Card, Shown, Width, number, percent, png, with
 from chdstat._core.image_scales import relative_scale, tonemap
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
+from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished
 from chdstat.errors import Reason, check_probability
 from chdstat.inference.render_pairs import Pair
@@ -474,10 +475,10 @@ def _median(x: Array) -> float:
 
 
 _LABELS: dict[str, str | tuple[str, str]] = {
-    "mean_a": ("mean of A", "W sr-1 m-2"),
-    "mean_b": ("mean of B", "W sr-1 m-2"),
-    "difference": ("mean of B minus mean of A", "W sr-1 m-2"),
-    "standard_error": ("standard error of the difference", "W sr-1 m-2"),
+    "mean_a": ("mean of A", RADIANCE),
+    "mean_b": ("mean of B", RADIANCE),
+    "difference": ("mean of B minus mean of A", RADIANCE),
+    "standard_error": ("standard error of the difference", RADIANCE),
     "p_value": "p-value of equal means",
     "q_value": "q-value of equal means, over pixels and channels",
     "variance_a": ("variance of the luminance of a sample of A", "W2 sr-2 m-4"),

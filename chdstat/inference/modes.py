@@ -175,17 +175,19 @@ class Modes(Statistic[Modality]):
             # Fits to samples as they were rounded do not compare with those to what was spread.
             of_steps = PositivePart.of(smooth.x[steps])
             rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
-        peaks = best_peaks(smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also)
+        count, (place, weight, ashman_d, error), delta_bic = best_peaks(
+            smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also
+        )
         return Modality(
             dip=dip,
             dip_p_value=p_value,
             tied_share=tied_share,
-            modes=peaks.count,
-            places=_at_samples(part, peaks.place) / np.log(10),
-            weights=peaks.weight,
-            ashman_d=peaks.ashman_d[..., : MODES - 1],
-            ashman_d_se=peaks.ashman_d_se[..., : MODES - 1],
-            delta_bic=peaks.delta_bic,
+            modes=count,
+            places=_at_samples(part, place) / np.log(10),
+            weights=weight,
+            ashman_d=ashman_d[..., : MODES - 1],
+            ashman_d_se=error[..., : MODES - 1],
+            delta_bic=delta_bic,
             n=part.n,
             reason=reason,
         )

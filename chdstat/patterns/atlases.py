@@ -55,7 +55,6 @@ _MINIMUM = 32
 _FINE = 4
 """Bins counted per bin of a shape, so that halves of the samples can be moved separately."""
 _BATCH = 64
-_OF_GROUPS = ("candidates", "explained", "silhouettes", "repeatable", "stability")
 
 
 @dataclass(frozen=True, repr=False)
@@ -220,19 +219,16 @@ def atlas(
         rows = np.concatenate([rows, shapes.null_share[ok][..., np.newaxis]], axis=-1)
     points, *halves = np.moveaxis(rows.astype(np.float32), 1, 0)
     numbers = range(1, most + 1) if clusters is None else [clusters]
-    groups = find_groups(points, halves, numbers, min_share=min_share, rng=rng)
-    return _describe(shapes, groups)
-
-
-def _describe(shapes: Shapes, groups: Groups) -> Atlas:
-    ok = shapes.reason == Reason.OK
-    count = np.bincount(groups.labels, minlength=len(groups.medoids))
-    members = [groups.labels == k for k in range(len(count))]
+    group, apart, medoids, about = find_groups(
+        points, halves, numbers, min_share=min_share, rng=rng
+    )
+    count = np.bincount(group, minlength=len(medoids))
+    members = [group == k for k in range(len(count))]
     cumulative = shapes.cumulative[ok][:, 0].astype(np.float64)
     density = np.diff(cumulative, axis=-1, prepend=0, append=1) / WIDTH
     null_share = shapes.null_share[ok][:, 0]
     labels, distance = np.full(ok.shape, -1, np.int16), np.full(ok.shape, np.nan)
-    labels[ok], distance[ok] = groups.labels, groups.distance
+    labels[ok], distance[ok] = group, apart
     bands = [np.percentile(density[rows], (25, 75), axis=0).T for rows in members]
     return Atlas(
         positions=np.asarray(WIDTH * (np.arange(_BINS) - (_BINS - 1) / 2)),
@@ -245,8 +241,8 @@ def _describe(shapes: Shapes, groups: Groups) -> Atlas:
         share=count / max(1, count.sum()),
         share_interval=wilson(count, count.sum()),
         null_share=np.array([null_share[rows].mean(dtype=np.float64) for rows in members]),
-        medoids=np.argwhere(ok)[groups.medoids],
-        **{name: getattr(groups, name) for name in _OF_GROUPS},
+        medoids=np.argwhere(ok)[medoids],
+        **about,
     )
 
 
@@ -437,32 +433,6 @@ Points = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class Groups:
-    """Groups of points, the largest first.
-
-    Attributes
-    ----------
-    labels, distance
-        Group of each point and distance to its centre, shape (point,).
-    medoids
-        Index of the point that is nearest to each centre, shape (group,).
-    candidates, explained, silhouettes
-        Numbers tried, and how good they are, shape (candidate,).
-    repeatable, stability
-        As of `chdstat.patterns.Atlas`.
-    """
-
-    labels: Labels
-    distance: Floats
-    medoids: Labels
-    candidates: Counts
-    explained: Floats
-    silhouettes: Floats
-    repeatable: float
-    stability: float
-
-
 class _Candidate(NamedTuple):
     """One number of groups: labels from all samples, and what the halves predict.
 
@@ -484,7 +454,7 @@ def find_groups(
     *,
     min_share: float,
     rng: np.random.Generator,
-) -> Groups:
+) -> tuple[Labels, Floats, Labels, dict[str, Any]]:
     """Group points by k-means, as many groups as one half of the samples predicts in the other.
 
     Parameters
@@ -497,6 +467,17 @@ def find_groups(
         Smallest share of the points in a group of a number that is chosen.
     rng
         Of which points k-means learns from, and where it starts.
+
+    Returns
+    -------
+    ndarray
+        Group of each point, the largest first, shape (point,).
+    ndarray
+        Its distance to the centre of the group, shape (point,).
+    ndarray
+        Index of the point that is nearest to each centre, shape (group,).
+    dict
+        The fields of `Atlas` that say how good the groups are.
 
     Raises
     ------
@@ -533,16 +514,14 @@ def find_groups(
     order = np.argsort(-count, kind="stable")
     labels = np.argsort(order)[labels]
     nearest = [np.where(labels == k, distance, np.inf).argmin() for k in range(len(found))]
-    return Groups(
-        labels=labels,
-        distance=distance.astype(np.float64),
-        medoids=np.array(nearest, dtype=np.intp),
-        candidates=np.array([c.number for c in tried], dtype=np.int64),
-        explained=np.array([ratio((alone - c.errors).sum(), variation) for c in tried]),
-        silhouettes=np.array([c.silhouette for c in tried]),
-        repeatable=float(ratio(variation, alone.sum())),
-        stability=chosen.stability if chosen else np.nan,
-    )
+    about = {
+        "candidates": np.array([c.number for c in tried], dtype=np.int64),
+        "explained": np.array([ratio((alone - c.errors).sum(), variation) for c in tried]),
+        "silhouettes": np.array([c.silhouette for c in tried]),
+        "repeatable": float(ratio(variation, alone.sum())),
+        "stability": chosen.stability if chosen else np.nan,
+    }
+    return labels, distance.astype(np.float64), np.array(nearest, dtype=np.intp), about
 
 
 def _rotated(*parts: Points) -> list[Points]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.reasons import first_of, label_variables
 from chdstat._core.resampling import Blocks, Interval, mean_of
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, check_option
 from chdstat.samples import ImageLike, Mapped, Samples, samples_of
 from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, over_tiles, tiles
 
@@ -89,9 +89,7 @@ def attribute(
     >>> round(float(found["variance_share"].sum("segments").max()), 5)
     1.0
     """
-    if by not in ("depth", "light"):
-        message = f"by must be 'depth' or 'light', got {by!r}"
-        raise InputError(message)
+    check_option("by", by, _ASKED)
     image = samples_of(samples)
     known = image.depths if by == "depth" else image.lights
     if not known:

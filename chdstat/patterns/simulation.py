@@ -20,6 +20,7 @@ from chdstat._core.arrays import LUMINANCE, Seed, generator, spans
 from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import flag_attributes
+from chdstat._core.statistic import RADIANCE
 from chdstat.errors import InputError, check_option
 from chdstat.patterns.classification import Classification, Label
 from chdstat.patterns.definitions import PATTERNS, Thresholds, firefly_limit
@@ -263,7 +264,7 @@ def truth_of(samples: Samples) -> xr.Dataset:
     dataset = xr.Dataset({name: (("y", "x"), value) for name, value in maps.items()})
     for name, variable in dataset.data_vars.items():
         variable.attrs.update(long_name=f"true {name}".replace("_", " "), units="1")
-    dataset["mean"].attrs["units"] = "W sr-1 m-2"
+    dataset["mean"].attrs["units"] = RADIANCE
     dataset["label"].attrs.update(flag_attributes(Label))
     return dataset
 
