@@ -20,6 +20,7 @@ from chdstat._core.arrays import Floats, Image, Seed, is_bad, plain, seed_number
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
+from chdstat._core.reasons import flag_names
 from chdstat._core.resampling import Blocks, Interval, mean_of, median_of, wilson
 from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
 from chdstat._core.work import checkpoints, in_order
@@ -379,10 +380,7 @@ def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
     for name in kept:
         attrs = found[name].attrs
         if "flag_meanings" in attrs:
-            words = zip(
-                np.atleast_1d(attrs["flag_values"]), attrs["flag_meanings"].split(), strict=True
-            )
-            frame[name] = frame[name].map(dict(words)).astype("category")
+            frame[name] = frame[name].map(flag_names(attrs)).astype("category")
     return frame
 
 
@@ -595,11 +593,8 @@ def noise_of(found: xr.Dataset) -> Noise:
     variance = np.where(np.isfinite(variance), variance, 0.0)
     total = float(variance.sum()) or np.nan
     count = max(1, round(_NOISIEST * variance.size))
-    attrs = found["label"].attrs
-    shown = {
-        name: found["label"].values == code
-        for code, name in zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True)
-    }
+    labels = flag_names(found["label"].attrs)
+    shown = {name: found["label"].values == code for code, name in labels.items()}
     shown = {name: here for name, here in shown.items() if here.any()}
     held = {name: float(variance[here].sum()) / total for name, here in shown.items()}
     held = dict(sorted(held.items(), key=lambda item: -item[1]))
@@ -622,7 +617,7 @@ def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float
 
 def pooled_shares(found: xr.Dataset, variable: str = "best_family") -> dict[str, Interval[float]]:
     """Return the share of pixel channels that each family describes best, with Wilson intervals."""
-    names = found[variable].attrs["flag_meanings"].split()[1:]
+    _, *names = flag_names(found[variable].attrs).values()
     counts = np.bincount(1 + found[variable].values.ravel(), minlength=1 + len(names))[1:]
     ends = wilson(counts, counts.sum())
     return {

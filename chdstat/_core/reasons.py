@@ -14,7 +14,7 @@ from chdstat.errors import Reason
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["first_of", "flag_attributes", "label_variables", "place_attributes"]
+__all__ = ["first_of", "flag_attributes", "flag_names", "label_variables", "place_attributes"]
 
 
 def first_of(
@@ -52,6 +52,18 @@ def place_attributes(names: Sequence[str]) -> dict[str, Any]:
         "flag_values": [-1, *range(len(names))],
         "flag_meanings": " ".join(["none", *names]),
     }
+
+
+def flag_names(attrs: Mapping[str, Any]) -> dict[int, str]:
+    """Return the names of the values of an integer-coded variable from its attributes.
+
+    Examples
+    --------
+    >>> flag_names(place_attributes(["gamma", "burr"]))
+    {-1: 'none', 0: 'gamma', 1: 'burr'}
+    """
+    codes = np.atleast_1d(attrs["flag_values"]).tolist()
+    return dict(zip(codes, str(attrs["flag_meanings"]).split(), strict=True))
 
 
 def label_variables(dataset: xr.Dataset, labels: Mapping[str, str | tuple[str, str]]) -> xr.Dataset:

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, block_numbers
-from chdstat._core.reasons import flag_attributes
+from chdstat._core.reasons import flag_attributes, flag_names
 from chdstat._core.work import in_order, track
 from chdstat.comparison.entries import (
     Chosen,
@@ -307,8 +307,7 @@ def labels_of(
         raise InputError(message)
     attrs = getattr(found, "attrs", {})
     flags = attrs if "flag_meanings" in attrs else flag_attributes(Label)
-    values = np.atleast_1d(flags["flag_values"]).tolist()
-    names = dict(zip(values, flags["flag_meanings"].split(), strict=True))
+    names = flag_names(flags)
     unknown = set(np.unique(codes).tolist()) - set(names)
     if unknown:
         message = f"labels must be among {names}, got {sorted(unknown)} too"

@@ -19,7 +19,7 @@ from scipy import special
 from chdstat._core.arrays import Floats, Mask, chunks
 from chdstat._core.display import Card, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
-from chdstat._core.reasons import label_variables, place_attributes
+from chdstat._core.reasons import flag_names, label_variables, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option
@@ -363,7 +363,7 @@ def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.D
         message = f"expected the dataset of chdstat.fit.select with {variable}, got one without"
         raise InputError(message)
     best = dataset[variable]
-    names = str(best.attrs["flag_meanings"]).split()[1:]
+    _, *names = flag_names(best.attrs).values()
     family = {"family": np.array(names, dtype=object)}
     codes = xr.DataArray(np.arange(len(names)), dims="family", coords=family)
     counts = (best == codes).sum(("y", "x"), keep_attrs=False)

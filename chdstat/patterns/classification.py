@@ -22,7 +22,13 @@ from scipy import ndimage
 from chdstat._core.arrays import Floats, Mask
 from chdstat._core.display import Shown, percent
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import first_of, flag_attributes, label_variables, place_attributes
+from chdstat._core.reasons import (
+    first_of,
+    flag_attributes,
+    flag_names,
+    label_variables,
+    place_attributes,
+)
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
@@ -77,6 +83,11 @@ class Label(enum.IntEnum):
     def typical(self) -> str:
         """A typical pixel: where it lies in a built-in scene, and what its samples look like."""
         return _EXPLAINED[self][2]
+
+    @property
+    def words(self) -> str:
+        """Its name in running text."""
+        return self.name.lower().replace("_", "-")
 
 
 _EXPLAINED: dict[Label, tuple[str, str, str]] = {
@@ -431,8 +442,7 @@ def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tup
     """
     label = patterns["label"]
     codes = np.asarray(label.values)
-    names = str(label.attrs["flag_meanings"]).replace("_", "-").split()
-    masks = {n: codes == c for c, n in zip(label.attrs["flag_values"], names, strict=True)}
+    masks = {n.replace("_", "-"): codes == c for c, n in flag_names(label.attrs).items()}
     edge = min(edge, *codes.shape)
     found = sorted(filter(lambda n: masks[n].any(), masks), key=lambda n: -masks[n].sum())
     return tuple(

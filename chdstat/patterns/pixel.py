@@ -146,6 +146,17 @@ class Pixel(Shown):
         return classify(self.radiance)
 
     @property
+    def label(self) -> str:
+        """What it is first of all, in words; "" where there are neither 1 nor 3 channels."""
+        return Label(int(self.patterns.label)).words if len(self.channels) in (1, 3) else ""
+
+    @property
+    def best_families(self) -> str:
+        """Which families describe its channels best, in words; "" where none could be fitted."""
+        named = dict.fromkeys(FAMILIES[name].label for name in self.families.values() if name)
+        return " / ".join(named)
+
+    @property
     def patterns_shown(self) -> tuple[str, ...]:
         """Names of the patterns that it shows."""
         return tuple(p.name for p in PATTERNS if bool(self.patterns.flags[p.name]))
@@ -231,8 +242,7 @@ class Pixel(Shown):
             None if not name else take_rows(self.selection.fits[name], i, axis=0).pdf
             for i, name in enumerate(self.families.values())
         ]
-        named = dict.fromkeys(FAMILIES[name].label for name in self.families.values() if name)
-        note = f"{percent(self.null_share)} null, {' / '.join(named) or 'no fit'}"
+        note = f"{percent(self.null_share)} null, {self.best_families or 'no fit'}"
         return viz.Panel.of(title, self.radiance, channels=self.channels, fits=fits, note=note)
 
     def _card(self) -> Card:
@@ -254,10 +264,9 @@ class Pixel(Shown):
                 f"samples depend on each other in sequences of {self.sequence}; standard errors "
                 "know of it, intervals and p-values do not"
             )
-        if len(self.channels) in (1, 3):
+        if self.label:
             label = Label(int(self.patterns.label))
-            facts["label"] = label.name.lower().replace("_", " ")
-            facts |= {"why": label.meaning, "what helps": label.cure}
+            facts |= {"label": self.label, "why": label.meaning, "what helps": label.cure}
         for title, rows_of in (("variance", self.light), ("variance by light", self.lights)):
             for row in rows_of[1:2]:
                 named = [(name, float(share)) for name, share in list(row.items())[2:]]

@@ -14,8 +14,7 @@ import numpy as np
 
 from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
 from chdstat.errors import InputError
-from chdstat.fit.families import FAMILIES
-from chdstat.patterns.classification import Label, choose_regions, classify
+from chdstat.patterns.classification import choose_regions, classify
 from chdstat.patterns.pixel import Pixel
 from chdstat.samples.samples import Samples
 from chdstat.summary.histograms import Scale
@@ -102,25 +101,17 @@ class Regions(Shown):
             summarize(self.samples)["mean"].to_numpy(),
             marks,
             [pixel.panel(name) for name, pixel in self.pixels.items()],
-            notes=[self._kind(pixel) for pixel in self.pixels.values()],
+            notes=[pixel.label for pixel in self.pixels.values()],
             channels=channels,
             scales=scales,
             width=width,
             fig=fig,
         )
 
-    @staticmethod
-    def _kind(pixel: Pixel) -> str:
-        """Return the label of a pixel in words, where it has one."""
-        if len(pixel.channels) not in (1, 3):
-            return ""
-        return Label(int(pixel.patterns.label)).name.lower().replace("_", "-")
-
     def _card(self) -> Card:
         rows = []
         for name, pixel in self.pixels.items():
             xi = pixel.tail.xi
-            named = dict.fromkeys(FAMILIES[f].label for f in pixel.families.values() if f)
             heaviest = int(np.nanargmax(xi)) if np.isfinite(xi).any() else 0
             mean = pixel.statistics["mean"].to_numpy()
             error = pixel.statistics["standard_error"].to_numpy()
@@ -129,10 +120,10 @@ class Regions(Shown):
                 {
                     "region": name,
                     "y, x": f"{pixel.y}, {pixel.x}",
-                    "pattern": self._kind(pixel) or "—",
+                    "pattern": pixel.label or "—",
                     "nulls": percent(pixel.null_share),
                     "largest mean": f"{number(mean[brightest])} ± {number(error[brightest])}",
-                    "best family": " / ".join(named) or "—",
+                    "best family": pixel.best_families or "—",
                     "largest tail index": with_interval(
                         xi[heaviest], *pixel.tail.interval[heaviest]
                     ),

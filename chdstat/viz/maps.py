@@ -21,6 +21,7 @@ from matplotlib.patches import Patch, Rectangle
 from chdstat._core.arrays import Array
 from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops
+from chdstat._core.reasons import flag_names
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
@@ -195,9 +196,7 @@ def names_of(variable: xr.DataArray | npt.ArrayLike) -> dict[int, str]:
             f"chdstat.classify, got a {type(variable).__name__} without; pass names={{code: name}}"
         )
         raise InputError(message)
-    codes, names = attrs["flag_values"], str(attrs["flag_meanings"]).split()
-    words = map(called, names)
-    return {int(code): word for code, word in zip(codes, words, strict=True)}
+    return {code: called(name) for code, name in flag_names(attrs).items()}
 
 
 @style()

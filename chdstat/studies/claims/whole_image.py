@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from chdstat._core.arrays import Counts, Floats, generator
+from chdstat._core.reasons import flag_names
 from chdstat._core.resampling import LEVEL, Interval, largest_of
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claim import claim
@@ -308,9 +309,7 @@ def families(data: SceneData) -> Measurement:
     gamma distributions of one shape (Stacy 1962, doi:10.1214/aoms/1177704481).
     """
     analysis, whole = data.analysis, data.whole()
-    about = analysis["best_family"].attrs
-    codes = np.atleast_1d(about["flag_values"]).tolist()
-    flags = dict(zip(str(about["flag_meanings"]).split(), codes, strict=True))
+    flags = {name: code for code, name in flag_names(analysis["best_family"].attrs).items()}
     names = [name for name, code in flags.items() if code >= 0]
     require("gamma" in names, "fits of gamma distributions")
 
