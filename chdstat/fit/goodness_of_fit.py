@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, Seed, chunks, rows_alike, seed_number, whole
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, chunks, seed_number, whole
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_probability
@@ -345,8 +345,11 @@ def _bootstrap(
     """
     table = np.full((3, part.n.size, len(tests)), np.nan)
     statistic, p_value, fitted = table
-    times = max(1, resamples)
-    for here in rows_alike(part.n.ravel() * times, usable.ravel(), width_of(part) * times):
+    rows = np.flatnonzero(usable)
+    # Rows of as many samples go together: a block is as wide as its rows need.
+    rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
+    for block in chunks(len(rows), width_of(part) * max(1, resamples)):
+        here = rows[block]
         some = take_part(part, here)
         known = take(parameters, here)
         statistic[here] = _distances(some, family, known, tests)
