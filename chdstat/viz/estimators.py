@@ -398,8 +398,8 @@ def coverage(
     low = min(float(np.nanmin([stated, *measured.values()])), 0.5) - 0.04
     ax.plot([low, 1], [low, 1], color=_GREY, linewidth=0.9, linestyle="--")
     for k, (name, shares) in enumerate(measured.items()):
-        color = (PALETTE[4], PALETTE[5], PALETTE[2])[k % 3]
-        ax.plot(stated, shares, marker="os^D"[k % 4], markersize=3.5, color=color, label=name)
+        color, label = (PALETTE[4], PALETTE[5], PALETTE[2])[k % 3], verbatim(name)
+        ax.plot(stated, shares, marker="os^D"[k % 4], markersize=3.5, color=color, label=label)
     ax.set(xlim=(low, 1), ylim=(low, 1), xlabel="stated", ylabel="measured", title=title)
     ax.set_aspect("equal")
     ax.xaxis.set_major_formatter(per_cent)

@@ -254,7 +254,7 @@ def categorical_map(
         rank[array == code] = i
         if (array == code).any():
             share = f" {_percent(float((array == code).mean()))}" if shares else ""
-            patches.append(Patch(color=shades[i], label=f"{name}{share}"))
+            patches.append(Patch(color=shades[i], label=f"{verbatim(name)}{share}"))
     _draw_labels(ax, rank, shades[: len(names)], title)
     if columns is None:
         columns = 2 if _room(ax) >= _TWO_NAMES else 1

@@ -18,14 +18,17 @@ from chdstat.comparison import Interval, error_curve
 from chdstat.errors import InputError
 from chdstat.estimators.training import History
 from chdstat.studies.claims import ClaimTest, PlotData
+from chdstat.viz.styling import verbatim
 from tests.viz.figures import clashes, texts
 
+NAME = "a $x^$ b"
+"""No formula: Matplotlib cannot parse it as one."""
 RNG = np.random.default_rng(0)
 IMAGE = RNG.random((12, 16, 3))
-MARK = viz.Mark("wall", slice(2, 6), slice(2, 6), (4, 4))
+MARK = viz.Mark(NAME, slice(2, 6), slice(2, 6), (4, 4))
 LINEAR, LOG = (chd.histogram(RNG.gamma(1.0, size=(3, 64)), scale=s) for s in ("linear", "log"))
 ONE = {s: chd.histogram(RNG.gamma(1.0, size=64), scale=s) for s in ("linear", "log")}
-PANEL = viz.Panel("wall", LINEAR, LOG)
+PANEL = viz.Panel(NAME, LINEAR, LOG)
 
 
 @pytest.fixture(scope="module")
@@ -35,35 +38,34 @@ def examples():
     labels = np.zeros((8, 8), int)
     compared = chd.compare(samples, ["mean", "median"], labels=labels, progress=False)
     test = ClaimTest("share", Interval(0.5, 0.4, 0.6), least=0.3)
-    two = {name: chd.histogram(RNG.gamma(1.0, size=64)) for name in ("a", "b")}
-    pair = {"a": (5, 5), "b": (4, 5)}
+    two = {name: chd.histogram(RNG.gamma(1.0, size=64)) for name in (NAME, "b")}
+    pair = {NAME: (5, 5), "b": (4, 5)}
+    bars = PlotData("bars", {NAME: (np.zeros(1), np.ones(1))})
     linear = dict.fromkeys(pair, ONE["linear"])
     return {
         "atlas": partial(viz.atlas, chd.atlas(samples, clusters=2, progress=False)),
         "averages": partial(
-            viz.averages, [1, 2], {"R": [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05
+            viz.averages, [1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05
         ),
-        "batch_histograms": partial(viz.batch_histograms, {"wall": RNG.gamma(1.0, size=(8, 4))}),
-        "categorical_map": partial(viz.categorical_map, labels, {0: "none"}),
+        "batch_histograms": partial(viz.batch_histograms, {NAME: RNG.gamma(1.0, size=(8, 4))}),
+        "categorical_map": partial(viz.categorical_map, labels, {0: NAME}),
         "chd_axes": partial(viz.chd_axes, LOG),
         "chd_grid": partial(viz.chd_grid, [PANEL]),
         "chd_pair": partial(viz.chd_pair, PANEL),
-        "claim_intervals": partial(viz.claim_intervals, {"fog": [test]}),
-        "coverage": partial(viz.coverage, [0.5, 0.9], {"ours": (0.4, 0.8)}),
-        "curves": partial(viz.curves, [8, 16], {"gamma": {"a": [0, 1]}, "log": {"b": [1, 1]}}),
+        "claim_intervals": partial(viz.claim_intervals, {NAME: [test]}),
+        "coverage": partial(viz.coverage, [0.5, 0.9], {NAME: (0.4, 0.8)}),
+        "curves": partial(viz.curves, [8, 16], {NAME: {"a": [0, 1]}, "log": {NAME: [1, 1]}}),
         "contrast": partial(viz.contrast, chd.contrast(samples, samples.read() * 0.9)),
         "error_curves": partial(
             viz.error_curves, error_curve(samples, ["mean"], sizes=[4, 8], progress=False)
         ),
         "estimator_measures": partial(viz.estimator_measures, compared),
-        "finding_plots": partial(
-            viz.finding_plots, {"fog": PlotData("bars", {"wall": (np.zeros(1), np.ones(1))})}
-        ),
+        "finding_plots": partial(viz.finding_plots, {NAME: bars}),
         "firefly_pair": partial(viz.firefly_pair, IMAGE, pair, linear, two),
         "fit_curve": partial(viz.fit_curve, chd.fit.mixture(RNG.gamma(2.0, size=64))),
         "mode_stems": partial(viz.mode_stems, chd.modality(RNG.gamma(2.0, size=(2, 64)))),
         "tail_curve": partial(viz.tail_curve, chd.fit.tail_index(RNG.pareto(2.0, size=256))),
-        "fits": partial(viz.fits, ONE["linear"], ONE["log"], {"flat": np.ones_like}),
+        "fits": partial(viz.fits, ONE["linear"], ONE["log"], {NAME: np.ones_like}),
         "image_map": partial(viz.image_map, IMAGE),
         "map_grid": partial(viz.map_grid, 2),
         "n_needed": partial(viz.n_needed, labels + 1, [1, 2]),
@@ -72,16 +74,16 @@ def examples():
         "region_study": partial(viz.region_study, IMAGE, [MARK], [PANEL]),
         "renders_compared": partial(
             viz.renders_compared,
-            {"a": IMAGE, "b": 2 * IMAGE},
-            {"a": [np.ones((3, 4))]},
+            {NAME: IMAGE, "b": 2 * IMAGE},
+            {NAME: [np.ones((3, 4))]},
             [MARK],
-            difference=("a", "b"),
+            difference=(NAME, "b"),
         ),
-        "side_by_side": partial(viz.side_by_side, {"a": IMAGE, "b": IMAGE}),
+        "side_by_side": partial(viz.side_by_side, {NAME: IMAGE, "b": IMAGE}),
         "training": partial(viz.training, History(*np.array([[1, 2], *4 * [[2, 1]]]))),
         "value_map": partial(viz.value_map, IMAGE[..., 0]),
-        "verdict_matrix": partial(viz.verdict_matrix, {"nulls": {"fog": "supported"}}),
-        "view_pair": partial(viz.view_pair, {"a": IMAGE, "b": IMAGE}, {"wall": two}),
+        "verdict_matrix": partial(viz.verdict_matrix, {"nulls": {NAME: "supported"}}),
+        "view_pair": partial(viz.view_pair, {NAME: IMAGE, "b": IMAGE}, {NAME: two}),
         "with_marks": partial(viz.with_marks, IMAGE, [MARK]),
     }
 
@@ -105,26 +107,28 @@ def test_it_draws_where_it_is_told_to_and_returns_that(examples, name):
     figure.draw_without_rendering()
 
 
+UNNAMED = {"atlas", "chd_axes", "contrast", "error_curves", "estimator_measures", "fit_curve",
+           "image_map", "map_grid", "mode_stems", "n_needed", "pattern_breakdown",
+           "pixel_estimates", "tail_curve", "training", "value_map"}  # fmt: skip
+"""Those that are given no names of things."""
+
+
 @pytest.mark.parametrize("name", DRAWING)
-def test_alone_it_makes_a_figure_that_a_notebook_shows_and_leaves_settings_alone(examples, name):
+def test_alone_it_makes_a_figure_with_room_for_all_names_as_they_are(examples, name, monkeypatch):
+    """In a column of a paper, for a notebook and with TrueType fonts; settings stay as they are."""
     import matplotlib.pyplot as plt
 
-    before = dict(mpl.rcParams)
-    drawn = examples[name]()
+    before, stream = dict(mpl.rcParams), io.BytesIO()
+    drawn = examples[name](width="column")
     figure = drawn.figure if isinstance(drawn, Axes) else drawn
     assert figure._repr_png_().startswith(b"\x89PNG")
     assert dict(mpl.rcParams) == before
     assert plt.get_fignums() == []
-
-
-@pytest.mark.parametrize("name", DRAWING)
-def test_a_column_of_a_paper_has_room_for_it_and_its_fonts_are_truetype(
-    examples, name, monkeypatch
-):
-    drawn, stream = examples[name](width="column"), io.BytesIO()
-    figure = drawn.figure if isinstance(drawn, Axes) else drawn
     assert figure.get_figwidth() <= 3.4
     assert clashes(figure, monkeypatch) == []
+    written = {text for text in texts(figure) if "x^" in text}
+    assert bool(written) == (name not in UNNAMED)
+    assert all(verbatim(NAME) in text for text in written)
     figure.axes[0].set_title("radiance")
     figure.savefig(stream, format="pdf")  # outside of the style
     assert b"/FontFile2" in stream.getvalue()

@@ -12,55 +12,30 @@ import pytest
 from matplotlib.figure import Figure
 
 from chdstat import viz
-from chdstat.comparison import Interval
-from chdstat.studies.claims import ClaimTest, PlotData
-from chdstat.summary.histograms import histogram
+from chdstat.studies.claims import PlotData
 from chdstat.viz import styling
 from chdstat.viz.maps import LABEL_COLORS
 from chdstat.viz.styling import families, spelt, verbatim
+from tests.viz.figures import texts
+from tests.viz.test_drawing_functions import NAME
 
-NAME = "a $x^$ b"
-"""No formula: Matplotlib cannot parse it as one."""
 IN_NO_FONT = "\U0010fffd"
 
-IMAGE = np.random.default_rng(0).random((12, 16, 3))
-MARK = viz.Mark(NAME, slice(2, 6), slice(2, 6), (4, 4))
-LINEAR, LOG = (
-    histogram(np.random.default_rng(1).gamma(1.0, size=(2, 64)), scale=scale)
-    for scale in ("linear", "log")
-)
-PANEL = viz.Panel(NAME, LINEAR, LOG, channels=[NAME, "G"])
 SERIES = {NAME: (np.arange(3), np.arange(3)), "other": (np.arange(3), np.arange(3))}
 
 
-def one_channel():
-    return histogram(np.random.default_rng(1).gamma(1.0, size=64))
-
-
 @pytest.mark.parametrize(
-    "draw",
+    "shown",
     [
-        lambda: viz.with_marks(IMAGE, [MARK]),
-        lambda: viz.chd_grid([PANEL]),
-        lambda: viz.region_study(IMAGE, [MARK], [PANEL]),
-        lambda: viz.batch_histograms({NAME: np.ones((2, 4))}),
-        lambda: viz.view_pair({"short": IMAGE, NAME: IMAGE}, {NAME: {NAME: one_channel()}}),
-        lambda: viz.renders_compared({NAME: IMAGE}, {NAME: [np.ones((3, 4))]}, [MARK]),
-        lambda: viz.averages([1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05),
-        lambda: viz.verdict_matrix({"nulls": {NAME: "supported"}}).figure,
-        lambda: viz.claim_intervals(
-            {NAME: [ClaimTest("share", Interval(0.5, 0.4, 0.6), least=0.3)]}
-        ),
-        lambda: viz.finding_plots({NAME: PlotData("curves", SERIES)}),
-        lambda: viz.finding_plots({"": PlotData("points", SERIES)}),
-        lambda: viz.finding_plots({"": PlotData("bars", SERIES)}),
-        lambda: viz.finding_plots({"a": PlotData("curves", SERIES), "b": PlotData("points", {})}),
+        {NAME: PlotData("curves", SERIES)},
+        {"": PlotData("points", SERIES)},
+        {"": PlotData("bars", SERIES)},
+        {"a": PlotData("curves", SERIES), "b": PlotData("points", {})},
     ],
 )
-def test_dollar_signs_in_a_name_begin_no_formula(draw):
-    figure = draw()
-    figure.draw_without_rendering()
-    written = [text.get_text() for text in figure.findobj(mpl.text.Text)]
+def test_dollar_signs_in_a_name_begin_no_formula(shown):
+    """Of all functions, see `test_drawing_functions`."""
+    written = texts(viz.finding_plots(shown))
     assert any(verbatim(NAME) in text for text in written)
     assert not any(NAME in text for text in written)
 
