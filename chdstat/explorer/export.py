@@ -188,4 +188,4 @@ def _pdf(plots: SelectionPlots, mean: Image, exposure: float) -> bytes:
     }
     with scratch() as folder:
         document = Document("selection.typ", content, figures)
-        return typeset(document, folder, folder / "selection.pdf").read_bytes()
+        return typeset(document, folder / "selection.pdf").read_bytes()

@@ -183,26 +183,19 @@ def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> li
     One place of one store shows its channels; else each has one row: luminance or the channel of
     the view, in the colour of the pixel, or of the store where there are several.
     """
-    found = []
     row = "luminance" if view.channel == "all" else view.channel
+    (place, *others), several = next(iter(places.values())), len(places) > 1
+    if not others and not several:
+        rows = range(len(place.channels)) if view.channel == "all" else [place.row(row)]
+        named = [(i, place.names[i]) for i in rows]
+        return [Series(place, i, CHANNEL_COLORS.get(name, BLENDED), name) for i, name in named]
+    found = []
     for k, (name, those) in enumerate(places.items()):
-        if view.channel == "all" and len(those) == len(places) == 1:
-            return [
-                Series(those[0], i, CHANNEL_COLORS.get(channel, BLENDED), channel)
-                for i, channel in enumerate(those[0].channels)
-            ]
+        color, dash = _SOURCE_COLORS[k % 6], "solid" if k < 6 else "dashed"
         for i, place in enumerate(those):
             pixel = i + 1 if len(those) > 1 else 0
-            if len(places) > 1:
-                color, dash = _SOURCE_COLORS[k % 6], "solid" if k < 6 else "dashed"
-                found.append(Series(place, place.row(row), color, name, pixel, dash))
-            elif pixel:
-                name = f"pixel {pixel}"
-                found.append(Series(place, place.row(row), PIXEL_COLORS[i], name, pixel))
-            else:
-                name = place.names[place.row(row)]
-                color = CHANNEL_COLORS.get(name, BLENDED)
-                found.append(Series(place, place.row(row), color, name))
+            own = (color, name) if several else (PIXEL_COLORS[i], f"pixel {pixel}")
+            found.append(Series(place, place.row(row), *own, pixel, dash))
     return found
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from chdstat import viz
 from chdstat._core.display import duration, number, percent, with_interval
-from chdstat._core.files import scratch
 from chdstat._core.image_scales import display_stops
 from chdstat.comparison.benchmark import Bench, Case
 from chdstat.reporting.typst import Document, typeset
@@ -32,8 +31,7 @@ _LETTERS = 22
 
 def save_pdf(found: Bench, target: Path) -> Path:
     """Typeset a benchmark; see `Bench.save`."""
-    with scratch() as folder:
-        return typeset(document(found), folder, target)
+    return typeset(document(found), target)
 
 
 def document(found: Bench) -> Document:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from chdstat._core.files import checked_target, scratch
+from chdstat._core.files import checked_target
 from chdstat._core.work import kept_until_written
 from chdstat.analysis import Noise, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
@@ -169,8 +169,7 @@ def report(
     # What is analysed is in files beside the report until that is there: it may not fit in memory.
     with kept_until_written(target) as checkpoint:
         document = report_.document(named.regions if named else regions_of(samples), checkpoint)
-        with scratch() as folder:
-            return typeset(document, folder, target)
+        return typeset(document, target)
 
 
 def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from chdstat import viz
 from chdstat._core.display import number, percent
-from chdstat._core.files import scratch
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.content import atlas_content, claim_content, remake_note
 from chdstat.reporting.figures import claim_figures, depth_of, region_figure, scene_figures
@@ -53,8 +52,7 @@ def overview(study: Study) -> Figure:
 
 def save_pdf(study: Study, target: Path) -> Path:
     """Typeset a study; see `Study.save_pdf`."""
-    with scratch() as folder:
-        return typeset(document(study), folder, target)
+    return typeset(document(study), target)
 
 
 def document(study: Study) -> Document:

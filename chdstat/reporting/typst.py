@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 
-from chdstat._core.files import writing
+from chdstat._core.files import scratch, writing
 from chdstat.errors import ChdstatError
 from chdstat.viz.styling import spelt
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Document", "pages_of", "typeset"]
 
+_TEMPLATES = resources.files("chdstat.reporting") / "templates"
 _FONTS = Path(mpl.get_data_path(), "fonts", "ttf")
 """Text has the family of the figures' lettering, which Matplotlib brings along."""
 
@@ -44,15 +45,13 @@ class Document:
     figures: Mapping[str, Figure]
 
 
-def typeset(document: Document, folder: Path, target: Path) -> Path:
+def typeset(document: Document, target: Path) -> Path:
     """Write a document as PDF.
 
     Parameters
     ----------
     document
         What to typeset.
-    folder
-        An empty folder for the parts.
     target
         The PDF; it is replaced only when the new one is complete.
 
@@ -63,20 +62,20 @@ def typeset(document: Document, folder: Path, target: Path) -> Path:
     """
     import typst
 
-    for part in (resources.files("chdstat.reporting") / "templates").iterdir():
-        (folder / part.name).write_text(part.read_text(encoding="utf-8"), encoding="utf-8")
-    (folder / "content.json").write_text(
-        json.dumps({**document.content, "figures": sorted(document.figures)}), encoding="utf-8"
-    )
-    with spelt():
-        for name, figure in document.figures.items():
-            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
-    try:
-        with writing(target) as partial:
-            typst.compile(folder / document.template, output=partial, font_paths=[_FONTS])
-    except (RuntimeError, typst.TypstError) as error:
-        message = f"typesetting the report failed: {error}"
-        raise ChdstatError(message) from error
+    with scratch() as folder:
+        for part in _TEMPLATES.iterdir():
+            (folder / part.name).write_text(part.read_text(encoding="utf-8"), encoding="utf-8")
+        content = {**document.content, "figures": sorted(document.figures)}
+        (folder / "content.json").write_text(json.dumps(content), encoding="utf-8")
+        with spelt():
+            for name, figure in document.figures.items():
+                figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+        try:
+            with writing(target) as partial:
+                typst.compile(folder / document.template, output=partial, font_paths=[_FONTS])
+        except (RuntimeError, typst.TypstError) as error:
+            message = f"typesetting the report failed: {error}"
+            raise ChdstatError(message) from error
     return target
 
 

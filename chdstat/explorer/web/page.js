@@ -23,6 +23,8 @@ window.chdstat = (() => {
     return sent;
   }
 
+  const set = (option, value) => send("set", { option, value });
+
   // --- the image ---
   const inside = (x, y) => x >= 0 && y >= 0 && x < models.width && y < models.height;
 
@@ -55,11 +57,11 @@ window.chdstat = (() => {
     send("box", { box: [g.y0, g.x0, g.y1, g.x1] });
   }
 
-  function number(value) {
+  function number(value, digits = 4) {
     if (!Number.isFinite(value)) return "none";
-    if (value === 0) return "0";
     const size = Math.abs(value);
-    return size >= 1e-3 && size < 1e5 ? value.toPrecision(4) : value.toExponential(2);
+    if (value !== 0 && (size < 1e-3 || size >= 10 ** (digits + 1))) return value.toExponential(digits - 2);
+    return value === 0 ? "0" : value.toPrecision(digits);
   }
 
   // Samples are stored in blocks: where the pointer rests on another one, it is read ahead.
@@ -124,17 +126,12 @@ window.chdstat = (() => {
     for (const b of all("[data-show]")) b.setAttribute("aria-pressed", String(Number(b.dataset.show) === top));
     if (several()) $("#reference").value = String(back);
   }
-  function show(i) {
-    if (i >= all("figure").length || i === front) return;
-    front = i;
+  const show = (i) => choose("shown", i), refer = (i) => choose("reference", i);
+  function choose(option, i) {
+    if (i >= all("figure").length || i === (option === "shown" ? front : back)) return;
+    if (option === "shown") front = i; else back = i;
     arrange();
-    send("set", { option: "shown", value: i });
-  }
-  function refer(i) {
-    if (i >= all("figure").length || i === back) return;
-    back = i;
-    arrange();
-    send("set", { option: "reference", value: i });
+    set(option, i);
   }
   function peek(on) {
     if (!several() || on === peeking) return;
@@ -150,7 +147,7 @@ window.chdstat = (() => {
   }
   function differ() {
     const names = ["image", ...[...$("select[data-option=map]").options].map((o) => o.value).filter((v) => v.startsWith("diff:"))];
-    send("set", { option: "map", value: names[(names.indexOf(view.map) + 1) % names.length] });
+    set("map", names[(names.indexOf(view.map) + 1) % names.length]);
   }
 
   // The pixel under the pointer beside those that are pinned: one request at a time, the latest next.
@@ -196,16 +193,14 @@ window.chdstat = (() => {
       if (edge >= 38) for (let y = Math.max(0, Math.floor(top)); y < Math.min(models.height, bottom); y++)
         for (let x = Math.max(0, Math.floor(left)); x < Math.min(models.width, right); x++) {
           shown.x.push(x + 0.5); shown.y.push(y + 0.5);
-          shown.text.push(models.channels.map((c) => brief(data[c][0][y * models.width + x])).join("\n"));
+          shown.text.push(models.channels.map((c) => number(data[c][0][y * models.width + x], 3)).join("\n"));
         }
       put(values, shown);
     }
   }
-  const brief = (v) => (Number.isFinite(v) ? (Math.abs(v) >= 1e-3 && Math.abs(v) < 1e4 || v === 0 ? String(Number(v.toPrecision(3))) : v.toExponential(1)) : "none");
 
   const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
   const LETTERS = { k: "ArrowUp", j: "ArrowDown", h: "ArrowLeft", l: "ArrowRight" };
-  const set = (option, value) => send("set", { option, value });
   function channel(by) {
     const values = [...$("select[data-option=channel]").options].map((o) => o.value);
     set("channel", values[(values.indexOf(view.channel) + by + values.length) % values.length]);
@@ -662,20 +657,20 @@ window.chdstat = (() => {
     for (const p of all(".image")) p.addEventListener("pointerdown", () => p.focus({ preventScroll: true }));
     for (const s of all("select[data-option]")) s.addEventListener("change", () => {
       const value = s.dataset.option === "batch" ? Number(s.value) : s.value;
-      send("set", { option: s.dataset.option, value });
+      set(s.dataset.option, value);
     });
     for (const c of all("[data-family]")) c.addEventListener("change", () => {
       const value = all("[data-family]").filter((e) => e.checked).map((e) => e.dataset.family);
-      send("set", { option: "families", value });
+      set("families", value);
     });
-    $("#exposure").addEventListener("input", (e) => send("set", { option: "exposure", value: Number(e.target.value) }));
-    $("#auto").addEventListener("click", () => send("set", { option: "exposure", value: null }));
+    $("#exposure").addEventListener("input", (e) => set("exposure", Number(e.target.value)));
+    $("#auto").addEventListener("click", () => set("exposure", null));
     $("#opacity").addEventListener("input", () => { fade(); zoomed(); });
     for (const e of all("#limits input")) e.addEventListener("change", () => {
       const value = all("#limits input").map((i) => i.valueAsNumber);
-      if (value.every(Number.isFinite)) send("set", { option: "limits", value });
+      if (value.every(Number.isFinite)) set("limits", value);
     });
-    $("#limits button").addEventListener("click", () => send("set", { option: "limits", value: null }));
+    $("#limits button").addEventListener("click", () => set("limits", null));
     for (const b of all("[data-drag]")) b.addEventListener("click", () => drag(b.dataset.drag));
     for (const b of all("[data-zoom]")) b.addEventListener("click", () => zoom(b.dataset.zoom));
     for (const b of all("[data-export]")) b.addEventListener("click", () => send("export", { format: b.dataset.export }));
