@@ -77,8 +77,6 @@ class Startup:
         nothing.
     shared
         What all pages share; None until the source is open.
-    drawn
-        Whether that is all of it.
     done
         Whether pages can be served.
 
@@ -90,7 +88,7 @@ class Startup:
 
     def __init__(self, name: str) -> None:
         self.name, self.text, self.image = name, f"loading {name}", ""
-        self.drawn = self.done = False
+        self.done = False
         self.shared: Shared | None = None
 
     def draw(self, render: RenderProcess) -> npt.NDArray[np.float32]:
@@ -111,7 +109,6 @@ class Startup:
             whole[: len(seen)] = seen[: len(whole)]
             file = png(tonemap(whole, exposure=display_stops(seen)))
             self.image = base64.b64encode(file).decode("ascii")
-        self.drawn = True
         self.text = f"opening the page of {self.name}"
         return seen
 
@@ -398,7 +395,7 @@ def _notice(startup: Startup) -> type[Any]:
         def get(self) -> None:
             self.set_header("Cache-Control", "no-store")
             if self.request.path == "/progress":
-                names = ("text", "image", "drawn", "done")
+                names = ("text", "image", "done")
                 self.finish({name: getattr(startup, name) for name in names})
             else:
                 self.finish(template.render(style=style, name=startup.name, text=startup.text))

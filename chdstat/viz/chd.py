@@ -307,11 +307,13 @@ def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> Non
     ax.set_ylim(0, top)
 
 
-def draw_means(ax: Axes, means: Sequence[float], colors: Sequence[Any]) -> None:
+def draw_means(
+    ax: Axes, means: Sequence[float], colors: Sequence[Any], *, dashes: Any = MEAN
+) -> None:
     """Draw dashed lines at positive means."""
     for mean, color in zip(means, colors, strict=False):
         if mean > 0:  # and no NaN
-            ax.axvline(mean, 0, 0.92, color=color, linewidth=0.9, linestyle=MEAN)
+            ax.axvline(mean, 0, 0.92, color=color, linewidth=0.9, linestyle=dashes)
 
 
 def colors_of(channels: Sequence[str] | Mapping[str, Any]) -> list[str]:

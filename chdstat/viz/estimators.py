@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -125,17 +124,12 @@ def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | Non
         Where to draw; None makes a figure.
     """
     share = found.pixels / max(1, found.pixels.sum())
-    known = np.flatnonzero(np.isfinite(found.measures["relmse_ratio"].value).any(axis=1))
-    if known.size:
-        share = share[known]
-        found = replace(
-            found,
-            labels=tuple(found.labels[k] for k in known),
-            pixels=found.pixels[known],
-            measures={name: measure[known] for name, measure in found.measures.items()},
-        )
-    ratio, best = found.measures["relmse_ratio"], found.best("relmse")
-    ax = axes_in(ax, 1.45 + 0.24 * len(found.labels), width)
+    ratio, best = found.measures["relmse_ratio"], np.array(found.best("relmse"))
+    known = np.isfinite(ratio.value).any(axis=1)
+    known |= ~known.any()  # where nothing is known, all rows say so
+    ratio, best, share = ratio[known], best[known], share[known]
+    labels = [found.labels[k] for k in np.flatnonzero(known)]
+    ax = axes_in(ax, 1.45 + 0.24 * len(labels), width)
     with np.errstate(divide="ignore", invalid="ignore"):
         shade = np.ma.masked_invalid(np.log(ratio.value) / np.log(_EXTREME))
     colors = TwoSlopeNorm(0, -1.4, 1.4)
@@ -150,30 +144,20 @@ def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | Non
             corner = (column - 0.47, row - 0.45)
             frame: dict[str, Any] = {"fill": False, "edgecolor": "#111111", "linewidth": 1.3}
             ax.add_patch(Rectangle(corner, 0.94, 0.9, **frame))
-    _label_table(ax, found, share)
-    ax.set_title("relMSE ratio for each pattern", loc="left")
-    return ax
-
-
-def _label_table(ax: Axes, found: Breakdown, share: Array) -> None:
-    """Name rows and columns; a star marks the estimators that use neighbours."""
-    rows = [
-        f"{label}, {per_cent(part)}" if part >= 0.005 else f"{label}, {count} px"
-        for label, part, count in zip(
-            map(called, found.labels), share, found.pixels.tolist(), strict=True
-        )
+    names = [
+        f"{called(label)}, {per_cent(part)}" if part >= 0.005 else f"{called(label)}, {count} px"
+        for label, part, count in zip(labels, share, found.pixels[known].tolist(), strict=True)
     ]
-    ax.set_yticks(np.arange(len(rows)), rows)
+    ax.set_yticks(np.arange(len(names)), names)
     columns = _marked(found)
-    ax.set_xticks(np.arange(len(columns)), columns)
-    if len(columns) > _LEVEL:
-        ax.tick_params(axis="x", rotation=40)
-        for text in ax.get_xticklabels():
-            text.set(ha="right", rotation_mode="anchor")
+    slanted: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+    ax.set_xticks(np.arange(len(columns)), columns, **slanted if len(columns) > _LEVEL else {})
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
     if found.uses_neighbours.any():
         ax.set_xlabel(_STARRED)
+    ax.set_title("relMSE ratio for each pattern", loc="left")
+    return ax
 
 
 def _marked(found: Breakdown | Comparison) -> list[str]:

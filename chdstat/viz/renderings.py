@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.arrays import luminance
 from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
-from chdstat.summary.histograms import histogram
-from chdstat.viz.chd import draw_histograms
+from chdstat.viz.chd import Panel, draw_histograms, draw_means
 from chdstat.viz.image import Mark, draw_marked
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import (
@@ -107,15 +106,15 @@ def renders_compared(
     for i, mark in enumerate(marks if places else ()):
         cells = parts[1].subgridspec(below, columns, wspace=0.12)
         ax = figure.add_subplot(cells[i // columns, i % columns])
-        light = {name: _luminance(those[i]) for name, those in samples.items()}
-        found = {name: histogram(x, scale="log", bad=np.isnan(x)) for name, x in light.items()}
+        panels = {name: Panel.of(name, those[i]) for name, those in samples.items()}
+        found = {name: [*panel.histograms("log").values()][-1] for name, panel in panels.items()}
         draw_histograms(ax, found, colors=[colors[name] for name in found])
         for name, color in colors.items():
-            known = light.get(name, luminance(arrays[name][mark.ys, mark.xs], channel_axis=-1))
-            value = float(np.nanmean(known))
-            dash: Any = (0, (3, 2)) if name in light else ":"
-            if value > 0:
-                ax.axvline(value, 0, 0.92, color=color, linewidth=1, linestyle=dash)
+            if name in panels:
+                draw_means(ax, panels[name].mean[-1:], [color])
+            else:
+                seen = luminance(arrays[name][mark.ys, mark.xs], channel_axis=-1)
+                draw_means(ax, [float(np.nanmean(seen))], [color], dashes=":")
         ax.set_title(verbatim(f"{i + 1} {mark.name}"), loc="left", fontweight="bold", pad=3)
         ax.set_xlabel(f"luminance ({UNIT}), log scale")
         ax.set_ylabel("" if i % columns else "density")
@@ -123,10 +122,3 @@ def renders_compared(
         look: Any = {"loc": "outside lower center", "ncols": 2 * columns, "handlelength": 1}
         figure.legend(handles=swatches(colors), **look)
     return figure
-
-
-def _luminance(x: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return the luminance of samples (channel, sample); NaN where one is bad."""
-    samples = np.asarray(x, float)
-    bad = np.asarray(is_bad(samples).any(axis=0))
-    return np.where(bad, np.nan, luminance(np.where(bad, 0.0, samples)))

@@ -141,14 +141,13 @@ def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
         with urllib.request.urlopen(url, timeout=60) as answer:
             assert answer.headers["Cache-Control"] == "no-store"
             assert "loading cornell-box</p>" in answer.read().decode()
-        expected = {"text": "loading cornell-box", "image": "", "drawn": False, "done": False}
+        expected = {"text": "loading cornell-box", "image": "", "done": False}
         assert json.loads(page(url + "progress")) == expected
         assert answered(urlsplit(url).port, "evil.example") == 403
         go_on.set()
         with waiting.result() as explorer:
             state = json.loads(page(url + "progress"))
             assert state["done"]
-            assert state["drawn"]
             assert state["image"]
             assert '"token":"' in page(explorer.url)
 

@@ -18,10 +18,6 @@ def counted(*shape, scale="log"):
     return histogram(np.random.default_rng(3).gamma(1.0, size=(*shape, 64)), scale=scale)
 
 
-def panel(name):
-    return viz.Panel(name, counted(3, scale="linear"), counted(3), note="12 % null")
-
-
 def claim_test(value, low, high, *, name="share", unit="1", least=-np.inf, most=np.inf):
     return ClaimTest(name, Interval(value, low, high), least, most, unit)
 
@@ -124,13 +120,6 @@ def test_all_batches_and_their_means_are_drawn():
     assert [p.get_height() for p in bins] == np.histogram(means, len(bins))[0].tolist()
     assert [a.lines[0].get_xdata()[0] for a in (upper, lower)] == pytest.approx([x.mean()] * 2)
     assert {"64 batches\nof 32 samples", "their 64\nmeans"} <= texts(figure)
-
-
-def test_a_firefly_and_its_neighbour_are_named(image):
-    pixels = {"firefly: 9.3": (5, 5), "neighbour": (4, 5)}
-    linear, log = ({n: counted(scale=scale) for n in pixels} for scale in ("linear", "log"))
-    figure = viz.firefly_pair(image, pixels, linear, log)
-    assert {"firefly: 9.3", "neighbour"} <= texts(figure)
 
 
 def test_two_views_share_one_exposure(image):

@@ -66,15 +66,6 @@ def test_a_fit_is_a_curve_in_the_unit_of_its_histogram():
     assert not viz.chd_axes(found, fits=[None]).lines
 
 
-def test_chd_grid_shows_every_panel():
-    panels = [
-        viz.Panel(f"p{i}", counted("linear"), counted(), mean=[0.4, 0.5, 0.6], note=f"note {i}")
-        for i in range(3)
-    ]
-    found = texts(viz.chd_grid(panels))
-    assert {"1 p0", "2 p1", "3 p2", "note 0", "note 2", "R"} <= found
-
-
 def test_luminance_of_several_pixels_stands_beside_the_radiance():
     x = np.random.default_rng(3).gamma(1.0, size=(3, 3, 64))
     x[0, :, :16], x[1, 0, 0] = 0, np.nan
