@@ -56,7 +56,7 @@ def hard():
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", hard())
-@pytest.mark.parametrize("channel", ["all", "luminance", "1"])
+@pytest.mark.parametrize("channel", ["all", "1"])
 def test_no_sample_breaks_panels_or_tables(name, channel):
     place = PlaceStatistics(hard()[name], RGB)
     view = View(families=FITS, batch=4, channel=channel)
