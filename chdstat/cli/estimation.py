@@ -177,8 +177,9 @@ def _drawn(source: str, asked: CommonOptions, *, endless: bool) -> Samples | Ren
 
 @command(
     "compare bathroom.zarr -e mean -e catoni --patterns -o found",
-    *("estimator", "seed", "plugin", "scheduler", "workers", "overwrite"),
+    *("estimator", "spp", "seed", "plugin", "scheduler", "workers", "overwrite"),
     *OUTPUT,
+    spp="all of the store",
 )
 def compare(
     store: StorePath,
@@ -196,15 +197,17 @@ def compare(
 ) -> None:
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
+    from chdstat.estimators.training import first_samples
     from chdstat.reporting.figures import save_comparison
 
     target = None if out is None else asked.target(out)  # refused before the work, not after
-    samples, estimators = chdstat.open(store), asked.estimator or None
+    samples = first_samples(chdstat.open(store), asked.spp)
+    estimators = asked.estimator or None
     sizes = chdstat.comparison.curve_sizes(samples, estimators) if curve else None
     errors = None
     with asked.client() as client:
         common: dict[str, Any] = {
-            **asked.settings,
+            "seed": asked.seed or 0,
             "max_batches": max_batches,
             "progress": asked.progress,
             "client": client,

@@ -21,7 +21,7 @@ from chdstat.comparison.entries import Entry, entry_of, without_denoiser
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model
-from chdstat.estimators.training import TrainedModel, load_model
+from chdstat.estimators.training import TrainedModel, first_samples, load_model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.renders import render
@@ -109,7 +109,7 @@ def scenes_of(
         Built-in names, Mitsuba XML files, recipes (``*.toml``), finished stores, scenes or samples,
         one or several; None takes every built-in scene that has a recipe.
     settings
-        Size, spp, seed and max_depth in place of those of recipes.
+        Size, spp, seed and max_depth in place of those of recipes; of stores, the first spp.
 
     Raises
     ------
@@ -133,6 +133,7 @@ def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
     if is_store(source):
         source = open_samples(source)
     if isinstance(source, Samples):
+        source = first_samples(source, settings.get("spp"))
         check_independent(source)
         check_equal_counts(source, "claims are tested on batches of the whole image")
         return StudyScene(source.name, source, None, recipes.regions_of(source))

@@ -256,7 +256,7 @@ def study(
         size take several GB.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
-        edge, and seed 1. Stores and samples are taken as they are.
+        edge, and seed 1. Of samples that are already there, `spp` takes the first.
     estimators
         As for `chdstat.compare`; those that learn are trained on each scene. The claims on learning
         are about "elek2019", which is among the default ones; other learned estimators are tested
@@ -309,7 +309,7 @@ def study(
     if all(isinstance(scene.source, Samples) for scene in chosen):
         asked: dict[str, Any] = {"sampler": None if sampler == "independent" else sampler}
         asked["integrators"] = integrators or None
-        refuse_render("what is studied", options | asked | {"backend": backend})
+        refuse_render("what is studied", options | asked | {"spp": None, "backend": backend})
     Sequences.of(sampler, SPREAD.get(sampler))  # an unknown one is refused before the work
     stores = Stores(
         None if folder is None else Path(folder), backend, progress, sampler, integrators

@@ -9,6 +9,7 @@ import sys
 from inspect import signature
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pypdfium2 import PdfDocument
 from typer.main import get_command
@@ -350,7 +351,8 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
         (("report", STORE, "-o", "a.pdf", "-D", "a=1"), "a setting of a render, but"),
         (("estimate", STORE, "-o", "a.exr", "--max-depth", 3), "a setting of a render, but"),
         (("train", STORE, "-o", "a.safetensors", "--backend", "scalar"), "a setting of a render"),
-        (("study", STORE, "--spp", "8"), "a setting of a render, but"),
+        (("study", STORE, "--spp", "17"), "spp must be from 1 to 16"),
+        (("study", STORE, "--seed", "8"), "a setting of a render, but"),
         (("explore", STORE, "-D", "a=1"), "a setting of a render, but"),
     ],
 )
@@ -458,3 +460,19 @@ def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
     code, _, err = run("render", *view, "--summary-only", "--error", 0.1)
     assert code == 1
     assert "--summary-only keeps no samples" in err
+
+
+@pytest.mark.parametrize(
+    "command", [("compare", "-e", "mean", "--n", "8"), ("study", "-e", "mean")]
+)
+def test_the_first_samples_of_a_store_are_taken_as_a_message_proposes(run, tmp_path, command):
+    x = np.random.default_rng(0).exponential(size=(12, 12, 3, 24))
+    counts = np.full((12, 12), 24)
+    counts[0, 0] = 16
+    chd.Samples.from_array(x, counts=counts).save(tmp_path / "own.zarr")
+    name, *options = *command, "-e", "mean"
+    code, _, err = run(name, tmp_path / "own.zarr", *options)
+    proposed = re.search(r"--spp 16$", err.strip())
+    assert code == 1
+    code, _, err = run(name, tmp_path / "own.zarr", *options, *proposed[0].split())
+    assert code == 0, err
