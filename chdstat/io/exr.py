@@ -1,18 +1,31 @@
 """EXR files: images of linear radiance for Nuke, tev and other programs, with their layers.
 
 `write_exr` puts certainties, intervals and other layers beside the image in one file; `read_exr`
-reads such files, and those of other programs. A file has the pixels of its data window, which may
-be a part of the display window, the image, or reach beyond it. Its colours are of the primaries
-that `chromaticities` name, those of Rec. 709 by default.
+reads such files, and those of other programs; `open_exr` opens stacks of them, each a sample or an
+average of some. A file has the pixels of its data window, which may be a part of the display
+window, the image, or reach beyond it. Its colours are of the primaries that `chromaticities` name,
+those of Rec. 709 by default.
 
 Source: Academy Software Foundation, "Technical introduction to OpenEXR", "OpenEXR file layout" and
-"Standard attributes", https://openexr.com.
+"Standard attributes", https://openexr.com. The attributes that count samples are those that pbrt-v4
+(``samplesPerPixel``, src/pbrt/util/image.cpp) and Blender's Cycles (``cycles.<layer>.samples``)
+write.
+
+**Colours.** A colour (r, g, b) is the tristimulus value ``P diag(s) (r, g, b)``: the columns of P
+are the chromaticities (x, y, 1 - x - y) of the primaries, and s makes (1, 1, 1) the white point
+(SMPTE RP 177). Another white point than that of Rec. 709 is adapted by the matrix of Bradford.
+Sources: SMPTE RP 177-1993, "Derivation of basic television color equations"; K. M. Lam,
+"Metamerism and colour constancy", PhD thesis, University of Bradford, 1985, as in ISO 15076-1:2010,
+annex E; ITU-R BT.709-6 and BT.2020-2; SMPTE ST 2065-1:2012 (ACES); Academy S-2014-004 (ACEScg);
+SMPTE EG 432-1:2010 (P3); Adobe RGB (1998) color image encoding. Names of colour spaces are those of
+the Color Interop Forum, "Color space encodings for texture assets and CG rendering", 2024.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -25,9 +38,9 @@ from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
-from chdstat.io.primaries import AP0, REC709, from_xyz, named, to_rec709
+from chdstat.io.lazy import Frame, Frames, Opened, ReadOptions
 
-__all__ = ["ExrImage", "Planes", "read_exr", "read_feature", "read_planes", "write_exr"]
+__all__ = ["ExrImage", "open_exr", "read_exr", "read_feature", "write_exr"]
 
 Rectangle = tuple[int, int, int, int]
 """Left, top, right and bottom of the pixels of an image, all of them inside."""
@@ -320,7 +333,7 @@ class Planes:
             return None
         texts = {re.split("[:/]", n)[-1].casefold(): v for n, v in self.texts().items()}
         space = next((texts[name] for name in _SPACES if name in texts), "")
-        known = named(space)
+        known = colours_named(space)
         aces = AP0 if self.attributes.get("acesImageContainerFlag") == 1 else ()
         given = self.attributes.get("chromaticities") or aces or known or REC709
         try:
@@ -501,6 +514,204 @@ def _notes(
             "are, and shown as squares"
         )
     return notes
+
+
+# --- colours --------------------------------------------------------------------------------------
+
+Matrix = npt.NDArray[np.float64]
+Chromaticities = tuple[float, ...]
+"""x and y of red, green, blue and white."""
+
+_D65, _ACES_WHITE = (0.3127, 0.3290), (0.32168, 0.33767)
+REC709: Chromaticities = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *_D65)
+"""Linear Rec. 709, which is linear sRGB."""
+AP0: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, *_ACES_WHITE)
+_AP1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, *_ACES_WHITE)
+_NAMED: Mapping[str, Chromaticities] = {
+    "acescg": _AP1,
+    "ap1": _AP1,
+    "aces2065": AP0,
+    "ap0": AP0,
+    "rec2020": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *_D65),
+    "p3d65": (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65),
+    "adobergb": (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65),
+    "rec709": REC709,
+    "srgb": REC709,
+}
+_SAYS_NOTHING = frozenset(("", "linear", "scenelinear", "raw", "data", "unknown", "none"))
+_CLOSE = 5e-4
+"""By how much chromaticities differ that were rounded in different ways."""
+_BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+
+
+def colours_named(space: str) -> Chromaticities | None:
+    """Return the chromaticities of a linear colour space by its name; () where it says nothing.
+
+    None is what is not understood, or not linear.
+
+    Examples
+    --------
+    >>> colours_named("lin_ap1_scene") == colours_named("ACES - ACEScg")
+    True
+    >>> colours_named("Linear"), colours_named("sRGB")
+    ((), None)
+    """
+    plain = re.sub(r"[^a-z0-9]", "", space.casefold())
+    if plain in _SAYS_NOTHING:
+        return ()
+    linear = re.search("(?<!non)lin", plain) or "acescg" in plain or "aces2065" in plain
+    return next((c for name, c in _NAMED.items() if linear and name in plain), None)
+
+
+def to_rec709(chromaticities: Sequence[Any]) -> Matrix | None:
+    """Return the matrix that brings colours to linear Rec. 709; None where they are of it.
+
+    Raises
+    ------
+    ValueError
+        If no colours have such chromaticities.
+
+    References
+    ----------
+    SMPTE RP 177-1993; the adaptation of the white point is that of Lam (1985).
+
+    Examples
+    --------
+    >>> np.round(to_rec709((0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290))[0], 4)
+    array([ 1.6605, -0.5876, -0.0728])
+    """
+    given = np.asarray(chromaticities, dtype=float)
+    if given.shape == (8,) and np.abs(given - REC709).max() <= _CLOSE:
+        return None
+    if given.shape != (8,) or not np.isfinite(given).all() or given[7] <= 0:
+        message = f"{chromaticities} are no chromaticities"
+        raise ValueError(message)
+    ours, white = _to_xyz(np.array(REC709))
+    theirs, other = _to_xyz(given)
+    cone = (_BRADFORD @ white) / (_BRADFORD @ other)
+    adapted = np.linalg.solve(_BRADFORD, cone[:, np.newaxis] * _BRADFORD)
+    same = np.abs(given[6:] - REC709[6:]).max() <= _CLOSE
+    found = np.asarray(np.linalg.solve(ours, theirs if same else adapted @ theirs), float)
+    if not np.isfinite(found).all():
+        message = f"{chromaticities} are no chromaticities"
+        raise ValueError(message)
+    return found
+
+
+def from_xyz() -> Matrix:
+    """Return the matrix from tristimulus values of CIE 1931 to linear Rec. 709, white unadapted.
+
+    Examples
+    --------
+    >>> from_xyz()[0].round(4)
+    array([ 3.241 , -1.5374, -0.4986])
+    """
+    return np.asarray(np.linalg.inv(_to_xyz(np.array(REC709))[0]), float)
+
+
+def _to_xyz(chromaticities: Matrix) -> tuple[Matrix, Matrix]:
+    """Return the matrix to tristimulus values, and the white point with Y = 1."""
+    x, y = chromaticities.reshape(4, 2).T
+    columns = np.stack([x, y, 1 - x - y])
+    if abs(np.linalg.det(columns[:, :3])) < 1e-6:
+        message = f"primaries {chromaticities[:6]} lie on a line"
+        raise ValueError(message)
+    white = columns[:, 3] / y[3]
+    return columns[:, :3] * np.linalg.solve(columns[:, :3], white), white
+
+
+# --- stacks ---------------------------------------------------------------------------------------
+
+_COUNTED = re.compile(r"samplesPerPixel|cycles\..*\.samples")
+"""Attributes that say how many samples an image is the average of."""
+
+
+def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
+    """Open EXR files of one sample, or one average, of each pixel.
+
+    The samples are the colours of the image, or the layer `variable`; alpha is left out. Features
+    are layers, averaged over all files, since each sample of a pixel sees something else.
+
+    Notes
+    -----
+    Read
+        Float and half; scanlines and tiles; every lossless or lossy compression; several parts; R,
+        G and B, in capitals or not, also as ``red``, ``green``, ``blue``; else ``Y``; else the only
+        layer of such channels, or ``variable``; the number of averaged samples.
+    Converted
+        Data windows: placed in the display window, 0 outside of them; colours of other primaries:
+        to linear Rec. 709; ``X``, ``Y``, ``Z`` without a layer: CIE XYZ to linear Rec. 709.
+    Warned of
+        Both conversions of colours; several parts of colours, the first of which is called like no
+        image; overscan, which is cut; a colour space that is not known or not linear;
+        chromaticities that are none; pixels that are no squares; half floats of 65504 or infinity;
+        copies.
+    Ignored
+        Alpha, other layers, levels but the first of mipmaps, ``whiteLuminance``, ``expTime``,
+        ``adoptedNeutral`` and other attributes.
+    Refused
+        Several layers that could be the image; luminance and chroma (``RY``, ``BY``); whole numbers
+        as radiance; deep channels and those of lower resolution, if they are asked for; data
+        windows outside of the display window; files of one stack that differ in display window,
+        channels, or number of averaged samples; damaged files.
+    """
+    first, told = read_planes(paths[0]), set[str]()
+    names = (
+        first.layer(options.variable)
+        if options.variable
+        else first.main("give the layer of the samples as variable, one of")
+    )
+    layers = {name: first.layer(inside) for name, inside in options.features.items()}
+    averaged = _averaged(first.attributes)
+
+    def frame(planes: Planes) -> Frame:
+        _check_equal(planes, first, [*names, *itertools.chain(*layers.values())])
+        image = planes.image(names, colours=True)
+        features = {n: planes.image(of, colours=n == "albedo") for n, of in layers.items()}
+        for kind in planes.notes.keys() - told:
+            told.add(kind)
+            warn_caller(planes.notes[kind])
+        return image, features
+
+    def decode(samples: range) -> Iterator[Frame]:
+        for number in samples:
+            yield frame(read_planes(paths[number]) if number else first)
+
+    shape = (*first.shape, len(names), len(paths))
+    frame(first)  # what is to be said of it, is said now
+    attrs = {"averaged": averaged} if averaged > 1 else {}
+    return Opened(Frames(paths[0].parent, shape, decode, featured=bool(layers)), attrs)
+
+
+def _check_equal(planes: Planes, first: Planes, names: Sequence[str]) -> None:
+    """Refuse a file that is no further sample of what the first file shows."""
+    path, counts = planes.path, [_averaged(p.attributes) for p in (planes, first)]
+    if counts[0] != counts[1]:
+        message = (
+            f"{path} is an average of {counts[0]} samples, {first.path.name} of {counts[1]}: read "
+            "them apart"
+        )
+        raise InputError(message)
+    if not set(names) <= planes.channels.keys():
+        held = ", ".join(planes.channels)
+        message = f"{path} has channels {held}, but the first file {', '.join(names)}"
+        raise InputError(message)
+    if planes.window != first.window:
+        shapes = [f"{p.shape} pixels" for p in (planes, first)]
+        if planes.shape == first.shape:
+            shapes = [f"a display window that begins at {p.window[:2]}" for p in (planes, first)]
+        message = f"{path} has {shapes[0]}, but the first file {shapes[1]}"
+        raise InputError(message)
+
+
+def _averaged(attributes: Mapping[str, Any]) -> int:
+    """Return how many samples an image says that it is the average of, or 1."""
+    for name, value in attributes.items():
+        if _COUNTED.fullmatch(name) and str(value).isdecimal():
+            return max(int(value), 1)
+    return 1
 
 
 # --- writing --------------------------------------------------------------------------------------

@@ -98,15 +98,15 @@ class Opened:
 
 
 @contextlib.contextmanager
-def readable(path: Path, kind: str = "") -> Iterator[None]:
-    """Turn what a damaged or missing file raises into an error that names it, and its kind."""
+def readable(path: Path) -> Iterator[None]:
+    """Turn what a damaged or missing file raises into an error that names it."""
     try:
         yield
     except ChdstatError:
         raise
     except DAMAGED as error:
         why = (error.strerror if isinstance(error, OSError) else None) or error
-        message = f"cannot read {path}{kind and f' as {kind}'}: {why}"
+        message = f"cannot read {path}: {why}"
         raise StoreError(message) from error
 
 

@@ -93,7 +93,7 @@ FORMATS = (
         "array_files",
         ("axes", *_NAMED),
     ),
-    Format("exr", (".exr",), "EXR images, each a sample or average", "exr_stack", _NAMED),
+    Format("exr", (".exr",), "EXR images, each a sample or average", "exr", _NAMED),
     Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream", ("features",)),
 )
 """Formats in the order in which they are tried."""

@@ -471,7 +471,7 @@ class MitsubaRenderer:
         def sample(x: int, y: int) -> Any:
             dx, dy = sampler.next_2d()
             position = mi.Point2f((x + dx) / width, (y + dy) / height)
-            return drawn(mi, position, *objects)
+            return drawn(mi, position, objects)
 
         return sample
 

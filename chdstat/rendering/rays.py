@@ -58,7 +58,7 @@ def wavefront(
     Parameters
     ----------
     objects
-        Scene, sensor, integrator, sampler and the medium that rays start in.
+        As for `drawn`.
     size
         (width, height) of the image.
     run
@@ -76,20 +76,15 @@ def wavefront(
     index = dr.arange(mi.UInt32, lanes) // run % pixels
     pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
     position = (pixel + sampler.next_2d()) / mi.Point2f(*map(float, size))
-    return drawn(mi, position, scene, sensor, integrator, sampler, medium, active)
+    return drawn(mi, position, (scene, sensor, integrator, sampler, medium), active)
 
 
-def drawn(
-    mi: Any,
-    position: Any,
-    scene: Any,
-    sensor: Any,
-    integrator: Any,
-    sampler: Any,
-    medium: Any,
-    active: Any = True,
-) -> Any:
-    """Return the radiance of a ray through a position of the image, from 0 to 1, as linear sRGB."""
+def drawn(mi: Any, position: Any, objects: Sequence[Any], active: Any = True) -> Any:
+    """Return the radiance of a ray through a position of the image, from 0 to 1, as linear sRGB.
+
+    The `objects` are scene, sensor, integrator, sampler and the medium that rays start in.
+    """
+    scene, sensor, integrator, sampler, medium = objects
     ray, weight = sensed(mi, position, sensor, sampler)
     differentiable = getattr(mi, "CppADIntegrator", ())
     if isinstance(integrator, differentiable):  # Mitsuba's in Python take other arguments

@@ -216,8 +216,7 @@ class Store:
             self.shape = (*self.shape[:3], self.adaptive["first"])
             if self._lock is not None:
                 features = {n: about for n, about in held.items() if n != layout.DENSITY}
-                changed = {"shape": list(self.shape), "complete": 0, "features": features}
-                self._attributes["manifest"] = self._manifest | changed
+                self._change({"shape": list(self.shape), "complete": 0, "features": features})
             return None
 
     def counts(self) -> npt.NDArray[np.int32] | None:
@@ -505,13 +504,11 @@ class Store:
 
     def update(self, *, parts: Iterable[LightPart] = (), **attrs: Any) -> None:
         """Change attributes, and note what samples every pixel has, and of which parts."""
-        manifest = self._manifest
-        manifest["complete"] = max(manifest["complete"], self.complete_spp())
-        manifest["shape"] = list(self.shape)
-        manifest = layout.with_parts(manifest, parts)
-        changed = {**self._attributes, **attrs, "manifest": manifest}
-        if changed != self._attributes:
-            self._attributes = changed
+        before = self._attributes
+        complete = max(self._manifest["complete"], self.complete_spp())
+        held = {**self._manifest, "shape": list(self.shape), "complete": complete}
+        self._change(layout.with_parts(held, parts), **attrs)
+        if self._attributes != before:
             with layout.writing(self.path):
                 self._save()
 
@@ -550,8 +547,7 @@ class Store:
         self.ledger[..., : before.shape[2]] = before
         self._lay_out()
         complete = self.complete_spp()  # of counts that grew, fewer than before
-        manifest = {**self._manifest, "shape": list(self.shape), "complete": complete}
-        self._attributes = {**self._attributes, "manifest": manifest}
+        self._change({"shape": list(self.shape), "complete": complete})
         with layout.writing(self.path):
             self._save()
 
@@ -591,10 +587,12 @@ class Store:
         ((key, encoded),) = held.items()
         content = encoded.to_bytes()
         layout.put(self.path / key, content)
-        manifest = self._manifest
         about = {"shape": list(image.shape), "checksum": checksum(content)}
-        manifest["features"] = {**manifest["features"], name: about}
-        self._attributes = {**self._attributes, "manifest": manifest}
+        self._change({"features": {**self._manifest["features"], name: about}})
+
+    def _change(self, held: Mapping[str, Any], **attrs: Any) -> None:
+        """Change what the manifest holds, and attributes; `_save` writes them."""
+        self._attributes = {**self._attributes, **attrs, "manifest": {**self._manifest, **held}}
 
     def _save(self) -> None:
         """Write the metadata that differs from what it should be, the manifest first."""

@@ -11,7 +11,7 @@ from chdstat.rendering.recipes import remake_of
 from chdstat.studies.findings import Finding, Measurement, MissingDataError, require
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["Claim", "claim"]
+__all__ = ["ENTERED", "Claim", "claim"]
 
 _ABOUT = {
     "image": "this image: other views of the scene, or other scenes, may differ",
@@ -113,6 +113,15 @@ class Claim:
         )
 
 
+ENTERED: dict[int, Claim] = {}
+"""Claims by number, as modules enter them; `chdstat.studies.claims.CLAIMS` has them in order."""
+
+
 def claim(number: int, name: str, words: str, **options: Any) -> Callable[[Measure], Claim]:
-    """Return what makes a claim of the function that measures it; `options` as for `Claim`."""
-    return lambda measure: Claim(number, name, words, measure, **options)
+    """Enter the decorated function as the measure of a claim; `options` as for `Claim`."""
+
+    def enter(measure: Measure) -> Claim:
+        ENTERED[number] = Claim(number, name, words, measure, **options)
+        return ENTERED[number]
+
+    return enter

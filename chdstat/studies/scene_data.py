@@ -35,6 +35,7 @@ __all__ = [
     "PixelSet",
     "SceneData",
     "fold_of",
+    "known_mean",
     "largest_interval",
     "logs",
     "means_by_region",
@@ -55,6 +56,12 @@ def largest_interval(intervals: Sequence[Interval[float]], *, level: float) -> I
     """Return the largest of several; its ends are the largest of ends that hold together."""
     value, low, high = (max(getattr(i, end) for i in intervals) for end in ("value", "low", "high"))
     return Interval(value, low, high, level)
+
+
+def known_mean(values: Array) -> float:
+    """Return the mean of what is finite; NaN of nothing."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else math.nan
 
 
 def logs(values: Floats) -> Floats:
@@ -151,10 +158,7 @@ class PixelSet:
 
     def by_region(self, values: Array) -> dict[str, float]:
         """Return the mean of values (pixel, ...) over each region, NaN left out."""
-        of_region = [values[self.region == i] for i in range(len(self.names))]
-        known = [here[np.isfinite(here)] for here in of_region]
-        means = [float(here.mean()) if here.size else float("nan") for here in known]
-        return dict(zip(self.names, means, strict=True))
+        return {name: known_mean(values[self.region == i]) for i, name in enumerate(self.names)}
 
     def mean(self, values: Array) -> Interval[float]:
         """Return the mean of values (pixel, ...)."""

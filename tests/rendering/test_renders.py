@@ -328,14 +328,9 @@ def test_other_samples_are_not_mixed_in(tmp_path, change, named):
         ({"spp": 0}, "spp must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"size": (0, 8)}, "width must be at least 1, got 0"),
-        ({"size": (8,)}, r"size must be \(width, height\) in pixels, got \(8,\)"),
         ({"size": 8}, "size must be .* got 8"),
         ({"size": (8, 4.5)}, "height must be a whole number, got 4.5"),
-        ({"spp": True}, "spp must be a whole number, got True"),
-        ({"spp": None}, "spp must be a whole number, got None"),
-        ({"seed": 1.5}, "seed must be a whole number, got 1.5"),
         ({"max_depth": 0}, "max_depth must be at least 1 segment, or -1 for no limit, got 0"),
-        ({"max_depth": -7}, "max_depth must be at least -1, got -7"),
         (
             {"spp": max_spp("scalar", 8, 8) + 1},
             "spp must be at most [0-9]+ for 8 x 8 pixels with the scalar backend .* llvm and cuda ",
@@ -381,10 +376,8 @@ def test_single_pixels():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("cornel-box", "no built-in scene is called 'cornel-box'; did you mean 'cornell-box'"),
         ("nowhere/scene.xml", "no scene file at 'nowhere/scene.xml'"),
         ({"shape": {"type": "sphere"}}, "needs 'type': 'scene', got 'type': None"),
-        (constant(1.0, ball={"type": "sphare"}), "cannot .* the scene 'scene': .*sphare"),
     ],
 )
 def test_scenes_that_are_not_there(name, message):
@@ -418,9 +411,6 @@ def test_parameters_that_the_scene_does_not_use(xml):
 @pytest.mark.parametrize(
     ("integrator", "message"),
     [
-        ({"type": "ptracer"}, "'ptracer' does not sample pixel by pixel; use .* such as path"),
-        ({"type": "prb"}, "'prb' is there with Mitsuba's llvm and cuda backends only"),
-        ({"type": "stokes", "nested": {"type": "path"}}, "'stokes' wraps another integrator"),
         ({"type": "aov", "aovs": "d:depth"}, "'aov' must hold one integrator .* got 0"),
         (
             {"type": "aov", "aovs": "d:depth", "a": {"type": "path"}, "b": {"type": "direct"}},
@@ -428,7 +418,7 @@ def test_parameters_that_the_scene_does_not_use(xml):
         ),
     ],
 )
-def test_integrators_that_do_not_sample_radiance(tmp_path, integrator, message):
+def test_wrappers_without_one_integrator_whose_samples_are_kept(tmp_path, integrator, message):
     with pytest.raises(RenderError, match=message):
         render(constant(1.0, integrator=integrator), out=tmp_path / "s.zarr")
     assert list(tmp_path.iterdir()) == []

@@ -277,15 +277,6 @@ def test_sensors_that_show_all_of_what_they_measure_in_any_crop(tmp_path):
     assert irradiance.read() == pytest.approx(np.pi, rel=1e-5)
 
 
-def test_differentiable_integrators_render_in_a_wavefront_and_are_refused_with_scalar(wavefront):
-    scene = floor(integrator={"type": "prb", "max_depth": 4})
-    assert scene_integrator(scene) == "prb"
-    samples = render(scene, backend=wavefront)
-    assert samples.read().mean() == pytest.approx(0.5, abs=0.02)
-    with pytest.raises(RenderError, match="'prb' is there with Mitsuba's llvm and cuda backends"):
-        render(scene)
-
-
 def test_sensors_have_the_numbers_of_mitsuba():
     """Mitsuba's loader puts meshes and what merges hold behind all others."""
 

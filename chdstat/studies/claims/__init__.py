@@ -3,38 +3,24 @@
 `CLAIMS` lists them, each with the function that measures it. `SceneData` holds what is known of a
 scene, and `find` tests all claims on it and returns a `Finding` for each.
 
-Modules below end with their claims, under the functions that measure them.
+The decorator `chdstat.studies.claim.claim` enters a claim, in any module of this folder.
 """
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Sequence
 
-from chdstat.studies.claim import Claim
-from chdstat.studies.claims import (
-    assumptions,
-    better_sampling,
-    between_renders,
-    learned_models,
-    phenomena,
-    whole_image,
-)
+from chdstat.studies.claim import ENTERED, Claim
 from chdstat.studies.findings import ClaimTest, Finding, PlotData
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["CLAIMS", "Claim", "ClaimTest", "Finding", "PlotData", "SceneData", "find"]
 
-_LEAVES = (
-    assumptions,
-    better_sampling,
-    between_renders,
-    learned_models,
-    phenomena,
-    whole_image,
-)
-CLAIMS = tuple(
-    sorted((claim for leaf in _LEAVES for claim in leaf.CLAIMS), key=lambda claim: claim.number)
-)
+for _leaf in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_leaf.name}")
+CLAIMS = tuple(ENTERED[number] for number in sorted(ENTERED))
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
 Carlo variance reduction", in the order of the study; from 30 on, claims of ours, about path guiding
 and adaptive sampling, which it leaves for later."""

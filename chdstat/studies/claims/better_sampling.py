@@ -25,9 +25,9 @@ from chdstat.fit import tail_index
 from chdstat.studies.claim import claim
 from chdstat.studies.claims.between_renders import samples_ratio
 from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require, required
-from chdstat.studies.scene_data import SceneData, logs
+from chdstat.studies.scene_data import SceneData, known_mean, logs
 
-__all__ = ["CLAIMS"]
+__all__ = ["averages", "counts", "tails"]
 
 _WHO = "own", "guided"
 _TAIL_PIXELS = 1024
@@ -78,9 +78,7 @@ def tails(data: SceneData) -> Measurement:
 def _means(values: Floats) -> dict[str, float]:
     """Return the means of values, shape (2, pixel), over the pixels where both are known."""
     known = values[:, np.isfinite(values).all(axis=0)]
-    return {
-        who: float(v.mean()) if v.size else math.nan for who, v in zip(_WHO, known, strict=True)
-    }
+    return {who: known_mean(v) for who, v in zip(_WHO, known, strict=True)}
 
 
 @claim(
@@ -167,6 +165,3 @@ def _spread(values: Floats, blocks: Blocks) -> Callable[[Floats], Floats]:
             return np.asarray(np.sqrt(np.maximum(squares / n - (total / n) ** 2, 0)))
 
     return deviation
-
-
-CLAIMS = (tails, averages, counts)

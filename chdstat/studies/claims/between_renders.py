@@ -39,6 +39,7 @@ from chdstat.studies.scene_data import (
     PixelSet,
     SceneData,
     fold_of,
+    known_mean,
     largest_interval,
     logs,
     means_by_region,
@@ -56,7 +57,7 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CLAIMS"]
+__all__ = ["complexity", "correlated", "cost", "integrators", "lengths", "samples_ratio", "scenes"]
 
 
 # --- longer paths ---------------------------------------------------------------------------------
@@ -92,7 +93,7 @@ def lengths(data: SceneData) -> Measurement:
     renders = (shorter, data.samples)
     seconds = [_seconds_per_sample(samples) for samples in renders]
     integrators = [samples.attrs.get("integrator") for samples in renders]
-    bars = {n: float(np.nanmean(v)) for n, v in changes.items() if np.isfinite(v).any()}
+    bars = {n: m for n, v in changes.items() if np.isfinite(m := known_mean(v))}
     return Measurement(
         tests,
         details={
@@ -537,8 +538,7 @@ def scene_complexity(data: SceneData) -> float:
         behind = np.abs(data.log_depth[one] - data.log_depth[two]) > _STEP
         painted = np.abs(albedo[one] - albedo[two]).max(axis=-1) > _PAINT
         differ.append((turned | behind | painted).ravel())
-    every = np.concatenate(differ)
-    return float(every.mean()) if every.size else math.nan
+    return known_mean(np.concatenate(differ))
 
 
 def rank_correlation(x: Floats, y: Floats) -> tuple[Interval[float], float]:
@@ -679,6 +679,3 @@ def _squares(data: SceneData) -> Floats | None:
     if theirs is None:
         theirs = summarize(other, progress=False)
     return squares(data.summary, theirs)
-
-
-CLAIMS = (lengths, complexity, scenes, correlated, cost, integrators)

@@ -32,7 +32,7 @@ from chdstat.studies.claim import claim
 from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, require, required
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["CLAIMS"]
+__all__ = ["guided", "learned_model", "reduction"]
 
 EstimateOf = Callable[[Array], Floats]
 
@@ -371,6 +371,3 @@ def _holds(own: Comparison, guided: Comparison, name: str) -> Measurement:
         plot_data=PlotData.bars(values, "relMSE over the mean's"),
         model=name,
     )
-
-
-CLAIMS = (learned_model, reduction, guided)

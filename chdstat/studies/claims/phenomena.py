@@ -31,6 +31,7 @@ from chdstat.studies.scene_data import (
     QUANTILES_NEED,
     PixelSet,
     SceneData,
+    known_mean,
     largest_interval,
     logs,
     means_by_region,
@@ -47,7 +48,7 @@ from chdstat.studies.shape_distances import (
 )
 from chdstat.summary.histograms import linear_support
 
-__all__ = ["CASE_STUDY", "CLAIMS"]
+__all__ = ["CASE_STUDY"]
 
 _MAJORITY = 0.5
 _TAIL = float(np.log(100) / np.log(2))
@@ -116,10 +117,10 @@ def nulls(data: SceneData) -> Measurement:
     if data.regions:
         every = PixelSet.of(data.regions, *data.samples.shape[:2])
         by_region = every.by_region(every.take(image))
-    known = image[np.isfinite(image)]
+    everywhere = known_mean(image)
     return Measurement(
         (ClaimTest(f"share of nulls in {where}", patch.mean(patch.take(image)), *expected),),
-        details={"by_region": by_region, "image": float(known.mean()) if known.size else None},
+        details={"by_region": by_region, "image": None if math.isnan(everywhere) else everywhere},
         plot_data=PlotData.bars(by_region, "share of nulls"),
     )
 
@@ -640,7 +641,7 @@ def _claim(number: int, name: str, words: str, *statements: Statement, cast: str
     # Reports print the first line as the method.
     measured = [s.name for s in statements] + ["shift between channels"] * bool(cast)
     measure.__doc__ = f"Measure over the pixels: {'; '.join(measured)}."
-    return Claim(number, name, words, measure)
+    return claim(number, name, words)(measure)
 
 
 CASE_STUDY = (
@@ -725,10 +726,7 @@ def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> M
         values = {name: s.of(x[name]) for name in (s.phenomenon, s.against) if name}
         interval = _difference([*values.values()], [sets[name] for name in values])
         tests.append(ClaimTest(s.name, interval, s.least, s.most, s.unit))
-        known = {name: v[np.isfinite(v)] for name, v in values.items()}
-        means |= {
-            f"{n}: {s.name}": float(v.mean()) if v.size else math.nan for n, v in known.items()
-        }
+        means |= {f"{name}: {s.name}": known_mean(v) for name, v in values.items()}
     if cast:
         tests.append(_cast(data, sets[cast], data.radiance(sets[cast])))
     curves = {name: _density(x[name]) for name in sets}
@@ -825,17 +823,3 @@ def bounces(data: SceneData) -> Measurement:
         ),
         plot_data=PlotData("curves", curves, "log10 radiance", "density"),
     )
-
-
-CLAIMS = (
-    nulls,
-    diffuse,
-    glossy,
-    reflections,
-    indirect,
-    penumbrae,
-    textures,
-    similarity,
-    bounces,
-    *CASE_STUDY,
-)

@@ -16,7 +16,7 @@ from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require, 
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 
-__all__ = ["CLAIMS", "brightest_firefly"]
+__all__ = ["brightest_firefly", "families", "fireflies", "neighbours", "symmetry"]
 
 _BIN = 0.1
 """Width in decades of a bin of the histograms of `chdstat.summarize`."""
@@ -350,6 +350,3 @@ def families(data: SceneData) -> Measurement:
         },
         plot_data=PlotData.bars(bars, "share of pixel channels"),
     )
-
-
-CLAIMS = (fireflies, neighbours, families, symmetry)
