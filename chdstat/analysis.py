@@ -21,7 +21,7 @@ from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.reasons import flag_names
-from chdstat._core.resampling import Blocks, Interval, mean_of, median_of, wilson
+from chdstat._core.resampling import Blocks, Interval, mean_of, quantile_of, wilson
 from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
 from chdstat._core.work import checkpoints, in_order
 from chdstat.errors import InputError
@@ -611,7 +611,7 @@ def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float
         name: found[name].values.reshape(-1).astype(float)
         for name in ("null_share", "coefficient_of_variation", "long_tail")
     }
-    averages = {"coefficient_of_variation": median_of}
+    averages = {"coefficient_of_variation": quantile_of}
     return {name: averages.get(name, mean_of)(values, blocks) for name, values in flat.items()}
 
 

@@ -49,11 +49,11 @@ __all__ = [
     "interval_of",
     "largest_of",
     "mean_of",
-    "median_of",
     "p_of_means",
     "p_of_signs",
     "p_of_tail",
     "q_values",
+    "quantile_of",
     "rejections",
     "wilson",
 ]
@@ -390,8 +390,18 @@ def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -
     )
 
 
-def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Interval[float]:
-    """Return the median over pixels, shape (pixel,) or (pixel, ...), without those that are NaN."""
+def quantile_of(
+    values: npt.NDArray[Any], blocks: Blocks, share: float = 0.5, *, level: float = LEVEL
+) -> Interval[float]:
+    """Return the quantile over pixels (pixel,) or (pixel, ...), without those that are NaN.
+
+    Parameters
+    ----------
+    values, blocks, level
+        As for `mean_of`.
+    share
+        Of the values, which it does not fall short of; half of them for the median.
+    """
     flat = np.asarray(values, dtype=np.float64).reshape(len(values), math.prod(values.shape[1:]))
     of_value = np.repeat(blocks.of_pixel, flat.shape[1])
     known = np.isfinite(flat.ravel())
@@ -400,16 +410,16 @@ def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL)
     if not len(ordered):
         return Interval.unknown(level=level)
 
-    def median(weights: Floats) -> Floats:
+    def quantile(weights: Floats) -> Floats:
         total = np.cumsum(weights[:, block], axis=1)
-        place = (2 * total < total[:, -1:]).sum(axis=1)
+        place = (total < share * total[:, -1:]).sum(axis=1)
         return np.asarray(ordered[np.minimum(place, len(ordered) - 1)])
 
-    return interval_of(median, blocks, level=level, bounds=_range(ordered))
+    return interval_of(quantile, blocks, level=level, bounds=_range(ordered))
 
 
 def _range(values: npt.NDArray[Any]) -> tuple[float, float]:
-    """Return smallest and largest value: no mean and no median lies outside."""
+    """Return smallest and largest value: no mean and no quantile lies outside."""
     known = values[np.isfinite(values)]
     return (float(known.min()), float(known.max())) if known.size else (-math.inf, math.inf)
 

@@ -60,7 +60,10 @@ def _errors_of(samples: Samples) -> Mapping[str, Any]:
         return {}
     measure = samples.attrs["adaptive"]["measure"]
     about = "relative_error" if measure == "relMSE" else "root_of_mse"
-    return {f"predicted_{about}": expected, f"estimated_{about}": error_of(samples, measure)}
+    if (percentile := samples.attrs["noise"].get("percentile")) is not None:
+        about += f"_of_{percentile:g}_%_of_pixels"
+    estimated = error_of(samples, measure, percentile)
+    return {f"predicted_{about}": expected, f"estimated_{about}": estimated}
 
 
 def after_render(attrs: Mapping[str, Any], path: Path | None) -> tuple[str, str]:

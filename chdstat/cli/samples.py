@@ -74,6 +74,13 @@ def render(
             metavar="ERROR",
         ),
     ] = None,
+    percentile: Annotated[
+        float | None,
+        option(
+            "Reach the --error in this percentage of the pixels, such as 95, not in the image.",
+            metavar="PERCENT",
+        ),
+    ] = None,
     summary_only: Annotated[
         bool,
         option("Keep no samples: write maps of statistics, histograms and families instead."),
@@ -93,7 +100,7 @@ def render(
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     described = asked.scene(scene)
     if summary_only:
-        if direct or by_depth or light or adaptive or error is not None:
+        if direct or by_depth or light or adaptive or (error, percentile) != (None, None):
             message = (
                 "--summary-only keeps no samples, which --direct, --by-depth, --light, --adaptive "
                 "and --error need"
@@ -118,6 +125,7 @@ def render(
             by_light=light or (),
             adaptive=adaptive,
             error=error,
+            percentile=percentile,
             out=out,
             client=client,
             progress=asked.progress,

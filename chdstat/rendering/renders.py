@@ -65,6 +65,7 @@ def render(
     by_light: Sequence[str] = (),
     adaptive: bool | ErrorMeasure = False,
     error: float | None = None,
+    percentile: float | None = None,
     out: str | Path | None = None,
     backend: Backend = "auto",
     client: Client | None = None,
@@ -137,6 +138,9 @@ def render(
         Relative error of the image to reach, such as 0.02: the root of relMSE, or with
         ``adaptive="MSE"`` that of MSE. The first samples, at most 64 of a pixel, predict how many
         that takes; `spp` is the most that are drawn, on average. The render is adaptive.
+    percentile
+        The error to reach is that of pixels: 95 for what 95 % of them do not exceed. None takes the
+        error of the image, which its noisiest pixels decide.
     out
         Where to store the samples, a path or a URL; None keeps them in memory.
     backend
@@ -195,8 +199,8 @@ def render(
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, spp_held, options.spp)
     how, decided_by = None, existing.adaptive if existing else None
-    if adaptive is not False or error is not None or decided_by is not None:
-        how = Adaptive.of(adaptive, error, options.spp, decided_by)
+    if adaptive is not False or (error, percentile, decided_by) != (None, None, None):
+        how = Adaptive.of(adaptive, error, percentile, options.spp, decided_by)
     if (depths or by_light or how is not None) and options.sequences is not None:
         message = (
             "direct, by_depth and by_light draw the same samples again, and adaptive draws more of "
@@ -264,6 +268,9 @@ def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
         density, noise = decided(writer.finish(), how)
     else:
         density, noise = writer.density, writer.attrs["noise"]
+        if how.percentile not in (None, decided_for := noise.get("percentile")):
+            message = f"counts were decided for percentile {decided_for}, not {how.percentile:g}"
+            raise InputError(message)
     spp = how.spp(noise, job.options.spp)
     height, width = density.shape
     check_spp(job.backend.name, width, height, int(counts_of(density, spp, how.first).max()))

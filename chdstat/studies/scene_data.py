@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat._core.arrays import Array, Counts, Floats, Mask, generator, is_bad, luminance
-from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, median_of
+from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, quantile_of
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
 from chdstat.samples import Samples
@@ -166,7 +166,7 @@ class PixelSet:
 
     def median(self, values: Array) -> Interval[float]:
         """Return the median of values (pixel, ...)."""
-        return median_of(values, self.blocks, level=self.level)
+        return quantile_of(values, self.blocks, level=self.level)
 
     def interval(
         self,

@@ -2,12 +2,13 @@
 
 ``--benchmark-only -s`` prints, for each scene: the relMSE of adaptive renders over that of renders
 with as many samples in each pixel, the first samples counted; the same as it is expected from the
-variances of the reference, which fewer seeds tell; the error (root of relMSE) that the first
-samples predict, and the one that all samples estimate, over the true one; the bias of the image
-with its standard error; and the largest number of samples of a pixel over the mean.
-References have CHDSTAT_REFERENCE_SPP samples (8192) in 64 x 64 pixels. CHDSTAT_ADAPTIVE names other
-scenes, CHDSTAT_SEEDS the number of seeds, CHDSTAT_SPP the samples; real scenes are found in
-CHDSTAT_SCENES.
+variances of the reference, which a single firefly does not decide; the error (root of relMSE) that
+the first samples predict, and the one that all samples estimate, over that of the very image, the
+median over seeds; how many of the intervals of the first hold it; the bias of the image with its
+standard error; and the largest number of samples of a pixel over the mean.
+References have CHDSTAT_REFERENCE_SPP samples (8192) in CHDSTAT_EDGE pixels along each side (64).
+CHDSTAT_ADAPTIVE names other scenes, CHDSTAT_SEEDS the number of seeds, CHDSTAT_SPP the samples;
+real scenes are found in CHDSTAT_SCENES.
 """
 
 import os
@@ -22,7 +23,8 @@ from chdstat.rendering.backend import resolve
 BUILTIN = "caustic cornell-box many-lights night-room bathroom fog day-room gallery"
 REAL = "bathroom/scene.xml veach-bidir/scene.xml veach-mis/scene.xml white-room/scene_night.xml"
 SEEDS, SPP = int(os.environ.get("CHDSTAT_SEEDS", "8")), int(os.environ.get("CHDSTAT_SPP", "64"))
-VIEW = {"size": (64, 64), "progress": False}
+EDGE = int(os.environ.get("CHDSTAT_EDGE", "64"))
+VIEW = {"size": (EDGE, EDGE), "progress": False}
 PARTS = int(os.environ.get("CHDSTAT_REFERENCE_SPP", "8192")) // 512
 
 
@@ -57,18 +59,20 @@ def compared(scene, view):
     plain = [mean_of(chd.render(scene, spp=SPP, seed=i, **view)) for i in seeds]
     found = [chd.render(scene, spp=SPP, adaptive=True, seed=i, **view) for i in seeds]
     images = [mean_of(samples) for samples in found]
-    errors = [relative((image - truth) ** 2, truth) for image in images]
-    equal = [relative((image - truth) ** 2, truth) for image in plain]
+    of_truth = relative(variance / (512 * PARTS), truth)
+    errors = [relative((image - truth) ** 2, truth) - of_truth for image in images]
+    equal = [relative((image - truth) ** 2, truth) - of_truth for image in plain]
     expected = [relative(variance / s.counts[..., np.newaxis], truth) for s in found]
-    predicted = [expected_error(samples.attrs).value for samples in found]
-    estimated = [error_of(samples).value for samples in found]
+    roots, predicted = np.sqrt(errors), [expected_error(samples.attrs) for samples in found]
+    estimated = np.array([error_of(samples).value for samples in found])
     of_counts = np.mean([variance / s.counts[..., np.newaxis] for s in found], axis=0)
     of_bias = error_of_mean(of_counts / SEEDS + variance / (512 * PARTS)) / truth.mean()
     return {
         "relMSE": np.mean(errors) / np.mean(equal),
         "expected": np.mean(expected) / relative(variance / SPP, truth),
-        "predicted": np.median(predicted) / np.mean(errors) ** 0.5,
-        "estimated": np.median(estimated) / np.mean(errors) ** 0.5,
+        "predicted": np.median([p.value for p in predicted] / roots),
+        "held": np.mean([p.low <= x <= p.high for p, x in zip(predicted, roots, strict=True)]),
+        "estimated": np.median(estimated / roots),
         "bias": np.mean(images) / truth.mean() - 1,
         "+-": of_bias,
         "most": np.mean([samples.spp for samples in found]) / SPP,

@@ -457,6 +457,12 @@ def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
     assert "an error of 0.001 takes about" in caplog.text
     code, out, _ = run("info", tmp_path / "a.zarr")
     assert "those of other pixels decided how many" in out
+    code, _, err = run("render", *view, "--spp", 20, "--error", 1e-3, "--percentile", 90)
+    assert code == 1
+    assert "decided for percentile None" in err
+    other = ("-o", tmp_path / "b.zarr", "--spp", 16, "--error", 1e-3, "--percentile", 90)
+    _, out, _ = run("render", *view, *other)
+    assert "estimated relative error of 90 % of pixels" in out
     code, _, err = run("render", *view, "--summary-only", "--error", 0.1)
     assert code == 1
     assert "--summary-only keeps no samples" in err

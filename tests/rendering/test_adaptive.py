@@ -31,30 +31,53 @@ def of_each(samples):
 
 
 def test_counts_follow_the_noise():
-    """Of two halves with 1 and 16 times the noise, the error falls nearly as Neyman says."""
+    """Of two halves with 1 and 16 times the noise, the error falls nearly as Neyman says.
+
+    Of the mean noise, 8.5, a fiftieth is added.
+    """
     noise, albedo = np.ones((16, 32)), np.zeros((16, 32, 3), np.float32)
     noise[:, 16:], albedo[:, 16:] = 16, 1
-    density = density_of(noise, {"albedo": albedo})
+    density = density_of(noise, np.ones((16, 32)), {"albedo": albedo})
     assert density.mean() == pytest.approx(1)
-    assert density[:, 16:] / density[:, :16] == pytest.approx(16**0.35, rel=0.05)
+    assert density[:, 16:] / density[:, :16] == pytest.approx(14**0.35, rel=0.02)
     assert 1 < (noise / density).mean() / np.sqrt(noise).mean() ** 2 < 1.04
+
+
+def test_of_equal_noise_the_darker_gets_more():
+    """It is better known where it is bright: a pixel that looks noisy may have met one bright path.
+
+    For the absolute error, the bright one gets more.
+    """
+    bright = np.where(np.arange(32) < 16, 1.0, 8.0) * np.ones((16, 1))
+    for powers, ratio in (((0.35, -0.12), 8**-0.12), ((0.2, 0.2), 8**0.2)):
+        density = density_of(np.ones((16, 32)), bright, {"depth": bright}, powers)
+        assert density[:, 16:] / density[:, :16] == pytest.approx(ratio, rel=0.03)
 
 
 @pytest.mark.parametrize("noise", [np.zeros((8, 8)), np.ones((1, 1)), np.ones((1, 5))])
 def test_pixels_that_are_alike_get_as_many(noise):
-    assert density_of(noise, {}) == pytest.approx(1)
+    assert density_of(noise, noise, {}) == pytest.approx(1)
 
 
 def test_dark_pixels_are_looked_at_and_none_gets_all():
-    noise = np.zeros((32, 32))
-    noise[:8, :8] = 1e6
-    density = density_of(noise, {})
-    assert density.min() == pytest.approx(0.25)
-    assert density.max() <= 8
-    assert density.mean() == pytest.approx(1)
+    for noisy, ends in ((8, (0.65, 8)), (24, (0.5, 4.25))):
+        noise = np.zeros((64, 64))
+        noise[:noisy, :noisy] = 1e9
+        density = density_of(noise, noise, {}, (0.5, 0.5), least=0.5)
+        assert (density.min(), density.max()) == pytest.approx(ends, rel=0.02)
+        assert density.mean() == pytest.approx(1)
 
 
-@pytest.mark.parametrize("how", [HOW, Adaptive("MSE", 8), Adaptive("MSE", 8, error=0.1)])
+@pytest.mark.parametrize(
+    "how",
+    [
+        HOW,
+        Adaptive("MSE", 8),
+        Adaptive("MSE", 8, error=0.1),
+        Adaptive("relMSE", 8, error=0.1),
+        Adaptive("relMSE", 8, error=0.1, percentile=80),
+    ],
+)
 def test_a_pixel_does_not_decide_for_itself(how):
     x = glints(np.random.default_rng(0), (9, 12, 1, 8))
     changed = x.copy()
@@ -99,6 +122,33 @@ def test_the_error_is_predicted():
     assert predicted.value == pytest.approx(truth, rel=0.1)
     assert error_of(samples, "MSE").value == pytest.approx(truth, rel=0.1)
     assert predicted.low < predicted.value < predicted.high
+
+
+def test_a_single_bright_sample_does_not_hide_its_own_error():
+    """Fireflies of 50 times the mean, in one pixel of 200, decide the error of the image.
+
+    Relative to means that hold them, it would seem less than half as large.
+    """
+    rng = np.random.default_rng(1)
+    x = 1 + np.where(rng.random((32, 32, 1, 64)) < 0.005 / 64, 64 * 50.0, 0)
+    truth = math.sqrt((np.square(x.mean(axis=-1) - 1.25) / (1.01 * 1.25**2)).mean())
+    found = error_of(chd.Samples.from_array(x.astype(np.float32)))
+    assert found.value == pytest.approx(truth, rel=0.3)
+
+
+def test_a_percentile_is_that_of_the_pixels():
+    """Nine pixels of ten have an error of 1 in 8, the others of 5 in 8."""
+    rng = np.random.default_rng(5)
+    scale = np.where(np.arange(40) < 36, 1.0, 5.0) * np.ones((40, 1))
+    x = 100 + scale[..., np.newaxis, np.newaxis] * rng.normal(size=(40, 40, 1, 64))
+    samples = chd.Samples.from_array(x.astype(np.float32))
+    found = {share: error_of(samples, "MSE", share).value for share in (50, 95)}
+    assert found[50] == pytest.approx(1 / 8, rel=0.1)
+    assert found[95] == pytest.approx(5 / 8, rel=0.1)
+    how = Adaptive("MSE", 64, error=0.1, percentile=95)
+    density, noise = decided(samples, how)
+    reached = np.percentile(scale**2 / density, 95) / noise["value"]
+    assert reached == pytest.approx(1, rel=0.15)
 
 
 def test_the_budget_reaches_the_error():
@@ -208,6 +258,9 @@ def test_what_makes_no_sense_is_refused(stored):
         chd.render(scene, adaptive="relmse")
     with pytest.raises(InputError, match="above 0"):
         chd.render(scene, error=0.0)
+    for settings in ({"percentile": 95}, {"percentile": 100, "error": 0.1}):
+        with pytest.raises(InputError, match="percentile"):
+            chd.render(scene, **settings)
     with pytest.raises(InputError, match="only independent"):
         chd.render(scene, adaptive=True, sampler="stratified")
     with pytest.raises(StoreError, match="adaptive: stored None"):

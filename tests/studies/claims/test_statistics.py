@@ -21,8 +21,8 @@ from chdstat._core.resampling import (
     interval_of,
     largest_of,
     mean_of,
-    median_of,
     q_values,
+    quantile_of,
 )
 from chdstat.studies.claims import CLAIMS, ClaimTest, SceneData
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
@@ -53,7 +53,7 @@ def field(rng, blocks):
     return shared[blocks.of_pixel] + 0.5 * rng.normal(size=len(blocks.of_pixel))
 
 
-@pytest.mark.parametrize("statistic", [mean_of, median_of])
+@pytest.mark.parametrize("statistic", [mean_of, quantile_of])
 def test_intervals_cover_where_neighbours_resemble_each_other(statistic):
     rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
     found = [statistic(field(rng, blocks), blocks) for _ in range(150)]
@@ -81,7 +81,7 @@ def test_few_blocks_have_no_interval_and_missing_pixels_take_no_part():
     blocks, values = Blocks.grid(8, 8), np.random.default_rng(0).normal(size=(64, 3))
     values[::2] = np.nan
     assert mean_of(values, blocks).value == pytest.approx(np.nanmean(values))
-    for statistic in (mean_of, median_of):
+    for statistic in (mean_of, quantile_of):
         assert np.isnan(statistic(values * np.nan, blocks).value)
     assert np.isnan(interval_of(lambda w: np.full(len(w), np.nan), blocks).low)
 
@@ -380,7 +380,7 @@ def test_room_is_left_for_the_samples_that_are_missing(draw, spp, truth):
     for count in (64, 2000):
         x = draw(rng, (count, spp))
         grown = growing(x, x > 0, lambda moments: moments.skewness)
-        found = with_room(median_of(grown[-1], Blocks.grid(8, count // 8)), grown)
+        found = with_room(quantile_of(grown[-1], Blocks.grid(8, count // 8)), grown)
         assert found.high > truth
         if truth == 0:  # what does not grow is known
             assert found.high < 0.5
