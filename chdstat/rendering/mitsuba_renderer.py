@@ -122,10 +122,9 @@ class MitsubaRenderer:
             guiding.into_scene(self._mi, self._scene, self.job.guide)
             return self.job.guide
         seeds = [self._streams.of_training(i) for i in range(guiding.PASSES)]
-        only_if_it_pays = self.job.guided == "auto"
-        return guiding.trained(
-            self._mi, self._scene, sensor, self.size, seeds, only_if_it_pays=only_if_it_pays
-        )
+        width, height = self.size
+        samples = width * height * self.job.options.spp if self.job.guided == "auto" else None
+        return guiding.trained(self._mi, self._scene, sensor, self.size, seeds, samples=samples)
 
     @property
     def identity(self) -> dict[str, Any]:

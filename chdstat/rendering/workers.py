@@ -145,7 +145,7 @@ def _remote(job: Job, identity: dict[str, Any]) -> Iterator[MitsubaRenderer]:
     """
     options = replace(job.options, spp=1)  # any number of samples takes the same renderer
     parts = identity["scene_hash"], identity["scene_code"], options, job.backend, job.light
-    key = (str(parts), job.plugins)
+    key = (str(parts), job.plugins, job.guide and job.guide.digest)
     with activate(job.backend), _REMOTE_LOCK:
         if key not in _REMOTE:
             _REMOTE.clear()

@@ -43,7 +43,7 @@ for name, x in drawn.items():
         print(f"{name}, {region.name:12}: {mean:.4f} ± {error:.4f}, {null:.0%} null, x{most:.0f}")
 
 # %%
-# Guiding costs half as much time again for each sample, and some seconds before the first one.
+# Guiding costs a third as much time again for each sample, and a second before the first one.
 # ``integrator="auto"`` guides only where its own paths tell that this pays. Claims 30 to 32 of
 # ``chdstat study --integrators`` put numbers on what is seen here, for any scene.
 #

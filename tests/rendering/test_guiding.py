@@ -1,5 +1,6 @@
 """Path guiding: densities are what is drawn, nothing is biased, a guide belongs to its samples."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,11 @@ from chdstat.errors import RenderError, StoreError
 from chdstat.rendering import guiding, render_batches, render_pixels
 from chdstat.rendering.backend import activate, resolve
 from chdstat.rendering.guiding import Guide, Lookup, Paths, learn, uniform
+from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
+from chdstat.rendering.options import Job, RenderOptions
+from chdstat.rendering.workers import render_remote
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import chunk_grid
 
 BOX = {"type": "cube"}
 ROOM = {
@@ -127,6 +132,16 @@ def test_drawn_directions_have_the_density_that_is_said(wavefront, guide):
         assert np.mean(part / density) == pytest.approx(angle, abs=4 * error)
 
 
+def test_materials_without_a_diffuse_part_are_not_guided(wavefront):
+    materials = {"diffuse": True, "roughplastic": True, "roughconductor": False, "conductor": False}
+    spheres = {kind: {"type": "sphere", "material": {"type": kind}} for kind in materials}
+    with activate(resolve(wavefront)) as mi:
+        scene = mi.load_dict({"type": "scene", **spheres})
+        guiding.into_scene(mi, scene, uniform((0, 0, 0), (1, 1, 1)))
+        found = {s.id(): type(s.bsdf()).__name__ == "Guided" for s in scene.shapes()}
+    assert found == materials
+
+
 @pytest.fixture(scope="module")
 def both(wavefront):
     """Return the room by path tracing, and guided."""
@@ -173,8 +188,29 @@ def test_it_needs_a_backend_of_wavefronts_and_a_scene_of_its_own(wavefront):
     assert short.attrs["integrator"]["max_depth"] == 2
 
 
-def test_auto_is_the_integrator_of_the_scene_where_guiding_does_not_pay(wavefront, tmp_path):
+def test_a_worker_draws_the_same_samples(wavefront):
+    """The guide travels with the job, and is no other job's."""
+    job = Job.of(ROOM, RenderOptions(spp=4, integrator="guided", backend=wavefront))
+    (chunk,) = chunk_grid(12, 12, 4)
+    with activate(job.backend):
+        renderer = MitsubaRenderer(job)
+        sent = pickle.loads(pickle.dumps(renderer.job))
+        assert sent.guide.digest == renderer.provenance["guide"]
+        samples = {}
+        for name, guide in (("guided", sent.guide), ("plain", guiding.NOTHING)):
+            of_worker = replace(sent, guide=guide)
+            ((_, samples[name]),) = render_remote(
+                of_worker, renderer.identity, None, (chunk, [chunk])
+            )
+        assert np.array_equal(samples["guided"], renderer.chunk(chunk))
+    assert np.array_equal(samples["plain"], chd.render(ROOM, spp=4, backend=wavefront).read())
+
+
+def test_auto_is_the_integrator_of_the_scene_where_guiding_does_not_pay(
+    wavefront, tmp_path, monkeypatch
+):
     """Without its tray, nothing hides the lamp, and light is sampled well."""
+    monkeypatch.setattr(guiding, "FEW", 0)
     lit = {name: value for name, value in ROOM.items() if name != "tray"}
     out, view = tmp_path / "lit.zarr", VIEW | {"backend": wavefront}
     plain = chd.render(lit, **view).read()
@@ -193,6 +229,9 @@ def test_auto_is_the_integrator_of_the_scene_where_guiding_does_not_pay(wavefron
 def test_auto_is_guided_where_that_pays(wavefront, monkeypatch):
     """The guide of the room takes the variance to .75 of what it is."""
     monkeypatch.setattr(guiding, "WORTH", 0.95)
+    few = chd.render(ROOM, integrator="auto", spp=4, backend=wavefront)
+    assert few.attrs["guide"] is None  # a training would cost more than it can gain
+    monkeypatch.setattr(guiding, "FEW", 0)
     auto, guided = (
         chd.render(ROOM, integrator=i, spp=4, backend=wavefront) for i in ("auto", "guided")
     )
