@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Image, Seed, is_bad, plain, seed_number, whole
 from chdstat._core.files import release, unused, writing
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.reasons import flag_names
@@ -550,9 +551,6 @@ def overview(found: xr.Dataset) -> Overview:
 
 _NOISIEST = 0.1
 """Share of the pixels that are called the noisiest."""
-_LIT = 0.01
-"""Part of the squared mean radiance of the image that keeps relative variances finite, as in the
-relative squared error of `chdstat.compare`."""
 
 
 @dataclass(frozen=True)
@@ -587,9 +585,8 @@ def noise_of(found: xr.Dataset) -> Noise:
     """Return where the relative variance of luminance is, as relMSE weighs it."""
     mean = found["luminance_mean"].values
     spread = found["coefficient_of_variation"].values * mean
-    typical = float(mean[np.isfinite(mean)].mean()) if np.isfinite(mean).any() else np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
-        variance = spread**2 / (mean**2 + _LIT * typical**2)
+        variance = spread**2 / relative_scale(mean)
     variance = np.where(np.isfinite(variance), variance, 0.0)
     total = float(variance.sum()) or np.nan
     count = max(1, round(_NOISIEST * variance.size))
