@@ -29,14 +29,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, chunks
+from chdstat._core.arrays import Counts, Floats, Mask, Reals, batch_rows, chunks
 from chdstat._core.positive import LogStatistics, Part, PositivePart
 from chdstat.errors import Reason
 from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import take_part
 from chdstat.fit.groups import cumulative
 
-__all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "distinct_values", "split"]
+__all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "distinct_values", "split", "with_rows"]
 
 MOST_ATOMS = 8
 """Most atoms of a row: one with more has no continuous part to speak of."""
@@ -127,19 +127,13 @@ def split(part: Part) -> Atoms:
     discrete, rest = np.zeros(n.size, dtype=bool), part
     rows = np.flatnonzero(tied)
     if rows.size:
-        x = np.array(part.x, dtype=np.float64).reshape(-1, samples)
-        positive = np.array(part.positive).reshape(-1, samples)
+        x = batch_rows(part.x, shape, rows).astype(np.float64)
+        positive = batch_rows(part.positive, shape, rows)
         for piece in chunks(len(rows), samples):
             at = rows[piece]
-            found = _split_rows(x[at], positive[at], n[at])
-            values[at], counts[at], discrete[at], x[at], positive[at] = found
-        rest = replace(
-            part,
-            x=np.asarray(x.reshape(part.x.shape)),
-            positive=np.asarray(positive.reshape(part.x.shape)),
-            n=(n - counts.sum(axis=-1)).reshape(shape),
-        )
-        _keep_statistics(rest, part, rows)
+            found = _split_rows(x[piece], positive[piece], n[at])
+            values[at], counts[at], discrete[at], x[piece], positive[piece] = found
+        rest = with_rows(part, rows, x, positive)
     return Atoms(
         values=values.reshape(*shape, MOST_ATOMS),
         counts=counts.reshape(*shape, MOST_ATOMS),
@@ -149,13 +143,24 @@ def split(part: Part) -> Atoms:
     )
 
 
-def _keep_statistics(rest: PositivePart, part: PositivePart, changed: Counts) -> None:
-    """Take over the sums of a part of which only some rows are changed."""
-    known = {n: np.array(v).reshape(-1) for n, v in vars(part.log_statistics).items()}
-    for name, values in vars(take_part(rest, changed).log_statistics).items():
-        known[name][changed] = values
-    shaped = {name: values.reshape(part.n.shape) for name, values in known.items()}
-    vars(rest)["log_statistics"] = LogStatistics(**shaped)
+def with_rows(part: PositivePart, rows: Counts, x: Reals, positive: Mask) -> PositivePart:
+    """Return a part with other samples in some rows of the flattened batch, in double precision.
+
+    The sums of the rows that stay are taken over.
+    """
+
+    def put(old: npt.NDArray[Any], new: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        whole = np.array(old, dtype=new.dtype, order="C")
+        whole.reshape(part.n.size, *new.shape[1:])[rows] = new
+        return whole
+
+    n = np.count_nonzero(positive, axis=-1).astype(np.int64)
+    x = put(part.x, x.astype(np.float64))
+    found = replace(part, x=x, positive=put(part.positive, positive), n=put(part.n, n))
+    sums = vars(take_part(found, rows).log_statistics)
+    kept = {name: put(old, sums[name]) for name, old in vars(part.log_statistics).items()}
+    vars(found)["log_statistics"] = LogStatistics(**kept)
+    return found
 
 
 def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
@@ -385,17 +390,4 @@ def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
         filled.x[row, at] = law.isf(share * law.sf(top[row]))
         filled = replace(filled)
         parameters = estimate_part(filled, described)[0].parameters
-    samples = part.x.shape[-1]
-    x, positive = (np.array(v).reshape(-1, samples) for v in (atoms.rest.x, atoms.rest.positive))
-    x[rows], positive[rows] = filled.x, filled.positive
-    n = atoms.rest.n.reshape(-1).copy()
-    n[rows] = filled.n
-    shape = part.x.shape
-    imputed = PositivePart(
-        np.asarray(x.reshape(shape), dtype=np.float64),
-        np.asarray(positive.reshape(shape), dtype=bool),
-        n.reshape(part.n.shape),
-        *(part.n_null, part.n_zero, part.n_negative, part.n_bad),
-    )
-    _keep_statistics(imputed, atoms.rest, rows)
-    return imputed
+    return with_rows(atoms.rest, rows, filled.x, filled.positive)

@@ -29,7 +29,7 @@ from chdstat._core.display import Card, Width, each, reasons, with_error, writte
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import Reason
-from chdstat.fit.atoms import before_clamps, distinct_values, split
+from chdstat.fit.atoms import before_clamps, distinct_values, split, with_rows
 from chdstat.fit.em import Solution
 from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
@@ -327,10 +327,9 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
 
 def _spread_steps(part: PositivePart, steps: Mask) -> PositivePart:
     """Return the part with the samples of the rows on `steps` spread over them."""
-    x, positive = part.x.astype(np.float64), part.positive.copy()
     moved = _without_ties(part.sorted[steps], part.n[steps], rounded=True)
-    x[steps], positive[steps] = np.where(part.valid[steps], moved, 0), part.valid[steps]
-    return replace(part, x=x, positive=positive)
+    valid = part.valid[steps]
+    return with_rows(part, np.flatnonzero(steps), np.where(valid, moved, 0), valid)
 
 
 def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = False) -> Floats:
