@@ -28,9 +28,9 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask
+from chdstat._core.arrays import Floats, Mask
 from chdstat.fit._gamma import gap_of_shape
-from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups, take_last
+from chdstat.fit.groups import SPREAD_FLOOR, RowsLast, SampleGroups, take_last
 
 __all__ = [
     "COMPONENTS",
@@ -254,7 +254,7 @@ _REACH = 64.0
 
 
 @dataclass(frozen=True)
-class Solution:
+class Solution(RowsLast):
     """A mixture of each row, of a family and a number of components.
 
     Attributes
@@ -277,16 +277,6 @@ class Solution:
     origin: Floats
     log_likelihood: Floats
     converged: Mask
-
-    def take(self, rows: Counts) -> Solution:
-        """Return some of the rows."""
-        return Solution(
-            self.family,
-            take_last(self.state, rows),
-            self.origin[rows],
-            self.log_likelihood[rows],
-            self.converged[rows],
-        )
 
 
 def run(

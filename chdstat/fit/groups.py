@@ -8,16 +8,16 @@ too. Rows come last: there are many more of them than groups, and long loops tak
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, chunks
 
-__all__ = ["SampleGroups", "groups_of_bins", "groups_of_each", "groups_of_samples"]
+__all__ = ["RowsLast", "SampleGroups", "groups_of_bins", "groups_of_each", "groups_of_samples"]
 
 SPREAD_FLOOR = 1e-3
 """Least standard deviation of a component in log x: its square is scikit-learn's `reg_covar`."""
@@ -28,7 +28,18 @@ _SPIKE_EDGES = 4
 
 
 @dataclass(frozen=True)
-class SampleGroups:
+class RowsLast:
+    """Arrays whose last axis is rows, and what all rows share."""
+
+    def take(self, rows: npt.NDArray[Any]) -> Self:
+        """Select some of the rows, by their numbers or by a mask."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        arrays = {n: take_last(v, rows) for n, v in values.items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
+
+
+@dataclass(frozen=True)
+class SampleGroups(RowsLast):
     """Rows of groups, each in ascending order.
 
     Attributes
@@ -52,10 +63,6 @@ class SampleGroups:
     origin: Floats
     floor: Floats
     spacing: Floats
-
-    def take(self, rows: npt.NDArray[Any]) -> SampleGroups:
-        """Select some of the rows."""
-        return SampleGroups(*(take_last(getattr(self, field.name), rows) for field in fields(self)))
 
     @cached_property
     def n(self) -> Floats:

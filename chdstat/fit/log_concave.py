@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chdstat._core.arrays import Counts, Floats, Mask, spans
-from chdstat.fit.groups import cumulative, take_last
+from chdstat._core.arrays import Counts, Floats, spans
+from chdstat.fit.groups import RowsLast, cumulative, take_last
 
 __all__ = ["log_concave_likelihood"]
 
@@ -37,7 +37,7 @@ _CHUNK = 4096
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _Problem(RowsLast):
     """Knots of some rows: everything has the rows last, since there are many more of them.
 
     The constraints are ``slack = below p[:-2] + center p[1:-1] + above p[2:] >= 0``, which is the
@@ -59,10 +59,6 @@ class _Problem:
         total[1:-1] += force
         total[2:] += self.above * force
         return total
-
-    def take(self, rows: Mask) -> _Problem:
-        values = self.step, self.weight, self.below, self.above
-        return _Problem(*(take_last(v, rows) for v in values))
 
 
 def log_concave_likelihood(ascending: Floats, n: Counts) -> Floats:
