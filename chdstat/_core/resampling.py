@@ -445,7 +445,8 @@ _FLIP_STEPS, _DIVISION_STEPS, _HALVINGS, _TOLERANCE = 40, 60, 30, 1e-6
 def _by_rows(test: Callable[..., Floats], step: int, *arrays: Array) -> Floats:
     """Apply a test to the rows of arrays, `step` of them at a time, and return its p-values."""
     parts = spans(len(arrays[0]), max(1, step))
-    return np.concatenate([np.zeros(0), *(test(*(x[rows] for x in arrays)) for rows in parts)])
+    with np.errstate(all="ignore"):
+        return np.concatenate([np.zeros(0), *(test(*(x[rows] for x in arrays)) for rows in parts)])
 
 
 def _subsets(count: int) -> Floats:
@@ -455,8 +456,7 @@ def _subsets(count: int) -> Floats:
 
 def _beyond(r: Floats, u: Floats, normal: Floats) -> Floats:
     """Return the normal tail beyond Barndorff-Nielsen's r*, beyond `normal` near the mean."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        star = np.where(r > _NEAR_MEAN, r + np.log(np.maximum(u, 1e-30) / r) / r, normal)
+    star = np.where(r > _NEAR_MEAN, r + np.log(np.maximum(u, 1e-30) / r) / r, normal)
     return np.asarray(special.ndtr(-np.maximum(star, 0)))
 
 
@@ -486,9 +486,8 @@ def _p_of_signs(d: Reals) -> Floats:
     largest = size.max(axis=1, initial=0)
     known = largest > 0
     scale = np.where(known, largest, 1)[:, np.newaxis]
-    with np.errstate(under="ignore"):
-        size = size / scale
-        total = np.abs((d / scale).sum(axis=1, dtype=float))
+    size = size / scale
+    total = np.abs((d / scale).sum(axis=1, dtype=float))
     terms, top = (size > 0).sum(axis=1), size.sum(axis=1, dtype=float)
     root = np.sqrt(np.einsum("ij,ij->i", size, size, dtype=float))
     few, many = known & (terms <= _ENUMERATED), known & (terms > _ENUMERATED)
@@ -526,10 +525,9 @@ def _beyond_flips(size: Reals, total: Floats) -> Floats:
         if not len(active):
             break
     tilted = tilt[:, np.newaxis].astype(size.dtype) * size
-    with np.errstate(under="ignore"):
-        small = np.exp(-2 * tilted)
-        cumulant = (tilted + np.log1p(small)).sum(axis=1, dtype=float) - np.log(2) * size.shape[1]
-        bend = (small * (2 * size / (1 + small)) ** 2).sum(axis=1, dtype=float)
+    small = np.exp(-2 * tilted)
+    cumulant = (tilted + np.log1p(small)).sum(axis=1, dtype=float) - np.log(2) * size.shape[1]
+    bend = (small * (2 * size / (1 + small)) ** 2).sum(axis=1, dtype=float)
     r = np.sqrt(2 * np.maximum(tilt * total - cumulant, 1e-30))
     return _beyond(r, tilt * np.sqrt(np.maximum(bend, 1e-30)), total / np.sqrt(squares))
 
@@ -599,8 +597,7 @@ def _p_of_divisions(x: Reals, good: Mask, first: int) -> Floats:
     share[few] = _enumerated_divisions(centred[few], good[few], n[few], count[few], first)
     rest = ~few
     # Sums of equal steps apart, as of atoms: half a step is the correction for continuity.
-    with np.errstate(invalid="ignore"):
-        gaps = np.diff(ordered, axis=1)
+    gaps = np.diff(ordered, axis=1)
     step = np.where((gaps > _EQUAL) & np.isfinite(gaps), gaps, np.inf).min(axis=1, initial=np.inf)
     total = np.maximum(total - np.where(np.isfinite(step), step, 0) / 2, 0)
     share[rest] = np.maximum(
@@ -780,9 +777,8 @@ class Shuffles:
         total, apart = a + b, a - b
         total = total - total.mean(axis=1, keepdims=True)
         product = (total * apart).astype(np.float32)
-        with np.errstate(all="ignore"):
-            scale = np.sqrt(np.square(total).sum(axis=1) * np.square(apart).sum(axis=1))
-            return product.sum(axis=1) / scale, (product @ self.weights) / scale[:, np.newaxis]
+        scale = np.sqrt(np.square(total).sum(axis=1) * np.square(apart).sum(axis=1))
+        return product.sum(axis=1) / scale, (product @ self.weights) / scale[:, np.newaxis]
 
     def _log_ratio(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         z = np.concatenate([a, b], axis=1).astype(np.float32)
@@ -800,8 +796,7 @@ class Shuffles:
             np.maximum(square / k - (total / k) ** 2, 0) * k / max(k - 1, 1)
             for (total, square), k in zip((of_first, of_second), self.n, strict=True)
         )
-        with np.errstate(all="ignore"):
-            found = np.log(one / other)
+        found = np.log(one / other)
         return found[:, 0], found[:, 1:]
 
     def _distance(self, a: Reals, b: Reals) -> tuple[Floats, Reals]:

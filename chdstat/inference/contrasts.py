@@ -416,6 +416,7 @@ def _why_not(
     return "", None
 
 
+@np.errstate(all="ignore")
 def _losses(
     cells: Cells, terms: int, scan: WindowTest
 ) -> tuple[Interval[float], float, dict[str, float]]:
@@ -446,21 +447,20 @@ def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
     sums = window_sums(d, edge)[0]
     mean, terms = sums.mean(axis=-1), sums.shape[-1]
     base = window_sums(level, edge)[0].mean(axis=-1) - mean / 2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        base = np.where(base > 0, base, np.nan)
-        error = sums.std(axis=-1, ddof=1) / np.sqrt(terms) if terms > 1 else np.nan
+    base = np.where(base > 0, base, np.nan)
+    error = sums.std(axis=-1, ddof=1) / np.sqrt(terms) if terms > 1 else np.nan
     return mean / base, np.broadcast_to(error / base, base.shape)
 
 
+@np.errstate(all="ignore")
 def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interval[float]:
     """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
     mean = (maps["mean_a"][..., 0] + maps["mean_b"][..., 0]) / 2
     scale = relative_scale(mean, np.nanmean(mean))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        costs = [
-            (maps[name] / scale * time).ravel()
-            for name, time in zip(("variance_a", "variance_b"), seconds, strict=True)
-        ]
+    costs = [
+        (maps[name] / scale * time).ravel()
+        for name, time in zip(("variance_a", "variance_b"), seconds, strict=True)
+    ]
     known = np.isfinite(costs).all(axis=0)
     if not known.any():
         return Interval.unknown()
@@ -488,12 +488,12 @@ _LABELS: dict[str, str | tuple[str, str]] = {
 }
 
 
+@np.errstate(all="ignore")
 def _dataset(maps: dict[str, Array], pair: Pair) -> xr.Dataset:
     import xarray as xr
 
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cost_a, cost_b = maps["variance_a"] * pair.seconds[0], maps["variance_b"] * pair.seconds[1]
-        efficiency = cost_a / cost_b
+    cost_a, cost_b = maps["variance_a"] * pair.seconds[0], maps["variance_b"] * pair.seconds[1]
+    efficiency = cost_a / cost_b
     efficiency = np.where(np.isfinite(efficiency), efficiency, np.nan)
     maps = {**maps, "difference": maps["mean_b"] - maps["mean_a"], "efficiency": efficiency}
     variables = {name: (("y", "x", "channel")[: maps[name].ndim], maps[name]) for name in _LABELS}

@@ -213,6 +213,7 @@ def _of_images(
     return Difference(**joined, n=(one, two), paired=pairs)
 
 
+@np.errstate(all="ignore")
 def _of_pixels(a: Floats, b: Floats, paired: bool, replicates: int, seed: int) -> Difference:
     """Compare samples (..., channel, sample), block by block."""
     shape, channels = a.shape[:-2], a.shape[-2]
@@ -264,8 +265,7 @@ def _distances(
     weights = np.concatenate([good_a * one, good_b * -two], axis=-1)
     seen = gaps(weights)
     distance = np.where(last, seen, 0).max(axis=-1)
-    with np.errstate(invalid="ignore"):
-        wasserstein = (seen[..., :-1] * np.diff(ordered, axis=-1)).sum(axis=-1)
+    wasserstein = (seen[..., :-1] * np.diff(ordered, axis=-1)).sum(axis=-1)
     largest = distance.max(axis=-1) - 1e-12
     rng, farther = generator(seed), np.zeros(len(pool), np.int64)
     for _ in range(replicates):
@@ -301,23 +301,22 @@ def _mean_differences(
     # In units of the largest sample, so that 1e30 to the fourth is a number.
     scale = np.max([np.where(size > 0, size, 1.0) for size in sizes], axis=0)
     unit = scale[..., np.newaxis]
-    with np.errstate(divide="ignore", invalid="ignore", under="ignore", over="ignore"):
-        if paired:
-            of = Moments.of((b - a) / unit, used_a)
-            delta, squared, degrees = of.mean, of.variance / of.count, of.count - 1
-            known, constant = of.count > 1, of.variance == 0
-        else:
-            first, second = Moments.of(a / unit, used_a), Moments.of(b / unit, used_b)
-            errors = [x.variance / x.count for x in (first, second)]
-            delta, squared = second.mean - first.mean, errors[0] + errors[1]
-            # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
-            degrees = squared**2 / (
-                errors[0] ** 2 / (first.count - 1) + errors[1] ** 2 / (second.count - 1)
-            )
-            known = (first.count > 1) & (second.count > 1)
-            constant = squared == 0
-        t = delta / np.sqrt(squared)
-        p = 2 * special.stdtr(degrees, -np.abs(t))
+    if paired:
+        of = Moments.of((b - a) / unit, used_a)
+        delta, squared, degrees = of.mean, of.variance / of.count, of.count - 1
+        known, constant = of.count > 1, of.variance == 0
+    else:
+        first, second = Moments.of(a / unit, used_a), Moments.of(b / unit, used_b)
+        errors = [x.variance / x.count for x in (first, second)]
+        delta, squared = second.mean - first.mean, errors[0] + errors[1]
+        # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
+        degrees = squared**2 / (
+            errors[0] ** 2 / (first.count - 1) + errors[1] ** 2 / (second.count - 1)
+        )
+        known = (first.count > 1) & (second.count > 1)
+        constant = squared == 0
+    t = delta / np.sqrt(squared)
+    p = 2 * special.stdtr(degrees, -np.abs(t))
     if not paired:
         for channel in range(p.shape[1]):
             of_divisions = p_of_means(a[:, channel], b[:, channel], good_a, good_b)

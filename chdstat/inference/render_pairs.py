@@ -224,6 +224,7 @@ class Pair:
             for kind, values in (("p", p), ("q", q_values(p)))
         }
 
+    @np.errstate(all="ignore")
     def _tile(self, ys: slice, cell: int, left_out: LeftOut) -> dict[str, Any]:
         """Return what was measured in some rows."""
         sums = self._read(ys, left_out)
@@ -245,8 +246,7 @@ class Pair:
         p_value = np.stack(p, axis=-1)
         of_units = self._of_units(sums, p_value, cell) if all(self.units) else {}
         p_value[(known < 2)[..., 0]] = np.nan
-        with np.errstate(invalid="ignore", divide="ignore"):
-            error = d.std(axis=-1, dtype=float) / np.sqrt(np.maximum(known - 1, 0))
+        error = d.std(axis=-1, dtype=float) / np.sqrt(np.maximum(known - 1, 0))
         reasons = {
             Reason.ALL_BAD: known[..., 0] == 0,
             Reason.TOO_FEW: known[..., 0] < 2,
@@ -378,16 +378,14 @@ class _Sums:
 
     def mean(self) -> Floats:
         """Return the mean of all samples, shape (y, x, channel)."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(
-                self.total.sum(axis=-1) / self.number.sum(axis=-1)[..., np.newaxis], float
-            )
+        return np.asarray(
+            self.total.sum(axis=-1) / self.number.sum(axis=-1)[..., np.newaxis], float
+        )
 
     def variance(self, averaged: int) -> Floats:
         """Return the variance of single samples' luminance, of averages of some, shape (y, x)."""
         count = self.number.sum(axis=-1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            spread = (self.second - self.first**2 / count) / (count - 1) * averaged
+        spread = (self.second - self.first**2 / count) / (count - 1) * averaged
         # What is left of equal samples is rounding.
         rounding = spread <= 1e-12 * self.second / np.maximum(count, 1)
         return np.where(count > 1, np.where(rounding, 0, spread), np.nan)
@@ -425,8 +423,7 @@ def _correlation(a: Array, b: Array) -> Floats:
         np.einsum("yxk,yxk->yx", u, v, dtype=float)
         for u, v in ((one, other), (one, one), (other, other))
     )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(product / np.sqrt(first * second))
+    return np.asarray(product / np.sqrt(first * second))
 
 
 def _other(b: Any) -> Samples | Floats:

@@ -91,18 +91,17 @@ class FlipMoments:
         """Return those of terms (y, x, term)."""
         largest = np.abs(d).max(axis=-1, initial=0)
         scale = np.where(largest > 0, largest, 1).astype(float)
-        with np.errstate(under="ignore"):
-            x = d / scale[..., np.newaxis].astype(d.dtype)
-            total = x.sum(axis=-1, dtype=float)
-            square = np.einsum("...i,...i->...", x, x, dtype=float)
-            above = np.maximum(x, 0).sum(axis=-1, dtype=float)
-            below = above - total
-            x -= (total / d.shape[-1])[..., np.newaxis].astype(d.dtype)
-            cube = x * x
-            central2 = cube.sum(axis=-1, dtype=float)
-            cube *= x
-            central3 = cube.sum(axis=-1, dtype=float)
-            central6 = np.einsum("...i,...i->...", cube, cube, dtype=float)
+        x = d / scale[..., np.newaxis].astype(d.dtype)
+        total = x.sum(axis=-1, dtype=float)
+        square = np.einsum("...i,...i->...", x, x, dtype=float)
+        above = np.maximum(x, 0).sum(axis=-1, dtype=float)
+        below = above - total
+        x -= (total / d.shape[-1])[..., np.newaxis].astype(d.dtype)
+        cube = x * x
+        central2 = cube.sum(axis=-1, dtype=float)
+        cube *= x
+        central3 = cube.sum(axis=-1, dtype=float)
+        central6 = np.einsum("...i,...i->...", cube, cube, dtype=float)
         more = np.maximum(above, below)
         rarer = np.minimum(above, below) / np.where(more > 0, more, 1)
         return cls(d.shape[-1], scale, total, square, central2, central3, central6, rarer, mean)
@@ -131,15 +130,14 @@ class FlipMoments:
         def near(x: Floats) -> Floats:
             return np.asarray(np.maximum(ndimage.uniform_filter(x, edge, mode="nearest"), 0))
 
-        with np.errstate(under="ignore", over="ignore", divide="ignore", invalid="ignore"):
-            square = near(self.central2 * ratio**2) / self.n / np.maximum(ratio, 1e-150) ** 2
-            if not against:
-                return np.asarray(np.nan_to_num(square))
-            cubes = self.central3 * ratio**3
-            sixth = near(self.central6 * ratio**6)
-            places = min(edge, self.scale.shape[0]) * min(edge, self.scale.shape[1])
-            signed = near(np.maximum(cubes, 0)) - near(np.maximum(-cubes, 0))
-            skewness = signed * np.sqrt(places) / np.sqrt(sixth)
+        square = near(self.central2 * ratio**2) / self.n / np.maximum(ratio, 1e-150) ** 2
+        if not against:
+            return np.asarray(np.nan_to_num(square))
+        cubes = self.central3 * ratio**3
+        sixth = near(self.central6 * ratio**6)
+        places = min(edge, self.scale.shape[0]) * min(edge, self.scale.shape[1])
+        signed = near(np.maximum(cubes, 0)) - near(np.maximum(-cubes, 0))
+        skewness = signed * np.sqrt(places) / np.sqrt(sixth)
         opposed = -np.sign(self.total) * np.nan_to_num(skewness) > _SKEWED
         return np.asarray(np.nan_to_num(square) * (opposed | (self.rarer < _ONE_SIDED)))
 
@@ -152,11 +150,11 @@ class FlipMoments:
         square = np.max(
             [self.nearby(e, relative=k, against=against) for e in edges for k in kinds], axis=0
         )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            z = np.abs(self.total) / np.sqrt(self.n * square)
+        z = np.abs(self.total) / np.sqrt(self.n * square)
         return np.where(square > 0, 2 * special.ndtr(-np.nan_to_num(z)), 0)
 
 
+@np.errstate(all="ignore")
 def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
     """Raise the p-values of a map (y, x) where a pixel may have missed rare samples.
 
@@ -305,6 +303,7 @@ def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
     return rows[:, ends[1]] - rows[:, starts[1]], starts
 
 
+@np.errstate(all="ignore")
 def _largest(d: Array, mean: Array, edge: int, flips: Image) -> tuple[Any, tuple[int, int]]:
     """Return the largest standardised sum over windows of each flip, None without any term."""
     sums, starts = window_sums(d, edge)
@@ -397,6 +396,7 @@ def _divided(divisions: sparse.csr_matrix, sums: Array) -> Array:
     return np.asarray(np.abs(one / n[0] - other / n[1]) / np.sqrt(pooled * ratio))
 
 
+@np.errstate(all="ignore")
 def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     """Return what the shorter render may have missed of the image, if it matters.
 
@@ -411,8 +411,8 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     least = _LEAST_LIGHT * np.abs(level)
     if cells.short > 1:
         error = short.std(axis=-1, ddof=1) / np.sqrt(cells.short)
-        with np.errstate(invalid="ignore"):  # no error, of which no multiple is detectable
-            least = np.fmax(detectable * error, least)
+        # No error, of which no multiple is detectable.
+        least = np.fmax(detectable * error, least)
     found = None
     for outside in (
         longer - short.max(axis=-1, keepdims=True),
@@ -423,8 +423,7 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
         # Units that are hardly outside count for hardly any of those that carry the light.
         square = np.square(outside).mean(axis=-1)
         rate = light**2 / np.where(square > 0, square, 1)
-        with np.errstate(divide="ignore"):
-            needed = np.log(CHANCE_TO_MISS) / np.log1p(-rate)
+        needed = np.log(CHANCE_TO_MISS) / np.log1p(-rate)
         hidden = (rate > 0) & (needed > cells.short) & (light > least)
         for band in np.flatnonzero(hidden & (level > 0)):
             share = float(light[band] / level[band])
@@ -439,11 +438,12 @@ def _independent(largest: Floats) -> float:
     return float(np.log(0.5) / np.log1p(-2 * special.ndtr(-middle)))
 
 
+@np.errstate(all="ignore")
 def _log_p(largest: Floats, windows: float) -> Floats:
     """Return the logarithm of the probability of a largest of so many, or of a larger one."""
     below = np.log1p(-2 * special.ndtr(-np.maximum(largest, _ROUNDING)))
-    with np.errstate(divide="ignore"):  # of one too small for a float, that of 0
-        return np.asarray(np.log(-np.expm1(windows * below)))
+    # Of one too small for a float, that of 0.
+    return np.asarray(np.log(-np.expm1(windows * below)))
 
 
 def _detectable(log_p: float, windows: float, terms: int) -> float:
