@@ -484,9 +484,8 @@ def test_what_is_no_test_is_said():
     assert "one render given twice" in twice.conclusion
     assert np.isnan(twice.p_value).all()
     assert "5 samples per pixel are too few" in contrast(small(1, 5), small(2, 9)).conclusion
-    assert "at least 2 samples per pixel, got 1: render 8" in contrast(small(1, 1), small(2, 9)).why
     one, other = (chd.Samples.from_array(small(s, 1, 4), axes="yxcs") for s in (1, 2))
-    assert contrast(one, other).outcome == "cannot tell"
+    assert "at least 2 samples per pixel, got 1: render 8" in contrast(one, other).why
 
 
 def test_one_channel_and_small_images_are_compared():
