@@ -248,7 +248,8 @@ def _densities(
     for pixel in range(1, rows + 1):
         group = [(s, d) for s, d in found if s.pixel == pixel]
         base, color, ends = rows - pixel, PIXEL_COLORS[pixel - 1], _ends([d for _, d in group])
-        note = f"{percent(group[0][0].place.null_share)} null"
+        nulls = dict.fromkeys(percent(s.place.null_share) for s, _ in group)
+        note = f"{' / '.join(nulls)} null"
         if ends and own_x:
             note = " – ".join(dict.fromkeys(map(number, ends)))
         lines += _in_row(_upon_each_other(group), base, ends if own_x else None)

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.display import number
+from chdstat._core.display import number, percent
 from chdstat.errors import Reason
 from chdstat.estimators import registry
 from chdstat.explorer import tables
@@ -139,6 +139,11 @@ def test_the_same_pixel_of_several_stores_stands_in_one_plot():
     assert len({s.color for s in found}) == 2
     drawn = panels(View(), series_of(View(), {"a": [one, two], "b": [two, one]}))["linear"]
     assert drawn.rows == 2
+    dark = PlaceStatistics(gamma(null=0.6), RGB)
+    texts = panels(View(), series_of(View(), {"a": [one, two], "b": [dark, one]}))["log"].texts
+    nulls = [f"{percent(p.null_share)}" for p in (one, dark, two)]
+    assert texts[1][2] == f"{nulls[0]} / {nulls[1]} null"  # of both stores, in their order
+    assert texts[3][2] == f"{nulls[2]} / {nulls[0]} null"
     assert [a.y.max() >= 1 for a in drawn.lines if a.fill] == [True, True, False, False]
 
 
