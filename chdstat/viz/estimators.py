@@ -405,6 +405,14 @@ def _by_number(ax: Axes, numbers: npt.ArrayLike) -> None:
     ax.minorticks_off()
 
 
+def _name_ticks(ax: Axes) -> None:
+    """Give a logarithmic y axis on which powers of ten are few ticks between them, too."""
+    seen = np.concatenate([np.empty(0), *(np.asarray(line.get_ydata()) for line in ax.lines)])
+    seen = np.log(seen[np.isfinite(seen) & (seen > 0)])
+    if seen.size and np.ptp(seen) < _FEW:
+        plain_log(ax.yaxis)
+
+
 @style()
 def curves(
     numbers: npt.ArrayLike,
@@ -458,7 +466,7 @@ def curves(
         for i in range(len(names))
     ]
     across, alone = inches(width, fig), len(panels) == 1
-    columns = 1 if alone else fitting(across, columns, 1.6)
+    columns = fitting(across, min(columns, len(panels)), 1.6)
     height = 2.8 if alone else 1.85 * -(-len(panels) // columns) + 0.4
     figure, axes = panels_in(fig, len(panels), columns, height, width, sharey=not log)
     for ax, (title, panel) in zip(axes, panels.items(), strict=True):
@@ -471,6 +479,7 @@ def curves(
         ax.set_title(verbatim(title))
         if log:
             ax.set_yscale("log", nonpositive="mask")
+            _name_ticks(ax)
         else:
             ax.set_ylim(0, 1.03)
         _by_number(ax, numbers)
@@ -576,6 +585,7 @@ def error_curves(found: ErrorCurve, *, width: Width = "page", fig: Figure | None
     for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
         _draw_error_curves(ax, found, measure, [called(name) for name in found.estimators])
         ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
+        _name_ticks(ax)
         _by_number(ax, found.sizes)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=names)

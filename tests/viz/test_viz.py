@@ -154,6 +154,8 @@ def test_curves_of_several_panels_share_looks_and_one_legend():
     errors = {"dark": {"a": [1e-4, -1e-5]}, "bright": {"a": [10, 5]}}
     dark, bright = viz.curves([8, 16], errors, log=True).axes
     assert dark.get_yscale() == "log"
+    bright.figure.draw_without_rendering()
+    assert {"5", "10"} <= {tick.get_text() for tick in bright.get_yticklabels()}  # within a decade
     assert dark.get_ylim()[1] < bright.get_ylim()[0]
 
 
