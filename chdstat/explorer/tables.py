@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import inference
-from chdstat._core.arrays import Array, Floats
+from chdstat._core.arrays import Floats
 from chdstat._core.display import number, percent, reasons, with_interval
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
@@ -49,6 +49,8 @@ _VARIANCE = {
     "suspect": "variance may be infinite",
     "cannot tell": "variance: cannot tell",
 }
+_UNKNOWN = np.full(2, np.nan)
+"""Ends of an interval that is not known."""
 _FIRST = 7
 """Rows of the table of estimates that are shown at once: the default ones and the best others."""
 
@@ -144,14 +146,10 @@ def patterns_table(columns: Sequence[Column]) -> Table:
 def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> str:
     found, text = place.patterns, percent if "%" in pattern.limit else number
     value = float(found.statistics[pattern.name])
-    interval = found.intervals.get(pattern.name) if alone else None
+    interval = found.intervals.get(pattern.name, _UNKNOWN) if alone else _UNKNOWN
     hidden = place.constant[-1] and pattern.name not in {"null_heavy", "constant"}
-    shown = "—" if hidden else with_interval(value, *_ends(interval), text)
+    shown = "—" if hidden else with_interval(value, *map(float, interval), text)
     return f"{'●' if found.flags[pattern.name] else '○'}\N{NO-BREAK SPACE}{shown}"
-
-
-def _ends(interval: Array | None) -> tuple[float, float]:
-    return (np.nan, np.nan) if interval is None else (float(interval[0]), float(interval[1]))
 
 
 def estimates_table(
