@@ -148,7 +148,8 @@ def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> 
     value = float(found.statistics[pattern.name])
     interval = found.intervals.get(pattern.name, _UNKNOWN) if alone else _UNKNOWN
     hidden = place.constant[-1] and pattern.name not in {"null_heavy", "constant"}
-    shown = "—" if hidden else with_interval(value, *map(float, interval), text)
+    low, high = map(float, interval)
+    shown = "—" if hidden else with_interval(value, low, high, text)
     return f"{'●' if found.flags[pattern.name] else '○'}\N{NO-BREAK SPACE}{shown}"
 
 
