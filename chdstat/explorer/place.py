@@ -55,7 +55,7 @@ __all__ = [
     "suggest",
 ]
 
-_OF_FIRST = {"part", "_further_fits", "_positive", "patterns", "gaussianity", "means"}
+_OF_FIRST = {"part", "_positive", "patterns"}
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
 _POINTS = 96
@@ -94,7 +94,6 @@ class PlaceStatistics:
     def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
         self.channels = channels
         self._positive: dict[tuple[str, int], FittedCurve | None] = {}
-        self._further_fits: dict[str, Fit] = {}
         self.bad = np.asarray(is_bad(x).any(axis=0))
         self.null = is_null(x) & ~self.bad
         self.names = channels
@@ -178,13 +177,13 @@ class PlaceStatistics:
         """Whether one sample dominates luminance."""
         return bool(self.patterns.flags["firefly_dominated"])
 
-    @cached_property
+    @property
     def gaussianity(self) -> inference.Gaussianity:
         """Anderson-Darling's test of the logarithms and of the samples, shape (row, 2, 1)."""
         tests = Normality(("log", "linear"), ("anderson-darling",))
         return measured(self.part, tests)
 
-    @cached_property
+    @property
     def means(self) -> inference.GaussianityOfMeans | None:
         """Normality of averages, of each row; None with fewer samples than averages to test."""
         if self.fitted_spp < inference.N_MEANS:
@@ -230,10 +229,10 @@ class PlaceStatistics:
             return None
         if family == "mixture":
             return take_rows(self.mixture, row, axis=0)
-        fits = selection.fits if family in selection.fits else self._further_fits
-        if family not in fits:
-            self._further_fits[family] = measured(self.part, FamilyFit(FAMILIES[family]))
-        return take_rows(fits[family], row, axis=0)
+        found = selection.fits.get(family)
+        if found is None:
+            found = measured(self.part, FamilyFit(FAMILIES[family]))
+        return take_rows(found, row, axis=0)
 
     def positive(self, family: str, row: int) -> FittedCurve | None:
         """Return name, density and quantiles of the positive part of a fit, None without a fit.

@@ -28,7 +28,6 @@ from chdstat.viz.styling import (
     PALETTE,
     UNIT,
     axes_in,
-    blocks,
     fitting,
     grid,
     inches,
@@ -744,9 +743,13 @@ def batch_histograms(
     """
     count, across = len(batches), inches(width, fig)
     columns = fitting(across, count, 1.1)
-    height = 2.1 * -(-count // columns)
-    figure = page(fig, height, min(across, 1.74 * max(1, columns)))
-    upper_row, lower_row = blocks(figure, count, columns)
+    rows = -(-count // columns)
+    figure = page(fig, 2.1 * rows, min(across, 1.74 * max(1, columns)))
+    # Below each row of batches there is one of their means.
+    cells = np.array(grid(figure, 2 * rows * columns, columns)).reshape(rows, 2, columns)
+    upper_row, lower_row = cells.swapaxes(0, 1).reshape(2, -1)
+    for empty in (*upper_row[count:], *lower_row[count:]):
+        empty.remove()
     for i, (name, samples) in enumerate(batches.items()):
         x, color = np.asarray(samples, dtype=np.float64), qualitative(count)[i]
         means, expected = x.mean(axis=1), float(x.mean())
@@ -775,7 +778,7 @@ def batch_histograms(
             ax.set(yticks=[], xlim=(min(0.0, float(means.min())), None))
             ax.locator_params(axis="x", nbins=3)
             ax.spines["left"].set_visible(False)
-    for above, below in zip(upper_row[::columns], lower_row[::columns], strict=True):
+    for above, below in cells[:, :, 0]:
         above.set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
         below.set_ylabel(f"their {len(x)}\nmeans")
     figure.supxlabel(f"radiance in {UNIT}")

@@ -44,7 +44,6 @@ __all__ = [
     "WIDTHS",
     "axes_in",
     "bare",
-    "blocks",
     "families",
     "fitting",
     "grid",
@@ -287,16 +286,6 @@ def panels_in(
     """Return the figure to draw into and its axes; see `page` and `grid`."""
     figure = page(fig, height, width)
     return figure, grid(figure, number, columns, sharey=sharey, width_ratios=width_ratios)
-
-
-def blocks(figure: Figure, number: int, columns: int, rows: int = 2) -> list[list[Axes]]:
-    """Return rows of so many axes each, broken where they reach the right: list (row, place)."""
-    parts = -(-number // columns)
-    cells = np.array(grid(figure, rows * parts * columns, columns)).reshape(-1, columns)
-    found = [list(cells[row::rows].flat) for row in range(rows)]
-    for empty in (ax for row in found for ax in row[number:]):
-        empty.remove()
-    return [row[:number] for row in found]
 
 
 def per_cent(share: float, _tick: float = 0) -> str:
