@@ -27,6 +27,7 @@ from chdstat._core.arrays import Array
 from chdstat._core.display import number, percent
 from chdstat._core.resampling import Z_95
 from chdstat.explorer.place import PlaceStatistics
+from chdstat.explorer.tables import as_p
 from chdstat.explorer.view import View
 from chdstat.fit.families import FAMILIES
 from chdstat.summary.histograms import Scale
@@ -447,7 +448,7 @@ def _averaged(n: int, s: Series) -> SeriesCurve:
     means, note = s.place.means, ""
     if means is not None and n in means.sizes:
         p = float(means.p_value[s.row, list(means.sizes).index(n)])
-        note = f"{s.name} p = {p:.2g}" if np.isfinite(p) else ""
+        note = f"{s.name} p = {as_p(p)}" if np.isfinite(p) else ""
     beyond = float((averages > end).mean())
     return SeriesCurve(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
 

@@ -31,6 +31,7 @@ from chdstat.viz.estimators import called, estimator_name
 __all__ = [
     "Column",
     "Table",
+    "as_p",
     "columns_of",
     "compared_table",
     "estimates_table",
@@ -92,7 +93,7 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
         (
             "Modes",
             "—" if constant or not count else str(count),
-            "constant samples" if constant else f"p of a single one {_p(modes.dip_p_value[-1])}",
+            "constant samples" if constant else f"p of a single one {as_p(modes.dip_p_value[-1])}",
         ),
         ("Spp for 1 % error", _count(needed), clear.get(trusted, f"{place.spp} are here")),
     ]
@@ -131,7 +132,7 @@ def patterns_table(columns: Sequence[Column]) -> Table:
         tip = f"{pattern.statistic}. Set where {pattern.rule}."
         p = places[0].patterns.p_values.get(pattern.name)
         if p is not None and len(places) == 1:
-            tip += f" p of its absence: {_p(float(p))}."
+            tip += f" p of its absence: {as_p(float(p))}."
         rows.append([name, *says, *values, limit, tip])
     if len(places) == 1:
         titles, label = ["what it says", "value"], f"Patterns: {why(places[0])[0]}"
@@ -204,7 +205,7 @@ def goodness_table(
 
 def _goodness(p: float, distance: float, reason: int) -> str:
     if np.isfinite(p):
-        return f"{_p(p)} (D {number(distance)})"
+        return f"{as_p(p)} (D {number(distance)})"
     return reasons(reason)
 
 
@@ -215,13 +216,13 @@ def compared_table(found: Difference, channels: Sequence[str], names: tuple[str,
         "Wasserstein distance": (found.wasserstein, number),
         "difference of means": (found.mean_difference, number),
         "  over its standard error": (found.mean_t, number),
-        "  p of equal means": (found.mean_p_value, _p),
+        "  p of equal means": (found.mean_p_value, as_p),
     }
     rows = [[title, *map(text, map(float, values))] for title, (values, text) in measures.items()]
     samples = f"{found.n[0]} and {found.n[1]} samples"
     if found.paired:
         samples = f"{found.n[0]} pairs of samples with the same random numbers"
-    p = _p(float(found.p_value))
+    p = as_p(float(found.p_value))
     note = f"p of equal CHDs, all channels together: {p} (permutation test; {samples})"
     return _table(f"{names[1]} against {names[0]}", ["measure", *channels], rows, note)
 
@@ -280,7 +281,7 @@ def _count(value: float) -> str:
     return f"{rounded:,.0f}".replace(",", "\u2009") if rounded < 1e7 else f"{rounded:.1e}"
 
 
-def _p(value: float) -> str:
+def as_p(value: float) -> str:
     """Return a p-value; below 0.001 as a power of ten."""
     if not np.isfinite(value):
         return "—"
@@ -308,16 +309,20 @@ _STATISTICS: tuple[tuple[str, Callable[[PlaceStatistics, int], str], bool], ...]
         lambda p, i: with_interval(p.tail.xi[i], *p.tail.interval[i]),
         True,
     ),
-    ("p of a gamma tail", lambda p, i: _p(p.tail.p_exponential[i]), True),
+    ("p of a gamma tail", lambda p, i: as_p(p.tail.p_exponential[i]), True),
     ("finite variance", _finite_variance, True),
     ("modes", lambda p, i: str(p.modes.modes[i] or "—"), True),
     ("dip of log radiance", lambda p, i: number(p.modes.dip[i]), True),
-    ("p of one mode (dip test)", lambda p, i: _p(p.modes.dip_p_value[i]), True),
-    ("p of log-normal (Anderson–Darling)", lambda p, i: _p(p.gaussianity.p_value[i, 0, 0]), True),
-    ("p of normal (Anderson–Darling)", lambda p, i: _p(p.gaussianity.p_value[i, 1, 0]), True),
+    ("p of one mode (dip test)", lambda p, i: as_p(p.modes.dip_p_value[i]), True),
+    (
+        "p of log-normal (Anderson–Darling)",
+        lambda p, i: as_p(p.gaussianity.p_value[i, 0, 0]),
+        True,
+    ),
+    ("p of normal (Anderson–Darling)", lambda p, i: as_p(p.gaussianity.p_value[i, 1, 0]), True),
     (
         "p of gamma against log-normal (Vuong)",
-        lambda p, i: _p(p.selection.vuong_p_value[i]),
+        lambda p, i: as_p(p.selection.vuong_p_value[i]),
         True,
     ),
     ("N for Gaussian averages", _needed, False),
