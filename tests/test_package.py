@@ -60,6 +60,7 @@ DOWNSTREAM = {
     ("inference.contrasts", "viz"),
     ("inference.modes", "viz"),
     ("comparison.comparisons", "viz"),
+    ("comparison.error_curves", "viz"),
 }
 """Imports against that order, inside methods that show or write a result."""
 

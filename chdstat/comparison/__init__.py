@@ -15,12 +15,11 @@ from chdstat.comparison.benchmark import Bench, Case, bench
 from chdstat.comparison.comparisons import (
     Breakdown,
     Comparison,
-    ErrorCurve,
     PixelEstimates,
     compare,
-    error_curve,
 )
 from chdstat.comparison.entries import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
+from chdstat.comparison.error_curves import ErrorCurve, error_curve
 from chdstat.comparison.metrics import MEASURES
 
 __all__ = [

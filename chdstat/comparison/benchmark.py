@@ -11,9 +11,9 @@ import hashlib
 import importlib.util
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -121,25 +121,24 @@ class Case:
     def average(cases: Sequence[Case]) -> Case:
         """Return one case of several renders of a scene."""
 
-        def mean(values: list[Mapping[str, Any]]) -> dict[str, Any]:
+        def mean(field: str) -> Any:
+            values = [getattr(case, field) for case in cases]
             return {name: np.mean([value[name] for value in values], axis=0) for name in values[0]}
 
-        return replace(
-            cases[0],
-            errors=mean([case.errors for case in cases]),
-            bias=mean([case.bias for case in cases]),
-            fireflies=mean([case.fireflies for case in cases]),
-            seconds=mean([case.seconds for case in cases]),
-            render_seconds=float(np.mean([case.render_seconds for case in cases])),
-        )
+        fields = {field: mean(field) for field in ("errors", "bias", "fireflies", "seconds")}
+        render_seconds = float(np.mean([case.render_seconds for case in cases]))
+        return replace(cases[0], **fields, render_seconds=render_seconds)
+
+    def ratios(self, name: str, baseline: str, measure: str, weights: Array) -> Array:
+        """Return the error of an estimator over that of another, of weighted blocks."""
+        k = ERRORS.index(measure)
+        one, other = (weights @ self.errors[n][:, k] for n in (name, baseline))
+        return np.asarray(np.maximum(one / other, _LEAST))
 
     def ratio(self, name: str, baseline: str, measure: str) -> Interval[float]:
-        """Return the error of an estimator over that of another, with its interval over blocks."""
-        k = ERRORS.index(measure)
-        one, other = self.errors[name][:, k], self.errors[baseline][:, k]
-        return interval_of(
-            lambda w: np.maximum((w @ one) / (w @ other), _LEAST), self.blocks, bounds=(0, np.inf)
-        )
+        """Return that ratio with its interval over blocks."""
+        ratios = partial(self.ratios, name, baseline, measure)
+        return interval_of(ratios, self.blocks, bounds=(0, np.inf))
 
     def row(self, name: str, baseline: str) -> dict[str, Any]:
         """Return all numbers of an estimator."""
@@ -203,42 +202,48 @@ class Bench(Shown):
         places = {name: slice(ends[i], ends[i + 1]) for i, name in enumerate(first)}
         return Blocks.join(list(first.values())), places
 
+    def _average(
+        self,
+        name: str,
+        of_case: Callable[[Case, Array], Array],
+        bounds: tuple[float, float],
+        change: Callable[[Array], Array] = np.asarray,
+    ) -> Interval[float]:
+        """Return what weighted blocks give of a case, averaged over those of an estimator."""
+        blocks, places = self._regions
+
+        def statistic(weights: Array) -> Array:
+            found = [
+                of_case(case, weights[:, places[case.scene]])
+                for case in self.cases
+                if name in case.errors
+            ]
+            return change(np.mean(found, axis=0))
+
+        return interval_of(statistic, blocks, bounds=bounds)
+
     def geometric_mean(self, name: str, measure: str = "mse") -> Interval[float]:
         """Return the geometric mean of the ratios of an error to the baseline's over all cases.
 
         With its interval of 95 % over blocks of pixels within these scenes; other scenes may differ
         by more.
         """
-        blocks, places = self._regions
-        k = ERRORS.index(measure)
 
-        def statistic(weights: Array) -> Array:
-            logs = []
-            for case in self.cases:
-                if name in case.errors:
-                    w = weights[:, places[case.scene]]
-                    one, other = (w @ case.errors[n][:, k] for n in (name, self.baseline))
-                    logs.append(np.log(np.maximum(one / other, _LEAST)))
-            return np.asarray(np.exp(np.mean(logs, axis=0)))
+        def logarithm(case: Case, weights: Array) -> Array:
+            return np.log(case.ratios(name, self.baseline, measure, weights))
 
-        return interval_of(statistic, blocks, bounds=(0, np.inf))
+        return self._average(name, logarithm, (0, np.inf), np.exp)
 
     def rank(self, name: str, measure: str = "mse") -> Interval[float]:
         """Return the average rank among the estimators over all cases, 1 for the least error."""
-        blocks, places = self._regions
         k = ERRORS.index(measure)
 
-        def statistic(weights: Array) -> Array:
-            ranks = []
-            for case in self.cases:
-                if name in case.errors:
-                    w = weights[:, places[case.scene]]
-                    own = w @ case.errors[name][:, k]
-                    others = [w @ e[:, k] for n, e in case.errors.items() if n != name]
-                    ranks.append(sum((own > other for other in others), np.ones(len(w))))
-            return np.asarray(np.mean(ranks, axis=0), np.float64)
+        def rank(case: Case, weights: Array) -> Array:
+            own = weights @ case.errors[name][:, k]
+            others = [weights @ e[:, k] for n, e in case.errors.items() if n != name]
+            return sum((own > other for other in others), np.ones(len(weights)))
 
-        return interval_of(statistic, blocks, bounds=(1, len(self.estimators)))
+        return self._average(name, rank, (1, len(self.estimators)))
 
     def summary(self) -> list[dict[str, Any]]:
         """Return a row for each estimator, over all cases.
@@ -333,8 +338,8 @@ class Bench(Shown):
             text = self.to_latex()
         else:
             text = json.dumps(self.to_dict(), indent=1)
-        with replacing(target) as partial:
-            partial.write_text(text, encoding="utf-8")
+        with replacing(target) as file:
+            file.write_text(text, encoding="utf-8")
         return target
 
 
@@ -525,7 +530,7 @@ class _Inputs:
         image, variance = means.mean(axis=0), means.var(axis=0, ddof=1) / len(means)
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(kept) as partial, partial.open("wb") as stream:
+            with replacing(kept) as file, file.open("wb") as stream:
                 np.savez(stream, image=image, variance=variance)
         return image, variance
 

@@ -5,15 +5,12 @@ batch, and measures against the mean of all *other* samples of the pixel
 (`chdstat.comparison.judging`). Its `Comparison` holds every measure with its interval, the
 `Breakdown` those of each pattern, and `PixelEstimates` are a few pixels one by one; they become
 tables, data frames, datasets, LaTeX and JSON.
-
-`error_curve` does the same for many n, and returns an `ErrorCurve`: use it to see up to which size
-an estimator is worth it. The error of an estimator with a constant bias stops falling.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
@@ -21,23 +18,32 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Seed, generator, plain, seed_number, whole
-from chdstat._core.display import Card, Shown, Width, png, written
+from chdstat._core.display import Card, Shown, Width, png
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
-from chdstat.comparison.entries import Entry, choose, curve_sizes, notes
+from chdstat.comparison.entries import Entry, choose, notes
 from chdstat.comparison.judging import (
-    Candidates,
     Models,
     judge,
     labels_of,
     trained_candidates,
 )
-from chdstat.comparison.metrics import MEASURES, counts, in_words, measures_of, stacked
+from chdstat.comparison.metrics import (
+    Columns,
+    columns_of,
+    counts,
+    data_frame_of,
+    described,
+    measures_of,
+    rows_of,
+    stacked,
+    titled,
+)
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.registry import Model
 from chdstat.estimators.validation import check_spp
-from chdstat.samples import ImageLike, check_equal_counts, samples_of
+from chdstat.samples import ImageLike, samples_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,93 +51,10 @@ if TYPE_CHECKING:
     from distributed import Client
     from matplotlib.figure import Figure
 
-__all__ = ["Breakdown", "Comparison", "ErrorCurve", "PixelEstimates", "compare", "error_curve"]
-
-Measures = Mapping[str, Interval[Array]]
-Columns = dict[str, tuple[Array, dict[str, str]]]
+__all__ = ["Breakdown", "Comparison", "PixelEstimates", "compare"]
 
 _ALL_CHANNELS = -1
 """Last place of the channel axis of a measure: the average over channels."""
-_SUFFIXES = {
-    "": ("value", ""),
-    "_se": ("standard_error", ", standard error"),
-    "_low": ("low", ", lower end of the 95 % interval"),
-    "_high": ("high", ", upper end of the 95 % interval"),
-}
-
-
-# --- measures as columns --------------------------------------------------------------------------
-
-
-def _columns(measures: Measures, *, over_batches: bool = False) -> Columns:
-    """Return the arrays of all intervals with what they are; over batches, without the measures."""
-    end, where = ("_over_batches", " over batches") if over_batches else ("", "")
-    return {
-        measure + suffix + end: (
-            getattr(interval, part),
-            _described(MEASURES[measure][0] + what + where, MEASURES[measure][1]),
-        )
-        for measure, interval in measures.items()
-        for suffix, (part, what) in _SUFFIXES.items()
-        if suffix or not over_batches
-    }
-
-
-def _described(long_name: str, units: str = "1") -> dict[str, str]:
-    """Return the attributes of a variable."""
-    return {"long_name": long_name, "units": units}
-
-
-def _rows(
-    columns: Columns, found: Breakdown | Comparison | ErrorCurve, *before: int
-) -> list[dict[str, Any]]:
-    """Return a flat row for each estimator: what all columns hold of it at a place."""
-    return [
-        {"estimator": name, "uses_neighbours": bool(found.uses_neighbours[k])}
-        | {column: float(values[before][k]) for column, (values, _) in columns.items()}
-        for k, name in enumerate(found.estimators)
-    ]
-
-
-def _data_frame(measures: Measures, where: Any = ..., **index: Sequence[Any]) -> pd.DataFrame:
-    """Return measures with their intervals as a data frame, a row for each place of the index."""
-    import pandas as pd
-
-    columns = {
-        (measure, part): getattr(interval, part)[where].reshape(-1)
-        for measure, interval in measures.items()
-        for part in ("value", "low", "high")
-    }
-    if len(index) == 1:
-        ((name, values),) = index.items()
-        return pd.DataFrame(columns, pd.Index(values, name=name))
-    return pd.DataFrame(columns, pd.MultiIndex.from_product([*index.values()], names=[*index]))
-
-
-# --- measures as words ----------------------------------------------------------------------------
-
-_TITLES = {
-    "label": "pattern",
-    "pixels": "pixels",
-    "n": "N",
-    "name": "estimator",
-    "mse_ratio": "MSE / mean's",
-    "relmse_ratio": "relMSE / mean's",
-    "improved": "improved",
-    "bias": "bias",
-    "fireflies": "fireflies left",
-}
-
-
-def _titled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
-    """Return rows of measures in words, under titles."""
-    texts = ({**row, **in_words(row)} for row in rows)
-    return [
-        {title: written(row[key]) for key, title in _TITLES.items() if key in row} for row in texts
-    ]
-
-
-# --- results --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, repr=False)
@@ -172,9 +95,9 @@ class PixelEstimates(Shown):
         """Draw them one by one, as `chdstat.viz.pixel_estimates`."""
         from chdstat import viz
 
-        look: dict[str, Any] = {"channels": channels, "width": width}
-        ax = viz.pixel_estimates(self, ax=None if fig is None else fig.subplots(), **look)
-        return cast("Figure", ax.figure)
+        ax = None if fig is None else fig.subplots()
+        drawn = viz.pixel_estimates(self, channels=channels, width=width, ax=ax)
+        return cast("Figure", drawn.figure)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per pixel and channel: where, reference, mean, every estimate."""
@@ -247,19 +170,19 @@ class Breakdown(Shown):
         return cast("Figure", viz.pattern_breakdown(self, width=width, ax=ax).figure)
 
     def _card(self) -> Card:
-        return Card("Breakdown by pattern", table=_titled(self.table()))
+        return Card("Breakdown by pattern", table=titled(self.table()))
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return a `pandas.DataFrame` as that of a `Comparison`, by label and estimator."""
-        return _data_frame(self.measures, label=self.labels, estimator=self.estimators)
+        return data_frame_of(self.measures, label=self.labels, estimator=self.estimators)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per label and estimator: names, pixels and every measure."""
-        columns = _columns(self.measures)
+        columns = columns_of(self.measures)
         return [
             {"label": label, "pixels": int(self.pixels[row]), **one}
             for row, label in enumerate(self.labels)
-            for one in _rows(columns, self, row)
+            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
         ]
 
 
@@ -360,7 +283,8 @@ class Comparison(Shown):
             {name: measure[:, _ALL_CHANNELS] for name, measure in measures.items()}
             for measures in (self.measures, self.over_batches)
         )
-        return _rows(_columns(over_blocks) | _columns(over_batches, over_batches=True), self)
+        columns = columns_of(over_blocks) | columns_of(over_batches, over_batches=True)
+        return rows_of(columns, self.estimators, self.uses_neighbours)
 
     def _card(self) -> Card:
         pixels = f"{self.test_pixels.sum()} test pixels"
@@ -369,7 +293,7 @@ class Comparison(Shown):
         if len(self.channels) in (1, 3):
             images["reference: the mean of all samples"] = png(tonemap(self.reference))
         facts |= {name: text for name, text in self.notes.items() if name != "use neighbours"}
-        return Card("Comparison of estimators", facts, _titled(self.table()), images)
+        return Card("Comparison of estimators", facts, titled(self.table()), images)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the measures as a `pandas.DataFrame`, averaged over channels.
@@ -385,7 +309,7 @@ class Comparison(Shown):
         >>> float(found.to_dataframe().loc["mean", ("mse_ratio", "value")])
         1.0
         """
-        return _data_frame(self.measures, (slice(None), _ALL_CHANNELS), estimator=self.estimators)
+        return data_frame_of(self.measures, (slice(None), _ALL_CHANNELS), estimator=self.estimators)
 
     def plot(
         self,
@@ -474,31 +398,31 @@ class Comparison(Shown):
         part, image, radiance = ("estimator", "part"), ("y", "x", "channel"), "W sr-1 m-2"
         others = "mean of all but the first n"
         columns: dict[tuple[str, ...], Columns] = {
-            part: _columns(self.measures) | _columns(self.over_batches, over_batches=True),
+            part: columns_of(self.measures) | columns_of(self.over_batches, over_batches=True),
             ("estimator", *image): {
-                "estimate": (self.estimates, _described("estimate", radiance)),
+                "estimate": (self.estimates, described("estimate", radiance)),
                 "squared_error": (
                     self.squared_error,
-                    _described("squared error", f"({radiance})^2"),
+                    described("squared error", f"({radiance})^2"),
                 ),
             },
             image: {
-                "reference": (self.reference, _described("reference", radiance)),
-                "first_mean": (self.first_mean, _described("mean of the first n", radiance)),
-                "first_reference": (self.first_reference, _described(others, radiance)),
+                "reference": (self.reference, described("reference", radiance)),
+                "first_mean": (self.first_mean, described("mean of the first n", radiance)),
+                "first_reference": (self.first_reference, described(others, radiance)),
             },
-            image[:2]: {"test_pixel": (self.test_pixels, _described("pixel counts"))},
+            image[:2]: {"test_pixel": (self.test_pixels, described("pixel counts"))},
         }
-        looks = _described("whether it looks at the pixels around")
+        looks = described("whether it looks at the pixels around")
         columns["estimator",] = {"uses_neighbours": (self.uses_neighbours, looks)}
         names = {"estimator": self.estimators, "part": [*self.channels, "mean"]}
         names["channel"] = self.channels
         if (found := self.breakdown) is not None:
             names["label"] = found.labels
-            about = _described("pixels with the label that judge")
+            about = described("pixels with the label that judge")
             columns["label",] = {"label_pixels": (found.pixels, about)}
             columns["label", "estimator"] = {
-                f"label_{name}": column for name, column in _columns(found.measures).items()
+                f"label_{name}": column for name, column in columns_of(found.measures).items()
             }
         variables = {
             name: (dims, *column)
@@ -513,72 +437,6 @@ class Comparison(Shown):
             for name, value in {"n": self.n, **self.provenance}.items()
         }
         return xr.Dataset(variables, coordinates, attrs)
-
-
-@dataclass(frozen=True, repr=False)
-class ErrorCurve(Shown):
-    """What `error_curve` has found.
-
-    Attributes
-    ----------
-    estimators, uses_neighbours, models, provenance
-        As of a `Comparison`.
-    sizes
-        Samples per estimate, ascending.
-    measures
-        By the names of `chdstat.comparison.MEASURES`: intervals over blocks, averaged over
-        channels, shape (size, estimator); NaN where an estimator does not take so many samples.
-    reference_noise
-        For "mse" and "relmse": the error that even a perfect estimator would show, since the
-        reference is noisy; the same unit, shape (size,).
-    batches
-        Estimates that count, over all test pixels, shape (size,).
-    test_pixels
-        How many pixels count.
-    """
-
-    _drawn: ClassVar[str] = "errors against the number of samples"
-    estimators: tuple[str, ...]
-    uses_neighbours: npt.NDArray[np.bool_]
-    sizes: tuple[int, ...]
-    measures: Mapping[str, Interval[Array]]
-    reference_noise: Mapping[str, npt.NDArray[np.float64]]
-    batches: npt.NDArray[np.int64]
-    test_pixels: int
-    models: Mapping[str, Model]
-    provenance: Mapping[str, Any]
-
-    def table(self) -> list[dict[str, Any]]:
-        """Return one row per size and estimator that takes it, with every measure."""
-        columns = _columns(self.measures)
-        return [
-            {"n": size, **one}
-            for row, size in enumerate(self.sizes)
-            for one in _rows(columns, self, row)
-            if np.isfinite(one["mse"])
-        ]
-
-    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
-        """Draw errors against the number of samples, as `chdstat.viz.error_curves`."""
-        from chdstat import viz
-
-        return viz.error_curves(self, width=width, fig=fig)
-
-    def _card(self) -> Card:
-        return Card("Error curve", table=_titled(self.table()))
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return a `pandas.DataFrame` as that of a `Comparison`, by n and estimator."""
-        return _data_frame(self.measures, n=self.sizes, estimator=self.estimators)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything but the models, ready for JSON (NaN becomes None)."""
-        names = "sizes", "batches", "test_pixels", "reference_noise", "provenance"
-        found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
-        return found | {"table": plain(self.table())}
-
-
-# --- what makes them ---------------------------------------------------------------------------
 
 
 def compare(
@@ -675,13 +533,15 @@ def compare(
     median_of_means 1.5 True
     """
     samples, seed = samples_of(samples), seed_number(seed)
-    n, max_batches = whole("n", n, least=1), _limit(max_batches)
+    n = whole("n", n, least=1)
+    if max_batches is not None:
+        max_batches = whole("max_batches", max_batches, least=1)
     chosen = choose(estimators, [n], samples=samples)
     check_spp(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
     codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)
-    found, left_out = trained_candidates(
+    found = trained_candidates(
         chosen, samples, sizes=[n], seed=seed, model=model, progress=progress
     )
     found = found.with_denoised() if denoise else found
@@ -724,110 +584,5 @@ def compare(
         excluded=errors.excluded,
         breakdown=breakdown,
         models=found.models,
-        provenance=_provenance(found, left_out, seed, max_batches),
+        provenance=found.provenance(seed, max_batches),
     )
-
-
-def error_curve(
-    samples: ImageLike | npt.ArrayLike,
-    estimators: Sequence[str | Entry] | None = None,
-    *,
-    sizes: Sequence[int] | None = None,
-    seed: Seed = 0,
-    max_batches: int | None = 16,
-    model: Models = None,
-    progress: bool | None = None,
-    client: Client | None = None,
-) -> ErrorCurve:
-    r"""Measure the error of estimators at many numbers of samples, N.
-
-    At every N, batches of N samples estimate, and the mean of the other samples of the pixel is the
-    reference, as in `chdstat.compare`. The variance of a sample is :math:`\sigma^2`; the sample
-    mean shows :math:`\sigma^2 / N + \sigma^2 / (\text{spp} - N)`, of which the second part is the
-    noise of the reference. It is N/spp of the whole, which is how it is known without knowing
-    :math:`\sigma^2`; for relMSE, the same share is an approximation.
-
-    Parameters
-    ----------
-    samples
-        The image, as `compare` takes it, at least twice as many samples per pixel as the largest N.
-    estimators
-        As `compare` takes them. Where one does not take N samples, there is no number.
-    sizes
-        N, in any order; None doubles from 4 to an eighth of the samples, and adds the fewest that
-        an estimator takes where these are none.
-    seed, max_batches, model, progress, client
-        As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
-        read one by one: `Samples.load` a store first.
-
-    Returns
-    -------
-    ErrorCurve
-
-    Raises
-    ------
-    InputError
-        If `sizes` are not different whole numbers from 1, there are too few samples for them, an
-        estimator takes none of them, or nothing is left to judge by.
-
-    Examples
-    --------
-    The bias of a median stays, so that its error stops falling:
-
-    >>> import chdstat as chd
-    >>> import numpy as np
-    >>> rng = np.random.default_rng(0)
-    >>> samples = chd.Samples.from_array(rng.exponential(size=(16, 16, 1, 1024)))
-    >>> curve = error_curve(samples, ["mean", "median"], sizes=[16, 128])
-    >>> curve.measures["mse_ratio"].value.round()
-    array([[ 1.,  2.],
-           [ 1., 11.]])
-    """
-    samples, seed = samples_of(samples), seed_number(seed)
-    check_equal_counts(samples, "errors are drawn over the samples of a pixel")
-    max_batches = _limit(max_batches)
-    numbers = curve_sizes(samples, estimators, sizes=sizes)
-    chosen = choose(estimators, numbers, samples=samples)
-    found, left_out = trained_candidates(
-        chosen, samples, sizes=numbers, seed=seed, model=model, progress=progress
-    )
-    units = found.test_units(seed)
-    parts, noise, judged = [], [], []
-    for n in numbers:
-        errors = judge(found, units, n=n, limit=max_batches, progress=progress, client=client)
-        sums = errors.by_unit
-        parts.append(measures_of(sums, seed=seed))
-        judged.append(counts(sums).sum())
-        # The reference adds the share N / spp of the sample mean's own error.
-        of_mean = sums[:, :2, 0].sum(axis=0).mean(axis=-1) / judged[-1]
-        noise.append(of_mean * (n / samples.spp))
-    return ErrorCurve(
-        estimators=tuple(found.entries),
-        uses_neighbours=found.uses_neighbours,
-        sizes=numbers,
-        measures=stacked(parts),
-        reference_noise=dict(zip(("mse", "relmse"), np.transpose(noise), strict=True)),
-        batches=np.array(judged),
-        test_pixels=len(units.ys),
-        models=found.models,
-        provenance=_provenance(found, left_out, seed, max_batches),
-    )
-
-
-def _limit(max_batches: int | None) -> int | None:
-    return None if max_batches is None else whole("max_batches", max_batches, least=1)
-
-
-def _provenance(
-    found: Candidates, left_out: Mapping[str, str], seed: int, max_batches: int | None
-) -> dict[str, Any]:
-    """Return scene, samples and settings of a comparison, and what is known of the models."""
-    return {
-        "scene": found.samples.name,
-        "samples": found.samples.attrs,
-        "samples_shape": list(found.samples.shape),
-        "seed": seed,
-        "max_batches": max_batches,
-        "left_out": left_out,
-        "models": {n: getattr(model, "provenance", {}) for n, model in found.models.items()},
-    }

@@ -77,6 +77,8 @@ class Candidates:
         Those that were trained, by name; entries that share a training share a model.
     at_home
         Those of the models that were trained on this scene, by name.
+    left_out
+        Default estimators that cannot be compared, with the reason.
     """
 
     samples: Samples
@@ -84,6 +86,7 @@ class Candidates:
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     at_home: frozenset[str]
+    left_out: Mapping[str, str]
 
     @property
     def uses_neighbours(self) -> npt.NDArray[np.bool_]:
@@ -122,6 +125,18 @@ class Candidates:
             raise InputError(message)
         return Units.of(test, labels)
 
+    def provenance(self, seed: int, max_batches: int | None) -> dict[str, Any]:
+        """Return scene, samples and settings of a comparison, and what is known of the models."""
+        return {
+            "scene": self.samples.name,
+            "samples": self.samples.attrs,
+            "samples_shape": list(self.samples.shape),
+            "seed": seed,
+            "max_batches": max_batches,
+            "left_out": self.left_out,
+            "models": {n: getattr(model, "provenance", {}) for n, model in self.models.items()},
+        }
+
 
 def trained_candidates(
     chosen: Chosen,
@@ -131,13 +146,8 @@ def trained_candidates(
     seed: int,
     model: Models,
     progress: bool | None,
-) -> tuple[Candidates, dict[str, str]]:
+) -> Candidates:
     """Train what learns, each on as many pixels as it wants, except for the models at hand.
-
-    Returns
-    -------
-    tuple
-        What can be compared, and why the default estimators that cannot are left out.
 
     Raises
     ------
@@ -193,7 +203,7 @@ def trained_candidates(
         if entry.train not in given
         or (isinstance(one := models[name], Progressive) and one.trained_on(samples.attrs))
     )
-    return Candidates(samples, totals, entries, models, at_home), left_out
+    return Candidates(samples, totals, entries, models, at_home, left_out)
 
 
 def _given(model: Models, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:

@@ -4,35 +4,51 @@
 over the units serves all of them: `errors_of` returns what is summed, `measures_of` the measures of
 the sums. A unit is a block of pixels with all their batches, or a batch with all its pixels.
 Neighbours see the same light and gain or lose together; therefore, intervals are over blocks
-(Künsch 1989, doi:10.1214/aos/1176347265). `in_words` writes the measures for a reader.
+(Künsch 1989, doi:10.1214/aos/1176347265). `columns_of`, `rows_of` and `data_frame_of` make tables
+of them; `in_words` and `titled` write them for a reader.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, generator, spans
-from chdstat._core.display import number, percent, with_interval
+from chdstat._core.display import number, percent, with_interval, written
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
 from chdstat.estimators.registry import LABELS
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 __all__ = [
     "MEASURES",
     "SUMS",
+    "Columns",
+    "Measures",
+    "columns_of",
     "counts",
+    "data_frame_of",
+    "described",
     "errors_of",
     "in_words",
     "measures_of",
     "relative_squared",
+    "rows_of",
     "shown_ratio",
     "stacked",
+    "titled",
 ]
+
+Measures = Mapping[str, Interval[Array]]
+"""Intervals by the names of `MEASURES`."""
+Columns = dict[str, tuple[Array, dict[str, str]]]
+"""Arrays by name, each with the attributes of a variable."""
 
 MEASURES = {
     "mse": ("mean squared error", "(W sr-1 m-2)^2"),
@@ -50,6 +66,23 @@ MEASURES = {
 SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
 """What is summed over the estimates of every estimator and channel; the last is 1 for each."""
 
+_SUFFIXES = {
+    "": ("value", ""),
+    "_se": ("standard_error", ", standard error"),
+    "_low": ("low", ", lower end of the 95 % interval"),
+    "_high": ("high", ", upper end of the 95 % interval"),
+}
+_TITLES = {
+    "label": "pattern",
+    "pixels": "pixels",
+    "n": "N",
+    "name": "estimator",
+    "mse_ratio": "MSE / mean's",
+    "relmse_ratio": "relMSE / mean's",
+    "improved": "improved",
+    "bias": "bias",
+    "fireflies": "fireflies left",
+}
 _REPLICATES, _AT_ONCE = 1000, 64
 _SAME = 1e-6
 """Relative difference below which an estimate is the mean, summed in another order."""
@@ -181,6 +214,59 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
         "bias": percent(row["bias"], sign=True),
         "fireflies": number(row["fireflies_left"]),
     }
+
+
+def columns_of(measures: Measures, *, over_batches: bool = False) -> Columns:
+    """Return the arrays of all intervals with what they are; over batches, without the measures."""
+    end, where = ("_over_batches", " over batches") if over_batches else ("", "")
+    return {
+        measure + suffix + end: (
+            getattr(interval, part),
+            described(MEASURES[measure][0] + what + where, MEASURES[measure][1]),
+        )
+        for measure, interval in measures.items()
+        for suffix, (part, what) in _SUFFIXES.items()
+        if suffix or not over_batches
+    }
+
+
+def described(long_name: str, units: str = "1") -> dict[str, str]:
+    """Return the attributes of a variable."""
+    return {"long_name": long_name, "units": units}
+
+
+def rows_of(
+    columns: Columns, estimators: Sequence[str], uses_neighbours: Array, *before: int
+) -> list[dict[str, Any]]:
+    """Return a flat row for each estimator: what all columns hold of it at a place."""
+    return [
+        {"estimator": name, "uses_neighbours": bool(uses_neighbours[k])}
+        | {column: float(values[before][k]) for column, (values, _) in columns.items()}
+        for k, name in enumerate(estimators)
+    ]
+
+
+def data_frame_of(measures: Measures, where: Any = ..., **index: Sequence[Any]) -> pd.DataFrame:
+    """Return measures with their intervals as a data frame, a row for each place of the index."""
+    import pandas as pd
+
+    columns = {
+        (measure, part): getattr(interval, part)[where].reshape(-1)
+        for measure, interval in measures.items()
+        for part in ("value", "low", "high")
+    }
+    if len(index) == 1:
+        ((name, values),) = index.items()
+        return pd.DataFrame(columns, pd.Index(values, name=name))
+    return pd.DataFrame(columns, pd.MultiIndex.from_product([*index.values()], names=[*index]))
+
+
+def titled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Return rows of measures in words, under titles."""
+    texts = ({**row, **in_words(row)} for row in rows)
+    return [
+        {title: written(row[key]) for key, title in _TITLES.items() if key in row} for row in texts
+    ]
 
 
 def _measures(sums: Array) -> Array:
