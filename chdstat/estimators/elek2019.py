@@ -33,7 +33,7 @@ from chdstat._core.arrays import (
     warn_left_out,
 )
 from chdstat._core.work import track
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_option
 from chdstat.estimators import training, validation
 from chdstat.estimators.registry import LearnedEstimator, mean_of_good, register_learned
 from chdstat.samples import Samples
@@ -150,9 +150,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         InputError
             If there is no preset of that name.
         """
-        if name not in PRESETS:
-            message = f"no preset is called {name!r}; there are {', '.join(PRESETS)}"
-            raise InputError(message)
+        check_option("preset", name, PRESETS)
         return cls(PRESETS[name])
 
     @property

@@ -12,8 +12,8 @@ two passes; on rendered scenes at 32 samples, its error is the smallest of all t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,12 @@ from scipy import ndimage
 
 from chdstat._core.arrays import Floats, Reals, as_pixels, whole
 from chdstat._core.image_scales import exposure_unit
-from chdstat.errors import InputError
+from chdstat.errors import check_option
 from chdstat.estimators import similarity
 from chdstat.estimators.registry import (
     check_positive,
     check_probability,
-    mean_of_good,
+    known_features,
     register,
     whole_samples,
 )
@@ -218,7 +218,9 @@ def sakai2024(
     check_positive(spread=spread)
     image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
     place = np.moveaxis(np.indices(image.count.shape, dtype=np.float64), 0, -1)
-    guides = np.concatenate(_guides(features or {}, image.count.shape), axis=-1)
+    known = known_features(features or {}, image.count.shape, tuple(_GUIDES))
+    images = [known[name] / unit for name, unit in _GUIDES.items() if name in known]
+    guides = np.concatenate([place[..., :0], *images], axis=-1)
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
     tested = similarity.significance(similarity.corrected_means(image), image.count, alpha)
 
@@ -231,21 +233,6 @@ def sakai2024(
 
     window = similarity.Window(weigh, (place, guides, *tested), radius)
     return image.radiance(window.average(image.mean(), image.count[..., np.newaxis])[0])
-
-
-def _guides(
-    features: Mapping[str, npt.NDArray[Any]], shape: tuple[int, int]
-) -> Sequence[npt.NDArray[np.float64]]:
-    """Return the features that guide `sakai2024`, in units of their standard deviations."""
-    found = [np.empty((*shape, 0))]
-    for name, unit in _GUIDES.items():
-        if name in features:
-            image = np.asarray(features[name], np.float64)
-            if image.shape != (*shape, 3):
-                message = f"expected {name} of shape {(*shape, 3)}, got {image.shape}"
-                raise InputError(message)
-            found.append(np.nan_to_num(image) / unit)
-    return found
 
 
 @register("shared_patches", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
@@ -315,9 +302,7 @@ def shared_patches(
     whole("radius", radius, least=0)
     whole("patch", patch, least=0)
     check_positive(threshold=threshold)
-    if fireflies not in ("limit", "keep"):
-        message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
-        raise InputError(message)
+    check_option("fireflies", fireflies, get_args(Fireflies))
     samples = as_pixels(x, minimum=2)
     image = similarity.ScaledSamples.of(samples)
     own = image.mean()
@@ -449,13 +434,39 @@ def rousselle2012(
     (one, one_error), (two, two_error) = (
         (np.where(known[..., np.newaxis], part, 0) for part in half) for half in halves
     )
-    options = damping, radius, patch, cancelled
-    filtered = [
-        _filtered(one, two, two_error, known, *options),
-        _filtered(two, one, one_error, known, *options),
-    ]
-    found = sum(filtered) / 2 * unit
-    return np.where(known[..., np.newaxis], found, mean_of_good(np.asarray(x)))
+    height, width = known.shape
+    edge = (radius, radius)
+
+    def padded(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.pad(image, (edge, edge) + ((0, 0),) * (image.ndim - 2))
+
+    def filtered(values: Floats, guide: Floats, error: Floats) -> Floats:
+        """Average an image by weights from the other one with its squared errors."""
+        around = [padded(image) for image in (values, guide, error, known)]
+        total, weights = values * known[..., np.newaxis], known.astype(np.float64)
+        for dy, dx in itertools.product(range(2 * radius + 1), repeat=2):
+            if dy == dx == radius:
+                continue
+            place = slice(dy, dy + height), slice(dx, dx + width)
+            its_value, its_guide, its_error, there = (image[place] for image in around)
+            noise, both = error + np.minimum(error, its_error), error + its_error
+            squared = np.square(guide - its_guide) - cancelled * noise
+            # Pixels without noise are the same or nothing.
+            distance = np.divide(
+                squared, damping**2 * both, out=np.where(squared > 0, np.inf, 0.0), where=both > 0
+            ).mean(axis=-1)
+            valid = known & there
+            distance = np.where(valid, np.minimum(distance, _FAR), 0)
+            share = _edge_patch_mean(valid.astype(np.float64), patch)
+            apart = _edge_patch_mean(distance, patch) / np.maximum(share, 1e-9)
+            weight = _edge_patch_mean(np.exp(-np.maximum(apart, 0)), patch)
+            weight = np.where(valid & (weight >= _LEAST_WEIGHT), weight, 0)
+            total += weight[..., np.newaxis] * its_value
+            weights += weight
+        return np.asarray(total / np.maximum(weights, 1e-300)[..., np.newaxis])
+
+    found = (filtered(one, two, two_error) + filtered(two, one, one_error)) / 2 * unit
+    return np.where(known[..., np.newaxis], found, np.nan)
 
 
 def _mean_and_error(x: npt.NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
@@ -466,46 +477,6 @@ def _mean_and_error(x: npt.NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
     apart = np.where(good[..., np.newaxis, :], kept - mean[..., np.newaxis], 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return mean, np.square(apart).sum(axis=-1) / (n * np.where(n > 1, n - 1, np.nan))
-
-
-def _filtered(
-    values: Floats,
-    guide: Floats,
-    error: Floats,
-    known: npt.NDArray[np.bool_],
-    damping: float,
-    radius: int,
-    patch: int,
-    cancelled: float,
-) -> Floats:
-    """Average an image over the window by weights from another one with its squared errors."""
-    height, width = known.shape
-
-    def padded(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return np.pad(image, ((radius, radius), (radius, radius)) + ((0, 0),) * (image.ndim - 2))
-
-    around = [padded(image) for image in (values, guide, error, known)]
-    total, weights = values * known[..., np.newaxis], known.astype(np.float64)
-    for dy, dx in itertools.product(range(2 * radius + 1), repeat=2):
-        if dy == dx == radius:
-            continue
-        place = slice(dy, dy + height), slice(dx, dx + width)
-        its_value, its_guide, its_error, there = (image[place] for image in around)
-        noise, both = error + np.minimum(error, its_error), error + its_error
-        squared = np.square(guide - its_guide) - cancelled * noise
-        # Pixels without noise are the same or nothing.
-        distance = np.divide(
-            squared, damping**2 * both, out=np.where(squared > 0, np.inf, 0.0), where=both > 0
-        ).mean(axis=-1)
-        valid = known & there
-        distance = np.where(valid, np.minimum(distance, 1e6), 0)
-        share = _edge_patch_mean(valid.astype(np.float64), patch)
-        apart = _edge_patch_mean(distance, patch) / np.maximum(share, 1e-9)
-        weight = _edge_patch_mean(np.exp(-np.maximum(apart, 0)), patch)
-        weight = np.where(valid & (weight >= _LEAST_WEIGHT), weight, 0)
-        total += weight[..., np.newaxis] * its_value
-        weights += weight
-    return np.asarray(total / np.maximum(weights, 1e-300)[..., np.newaxis])
 
 
 def _edge_patch_mean(image: Floats, radius: int) -> Floats:

@@ -11,6 +11,7 @@ averages the rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -223,10 +224,9 @@ class Cascade:
 
 def _estimate(x: Reals, kappa: float, unit: float | None, *, radius: int) -> Reals:
     cascade = Cascade.of(x, unit=unit)
-    found = cascade.resolve(kappa, radius=radius)
-    empty = cascade.count == 0
-    found[empty] = registry.mean_of_good(x[empty])
-    return found
+    return np.where(
+        cascade.count[..., np.newaxis] > 0, cascade.resolve(kappa, radius=radius), np.nan
+    )
 
 
 @register(
@@ -270,9 +270,12 @@ def karis2013(x: Reals, *, unit: float | None = None) -> Reals:
     """
     kept, whole = registry.whole_samples(x)
     weight = whole / (1 + np.maximum(luminance(kept), 0) / _exposed(kept, whole, unit))
-    total = weight.sum(axis=-1)[..., np.newaxis]
-    found = np.vecdot(kept, weight[..., np.newaxis, :])
-    return np.where(total > 0, found / np.where(total > 0, total, 1), registry.mean_of_good(x))
+    return _over(np.vecdot(kept, weight[..., np.newaxis, :]), weight.sum(axis=-1))
+
+
+def _over(total: Reals, weight: npt.NDArray[Any]) -> Reals:
+    """Return sums (..., channel) over weights (...); NaN where nothing has any."""
+    return np.asarray(total / np.where(weight > 0, weight, np.nan)[..., np.newaxis])
 
 
 def _exposed(kept: Reals, whole: npt.NDArray[np.bool_], unit: float | None) -> np.float64:
@@ -322,11 +325,9 @@ def clamped(x: Reals, *, limit: float = 10.0, unit: float | None = None) -> Real
     """
     registry.check_positive(limit=limit)
     kept, whole = registry.whole_samples(x)
-    count = np.count_nonzero(whole, axis=-1)
     largest, highest = kept.max(axis=-2), limit * _exposed(kept, whole, unit)
     weight = np.where(largest > highest, highest / np.where(largest > 0, largest, 1), 1.0)
-    found = np.vecdot(kept, weight[..., np.newaxis, :]) / np.maximum(count, 1)[..., np.newaxis]
-    return np.where(count[..., np.newaxis] > 0, found, registry.mean_of_good(x))
+    return _over(np.vecdot(kept, weight[..., np.newaxis, :]), np.count_nonzero(whole, axis=-1))
 
 
 @register(
@@ -409,8 +410,5 @@ def decoro2010(
     distance = tree.query(tree.data, [neighbours + 1], distance_upper_bound=1, workers=-1)[0][:, 0]
     stays = np.zeros(usable.shape, bool)
     stays[usable] = np.isfinite(distance)
-    found = (kept * stays[..., np.newaxis, :]).sum(axis=-1, dtype=np.float64)
-    found /= np.maximum(np.count_nonzero(stays, axis=-1), 1)[..., np.newaxis]
-    alone = ~stays.any(axis=-1)
-    found[alone] = registry.mean_of_good(x[alone])
-    return np.asarray(found)
+    total = (kept * stays[..., np.newaxis, :]).sum(axis=-1, dtype=np.float64)
+    return _over(total, np.count_nonzero(stays, axis=-1))

@@ -18,9 +18,9 @@ that miss samples are gathered by how many they have, so that a kernel never see
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, Protocol, TypedDict, TypeVar, Unpack, cast
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,7 @@ __all__ = [
     "converge",
     "estimate_rows",
     "forget",
+    "known_features",
     "lookup",
     "mean_of_good",
     "median_of_sorted",
@@ -244,22 +245,12 @@ LABELS: dict[str, str] = {}
 """What text and figures call the registered estimators, by name."""
 
 
-class Facts(TypedDict, total=False):
-    """Facts about a fixed estimator; see `Estimator`."""
-
-    label: str
-    place: int
-    minimum_samples: int
-    uses_neighbours: bool
-    joint_channels: bool
-    uses_features: bool
-    learns: bool
-
-
-def register(name: str, source: str, **facts: Unpack[Facts]) -> Callable[[Function], Function]:
+def register(name: str, source: str, **facts: Any) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`; see `Estimator` for the parameters.
 
-    A function that is defined again, as in a cell of a notebook, takes the place of the former one.
+    Of a function that looks at the channels of a sample together, what is not finite becomes the
+    mean of the channel's good samples. A function that is defined again, as in a cell of a
+    notebook, takes the place of the former one.
 
     Examples
     --------
@@ -279,7 +270,11 @@ def register(name: str, source: str, **facts: Unpack[Facts]) -> Callable[[Functi
         def estimate(x: npt.ArrayLike, *args: Any, **options: Any) -> Reals:
             samples = entry.checked(x)
             warn_left_out(samples, channel_axis=-2 if joint else None, within="chdstat.estimators")
-            return np.asarray(function(samples, *args, **options), samples.dtype)
+            found = np.asarray(function(samples, *args, **options), samples.dtype)
+            missing = ~np.isfinite(found)
+            if joint and missing.any():
+                found = np.where(missing, mean_of_good(samples).astype(samples.dtype), found)
+            return found
 
         entry = Estimator(name, estimate, source, **facts)
         _enter(entry)
@@ -418,6 +413,20 @@ def whole_samples(
     """Return samples (..., channel, sample), 0 where a channel is bad, and which have none bad."""
     good = np.asarray(~is_bad(x).any(axis=-2))
     return x if good.all() else np.where(good[..., np.newaxis, :], x, 0), good
+
+
+def known_features(
+    features: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...], names: Sequence[str]
+) -> dict[str, Floats]:
+    """Return those of some first-hit features that there are, finite, shape (y, x, number)."""
+    found = {}
+    for name in [name for name in names if name in features]:
+        field = np.asarray(features[name], np.float64)
+        if field.shape[:2] != shape or field.ndim not in (2, 3):
+            message = f"feature {name!r} must have shape {shape} or {shape} x 3, got {field.shape}"
+            raise InputError(message)
+        found[name] = np.nan_to_num(np.atleast_3d(field), posinf=0, neginf=0)
+    return found
 
 
 def check_positive(**options: float) -> None:

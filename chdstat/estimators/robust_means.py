@@ -12,12 +12,12 @@ estimator can. `jung2015` draws bootstrap means of a pixel and takes a robust lo
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from chdstat._core.arrays import Floats, Reals, all_good, is_bad, whole
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_option
 from chdstat.estimators import registry
 from chdstat.estimators.order import huber, row_sums
 from chdstat.estimators.registry import register
@@ -350,9 +350,7 @@ def jung2015(
     (584.5, True)
     """
     resamples, seed = whole("resamples", resamples, least=1), whole("seed", seed, least=0)
-    if location not in ("median", "huber"):
-        message = f"location must be 'median' or 'huber', got {location!r}"
-        raise InputError(message)
+    check_option("location", location, get_args(Location))
 
     def kernel(rows: Floats) -> Floats:
         m = rows.shape[-1]

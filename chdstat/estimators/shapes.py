@@ -19,7 +19,6 @@ from chdstat.estimators.registry import check_positive, check_probability, regis
 __all__ = ["RADIUS", "PowerSums", "ShapeStatistics", "shared_shape"]
 
 _ROUNDING, _EQUAL = 1e-6, 1e-13
-_POWERS = 0.25, 0.5, 0.75, 1.0
 _LIMIT, _ALPHA = 1.75, 0.005
 RADIUS = 5
 """Of the window, in pixels."""
@@ -86,8 +85,7 @@ def shared_shape(
     whole("radius", radius, least=0)
     check_probability(alpha=alpha)
     check_positive(limit=limit)
-    measured = ShapeStatistics.of(PowerSums.of(as_pixels(x, minimum=2)))
-    return measured.or_mean(measured.limited(limit, alpha, radius))
+    return ShapeStatistics.of(PowerSums.of(as_pixels(x, minimum=2))).limited(limit, alpha, radius)
 
 
 @dataclass
@@ -102,9 +100,9 @@ class PowerSums:
     good, total, square
         Good samples of each channel, their sum and that of their squares, shape (y, x, channel) as
         all but `count` and `null`.
-    positive, roots, below, largest
-        Of the samples whose channels are all good: how many are above 0, sums of these to the
-        powers `_POWERS`, the sum of those below 0, and the largest (at least 0).
+    above, fourth, root, product, positive, below, largest
+        Of the samples whose channels are all good: how many are above 0; the sums of these to the
+        powers 1/4, 1/2, 3/4 and 1; the sum of those below 0; and the largest (at least 0).
     count, null
         How many these are, and how many are null, shape (y, x).
     """
@@ -112,8 +110,11 @@ class PowerSums:
     good: Floats
     total: Floats
     square: Floats
+    above: Floats
+    fourth: Floats
+    root: Floats
+    product: Floats
     positive: Floats
-    roots: Floats
     below: Floats
     largest: Floats
     count: Floats
@@ -122,7 +123,7 @@ class PowerSums:
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> PowerSums:
         """Return sums of no samples of an image (y, x, channel)."""
-        sizes = {"roots": (len(_POWERS), *shape), "count": shape[:2], "null": shape[:2]}
+        sizes = {"count": shape[:2], "null": shape[:2]}
         return cls(**{field.name: np.zeros(sizes.get(field.name, shape)) for field in fields(cls)})
 
     @classmethod
@@ -145,17 +146,20 @@ class PowerSums:
             self.total += sample
             with np.errstate(over="ignore"):  # float64 samples may be of any size
                 self.square += sample * sample
-            self.positive += kept > 0
-            self.roots += _powers(positive)
+            self.above += kept > 0
+            for sums, power in zip(self._powers(), _powers(positive), strict=True):
+                sums += power
             self.below += np.minimum(kept, 0)
             np.maximum(self.largest, positive, out=self.largest)
             self.count += whole
             self.null += (x[..., i] == 0).all(axis=-1)
 
+    def _powers(self) -> tuple[Floats, ...]:
+        return self.fourth, self.root, self.product, self.positive
+
     def part(self, rows: slice, columns: slice = slice(None)) -> PowerSums:
         """Return the sums of a part of the image, which share its memory."""
-        parts = {k: sums[rows, columns] for k, sums in vars(self).items() if k != "roots"}
-        return PowerSums(**parts, roots=self.roots[:, rows, columns])
+        return PowerSums(**{name: sums[rows, columns] for name, sums in vars(self).items()})
 
     def merged(self, other: PowerSums) -> PowerSums:
         """Return the sums over the samples of both."""
@@ -177,11 +181,11 @@ class PowerSums:
         return np.asarray(np.where(n == 1, np.abs(self.total), error))
 
 
-def _powers(x: Floats) -> Floats:
+def _powers(x: Floats) -> tuple[Floats, ...]:
     """Return the fourth root, the root, their product and x itself."""
     root = np.sqrt(x)
     fourth = np.sqrt(root)
-    return np.stack([fourth, root, fourth * root, x])
+    return fourth, root, fourth * root, x
 
 
 @dataclass(frozen=True)
@@ -223,10 +227,13 @@ class ShapeStatistics:
         """
         count = sums.count[..., np.newaxis]
         below = sums.below / np.maximum(count, 1)
-        mean = sums.roots[3] / np.where(count > 0, count, np.nan)
+        mean = sums.positive / np.where(count > 0, count, np.nan)
         # The largest sample is left out, so that a firefly does not set a pixel apart.
-        fourth, root, product, kept = np.maximum(sums.roots - _powers(sums.largest), 0)
-        positive = np.maximum(sums.positive - 1, 0)
+        fourth, root, product, kept = (
+            np.maximum(total - largest, 0)
+            for total, largest in zip(sums._powers(), _powers(sums.largest), strict=True)
+        )
+        positive = np.maximum(sums.above - 1, 0)
         pairs = root**2 - kept
         # What is left of a single sample, or of one among many darker by far, is rounding.
         pairs[(pairs < _ROUNDING * root**2) | (positive < 2)] = 0

@@ -301,11 +301,10 @@ def mixture_shrinkage(x: Reals, *, max_k: int = 3) -> Reals:
 def _shrink_mean(x: Reals, towards: Callable[[Reals], Reals]) -> Reals:
     """Pull the mean of samples (..., channel, sample) towards another estimate of them.
 
-    All channels of a sample are left out where one is bad, unless that leaves a pixel with none.
+    All channels of a sample are left out where one is bad.
     """
     if not all_good(x):
-        bad = is_bad(x).any(axis=-2, keepdims=True)
-        x = np.where(bad & ~bad.all(axis=-1, keepdims=True), x.dtype.type(np.nan), x)
+        x = np.where(is_bad(x).any(axis=-2, keepdims=True), x.dtype.type(np.nan), x)
 
     def standard_error(rows: Floats) -> Floats:
         return np.asarray(rows.std(axis=-1) / np.sqrt(max(rows.shape[-1] - 1, 1)))

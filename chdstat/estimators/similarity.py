@@ -57,10 +57,8 @@ class ScaledSamples:
 
     Attributes
     ----------
-    given
-        Samples as they are, shape (y, x, channel, sample).
     samples
-        The same, 0 where a channel is bad.
+        Shape (y, x, channel, sample), 0 where a channel is bad.
     good
         Marks samples of which all channels are good, shape (y, x, sample).
     count
@@ -69,7 +67,6 @@ class ScaledSamples:
         A power of two, which changes no digit.
     """
 
-    given: npt.NDArray[np.floating[Any]]
     samples: npt.NDArray[np.floating[Any]]
     good: npt.NDArray[np.bool_]
     count: npt.NDArray[np.int64]
@@ -81,7 +78,7 @@ class ScaledSamples:
         kept, good = whole_samples(x)
         _, exponent = np.frexp(exposure_unit(mean_of_good(kept).mean(axis=-1)))
         unit = float(np.ldexp(1.0, int(exponent) - 1))
-        return cls(x, kept, good, np.count_nonzero(good, axis=-1), unit)
+        return cls(kept, good, np.count_nonzero(good, axis=-1), unit)
 
     def mean(self) -> Floats:
         """Return the mean of the good samples in units of `unit`, shape (y, x, channel)."""
@@ -89,15 +86,9 @@ class ScaledSamples:
             total = self.samples.sum(axis=-1, dtype=np.float64) / self.unit
             return np.asarray(total / self.count[..., np.newaxis])
 
-    def radiance(self, estimate: Floats) -> npt.NDArray[Any]:
-        """Return estimates (y, x, channel), in units of `unit`, as radiance.
-
-        Where there is none, or no whole sample is good, the mean of a channel's good samples.
-        """
-        found = estimate * self.unit
-        missing = (self.count == 0) | ~np.isfinite(found).all(axis=-1)
-        found[missing] = mean_of_good(self.given[missing])
-        return found
+    def radiance(self, estimate: Floats) -> Floats:
+        """Return estimates in units of `unit` as radiance, NaN where no whole sample is good."""
+        return np.where(self.count[..., np.newaxis] > 0, estimate * self.unit, np.nan)
 
     def walk(self, work: Callable[..., tuple[Floats, ...]]) -> tuple[Floats, ...]:
         """Apply ``work(rows, mask, count)`` to pixels that stay in the cache together.

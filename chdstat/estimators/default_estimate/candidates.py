@@ -76,25 +76,18 @@ class Measured:
     @classmethod
     def of(cls, image: Samples, **work: Unpack[Work]) -> Measured:
         """Measure an image in memory that does not grow with the number of samples."""
-        names = [field.name for field in fields(PowerSums)]
 
         def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Reals]]:
-            found: dict[str, tuple[tuple[str, ...], Reals]] = {}
-            for i, half in enumerate((x[..., ::2], x[..., 1::2])):
-                sums = vars(PowerSums.of(half))
-                sums["roots"] = np.moveaxis(sums["roots"], 0, -1)
-                for name, value in sums.items():
-                    dims = ("channel", "power")[: value.ndim - 2]
-                    found[f"{name} {i}"] = dims, value
-            return found
+            return {
+                f"{name} {i}": (("channel",)[: sums.ndim - 2], sums)
+                for i, half in enumerate((x[..., ::2], x[..., 1::2]))
+                for name, sums in vars(PowerSums.of(half)).items()
+            }
 
         maps = image.map(of_tile, dependent=True, description="estimating", **work)
-
-        def half(i: int) -> PowerSums:
-            values = {name: maps[f"{name} {i}"].values for name in names}
-            return PowerSums(**values | {"roots": np.moveaxis(values["roots"], -1, 0)})
-
-        return cls.of_halves(half(0), half(1))
+        names = [field.name for field in fields(PowerSums)]
+        halves = (PowerSums(*(maps[f"{name} {i}"].values for name in names)) for i in (0, 1))
+        return cls.of_halves(*halves)
 
     @classmethod
     def of_halves(cls, one: PowerSums, other: PowerSums) -> Measured:

@@ -41,7 +41,6 @@ __all__ = [
     "LOSSES",
     "ErrorModel",
     "check_loss_weight",
-    "checked_shares",
     "error_terms",
     "of_size",
     "ratio",
@@ -188,24 +187,6 @@ def check_loss_weight(loss_weight: float) -> None:
 
 
 # --- how far to follow a network ---------------------------------------------------------------
-
-
-def checked_shares(sizes: Reals, shares: Reals) -> tuple[Reals, Reals]:
-    """Return shares as of `reference_shares`.
-
-    Raises
-    ------
-    ValueError
-        If they have another shape, or lie out of range.
-    """
-    if shares.shape != (len(sizes), len(LOSSES), GROUPS) or not len(sizes):
-        expected = f"(size, {len(LOSSES)}, {GROUPS}), size {len(sizes)}"
-        message = f"shares must have shape {expected}, got {shares.shape}"
-        raise ValueError(message)
-    if not ((shares >= 0) & (shares <= _LARGEST)).all():
-        message = f"shares must lie between 0 and {_LARGEST}"
-        raise ValueError(message)
-    return sizes, shares
 
 
 def shares_at(sizes: Reals, shares: Reals, count: npt.NDArray[Any]) -> Reals:

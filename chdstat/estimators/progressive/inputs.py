@@ -22,6 +22,7 @@ from scipy import sparse
 from chdstat._core.arrays import LUMINANCE, Image, Reals, as_pixels, is_bad, spans
 from chdstat._core.work import in_order
 from chdstat.errors import InputError
+from chdstat.estimators.registry import known_features
 
 __all__ = ["OCTAVES", "Features", "Profile", "describe"]
 
@@ -193,7 +194,7 @@ def describe(features: Features, shape: tuple[int, ...]) -> Image:
         If a feature has another shape.
     """
     numbers = [np.zeros((*shape, 0))]
-    known = _checked(features, shape)
+    known = known_features(features, shape, _NAMES)
     if "albedo" in known:
         numbers += [known["albedo"], np.log(known["albedo"].clip(min=0) + _DARK)]
     if "normal" in known:
@@ -205,18 +206,6 @@ def describe(features: Features, shape: tuple[int, ...]) -> Image:
         waves = [np.pi / 2 * 2**k * position for k in range(_WAVES)]
         numbers += [position, *map(np.sin, waves), *map(np.cos, waves)]
     return np.concatenate(numbers, axis=-1).astype(np.float32)
-
-
-def _checked(features: Features, shape: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
-    """Return the features that there are, float64, finite, each of shape (y, x, number)."""
-    found = {}
-    for name in [name for name in _NAMES if name in features]:
-        field = np.asarray(features[name], np.float64)
-        if field.shape[:2] != shape or field.ndim not in (2, 3):
-            message = f"feature {name!r} must have shape {shape} or {shape} x 3, got {field.shape}"
-            raise InputError(message)
-        found[name] = np.nan_to_num(np.atleast_3d(field), posinf=0, neginf=0)
-    return found
 
 
 def _standard(field: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -98,12 +98,6 @@ class Learned(Trained):
     unit: float
     marks: tuple[Indices, Image]
 
-    def __post_init__(self) -> None:
-        used = sum(int(scene["pixels_used"]) for scene in self.provenance["scenes"])
-        if self.train_pixels.shape != (used, 2):
-            message = f"its scenes have {used} pixels, got {self.train_pixels.shape}"
-            raise ValueError(message)
-
     def pixels_of(self, shape: tuple[int, int]) -> Indices:
         """Return the pixels that trained in any image of a shape, rows (y, x)."""
         scenes = self.provenance["scenes"]
@@ -356,9 +350,7 @@ def _check_same(what: str, found: Sequence[int]) -> None:
         raise InputError(message)
 
 
-def train_network(
-    training_set: TrainingSet, *, with_features: bool, seed: int, progress: bool | None
-) -> Learned:
+def train_network(training_set: TrainingSet, *, seed: int, progress: bool | None) -> Learned:
     """Train a new network, and measure how far to follow it and how large its errors are.
 
     Raises
@@ -404,7 +396,7 @@ def train_network(
             scenes[0]["samples"],
             shape,
             scenes=list(scenes),
-            with_features=with_features,
+            with_features=described is not None,
             seed=seed,
             pixels_used=len(training_set.pixels),
             pixels_excluded=training_set.excluded,

@@ -178,9 +178,7 @@ class Progressive(TrainedModel[learning.Learned]):
             iterations=iterations,
             seed=seed,
         )
-        self._trained = learning.train_network(
-            training_set, with_features=self.with_features, seed=seed, progress=progress
-        )
+        self._trained = learning.train_network(training_set, seed=seed, progress=progress)
         return self
 
     def predict(
@@ -311,7 +309,7 @@ class Progressive(TrainedModel[learning.Learned]):
         found = estimate_pixels(
             self.state, rows, described, unit=unit, loss_weight=loss_weight, level=level
         )
-        # A profile may overflow, or hold no sample that is good in all channels.
+        # Profile or network may overflow, and there may be no sample that is good in all channels.
         lost = ~np.isfinite(found.radiance).all(axis=-1)
         if lost.any():
             with np.errstate(over="ignore"):
@@ -394,7 +392,7 @@ class Progressive(TrainedModel[learning.Learned]):
             raise StoreError(message)
         network = Network(**about["shape"]).eval()
         network.load_arrays(below("network."))
-        network.shrinkage = errors.checked_shares(**below("shrinkage."))
+        network.shrinkage = (arrays["shrinkage.sizes"], arrays["shrinkage.shares"])
         model = cls(with_features=bool(about["with_features"]))
         model._trained = learning.Learned(
             network=network,

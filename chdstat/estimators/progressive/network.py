@@ -130,11 +130,8 @@ class Network(nn.Module):
         Raises
         ------
         ValueError
-            If one is missing, of another shape, or not finite.
+            If one is missing, or of another shape.
         """
-        if not all(np.isfinite(array).all() for array in arrays.values()):
-            message = "weights must be finite"
-            raise ValueError(message)
         try:
             self.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
         except RuntimeError as error:
@@ -187,7 +184,7 @@ def estimate_pixels(
 ) -> Estimates:
     """Estimate pixels from their samples, block by block on all cores.
 
-    Where the network overflows, it is the mean.
+    Where no sample is good, radiance is NaN.
 
     Parameters
     ----------
@@ -227,11 +224,7 @@ def estimate_pixels(
                 for end, tail in ((low, (1 - level) / 2), (high, (1 + level) / 2)):
                     found = error_model.quantile(*given, loss_weight=loss_weight, level=tail)
                     end[part] = found.astype(np.float32) * scale
-            lost = (profile.count == 0) | ~np.isfinite(radiance[part]).all(axis=-1)
-            if lost.any():
-                for array in (radiance, low, high):
-                    array[part][lost] = profile[lost].mean()
-                certainty[part][lost] = 0
+        radiance[part][profile.count == 0] = np.nan
 
     with threads(1):
         for _ in in_order(enter, spans(len(rows), _ROWS)):
