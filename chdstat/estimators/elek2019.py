@@ -31,6 +31,7 @@ from chdstat._core.arrays import (
     is_bad,
     spans,
     warn_left_out,
+    whole,
 )
 from chdstat._core.work import track
 from chdstat.errors import InputError, check_option
@@ -200,8 +201,9 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         InputError
             If there are too few samples, or too few pixels with good ones.
         """
-        training.check_iterations(iterations)
         config, shape = self.config, samples.shape[:2]
+        wanted = config.iterations if iterations is None else iterations
+        wanted = whole("iterations", wanted, least=1)
         validation.check_spp(samples, config.inputs)
         if pixels is None:
             chosen = validation.draw_pixels(shape, config.pixels, seed=seed)
@@ -222,7 +224,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             config,
             batches,
             references.astype(np.float32),
-            iterations=config.iterations if iterations is None else iterations,
+            iterations=wanted,
             patience=patience,
             rng=generator(seed).spawn(1)[0],
             progress=progress,

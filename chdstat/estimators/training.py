@@ -38,7 +38,6 @@ __all__ = [
     "Trained",
     "TrainedModel",
     "check_choice",
-    "check_iterations",
     "descend",
     "first_samples",
     "load_model",
@@ -190,18 +189,19 @@ class TrainedModel(Shown, ABC, Generic[State]):
             If there is no such file, it is damaged, or it holds something else.
         """
         arrays, about = read_model(Path(path))
+        kind = about.get("kind") if isinstance(about, dict) else None
+        known = [name for name, one in TrainedModel.kinds.items() if issubclass(one, cls)]
+        if kind not in known:
+            message = f"{path} holds a model of kind {kind!r}, not {' or '.join(map(repr, known))}"
+            raise StoreError(message)
         try:
-            kind = about.get("kind")
-            if kind != cls.kind:
-                message = f"{path} holds a model of kind {kind!r}, not {cls.kind!r}"
-                raise StoreError(message)
             common = {
                 "history": arrays["history"],
                 "train_pixels": arrays["train_pixels"].astype(np.int64, copy=False),
                 "train_shape": (int(about["train_shape"][0]), int(about["train_shape"][1])),
                 "provenance": dict(about["provenance"]),
             }
-            return cls._from_file(arrays, about, common)
+            return TrainedModel.kinds[kind]._from_file(arrays, about, common)
         except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
             message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
             raise StoreError(message) from error
@@ -245,19 +245,6 @@ def scene_record(
 def provenance_of(*image: Any, **facts: Any) -> dict[str, Any]:
     """Return where a trained network comes from: the `scene_record`, and the version."""
     return scene_record(*image, **facts, chdstat=chdstat.__version__)
-
-
-def check_iterations(iterations: int | None) -> None:
-    """Refuse to train for less than one iteration.
-
-    Raises
-    ------
-    InputError
-        If there are fewer; None is the estimator's own number.
-    """
-    if iterations is not None and iterations < 1:
-        message = f"iterations must be at least 1, got {iterations}"
-        raise InputError(message)
 
 
 Losses = tuple[Any, ...]
@@ -500,13 +487,8 @@ def load_model(path: str | Path) -> TrainedModel[Any]:
         ...
     chdstat.errors.StoreError: no model at nowhere.safetensors; train one with: ...
     """
-    _, about = read_model(Path(path))
-    kind = about.get("kind") if isinstance(about, dict) else None
-    if not isinstance(kind, str) or kind not in TrainedModel.kinds:
-        known = ", ".join(TrainedModel.kinds)
-        message = f"{path} holds a model of kind {kind!r}; this version knows {known}"
-        raise StoreError(message)
-    return TrainedModel.kinds[kind].load(path)
+    found: TrainedModel[Any] = TrainedModel.load(path)
+    return found
 
 
 def first_samples(samples: ImageLike | npt.ArrayLike, spp: int | None) -> Samples:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
+from chdstat._core.arrays import whole
 from chdstat._core.files import checked_target
 from chdstat._core.work import kept_until_written
 from chdstat.analysis import Noise, noise_of, patterns_of
@@ -29,7 +30,7 @@ from chdstat.comparison.entries import (
 from chdstat.errors import InputError, check_option
 from chdstat.estimators import LearnedEstimator, estimate
 from chdstat.estimators.registry import Estimates, Model
-from chdstat.estimators.training import check_iterations, first_samples
+from chdstat.estimators.training import first_samples
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
@@ -146,7 +147,8 @@ def report(
     check_option("contents", contents, get_args(Contents))
     for name in estimators or ():
         entry_of(name)  # an unknown one is refused before the work
-    check_iterations(iterations)
+    if iterations is not None:
+        whole("iterations", iterations, least=1)
     given: dict[str, Any] = {n: value for n, value in settings.items() if value is not None}
     named = load_recipe(recipe) if recipe else None
     finished = open_samples(source) if is_store(source) else source

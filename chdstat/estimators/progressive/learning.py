@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, Indices, generator, is_bad
+from chdstat._core.arrays import Image, Indices, generator, is_bad, whole
 from chdstat._core.image_scales import mean_radiance
 from chdstat._core.work import cores, in_order, track
 from chdstat.errors import InputError
@@ -193,6 +193,7 @@ class TrainingSet:
             As for `Progressive.train`.
         """
         wanted = _LADDER if sizes is None else tuple(sizes)
+        iterations = whole("iterations", _ITERATIONS if iterations is None else iterations, least=1)
         if not images:
             message = "training needs at least one image, got none"
             raise InputError(message)
@@ -229,7 +230,7 @@ class TrainingSet:
             samples=samples,
             described=described,
             sizes=[n for n in wanted if n <= spp // 2],
-            iterations=iterations or _ITERATIONS,
+            iterations=iterations,
             pixels=kept,
             excluded=excluded,
             scenes=scenes,

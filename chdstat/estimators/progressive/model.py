@@ -26,7 +26,7 @@ from chdstat.estimators.registry import (
     mean_of_good,
     register_learned,
 )
-from chdstat.estimators.training import TrainedModel, check_iterations
+from chdstat.estimators.training import TrainedModel
 from chdstat.estimators.validation import reordered
 from chdstat.samples import Samples, opened, samples_of
 
@@ -166,7 +166,6 @@ class Progressive(TrainedModel[learning.Learned]):
             If there are too few samples or good pixels, images differ in channels, or one has no
             features where these are an input.
         """
-        check_iterations(iterations)
         several = isinstance(samples, list | tuple) and all(isinstance(s, Samples) for s in samples)
         images: Any = list(samples) if several else [samples_of(samples)]  # type: ignore[arg-type]
         given: Any = pixels if several or pixels is None else [pixels]
