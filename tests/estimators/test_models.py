@@ -158,7 +158,7 @@ def test_files_of_another_kind_are_refused(tmp_path):
         ({"kind": ["mlp"]}, r"\['mlp'\]"),
     ):
         write_model(path, {"a": np.zeros(3)}, about)
-        with pytest.raises(StoreError, match=f"kind {kind}; this version knows mlp, progressive"):
+        with pytest.raises(StoreError, match=f"kind {kind}, not 'mlp' or 'progressive'"):
             load_model(path)
 
 

@@ -113,10 +113,6 @@ class Profile:
         within = (radiance.sum(axis=-2) / count) ** 2
         return np.asarray(np.maximum(squares.sum(axis=-2) / count - within, 0) / count)
 
-    def __getitem__(self, pixels: Any) -> Self:
-        """Return the profiles of some pixels."""
-        return type(self)(self.bins[pixels], self.count[pixels], self.unit)
-
 
 def _blocks_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]]:
     """Return bins and counts of samples (..., channel, sample), block by block on all cores."""

@@ -224,7 +224,6 @@ def rewritten(path, change):
         lambda arrays, _: arrays.update({"spread.normal": np.zeros((2, 2, 11))}),
         lambda arrays, _: arrays.pop("history"),
         lambda arrays, _: arrays.update({"network.more": np.zeros(3, np.float32)}),
-        lambda arrays, _: arrays["network.answer.bias"].fill(np.inf),
         lambda _, about: about["shape"].update(channels=1),
         lambda _, about: about["shape"].update(width="wide"),
         lambda _, about: about["shape"].update(legs=4),

@@ -6,7 +6,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import Progressive, mean_radiance
-from chdstat.estimators.progressive.errors import GROUPS, checked_shares, share_of
+from chdstat.estimators.progressive.errors import share_of
 
 others = pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 
@@ -140,12 +140,6 @@ def test_the_share_of_a_move_is_what_pays():
     assert share_of(np.arange(2000), move, -move) == 0
     assert share_of(np.zeros(2000, int), move, move) == 0  # one pixel is no evidence
     assert share_of(np.arange(2000), 0 * move, move) == 0
-
-
-@pytest.mark.parametrize("wrong", [np.full((1, 2, GROUPS), -0.1), np.zeros((2, 2, GROUPS))])
-def test_shares_that_are_none_are_refused(wrong):
-    with pytest.raises(ValueError, match="shares must lie|shares must have shape"):
-        checked_shares(np.ones(1), wrong)
 
 
 @others

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError
 from chdstat.estimators import Progressive
-from chdstat.estimators.training import read_model, write_model
 from chdstat.estimators.validation import judging_pixels
 
 pytestmark = pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
@@ -134,12 +133,3 @@ def test_a_saved_model_is_the_same(both, tmp_path):
     np.testing.assert_array_equal(loaded.predict(x), both.predict(x))
     assert loaded.provenance == both.provenance
     np.testing.assert_array_equal(loaded.train_pixels_of((24, 20)), both.train_pixels_of((24, 20)))
-
-
-def test_a_file_whose_pixels_do_not_fit_its_scenes_is_refused(both, tmp_path):
-    path = tmp_path / "model.safetensors"
-    both.save(path)
-    arrays, about = read_model(path)
-    write_model(path, arrays | {"train_pixels": arrays["train_pixels"][1:]}, about)
-    with pytest.raises(StoreError, match="does not hold a whole network"):
-        Progressive.load(path)

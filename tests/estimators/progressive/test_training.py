@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
 
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, mean_radiance
-from chdstat.estimators.progressive.learning import TrainingSet, weighted_losses
 
 pytestmark = pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 
@@ -63,25 +61,6 @@ def test_an_image_of_another_exposure_trains_the_same_network(image):
         for s in (source.samples, bright)
     ]
     assert (models[1].predict(1024 * source.x) == 1024 * models[0].predict(source.x)).all()
-
-
-def judge_of(targets):
-    """Return the gradient of the loss for one common estimate of all pixels, of each loss."""
-    rows = len(targets)
-    rng = np.random.default_rng(1)
-    x = rng.exponential(size=(rows, 1, 8)).astype(np.float32)
-    training_set = TrainingSet(samples=x)
-    losses_of = weighted_losses(training_set, torch.device("cpu"))
-    target = targets[:, np.newaxis].astype(np.float32)
-
-    def gradient(level):
-        estimate = torch.full((2,), float(level), requires_grad=True)
-        everywhere = estimate[None, :, None].expand(rows, 2, 1)
-        output = everywhere, torch.ones(rows, 1), torch.ones(rows, 2)
-        losses_of(output, target, 4)[0].backward()
-        return estimate.grad.numpy()
-
-    return gradient
 
 
 def test_pixels_that_trained_are_exposed_and_others_left(image):

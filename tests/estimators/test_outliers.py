@@ -1,14 +1,17 @@
-"""Cascades: Zirr's invariant, the authors' formulas sample by sample, and what kappa does."""
+"""Outliers: the formulas of their authors sample by sample, and what they do to fireflies."""
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators.outliers import BASE, LAYERS, Cascade, layer_weights
 
 BRIGHTNESS = BASE ** np.arange(LAYERS)
+
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+
 """Weights of linear sRGB (ITU-R BT.709)."""
 
 
@@ -134,12 +137,90 @@ def test_the_unit_makes_thresholds_relative():
     assert estimators.zirr2018(x) != pytest.approx(found, rel=1e-3)
 
 
-@pytest.mark.parametrize("options", [{"kappa": 0.0}, {"kappa": -1.0}, {"unit": 0.0}])
-def test_options_out_of_range_are_refused(options):
-    with pytest.raises(InputError, match="got"):
-        estimators.zirr2018(np.ones((2, 2, 3, 8)), **options)
-
-
 def test_two_channels_have_no_luminance():
     with pytest.raises(InputError, match="1 or 3 channels, got 2"):
         estimators.zirr2018_pixel(np.ones((2, 8)))
+
+
+def scattered(seed=0, shape=(6, 7, 3, 5)):
+    return np.random.default_rng(seed).lognormal(0, 1.5, size=shape)
+
+
+@pytest.mark.parametrize("radius", [0, 1, 2, 3])
+@pytest.mark.parametrize("neighbours", [1, 4])
+def test_estimate_is_the_mean_of_the_samples_whose_kth_neighbour_is_near(radius, neighbours):
+    x = scattered(shape=(6, 7, 3, 8))
+    y, column, _ = np.indices((6, 7, 8))
+    colours = np.log(np.moveaxis(x, 2, -1) + 0.01) / (1.2 * np.sqrt(3))
+    places = np.stack([y, column], axis=-1) / (radius + 1)
+    points = np.concatenate([places, colours], axis=-1).reshape(-1, 5)
+    near = (cdist(points, points) < 1).sum(axis=1) > neighbours
+    stays = near.reshape(6, 7, 8)
+    assert 0 < stays.mean() < 1
+    some = stays.any(axis=-1)
+    expected = (x * stays[:, :, np.newaxis]).sum(axis=-1)[some] / stays.sum(axis=-1)[some][:, None]
+    found = estimators.decoro2010(x, neighbours=neighbours, bandwidth=1.2, radius=radius, unit=1.0)
+    assert found[some] == pytest.approx(expected, rel=1e-12)
+    assert found[~some] == pytest.approx(x[~some].mean(axis=-1), rel=1e-12)
+
+
+def test_an_outlier_goes_and_one_that_the_pixels_around_confirm_stays():
+    x = np.ones((3, 3, 3, 8))
+    x[1, 1, :, 0] = 900.0
+    assert estimators.decoro2010(x) == pytest.approx(1)
+    x[[0, 0, 1, 2], [0, 1, 0, 1], :, 0] = 900.0
+    assert estimators.decoro2010(x)[1, 1] == pytest.approx((900 + 7) / 8)
+
+
+def test_an_outlier_in_hue_alone_goes():
+    x = np.ones((3, 3, 3, 8))
+    x[1, 1, :, 0] = 0.02, 0.02, 30.0
+    assert estimators.decoro2010(x)[1, 1] == pytest.approx(1)
+
+
+def test_dim_samples_are_no_outliers():
+    x = np.ones((3, 3, 3, 8))
+    x[..., :4] = 0
+    x[1, 1, :, 0] = 1e-4
+    expected = x.mean(axis=-1)
+    assert estimators.decoro2010(x) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+def test_bad_samples_confirm_nothing_and_are_left_out():
+    x = np.ones((3, 3, 3, 8))
+    x[1, 1, :, 0] = 900.0
+    x[:, :, 1, 1] = np.nan
+    assert estimators.decoro2010(x) == pytest.approx(1)
+
+
+def test_all_alone_gives_the_mean():
+    x = np.array([1.0, 100.0, 1e4]).reshape(1, 1, 1, 3)
+    assert estimators.decoro2010(x) == pytest.approx(x.mean())
+
+
+def test_the_average_is_that_of_the_formula():
+    x = np.random.default_rng(0).gamma(0.5, size=(4, 5, 1, 16))
+    weight = 1 / (1 + x / 0.7)
+    expected = (x * weight).sum(axis=-1) / weight.sum(axis=-1)
+    assert estimators.karis2013(x, unit=0.7) == pytest.approx(expected, rel=1e-12)
+
+
+def test_in_a_dark_unit_it_is_harmonic_and_in_a_bright_one_the_mean():
+    x = np.random.default_rng(1).uniform(1, 9, size=(3, 1, 16))
+    harmonic = 16 / (1 / x).sum(axis=-1)
+    assert estimators.karis2013(x, unit=1e-9) == pytest.approx(harmonic, rel=1e-6)
+    assert estimators.karis2013(x, unit=1e9) == pytest.approx(x.mean(axis=-1), rel=1e-6)
+
+
+def test_all_channels_of_a_sample_have_one_weight():
+    x = np.array([[1.0, 900.0], [1.0, 0.0], [1.0, 0.0]])
+    red, green, blue = estimators.karis2013(x, unit=1.0)
+    assert green == blue < 1 < red
+
+
+def test_samples_above_the_limit_keep_their_colour():
+    x = np.array([[1.0, 40.0], [1.0, 20.0], [1.0, 0.0]])
+    assert estimators.clamped(x, unit=1.0) == pytest.approx([5.5, 3.0, 0.5])
+    assert estimators.clamped(x, unit=1.0, limit=100) == pytest.approx(x.mean(axis=-1))
+    assert estimators.clamped(3 * x, unit=3.0) == pytest.approx([16.5, 9.0, 1.5])
