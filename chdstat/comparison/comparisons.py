@@ -39,7 +39,7 @@ from chdstat.comparison.metrics import (
     stacked,
     titled,
 )
-from chdstat.errors import InputError
+from chdstat.errors import check_option
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.registry import Model
 from chdstat.estimators.validation import check_spp
@@ -153,9 +153,7 @@ class Breakdown(Shown):
         InputError
             If the measure is another.
         """
-        if measure not in {"mse", "relmse"}:
-            message = f"measure must be 'mse' or 'relmse', got {measure!r}"
-            raise InputError(message)
+        check_option("measure", measure, ("mse", "relmse"))
         value = self.measures[measure].value
         errors = np.where(np.isfinite(value) & (neighbours | ~self.uses_neighbours), value, np.inf)
         return tuple(

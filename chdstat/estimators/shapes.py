@@ -196,10 +196,9 @@ class ShapeStatistics:
 
     Attributes
     ----------
-    good_mean
-        Mean of each channel's good samples, shape (y, x, channel) as all but `count`.
     mean, below
-        Mean of the samples whose channels are all good, 0 for negative ones, and what these add.
+        Mean of the samples whose channels are all good, 0 for negative ones, and what these add,
+        shape (y, x, channel) as all but `count`.
     level, positive
         Levels, and numbers of positive samples, without the largest sample.
     shape, error
@@ -208,7 +207,6 @@ class ShapeStatistics:
         Number of samples whose channels are all good, shape (y, x).
     """
 
-    good_mean: Floats
     mean: Floats
     below: Floats
     level: Floats
@@ -245,10 +243,13 @@ class ShapeStatistics:
             relative = (b - a * a) / b - a * (c - a * b) / b**2 + a * a * (d - b * b) / (4 * b**3)
             error = np.maximum(relative, 0) / np.where(m > 1, m - 1, np.nan)
             shape = a / np.sqrt(b)
-        return cls(sums.mean(), mean, below, level, positive, shape, error, sums.count)
+        return cls(mean, below, level, positive, shape, error, sums.count)
 
     def limited(self, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = RADIUS) -> Floats:
-        """Return the means, that of the positive samples limited by the shape of what is around."""
+        """Return the means, that of the positive samples limited by the shape of what is around.
+
+        NaN where no sample is good in all channels.
+        """
         level, mean = self.level, self.mean.copy()
         known = (level > 0) & (mean > 0)
         depth = np.divide(level, mean, out=np.zeros_like(mean), where=known)
@@ -259,8 +260,3 @@ class ShapeStatistics:
         )
         by_shape = np.divide(level, around, out=mean.copy(), where=known & (around > 0))
         return np.asarray(np.minimum(mean, limit * by_shape, out=mean, where=known) + self.below)
-
-    def or_mean(self, found: Floats) -> Floats:
-        """Return estimates, or the mean of a channel's good samples where there is none."""
-        missing = (self.count == 0) | ~np.isfinite(found).all(axis=-1)
-        return np.asarray(np.where(missing[..., np.newaxis], self.good_mean, found))

@@ -105,9 +105,9 @@ class Measured:
             halves = one.part(around), other.part(around)
             whole = halves[0].merged(halves[1])
             for part, start, error in zip((whole, *halves), starts, errors, strict=True):
-                shape = ShapeStatistics.of(part)
-                start["mean"][rows] = part.mean()[inside]
-                start["shared_shape"][rows] = shape.or_mean(shape.limited())[inside]
+                mean, limited = part.mean(), ShapeStatistics.of(part).limited()
+                start["mean"][rows] = mean[inside]
+                start["shared_shape"][rows] = np.where(np.isfinite(limited), limited, mean)[inside]
                 error[rows] = part.error()[inside]
             count[rows] = whole.good[inside]
             null[rows] = (whole.null / np.maximum(whole.good.max(axis=-1), 1))[inside]

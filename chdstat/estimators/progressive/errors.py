@@ -332,14 +332,6 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
 # --- how large its errors are ------------------------------------------------------------------
 
 
-def _explained(validation: Validation, loss: int) -> tuple[Reals, Reals]:
-    """Return error terms (row, channel, term), and unbiased squared errors (row, channel)."""
-    estimate = validation["estimate"][loss]
-    own = validation["mean"], validation["certainty"][loss], validation["variance"]
-    squared = (estimate - validation["target"]) ** 2 - validation["noise"]
-    return error_terms(estimate, *own), np.asarray(squared)
-
-
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
 """Probabilities at which quantiles are calibrated."""
 LOSS_WEIGHTS = np.array([0.0, 0.5, 1.0])
@@ -444,8 +436,11 @@ def _expected(weights: Reals, terms: Reals, loss_weight: float) -> Reals:
 
 def least_squares(validation: Validation, loss: int) -> Reals:
     """Return the weights of the error terms by least squares, errors relative to the radiance."""
-    by_channel, squared = _explained(validation, loss)
-    terms = by_channel.reshape(-1, ERROR_TERMS)
+    estimate = validation["estimate"][loss]
+    own = validation["mean"], validation["certainty"][loss], validation["variance"]
+    terms = error_terms(estimate, *own).reshape(-1, ERROR_TERMS)
+    # Without bias: the noise of the target is taken off.
+    squared = (estimate - validation["target"]) ** 2 - validation["noise"]
     scale = 1 / terms[:, :4].sum(axis=1)
     # The normal equations: tens of thousands of rows, six weights.
     scaled = terms * scale[:, np.newaxis]
