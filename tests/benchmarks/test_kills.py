@@ -9,7 +9,6 @@ runs a few. CHDSTAT_KILLS changes their number, CHDSTAT_KILLED, such as
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import select
 import shutil
@@ -52,58 +51,30 @@ class Ended:
     seconds: float
 
 
-class Runner:
-    """Runs commands, each in a process of its own."""
-
-    def __init__(self) -> None:
-        server = Path(__file__).parent / "kill_server.py"
-        self.process = subprocess.Popen(
-            [sys.executable, server], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
-        )
-        self.screen, self.tty = os.openpty()
-
-    def close(self) -> None:
-        self.process.stdin.close()
-        self.process.wait()
-        self.process.stdout.close()
-        os.close(self.screen)
-        os.close(self.tty)
-
-    def run(
-        self,
-        arguments: tuple[str, ...],
-        folder: Path,
-        *,
-        events: int | None = None,
-        after: float = LONGEST,
-    ) -> Ended:
-        """Run a command; kill it so many seconds after it has shown that it works."""
-        (folder / "tmp").mkdir(exist_ok=True)
-        job = {
-            "arguments": arguments,
-            "folder": str(folder),
-            "tty": os.ttyname(self.tty),
-            "events": events,
-        }
-        self.process.stdin.write(json.dumps(job).encode() + b"\n")
-        child = int(self.process.stdout.readline())
-        shown, start, killed = b"", time.monotonic(), False
-        first = None
-        while True:
+def run(
+    arguments: tuple[str, ...], folder: Path, *, events: int = -1, after: float = LONGEST
+) -> Ended:
+    """Run a command; kill it so many seconds after it has shown that it works."""
+    (folder / "tmp").mkdir(exist_ok=True)
+    screen, tty = os.openpty()
+    command = [sys.executable, Path(__file__).with_name("killed.py"), str(events), *arguments]
+    own = {"TMPDIR": f"{folder}/tmp", "XDG_CACHE_HOME": f"{folder}/cache"}
+    shown, start, first = b"", time.monotonic(), None
+    with subprocess.Popen(
+        command, cwd=folder, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=tty
+    ) as process:
+        while process.poll() is None:
             now = time.monotonic()
-            ready, _, _ = select.select([self.screen, self.process.stdout], [], [], 0.002)
-            if self.screen in ready:
-                shown += os.read(self.screen, 65536)
-                if first is None and b"%" in shown:
-                    first = now
-            elif self.process.stdout in ready:
-                status = int(self.process.stdout.readline())
-                if status not in (0, -signal.SIGKILL):
-                    print(shown.decode(errors="replace"))
-                return Ended(status, now - (first or start))
-            if not killed and (now - start > LONGEST or (first and now - first >= after)):
-                os.kill(child, signal.SIGKILL)
-                killed = True
+            if select.select([screen], [], [], 0.002)[0]:
+                shown += os.read(screen, 65536)
+                first = now if first is None and b"%" in shown else first
+            if now - start > LONGEST or (first and now - first >= after):
+                process.kill()
+    os.close(screen)
+    os.close(tty)
+    if process.returncode not in (0, -signal.SIGKILL):
+        print(shown.decode(errors="replace"))
+    return Ended(process.returncode, time.monotonic() - (first or start))
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -119,51 +90,46 @@ def tree(folder: Path) -> dict[str, str]:
 class Campaign:
     """Undisturbed runs, and killed ones to compare with them."""
 
-    def __init__(self, folder: Path, runner: Runner) -> None:
-        self.folder, self.runner = folder, runner
-        self.start = self.place("start")
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.start = folder, folder / "start"
+        self.start.mkdir()
         self.right: dict[str, dict[str, str]] = {}
         self.seconds: dict[str, float] = {}
         self.events: dict[str, int] = {}
 
-    def place(self, name: str) -> Path:
+    def place(self) -> Path:
         """Return the folder to run in, with what is there at the start."""
         place = self.folder / "run"
         shutil.rmtree(place, ignore_errors=True)
-        if name == "start":
-            start = self.folder / "start"
-            start.mkdir()
-            return start
-        shutil.copytree(self.start, place)
-        return place
+        return Path(shutil.copytree(self.start, place))
 
     def learn(self, name: str) -> None:
         """Run a command undisturbed, on what it reads."""
         for store in SETUP.keys() & {*COMMANDS[name]}:
             if not (self.start / store).exists():
-                assert self.runner.run(SETUP[store], self.start).status == 0
-        place = self.place(name)
-        ended = self.runner.run(COMMANDS[name], place)
+                assert run(SETUP[store], self.start).status == 0
+        place = self.place()
+        ended = run(COMMANDS[name], place, events=0)
         assert ended.status == 0
         self.right[name], self.seconds[name] = tree(place), ended.seconds
-        self.events[name] = int(Path(f"{place}.events").read_text())
+        self.events[name] = int(place.with_name("events").read_text())
 
     def killed(self, name: str, rng: np.random.Generator, *, at: str) -> str:
         """Kill a command at a random moment or access to a file, run it again, and look."""
         if name not in self.right:
             self.learn(name)
         while True:
-            place = self.place(name)
+            place = self.place()
             moment = (
                 {"after": rng.uniform(0, self.seconds[name])}
                 if at == "moment"
                 else {"events": int(rng.integers(1, self.events[name] + 1))}
             )
-            status = self.runner.run(COMMANDS[name], place, **moment).status
+            status = run(COMMANDS[name], place, **moment).status
             missing = self.right[name].items() - tree(place).items()
             if status == -signal.SIGKILL and any(not f.startswith("cache") for f, _ in missing):
                 break  # in time: once its results are in place, it has done its work
-        status = self.runner.run(COMMANDS[name], place).status
+        status = run(COMMANDS[name], place).status
         if status:
             return "refused"
         found, right = tree(place), self.right[name]
@@ -188,9 +154,7 @@ def table(fates: Counter[tuple[str, str, str]]) -> str:
 
 @pytest.fixture
 def campaign(tmp_path):
-    runner = Runner()
-    yield Campaign(tmp_path, runner)
-    runner.close()
+    return Campaign(tmp_path)
 
 
 def kill(
