@@ -209,25 +209,22 @@ class Streams:
     def of_pass(self, chunk: Chunk, sample: int) -> int:
         """Return the seed of the scalar pass that draws one sample for each pixel of a tile."""
         height, width, _ = chunk.shape
-        index = sample * _tiles(*self.size) + self._tile(chunk)
-        return pass_seed(shuffled(index, self.seed), width * height)
+        return pass_seed(shuffled(self._index(sample, chunk), self.seed), width * height)
 
     def of_chunk(self, chunk: Chunk) -> int:
         """Return the number of a chunk that is drawn as one wavefront."""
-        index = chunk.batch * _tiles(*self.size) + self._tile(chunk)
-        return number_of(self.seed, index, CHUNKS)
+        return number_of(self.seed, self._index(chunk.batch, chunk), CHUNKS)
 
     def of_sequence(self, chunk: Chunk, sequence: int) -> int:
         """Return the first of the numbers, one for each pixel of a tile, of a scalar sequence."""
-        index = sequence * _tiles(*self.size) + self._tile(chunk)
-        return shuffled(PASSES - 1 - index, self.seed) * TILE**2
+        return shuffled(PASSES - 1 - self._index(sequence, chunk), self.seed) * TILE**2
 
     def of_wavefront(self, chunk: Chunk, block: int, lanes: int) -> int:
         """Return the first of the numbers, one for each lane, of a block of sequences of a tile.
 
         Other numbers belong to another seed of the sampler, `of_sampler`.
         """
-        return (block * _tiles(*self.size) + self._tile(chunk)) * lanes
+        return self._index(block, chunk) * lanes
 
     @property
     def of_sampler(self) -> int:
@@ -244,8 +241,10 @@ class Streams:
         """Return the number of a wavefront of a training, which no sample owns."""
         return CHUNKS + number_of(self.seed, number, PIXELS)
 
-    def _tile(self, chunk: Chunk) -> int:
-        return chunk.tile_y * -(-self.size[0] // TILE) + chunk.tile_x
+    def _index(self, number: int, chunk: Chunk) -> int:
+        """Return the place of what comes `number` times before it in the tile of a chunk."""
+        across = -(-self.size[0] // TILE)
+        return number * _tiles(*self.size) + chunk.tile_y * across + chunk.tile_x
 
 
 def max_spp(backend: str, width: int, height: int, sequences: Sequences | None = None) -> int:

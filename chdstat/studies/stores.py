@@ -197,16 +197,15 @@ class Stores:
         source, recipe = scene.source, scene.recipe
         if isinstance(source, Samples) or recipe is None:
             return SceneData(scene.name, source, scene.regions), None  # type: ignore[arg-type]
-        samples = self._rendered(source, recipe)
+        samples = self._rendered(source, recipe.settings())
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
         spp, seed = int(recipe.spp), int(recipe.seed)
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
 
-        def more(number: int, spp: int, scene: Scene = source, **how: Any) -> Samples:
+        def more(number: int, spp: int, what: Scene = source, **how: Any) -> Samples:
             """Render with a seed of its own: tests of a difference take samples for independent."""
-            depth = how.pop("max_depth", recipe.max_depth)
-            changed = replace(recipe, seed=seed + number, spp=spp, max_depth=depth)
-            return self._rendered(scene, changed, **how)
+            settings = {**recipe.settings(), "spp": spp, "seed": seed + number, **how}
+            return self._rendered(what, settings)
 
         other: dict[str, Any] = {}
         variants = _variants(source, samples)
@@ -230,23 +229,18 @@ class Stores:
             other["adaptive"] = more(11, quarter, adaptive=True)
         return SceneData(scene.name, samples, scene.regions, **other), more(1, half)
 
-    def _rendered(self, scene: Scene, recipe: recipes.Recipe, **how: Any) -> Samples:
+    def _rendered(self, scene: Scene, settings: Mapping[str, Any]) -> Samples:
         out = None
         if self.folder is not None:
-            settings = {n: getattr(recipe, n) for n in ("max_depth", "seed", "size")} | how
-            digest = hashlib.sha256(repr((scene.hash, list(settings.items()))).encode()).hexdigest()
+            named = {n: settings[n] for n in ("max_depth", "seed", "size")} | dict(settings)
+            del named["spp"]
+            digest = hashlib.sha256(repr((scene.hash, list(named.items()))).encode()).hexdigest()
             out = self.folder / f"{scene.name}-{digest[:12]}.zarr"
-            done = _finished(out, scene, recipe.spp)
+            done = _finished(out, scene, settings["spp"])
             if done is not None:
                 return done
-        return render(
-            scene,
-            **recipe.settings(),
-            **how,
-            out=out,
-            backend=self.backend,
-            progress=self.progress,
-        )
+        about: Any = {"backend": self.backend, "progress": self.progress}
+        return render(scene, **settings, out=out, **about)
 
     def cache(self, samples: Samples) -> Cache:
         """Return the cache of what was computed from samples; of samples in memory, none is."""

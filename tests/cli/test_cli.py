@@ -40,16 +40,12 @@ def test_every_command_has_an_example_its_defaults_and_a_flag_for_scripts(run, n
     assert "Example: chdstat" in run(name, "--help")[1]
     for option in COMMANDS[name].params:
         optional = option.param_type_name == "option" and not option.is_flag and not option.required
-        if optional and option.name not in REPEATED:
+        if optional:
             assert option.show_default, option.name
             assert option.default is not None or isinstance(option.show_default, str), option.name
     if name != "explore":
         (flag,) = (option for option in COMMANDS[name].params if "--json" in option.opts)
         assert flag.is_flag
-
-
-REPEATED = {"define", "threshold", "model", "scene"}
-"""Options that add something where they are given, and have no default."""
 
 
 def test_samples_that_depend_on_each_other_are_named_contrasted_and_refused(run, store, tmp_path):

@@ -27,29 +27,15 @@ from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
 from chdstat.scenes import load_scene
+from tests.rendering.numbers import ALPHA, NUMBERS, register_numbers
 
-ALPHA = 1e-3
 SIZE = (16, 16)
-
-RANDOM_NUMBERS = {
-    "type": "scene",
-    "integrator": {"type": "random_numbers"},
-    "sensor": {"type": "perspective"},
-}
-"""A scene whose radiance is the next three random numbers, whatever the pixel."""
 
 
 @pytest.fixture(scope="module")
 def streams(backend) -> str:
-    """Make the integrator of `RANDOM_NUMBERS` known to a backend and return its name."""
-    with activate(probe(backend)) as mi:
-
-        class RandomNumbers(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
-            def sample(self, scene, sampler, ray, medium=None, active=True):
-                numbers = [sampler.next_1d(active) for _ in range(3)]
-                return mi.Color3f(*numbers), True, []
-
-        mi.register_integrator("random_numbers", RandomNumbers)
+    """Make the integrator of `NUMBERS` known to a backend and return its name."""
+    register_numbers(backend)
     return backend
 
 
@@ -80,6 +66,12 @@ def repeats(x: np.ndarray) -> int:
 def agree(p: np.ndarray) -> bool:
     """Tell whether no p-value is too small for so many of them (Sidak)."""
     return bool(p.min() > -np.expm1(np.log1p(-ALPHA) / p.size))
+
+
+def p_of_variance(z: np.ndarray) -> float:
+    """Return the p-value that numbers have the variance 1 around 0, from both sides."""
+    p = scipy.stats.chi2.cdf((z**2).sum(), z.size)
+    return float(2 * min(p, 1 - p))
 
 
 # --- numbering ----------------------------------------------------------------------------------
@@ -129,15 +121,15 @@ def test_the_last_passes_vary_as_independent_ones(streams):
         pytest.skip("a wavefront has no passes")
     with activate(probe("scalar")):
         renderer = MitsubaRenderer(
-            Job.of(RANDOM_NUMBERS, RenderOptions(size=SIZE, seed=5, backend="scalar"))
+            Job.of(NUMBERS, RenderOptions(size=SIZE, seed=5, backend="scalar"))
         )
         last = max_spp("scalar", *SIZE)
         chunk = replace(next(chunk_grid(16, 16, 64)), ss=slice(last - 2048, last))
         x = renderer.chunk(chunk)
     z = (x.reshape(16, 16, 3, 2, 1024).mean(axis=-1, dtype=np.float64) - 0.5) * np.sqrt(12 * 1024)
     each = np.moveaxis(z, 2, 0).reshape(3, -1)
-    assert agree(np.array([_both_sides((row**2).sum(), row.size) for row in each]))
-    assert not agree(np.array([_both_sides((0.8 * row**2).sum(), row.size) for row in each]))
+    assert agree(np.array([p_of_variance(row) for row in each]))
+    assert not agree(np.array([p_of_variance(np.sqrt(0.8) * row) for row in each]))
 
 
 def test_seeds_shuffle_passes_independently():
@@ -186,18 +178,18 @@ def test_the_most_samples_before_streams_repeat():
 def test_no_random_number_is_drawn_twice(streams):
     # 100 000 triples of 23 random bits each: two are equal by chance with probability 1e-11.
     drawn = [
-        chd.render(RANDOM_NUMBERS, spp=66, size=(72, 10), seed=seed, backend=streams).read()
+        chd.render(NUMBERS, spp=66, size=(72, 10), seed=seed, backend=streams).read()
         for seed in (0, 1)
     ]
     pixels = [(y, x) for y in range(10) for x in (0, 40, 71)]
-    single = render_pixels(RANDOM_NUMBERS, pixels, spp=100, size=(72, 10), backend=streams)
+    single = render_pixels(NUMBERS, pixels, spp=100, size=(72, 10), backend=streams)
     rows = np.concatenate([vectors(x) for x in (*drawn, single)])
     assert repeats(rows.T) == 0
     assert repeats(np.concatenate([rows, rows[:1]]).T) == 1
 
 
 def test_random_numbers_are_uniform_and_independent(streams):
-    x = chd.render(RANDOM_NUMBERS, spp=128, size=(24, 24), seed=3, backend=streams).read()
+    x = chd.render(NUMBERS, spp=128, size=(24, 24), seed=3, backend=streams).read()
     p = scipy.stats.kstest(x.reshape(24 * 24, -1), "uniform", axis=-1).pvalue
     assert agree(p)
     centred = (x - 0.5) * np.sqrt(12)
@@ -217,7 +209,7 @@ def test_random_numbers_are_uniform_and_independent(streams):
 @functools.cache
 def random_numbers(backend: str, seed: int) -> np.ndarray:
     options: dict[str, Any] = {"spp": 2048, "size": (12, 12), "seed": seed, "backend": backend}
-    return chd.render(RANDOM_NUMBERS, **options).read()
+    return chd.render(NUMBERS, **options).read()
 
 
 @pytest.mark.parametrize("size", [32, 1024])
@@ -227,15 +219,10 @@ def test_means_vary_as_those_of_independent_random_numbers(streams, size):
     means = drawn.reshape(3, 12, 12, 3, -1, size).mean(axis=-1, dtype=np.float64)
     z = (means - 0.5) * np.sqrt(12 * size)
     each = np.moveaxis(z, 3, 0).reshape(3, -1)
-    assert agree(np.array([_both_sides((row**2).sum(), row.size) for row in each]))
+    assert agree(np.array([p_of_variance(row) for row in each]))
     neighbours = np.moveaxis(z[:, :, 1:] * z[:, :, :-1], 3, 0).reshape(3, -1)
     side_by_side = neighbours.mean(axis=1) * np.sqrt(neighbours.shape[1])
     assert agree(2 * scipy.stats.norm.sf(abs(side_by_side)))
-
-
-def _both_sides(square_sum: float, n: int) -> float:
-    p = scipy.stats.chi2.cdf(square_sum, n)
-    return float(2 * min(p, 1 - p))
 
 
 def batch_spread(x: np.ndarray, size: int) -> float:

@@ -1,7 +1,7 @@
 """Samplers that spread the samples of a pixel: within a sequence, and from one to the next.
 
-The radiance of `RANDOM_NUMBERS` is three random numbers, so that what a sampler does to them is
-known. As in `test_renderer`, seeds are fixed, and each statistical test has a negative control.
+The radiance of `NUMBERS` is three random numbers, so that what a sampler does to them is known. As
+in `test_mitsuba_renderer`, seeds are fixed, and each statistical test has a negative control.
 """
 
 from __future__ import annotations
@@ -22,34 +22,24 @@ from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.seeds import Sequences, grouped, max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
+from tests.rendering.numbers import ALPHA, NUMBERS, register_numbers
 
-ALPHA = 1e-3
 SIZE = (12, 10)
 SEQUENCES = [("stratified", 16), ("multijitter", 15), ("orthogonal", 25), ("ldsampler", 16)]
 SPREAD = [SEQUENCES[0], SEQUENCES[3]]
 """One that jitters in strata and the one of low discrepancy: Mitsuba scrambles both kinds apart."""
-NUMBERS: dict[str, Any] = {
-    "type": "scene",
-    "integrator": {"type": "three_random_numbers"},
-    "sensor": {"type": "perspective"},
-}
-"""A scene whose radiance is the three random numbers that follow the film's, in every pixel."""
 
 
 @pytest.fixture(scope="module")
 def backend(backend) -> str:
     """Make the integrators of these tests known to a backend, and return its name."""
+    register_numbers(backend)
     with activate(probe(backend)) as mi:
-
-        class Numbers(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
-            def sample(self, scene, sampler, ray, medium=None, active=True):
-                return mi.Color3f(*(sampler.next_1d(active) for _ in range(3))), True, []
 
         class Directions(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
             def sample(self, scene, sampler, ray, medium=None, active=True):
                 return mi.Color3f(1 + ray.d.x, 1 + ray.d.y, 1 + ray.d.z), True, []
 
-        mi.register_integrator("three_random_numbers", Numbers)
         mi.register_integrator("directions", Directions)
     return backend
 
@@ -59,18 +49,16 @@ def render(backend: str, scene: Any = NUMBERS, **options: Any) -> chd.Samples:
 
 
 @functools.cache
-def spread(
-    backend: str, sampler: str, length: int, integrator: str = "three_random_numbers"
-) -> Any:
+def spread(backend: str, sampler: str, length: int, integrator: str = "random_numbers") -> Any:
     """Return samples of 32 sequences; of 16 where the direction of rays is looked at."""
     scene = {**NUMBERS, "integrator": {"type": integrator}}
-    sequences = 32 if integrator == "three_random_numbers" else 16
+    sequences = 32 if integrator == "random_numbers" else 16
     options = {"sampler": sampler, "sequence": length, "spp": sequences * length}
     return render(backend, scene, **options).read()
 
 
 @functools.cache
-def independent(backend: str, integrator: str = "three_random_numbers") -> Any:
+def independent(backend: str, integrator: str = "random_numbers") -> Any:
     """Return independent samples, as many as of 32 sequences of 25."""
     scene = {**NUMBERS, "integrator": {"type": integrator}}
     return render(backend, scene, spp=800).read()

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.comparison import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
 from chdstat.studies.claims import CLAIMS, SceneData, find
 from chdstat.studies.claims.whole_image import brightest_firefly
@@ -237,39 +236,6 @@ def test_one_bad_pixel_does_not_spoil_its_region():
     x[5, 5] = np.nan
     found = BY_NUMBER[6].find(replace(first, samples=chd.Samples.from_array(x)))
     assert found.verdict == "supported"
-
-
-def test_the_verdict_on_learning_is_that_of_the_papers_model():
-    rng = np.random.default_rng(0)
-    first = worlds.learned(False)(rng, SPP)[0]
-    better = worlds.learned(True, "progressive")(rng, SPP)[0].comparison
-    paper = first.comparison
-    measures = {name: joined(paper, better, name) for name in paper.measures}
-    both = replace(
-        paper,
-        estimators=("mean", "elek2019", "progressive"),
-        measures=measures,
-        over_batches=measures,
-        estimates=np.concatenate([paper.estimates, better.estimates[1:]]),
-        models={**paper.models, **better.models},
-    )
-    found = BY_NUMBER[15].find(replace(first, comparison=both))
-    assert found.verdict == "not supported"
-    assert found.reason.startswith("For elek2019: ")
-    assert found.other_models["progressive"].verdict == "supported"
-    assert found.other_models["progressive"].reason.startswith("For progressive: ")
-    alone = BY_NUMBER[15].find(replace(first, comparison=better))
-    assert (alone.verdict, alone.tests) == ("cannot tell", ())
-    assert "needs the paper's model" in alone.reason.lower()
-    assert alone.other_models["progressive"].verdict == "supported"
-
-
-def joined(one, two, name):
-    """Return the measure of two comparisons, the mean of the second left out."""
-    first, second = one.measures[name], two.measures[name][1:]
-    fields = ("value", "low", "high", "standard_error")
-    parts = {f: np.concatenate([getattr(first, f), getattr(second, f)]) for f in fields}
-    return Interval(**parts)
 
 
 def test_time_is_told_where_nothing_was_compiled():
