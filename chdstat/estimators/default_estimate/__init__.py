@@ -4,8 +4,6 @@
 `mean_weights` says how much of the mean each pixel keeps.
 """
 
-from chdstat.estimators.default_estimate.candidates import candidates
-from chdstat.estimators.default_estimate.mean_weights import weight_of_mean
-from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork
+from chdstat.estimators.default_estimate import candidates, mean_weights, weighting_network
 
-__all__ = ["WeightingNetwork", "candidates", "weight_of_mean"]
+__all__ = ["candidates", "mean_weights", "weighting_network"]
