@@ -82,6 +82,10 @@ def flip(image: Array, reference: Array) -> Array:
     return np.asarray(found, np.float64).reshape(shape[:2])
 
 
+def _numbers(name: str, found: Interval[float]) -> dict[str, float]:
+    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+
+
 @dataclass(frozen=True)
 class Case:
     """One scene at one number of samples.
@@ -146,9 +150,7 @@ class Case:
         means = dict(zip(ERRORS, self.errors[name].sum(axis=0) / pixels, strict=True))
         found: dict[str, Any] = {"scene": self.scene, "spp": self.spp, "estimator": name, **means}
         for measure in ERRORS:
-            ratio = self.ratio(name, baseline, measure)
-            found |= {f"{measure}_ratio": ratio.value, f"{measure}_ratio_low": ratio.low}
-            found[f"{measure}_ratio_high"] = ratio.high
+            found |= _numbers(f"{measure}_ratio", self.ratio(name, baseline, measure))
         # The error of a mean falls as the inverse of the time.
         longer = 1 + self.seconds[name] / self.render_seconds
         return found | {
@@ -259,7 +261,7 @@ class Bench(Shown):
             cases = [case for case in self.cases if name in case.errors]
             row: dict[str, Any] = {"estimator": name}
             for what, found in intervals.items():
-                row |= {what: found.value, f"{what}_low": found.low, f"{what}_high": found.high}
+                row |= _numbers(what, found)
             row["worst"] = max(case.ratio(name, self.baseline, "mse").value for case in cases)
             row["bias"] = max((case.bias[name] for case in cases), key=abs)
             row["fireflies"] = float(np.mean([case.fireflies[name] for case in cases]))

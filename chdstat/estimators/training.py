@@ -64,6 +64,8 @@ _FOREIGN = (
     ValueError,
 )
 """What damaged bytes may raise in the libraries that read them."""
+_UNFIT = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+"""What arrays that are no whole network raise where they are put into one."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -203,7 +205,7 @@ class TrainedModel(Shown, ABC, Generic[State]):
             }
             own = cast("type[Self]", TrainedModel.kinds[kind])
             return own._from_file(arrays, about, common)
-        except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
+        except _UNFIT as error:
             message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
             raise StoreError(message) from error
 

@@ -125,17 +125,8 @@ class Network(nn.Module):
         return torch.from_numpy(np.asarray(array, np.float32)).to(self.answer.weight.device)
 
     def load_arrays(self, arrays: dict[str, npt.NDArray[np.float32]]) -> None:
-        """Take over weights by name.
-
-        Raises
-        ------
-        ValueError
-            If one is missing, or of another shape.
-        """
-        try:
-            self.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
-        except RuntimeError as error:
-            raise ValueError(str(error)) from error
+        """Take over weights by name; RuntimeError if one is missing, or of another shape."""
+        self.load_state_dict({name: torch.from_numpy(array) for name, array in arrays.items()})
 
     def to_arrays(self) -> dict[str, npt.NDArray[np.float32]]:
         """Return the weights by name."""
