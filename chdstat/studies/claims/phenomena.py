@@ -764,9 +764,9 @@ def _difference(values: Sequence[Floats], sets: Sequence[PixelSet]) -> Interval[
 )
 def similarity(data: SceneData) -> Measurement:
     """Compare the shapes of indirect regions with each other, and their noise with direct light."""
-    needed = "two regions of indirect light, far from each other"
-    indirect, direct = data.patch("indirect", needed, tests=2), _pixels(data, "direct", 2)
-    require(len(indirect.names) > 1, needed)
+    which = "of indirect light and another far from it"
+    indirect, direct = data.patch("indirect", which, tests=2), _pixels(data, "direct", 2)
+    require(len(indirect.names) > 1, f"a region {which}")
     x, level = data.light(indirect), indirect.level
     shapes = aligned(x)
     parts = [indirect.region == i for i in range(len(indirect.names))]
