@@ -1,8 +1,9 @@
-"""Sample arrays: what every statistic assumes of its input, checked in one place.
+"""Sample arrays: what every statistic assumes of its input, checked in one place; and seeds.
 
 Samples lie on the last axis; leading axes are a batch (pixels, channels). Channels and luminance
 are analysed together, as rows of one batch, and `take_rows` separates their results again, whatever
-their type.
+their type. `chunks` and `rows_alike` cut rows for the cache. `generator` and `seed_number` turn the
+seeds that users give into random numbers.
 """
 
 from __future__ import annotations

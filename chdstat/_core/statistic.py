@@ -84,10 +84,11 @@ class Result(Shown):
     """What a statistic returns for an array: see `result` and `variable`."""
 
     @classmethod
-    def declared(cls) -> dict[str, Variable]:
-        """Return what is declared of the fields that are variables, by their names."""
+    def declared(cls, prefix: str = "") -> dict[str, tuple[str, Variable]]:
+        """Return the fields that are variables, by their names in a dataset, and what they are."""
         own: Any = fields(cls)  # type: ignore[arg-type]
-        return {f.name: f.metadata["variable"] for f in own if "variable" in f.metadata}
+        known = {f.name: f.metadata["variable"] for f in own if "variable" in f.metadata}
+        return {about.name or f"{prefix}{name}": (name, about) for name, about in known.items()}
 
 
 class Statistic(Generic[Found]):
@@ -129,6 +130,10 @@ class Statistic(Generic[Found]):
         """
         raise NotImplementedError
 
+    @property
+    def _declared(self) -> dict[str, tuple[str, Variable]]:
+        return self.result.declared(self.prefix.format(self.subject))
+
     def coordinates(self) -> Mapping[str, Sequence[Any] | npt.NDArray[Any] | None]:
         """Return the coordinates of further dims; None for a dim that is absent."""
         return {}
@@ -146,13 +151,13 @@ class Statistic(Generic[Found]):
                 (*first, *(dim for dim in about.dims if dim not in left_out)),
                 getattr(found, own),
             )
-            for name, (own, about) in self._declared().items()
+            for name, (own, about) in self._declared.items()
         }
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Add what is pooled over an image, coordinates, and the names and units of variables."""
         labels = {}
-        for name, (_, about) in self._declared().items():
+        for name, (_, about) in self._declared.items():
             label = about.label.format(self.subject)
             labels[name] = label, about.unit
             if about.pooled and name in dataset:
@@ -172,9 +177,3 @@ class Statistic(Generic[Found]):
             if names is not None and dim in dataset.dims
         }
         return label_variables(dataset, labels).assign_coords(named).assign_attrs(self.attrs())
-
-    def _declared(self) -> dict[str, tuple[str, Variable]]:
-        """Return the variables by their names in a dataset, each with the name of its field."""
-        known = self.result.declared().items()
-        prefix = self.prefix.format(self.subject)
-        return {about.name or f"{prefix}{name}": (name, about) for name, about in known}

@@ -261,12 +261,11 @@ class Histogram(Result):
     def variables(self) -> dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]:
         """Return the parts that a dataset keeps: by name, the dims after y, x and the array."""
         variables: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
-        for name, about in self.declared().items():
-            value = getattr(self, name)
+        for name, (own, about) in self.declared(f"{self.scale}_").items():
+            value = getattr(self, own)
             # Counts of one image fit into 32 bits.
             value = value.astype(np.int32) if value.dtype == np.int64 else value
-            dims = ("channel", *(f"{self.scale}_{dim}" for dim in about.dims))
-            variables[f"{self.scale}_{name}"] = dims, value
+            variables[name] = ("channel", *(f"{self.scale}_{dim}" for dim in about.dims)), value
         return variables
 
     @classmethod
@@ -278,7 +277,8 @@ class Histogram(Result):
         InputError
             If the dataset lacks a variable of it.
         """
-        needed = ("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count")
+        names = ("counts", "low", "high", "underflow", "overflow", "negative")
+        needed = *(f"log_{name}" for name in names), "null_count", "bad_count"
         missing = [name for name in needed if name not in dataset]
         if missing:
             message = (
@@ -286,16 +286,12 @@ class Histogram(Result):
                 f"got one without {', '.join(missing)}"
             )
             raise InputError(message)
-        # Older datasets counted negative samples as bad.
-        negative = dataset.get("log_negative", 0 * dataset["log_underflow"])
-        names = ("counts", "low", "high", "underflow", "overflow")
         return cls(
             scale="log",
             **{name: dataset[f"log_{name}"].to_numpy() for name in names},
-            negative=negative.to_numpy(),
             null_count=dataset["null_count"].to_numpy()[..., np.newaxis],
             bad_count=dataset["bad_count"].to_numpy()[..., np.newaxis],
-            reason=np.zeros(negative.shape, dtype=np.int8),
+            reason=np.zeros(dataset["log_low"].shape, dtype=np.int8),
             n=0,
         )
 
@@ -606,8 +602,8 @@ def label_histogram(dataset: xr.Dataset, scale: Scale) -> xr.Dataset:
         center = np.exp(start + (stop - start) * center)
         described = {"long_name": "bin centre", "units": RADIANCE}
     labels = {
-        f"{scale}_{part}": (f"{scale} histogram: {about.label}", about.unit)
-        for part, about in Histogram.declared().items()
+        name: (f"{scale} histogram: {about.label}", about.unit)
+        for name, (_, about) in Histogram.declared(f"{scale}_").items()
     }
     label_variables(dataset, labels)
     return dataset.assign_coords({name: (name, center, described)})

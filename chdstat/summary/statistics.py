@@ -90,7 +90,7 @@ class Statistics(Result):
     log: Histogram
 
 
-_MOMENTS = [name for name, about in Statistics.declared().items() if about.dims == ("channel",)]
+_MOMENTS = [n for n, (_, about) in Statistics.declared().items() if about.dims == ("channel",)]
 
 
 class Summary:
@@ -326,7 +326,7 @@ def _error_of_sequences(sequences: Batches, found: Statistics) -> Floats:
 
 def _variables(statistics: Statistics) -> Mapped:
     variables: dict[str, tuple[tuple[str, ...], Array]] = {}
-    for name, about in Statistics.declared().items():
+    for name, (_, about) in Statistics.declared().items():
         value = np.asarray(getattr(statistics, name))
         # Counts of one image fit into 32 bits.
         variables[name] = about.dims, value.astype(np.int32) if value.dtype.kind == "i" else value
@@ -337,7 +337,7 @@ def _variables(statistics: Statistics) -> Mapped:
 
 def _label(dataset: xr.Dataset, batches: Batches) -> xr.Dataset:
     declared = Statistics.declared().items()
-    label_variables(dataset, {name: (about.label, about.unit) for name, about in declared})
+    label_variables(dataset, {name: (about.label, about.unit) for name, (_, about) in declared})
     spp = ("batch", batches.read()[1], {"long_name": "draws of the batch", "units": "1"})
     for scale in SCALES:
         dataset = label_histogram(dataset, scale)
