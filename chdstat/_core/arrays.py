@@ -72,7 +72,7 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 Seed: TypeAlias = int | np.random.Generator | None
 """What a random function takes: a whole number from 0, a generator, or None for a new one."""
 
-_CACHED = 2**18
+_CACHED = 2**17
 """Samples worked on at once: their float64 copies stay in the cache."""
 _TOLERATED = 0.01
 """Share of the samples that may be left out without a warning."""
@@ -413,7 +413,7 @@ def chunks(rows: int, width: int) -> Iterator[slice]:
 
     Examples
     --------
-    >>> list(chunks(3, 2**17))
+    >>> list(chunks(3, 2**16))
     [slice(0, 2, None), slice(2, 3, None)]
     """
     return spans(rows, max(1, _CACHED // max(1, width)))
@@ -427,8 +427,8 @@ def rows_alike(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[np.i
 
     Examples
     --------
-    >>> n = np.array([2**17, 1, 2**17, 0, 2**17])
-    >>> [rows.tolist() for rows in rows_alike(n, n > 0, 2**18)]
+    >>> n = np.array([2**16, 1, 2**16, 0, 2**16])
+    >>> [rows.tolist() for rows in rows_alike(n, n > 0, 2**17)]
     [[1, 0], [2, 4]]
     """
     rows = np.flatnonzero(usable)

@@ -171,7 +171,7 @@ class HeldOutLikelihood(Statistic[HeldOut]):
         margins = np.full((2, n.size), np.nan)
         # Rows with similar numbers of samples, so that those of a piece fill it.
         order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
-        for span in chunks(len(order), part.x.shape[-1]):
+        for span in chunks(len(order), part.x.shape[-1] // 2):
             rows = order[span]
             loss[rows], best[rows], margins[:, rows] = _compare(halves_of(part, rows), rows, fits)
         margin, error = (each.reshape(shape) for each in margins)
