@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special, stats
+from scipy import ndimage, special, stats
 
 from chdstat import __version__
 from chdstat._core.arrays import Image, Reals, as_pixels
@@ -82,6 +82,8 @@ __all__ = [
 _log = logging.getLogger("chdstat")
 
 AnyModel = TrainedModel[Any]
+_AROUND = 4.0
+"""Standard deviation in pixels of the window that the spread of proposals is pooled over."""
 _FIRST = 16
 """Samples of a pixel of the first estimate while rendering."""
 _COPIES = 2.2
@@ -700,6 +702,9 @@ def _combine_measured(
         for images, start, error_of_mean in zip(made, measured.starts, measured.errors, strict=True)
     ]
     del made
+    half = np.maximum(
+        half, stats.norm.ppf(0.5 + level / 2) * _spread(proposed[1], proposed[2], unit)
+    )
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
     proposal = proposed[0].image
     radiance = proposal + of_mean * (mean - proposal)
@@ -790,6 +795,17 @@ def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
     for j, image in enumerate(images.values()):
         found += weights[..., j, np.newaxis] * image
     return found
+
+
+def _spread(one: Proposal, other: Proposal, unit: Image) -> Image:
+    """Return the standard error of a proposal, shape (y, x, 1), as those of the halves tell it.
+
+    Pooled over pixels around. Images that are much smaller or thinner than those that the network
+    was trained on have larger errors than it expects.
+    """
+    apart = np.square((one.image - other.image) / (2 * unit[..., np.newaxis])).mean(axis=-1)
+    around = ndimage.gaussian_filter(apart, _AROUND, mode="nearest")
+    return np.asarray((np.sqrt(around) * unit)[..., np.newaxis])
 
 
 def interval_of_mean(

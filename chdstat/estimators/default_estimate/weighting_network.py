@@ -151,6 +151,7 @@ def comparisons(
     ndarray
         Shape (y, x, number).
     """
+    shape = unit.shape
     start, stop, _ = rows.indices(len(unit))
     reach = int(_TRUNCATE * max(_SCALES) + 0.5)
     around = slice(max(0, start - reach), stop + reach)
@@ -176,6 +177,8 @@ def comparisons(
         _smooth(measured.null[around], _SCALES[0]),
         np.log(unit / _overall(made[0])),
     )
+    # A window reaches beyond a small image, whose pixels are then those of the edge, again.
+    pooled = [np.prod(np.minimum(2 * np.sqrt(np.pi) * s, shape)) for s in _SCALES]
     scale = unit[..., np.newaxis]
     variance *= 2 / scale**2
     of_halves = [np.stack(images) for images in zip(*parts, strict=True)]
@@ -186,10 +189,10 @@ def comparisons(
         squared = np.square(apart)
         of_noise = (squared * variance).mean(axis=(0, 3)) / 2
         squared = squared.mean(axis=(0, 3))
-        for s in _SCALES:
+        for s, pixels in zip(_SCALES, pooled, strict=True):
             whole = _smooth(squared, s) + 1e-8
             slope = _smooth(towards, s) / whole
-            spread = np.sqrt(_smooth(of_noise, s) / (4 * np.pi * s * s)) / whole
+            spread = np.sqrt(_smooth(of_noise, s) / pixels) / whole
             write(np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3))
         write(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
         moved = (full[j] - full[0]) / scale
