@@ -518,7 +518,7 @@ def overview(found: xr.Dataset) -> Overview:
     return Overview(
         pixels=int(found.sizes["y"] * found.sizes["x"]),
         spp=int((found["count"] + found["bad_count"]).max()),
-        null_share=_share(found["null_count"], found["count"]),
+        null_share=float(found["null_share"].mean()),
         null_pixels=float((found["null_share"].values > 0.5).mean()),
         bad_samples=int(found["bad_count"].sum()),
         variation=_quartiles(found["coefficient_of_variation"].values),

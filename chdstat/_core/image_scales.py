@@ -212,8 +212,8 @@ def mean_radiance(samples: npt.ArrayLike) -> float:
     image: Any = samples
     if hasattr(image, "blocks"):
         sums, left_out = RadianceSums(image.shape[:2]), LeftOut()
-        for ys, xs, _, block in image.blocks():
-            left_out.see(block, channel_axis=-2)
+        for ys, xs, ss, block in image.blocks():
+            left_out.see(block, channel_axis=-2, absent=image.absent(ys, xs, ss))
             sums.add(block, (ys, xs))
         left_out.warn()
         return sums.mean()

@@ -44,7 +44,7 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
     else:
         (height, width), number = samples.shape[:2], f"{samples.spp} samples per pixel"
         if counts is not None:
-            number += f" at most, {counts.min()} at least, {counts.mean():.0f} on average"
+            number += f" at most, {samples.fewest} at least, {counts.mean():.0f} on average"
         typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {number}")
         for name, error in errors.items():
             typer.echo(f"{name.replace('_', ' ')}: {error}")

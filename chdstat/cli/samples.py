@@ -327,7 +327,7 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
         also.append(f"light from {', '.join(found['lights'])} alone")
     numbers = {}
     if found["counts"]:
-        numbers["Samples"] = different_counts(found, *found["counts"])
+        numbers["Samples"] = different_counts(found, "{} to {}".format(*found["counts"]))
     return {
         **numbers,
         "Also stored": ", ".join(also) or "nothing",

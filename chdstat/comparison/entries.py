@@ -266,11 +266,11 @@ def curve_sizes(
         As `error_curve` does.
     """
     if sizes is None:
-        largest = max(_SMALLEST, samples.spp // _SHARE)
+        largest = max(_SMALLEST, samples.fewest // _SHARE)
         sizes = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
         none = [entry for entry in _entries(estimators) if _too_few(entry, sizes)]
         fewest = {_taken(entry)[0] for entry in none}
-        sizes += [n for n in fewest if 2 * n <= samples.spp]
+        sizes += [n for n in fewest if 2 * n <= samples.fewest]
     if np.ndim(sizes) != 1:
         message = f"sizes must be several numbers, got {sizes!r}"
         raise InputError(message)

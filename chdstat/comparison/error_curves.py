@@ -172,9 +172,9 @@ def error_curve(
         sums = errors.by_unit
         parts.append(measures_of(sums, seed=seed))
         judged.append(counts(sums).sum())
-        # The reference adds the share N / spp of the sample mean's own error.
+        # The reference adds at most the share N / spp of the sample mean's own error.
         of_mean = sums[:, :2, 0].sum(axis=0).mean(axis=-1) / judged[-1]
-        noise.append(of_mean * (n / samples.spp))
+        noise.append(of_mean * (n / samples.fewest))
     return ErrorCurve(
         estimators=tuple(found.entries),
         uses_neighbours=found.uses_neighbours,

@@ -363,7 +363,8 @@ def judge(
     """Let every estimator that takes n samples estimate from the same batches; add up its errors.
 
     The image is read with n samples at a time and estimated by one estimator at a time; with a
-    client, each of its workers does so with a batch of its own.
+    client, each of its workers does so with a batch of its own. Where pixels have different numbers
+    of samples, the batches are those that all have, and the references use the others, too.
 
     Raises
     ------
@@ -371,8 +372,8 @@ def judge(
         If an estimator returns another shape, or no batch has a reference.
     """
     samples = candidates.samples
-    height, width, channels, spp = samples.shape
-    rounds = spp // n if limit is None else min(limit, spp // n)
+    height, width, channels, _ = samples.shape
+    rounds = min(samples.fewest // n, samples.spp if limit is None else limit)
     sums = len(SUMS), 1 + len(candidates.entries), channels
     by_unit, by_batch = np.zeros((len(units.starts), *sums)), np.zeros((rounds, *sums))
     excluded = 0

@@ -213,7 +213,8 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         if len(batches) < 2:
             message = (
                 f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
-                f"{len(chosen)} pixels with {samples.spp} spp; give a larger image or more samples"
+                f"{len(chosen)} pixels with {samples.fewest} spp; give a larger image or more "
+                "samples"
             )
             raise InputError(message)
         scale = float(references.mean())
@@ -238,7 +239,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             pixels_wanted=config.pixels if pixels is None else len(chosen),
             pixels_used=len(chosen),
             batches_used=len(batches),
-            batches_excluded=len(chosen) * (samples.spp // config.inputs) - len(batches),
+            batches_excluded=len(chosen) * (samples.fewest // config.inputs) - len(batches),
             iterations=int(history[-1, 0]) if len(history) else 0,
             **({} if patience is None else {"patience": patience}),
         )

@@ -57,7 +57,7 @@ from chdstat.estimators.validation import reordered
 from chdstat.io import denoise as run_denoiser
 from chdstat.io import write_image
 from chdstat.io.writing import IMAGES
-from chdstat.samples import ImageLike, Samples, check_equal_counts, checkpoint_key
+from chdstat.samples import ImageLike, Samples, checkpoint_key
 from chdstat.samples.dependence import check_independent
 
 if TYPE_CHECKING:
@@ -427,7 +427,6 @@ def _estimates(
         )
         yield _Estimated(samples, options, None, found, found.mean)
     else:
-        check_equal_counts(samples, "a trained estimator reads all pixels alike")
         yield _Estimated(samples, options, model, *_by_model(model, samples, options))
 
 

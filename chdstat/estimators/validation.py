@@ -19,7 +19,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut, generator, spans
 from chdstat.errors import InputError
 from chdstat.estimators.registry import whole_samples
-from chdstat.samples import Samples, check_equal_counts
+from chdstat.samples import Samples
 from chdstat.samples.dependence import check_independent
 
 __all__ = [
@@ -66,8 +66,8 @@ class Totals:
         total = np.zeros((height, width, channels))
         count = np.zeros((height, width), np.int64)
         left_out = LeftOut()
-        for ys, xs, _, block in samples.blocks():
-            left_out.see(block, channel_axis=-2)
+        for ys, xs, ss, block in samples.blocks():
+            left_out.see(block, channel_axis=-2, absent=samples.absent(ys, xs, ss))
             kept, good = whole_samples(block)
             total[ys, xs] += kept.sum(axis=-1, dtype=np.float64)
             count[ys, xs] += good.sum(axis=-1)
@@ -120,9 +120,9 @@ def without(
 def batches(samples: Samples, n: int) -> Iterator[npt.NDArray[np.float32]]:
     """Yield the image with n consecutive samples at a time, shape (y, x, channel, n).
 
-    Samples that do not fill a batch are left over.
+    Samples that do not fill a batch of all pixels are left over.
     """
-    for first in range(0, samples.spp // n * n, n):
+    for first in range(0, samples.fewest // n * n, n):
         yield samples.read(ss=slice(first, first + n))
 
 
@@ -132,14 +132,13 @@ def check_spp(samples: Samples, n: int) -> None:
     Raises
     ------
     InputError
-        If there are fewer than 2 n samples per pixel, or some pixels have more than others.
+        If some pixel has fewer than 2 n samples.
     """
     check_independent(samples)
-    check_equal_counts(samples, "estimators are judged by batches of the whole image")
-    if samples.spp < 2 * n:
+    if samples.fewest < 2 * n:
         message = (
             f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "
-            f"got {samples.spp}; render more samples per pixel"
+            f"got {samples.fewest}; render more samples per pixel, or take a smaller batch"
         )
         raise InputError(message)
 

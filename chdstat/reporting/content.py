@@ -74,20 +74,19 @@ def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
     """Return the entries of the report, by their names, ready for JSON."""
     data, scene, dataset = found.data, found.overview, found.data.analysis
     height, width, channels, spp = data.samples.shape
-    about = (
-        f"{width} × {height} pixel{'s' * (height * width > 1)}, {spp} sample{'s' * (spp > 1)} each"
-    )
+    pixels, each = f"{width} × {height} pixel{'s' * (height * width > 1)}", data.samples.numbers
+    about = f"{pixels}, {each} sample{'s' * (spp > 1)} each"
     entries: dict[str, Any] = {
         "title": data.samples.name,
         "remake": remake_note([data.samples]),
         "about": about + ", one channel" * (channels == 1),
-        "bad_samples": _bad_samples(scene),
+        "bad_samples": _bad_samples(scene, data.samples),
         "rendered": "mitsuba_version" in data.samples.attrs,
         "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
     }
     if contents != "claims":
         entries |= {
-            "spp": spp,
+            "spp": each,
             "key_figures": _key_figures(found),
             "findings": _headlines(found),
             "regions": _region_table(data),
@@ -137,12 +136,12 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
     )
     return {
         "sentences": [
-            f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
-            "samples each.",
+            f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with "
+            f"{samples.numbers} samples each.",
             f"In the median pixel their standard deviation is {number(scene.variation[1])} times "
             f"their mean, and {percent(scene.null_share)} of all samples carry no light.",
             where if noise else "The samples of no pixel vary.",
-            _bad_samples(scene),
+            _bad_samples(scene, samples),
         ],
         "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found)],
         "families": _family_table(dataset),
@@ -231,7 +230,7 @@ def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     if share > 0 and noise.label != "firefly_dominated":
         yield (
             f"One sample decides {percent(share)} of the pixels.",
-            f"There a single one of {scene.spp} samples carries so much of the mean that the "
+            "There a single one of their samples carries so much of the mean that the "
             "pixel is a firefly, or would be one without it.",
         )
 
@@ -318,8 +317,8 @@ def _row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
     return next(known, None)
 
 
-def _bad_samples(scene: Overview) -> str:
-    total = scene.pixels * scene.spp
+def _bad_samples(scene: Overview, samples: Samples) -> str:
+    total = scene.pixels * scene.spp - samples.absent()
     if scene.bad_samples:
         return f"{scene.bad_samples} of {total} samples are NaN or infinite."
     return f"None of {total} samples is NaN or infinite."

@@ -48,7 +48,7 @@ from chdstat.rendering.renders import render
 from chdstat.reporting import content, figures
 from chdstat.reporting.content import Contents
 from chdstat.reporting.typst import Document, typeset
-from chdstat.samples import Samples, check_equal_counts, is_store
+from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import CLAIMS, SceneData
@@ -155,7 +155,6 @@ def report(
     if isinstance(finished, Samples):
         refuse_render(finished, given | {"spp": None, "store": store})
         samples = first_samples(finished, given.get("spp"))
-        check_equal_counts(samples, "a report shows what more samples bring, all pixels alike")
     else:
         scene = load_scene(finished)
         if named is not None:

@@ -6,7 +6,6 @@ from chdstat.samples.layout import is_store
 from chdstat.samples.samples import ImageLike, Samples
 from chdstat.samples.store import (
     cache_key,
-    check_equal_counts,
     checkpoint_key,
     inspect,
     open,  # noqa: A004 - chdstat.open reads like open
@@ -21,7 +20,6 @@ __all__ = [
     "SampleBlocks",
     "Samples",
     "cache_key",
-    "check_equal_counts",
     "checkpoint_key",
     "inspect",
     "is_store",

@@ -200,14 +200,24 @@ class Samples:
 
     @property
     def spp(self) -> int:
-        """Samples per pixel."""
+        """Samples per pixel; of the one that has most, where they differ."""
         return len(self.part[2])
+
+    @property
+    def fewest(self) -> int:
+        """Samples that every pixel has."""
+        return self.spp if self.counts is None else int(self.counts.min())
 
     @property
     def counts(self) -> _PixelCounts | None:
         """Samples of each pixel, shape (y, x), where they differ (others read as NaN); or None."""
         found = None if self._counts is None else _counted(self._counts, self.part[2])
         return None if found is None or (found == self.spp).all() else found
+
+    @property
+    def numbers(self) -> str:
+        """How many samples a pixel has, in words: "64", or "32 to 161" where they differ."""
+        return str(self.spp) if self.counts is None else f"{self.fewest} to {self.spp}"
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -325,9 +335,9 @@ class Samples:
         return self.pixel(y, x).plot(**options)
 
     def __repr__(self) -> str:
-        height, width, channels, spp = self.shape
-        counts, length = self.counts, sequence_of(self._attrs)
-        number = f"{spp} spp" if counts is None else f"{counts.min()} to {spp} spp"
+        height, width, channels, _ = self.shape
+        length = sequence_of(self._attrs)
+        number = f"{self.numbers} spp"
         if length > 1:
             sampler = self._attrs.get("sampler", "")
             number += f" in {sampler} sequences of {length}".replace("  ", " ")
@@ -346,8 +356,7 @@ class Samples:
         height, width, channels, spp = self.shape
         facts = provenance(self._attrs, self.shape)
         if self.counts is not None:
-            fewest, most = self.counts.min(), self.counts.max()
-            facts["Samples"] = different_counts(self._attrs, int(fewest), int(most))
+            facts["Samples"] = different_counts(self._attrs, self.numbers)
         if self.features:
             facts["First hit"] = ", ".join(self.features)
         facts["Stored"] = "in memory" if self.path is None else str(self.path)
@@ -641,10 +650,10 @@ ImageLike: TypeAlias = Samples | str | Path
 """What functions take as an image: its samples, or the path of the store that holds them."""
 
 
-def different_counts(attrs: Mapping[str, Any], fewest: int, most: int) -> str:
+def different_counts(attrs: Mapping[str, Any], numbers: str) -> str:
     """Return how many samples pixels have that differ in it, and what follows from that."""
     why = "those of other pixels decided how many" if "adaptive" in attrs else _BIASED
-    return f"{fewest} to {most} in a pixel; {why}"
+    return f"{numbers} in a pixel; {why}"
 
 
 def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]:

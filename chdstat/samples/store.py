@@ -51,7 +51,6 @@ from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart, c
 __all__ = [
     "Store",
     "cache_key",
-    "check_equal_counts",
     "checkpoint_key",
     "inspect",
     "open",
@@ -770,24 +769,6 @@ def samples_of(
         f"got {type(source).__name__}"
     )
     raise InputError(message)
-
-
-def check_equal_counts(samples: Samples, why: str) -> None:
-    """Refuse samples of which some pixels have more than others.
-
-    Raises
-    ------
-    InputError
-        If that is so; the message says why, and how to go on.
-    """
-    if samples.counts is not None:
-        fewest = int(samples.counts.min())
-        message = (
-            f"{why}, which takes as many samples in each pixel; {samples.name} has {fewest} to "
-            f"{samples.spp}: use the first of each, samples.first({max(fewest, 1)}) or "
-            f"--spp {max(fewest, 1)}"
-        )
-        raise InputError(message)
 
 
 # --- saving -------------------------------------------------------------------------------------

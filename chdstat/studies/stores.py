@@ -26,7 +26,7 @@ from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.renders import render
 from chdstat.rendering.seeds import SamplerName
-from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
+from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
@@ -135,7 +135,6 @@ def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
     if isinstance(source, Samples):
         source = first_samples(source, settings.get("spp"))
         check_independent(source)
-        check_equal_counts(source, "claims are tested on batches of the whole image")
         return StudyScene(source.name, source, None, recipes.regions_of(source))
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() == ".toml":
         recipe = recipes.load_recipe(source)

@@ -181,6 +181,25 @@ def test_batches_with_bad_samples_are_left_out_and_counted():
         assert np.isfinite(numbers).all()
 
 
+def test_where_counts_differ_batches_are_those_that_all_have_and_references_all_else():
+    x = image(spp=96).read()
+    counts = np.broadcast_to(np.where(np.arange(16) < 8, 64, 96), (20, 16))
+    found = chd.compare(chd.Samples.from_array(x, counts=counts), ["mean"])
+    place, errors = np.arange(96), []
+    own = place < counts[..., np.newaxis]
+    for first in (0, 32):
+        here = np.broadcast_to((place >= first) & (place < first + 32), own.shape)
+        batch, others = (
+            x.mean(axis=-1, where=some[:, :, np.newaxis], dtype=np.float64)
+            for some in (here, own & ~here)
+        )
+        errors.append((batch - others) ** 2)
+    assert found.batches == 2 * 320
+    assert found.table()[0]["mse"] == pytest.approx(np.mean(errors))
+    with pytest.raises(InputError, match="at least 80 spp, got 64"):
+        chd.compare(chd.Samples.from_array(x, counts=counts), ["mean"], n=40)
+
+
 def test_max_batches_limits_what_estimates_and_not_the_reference():
     few, whole = (chd.compare(image(), ["mean"], max_batches=k) for k in (1, None))
     assert few.batches == 320

@@ -139,6 +139,17 @@ def test_odd_samples_give_a_report_of_what_they_can_tell(
     assert pages_of(path) <= (3 if "noise" in figures else 1)
 
 
+def test_a_report_says_where_numbers_of_samples_differ(radiance, tmp_path):
+    spp = radiance.shape[3]
+    counts = np.where(np.arange(radiance.shape[1]) < 8, 20, spp) * np.ones((len(radiance), 1), int)
+    samples = chd.Samples.from_array(radiance, axes="yxcs", counts=counts)
+    chd.report(samples, tmp_path / "some.pdf")
+    text = " ".join(text_of(tmp_path / "some.pdf").split())
+    assert f"20 to {spp} samples each" in text
+    assert f"None of {counts.sum()} samples is NaN" in text
+    assert "at least 64 spp, got 20" in text
+
+
 def test_a_region_may_have_any_name_and_what_is_bad_or_trained_is_told(radiance, tmp_path, caplog):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(

@@ -207,7 +207,7 @@ class TrainingSet:
         least = min(wanted) if sizes is None else max(wanted)
         for image in images:
             check_spp(image, least)
-        spp = min(_MOST_SPP, *(image.spp for image in images))
+        spp = min(_MOST_SPP, *(image.fewest for image in images))
         found: list[tuple[Any, ...]] = []
         scenes, excluded = [], 0
         # One scene at a time: the samples of all pixels of one are much larger than what is kept.

@@ -242,11 +242,12 @@ class Progressive(TrainedModel[learning.Learned]):
         if level is not None:
             check_probability(level=level)
         source: Any = opened(x)
-        attrs: Mapping[str, Any] = {}
+        attrs, absent = dict[str, Any](), 0
         if isinstance(source, Samples):
-            attrs, features, source = source.attrs, features or source.features, source.read()
+            attrs, absent, features = source.attrs, source.absent(), features or source.features
+            source = source.read()
         samples = as_pixels(source)
-        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
+        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators", absent=absent)
         self._check(samples.shape[-2], loss_weight)
         rows = samples.reshape(-1, *samples.shape[-2:])
         described = self._described(features, samples.shape[:-2])

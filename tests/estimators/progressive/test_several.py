@@ -53,6 +53,21 @@ def test_each_scene_counts_in_its_own_unit():
     np.testing.assert_array_equal(plain.predict(x), bright.predict(x))
 
 
+def test_pixels_with_more_samples_than_others_train_by_as_many_and_are_estimated_from_all():
+    """What only some pixels have is no bad sample: nothing warns of it."""
+    whole = varied(spp=64)
+    counts = np.where(np.arange(20) < 10, 16, 64) * np.ones((24, 1), int)
+    samples = chd.Samples.from_array(whole.read(), counts=counts, scene="varied")
+    model = trained(samples)
+    assert model.provenance["pixels_used"] == 24 * 20 // 2
+    found = chd.estimate(samples, model=model, progress=False).radiance
+    few, many = (model.estimate(whole.first(n)).radiance for n in (16, 64))
+    assert np.isfinite(found).all()
+    unlike = [np.abs(np.log(found / other)).mean(axis=(0, 2)) for other in (few, many)]
+    assert (unlike[0] < unlike[1])[:10].all()
+    assert (unlike[1] < unlike[0])[10:].all()
+
+
 def test_the_scene_with_the_fewest_samples_sets_their_number():
     model = trained([flat(spp=64), varied(spp=16)])
     assert model.provenance["pixels_used"] == 24 * 24 // 2 + 24 * 20 // 2
