@@ -2,7 +2,7 @@
 
 Samples lie on the last axis; leading axes are a batch (pixels, channels). Channels and luminance
 are analysed together, as rows of one batch, and `take_rows` separates their results again, whatever
-their type. `chunks` and `rows_alike` cut rows for the cache. `generator` and `seed_number` turn the
+their type. `chunks` and `rows_by_count` cut rows for the cache. `generator` and `seed_number` turn the
 seeds that users give into random numbers.
 """
 
@@ -45,7 +45,7 @@ __all__ = [
     "is_null",
     "luminance",
     "plain",
-    "rows_alike",
+    "rows_by_count",
     "seed_number",
     "spans",
     "take_rows",
@@ -420,7 +420,7 @@ def chunks(rows: int, width: int) -> Iterator[slice]:
     return spans(rows, max(1, _CACHED // max(1, width)))
 
 
-def rows_alike(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[np.intp]]:
+def rows_by_count(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[np.intp]]:
     """Yield the usable rows in pieces that stay in the cache, those of the fewest samples first.
 
     A piece needs as many columns as its rows have samples `n`, at most `width`: null-heavy pixels
@@ -429,7 +429,7 @@ def rows_alike(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[np.i
     Examples
     --------
     >>> n = np.array([2**16, 1, 2**16, 0, 2**16])
-    >>> [rows.tolist() for rows in rows_alike(n, n > 0, 2**17)]
+    >>> [rows.tolist() for rows in rows_by_count(n, n > 0, 2**17)]
     [[1, 0], [2, 4]]
     """
     rows = np.flatnonzero(usable)

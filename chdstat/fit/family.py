@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Mask, batch_rows, rows_alike
+from chdstat._core.arrays import Floats, Mask, batch_rows, rows_by_count
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
 
@@ -202,7 +202,7 @@ def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[Weighted
     With `thin`, samples are replaced by 32 of them, each with the weight of its neighbours: enough
     to come close to the maximum of all of them, for a sixteenth of the cost at 512.
     """
-    for rows in rows_alike(part.n.ravel(), usable, _THIN if thin else width_of(part)):
+    for rows in rows_by_count(part.n.ravel(), usable, _THIN if thin else width_of(part)):
         yield points_of(part, rows, thin=thin)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, special
 
-from chdstat._core.arrays import Counts, Floats, Mask, rows_alike, spans
+from chdstat._core.arrays import Counts, Floats, Mask, rows_by_count, spans
 from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
@@ -629,7 +629,7 @@ def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usab
     """
     values = np.full((5, usable.size), np.nan)
     place = np.flatnonzero(usable)
-    for rows in rows_alike(k.max(axis=1), np.ones(len(n), bool), ascending.shape[-1]):
+    for rows in rows_by_count(k.max(axis=1), np.ones(len(n), bool), ascending.shape[-1]):
         values[:, place[rows]] = _choose(model, ascending, n, k, rows)
     xi, scale, threshold, count, first_xi = values.reshape(5, *usable.shape)
     return _Fits(xi, scale, threshold, np.nan_to_num(count).astype(np.int64), first_xi)

@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, rows_alike, spans
+from chdstat._core.arrays import Counts, Floats, Mask, rows_by_count, spans
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability
@@ -288,7 +288,7 @@ def run_tests(
     statistic = np.full((len(rows), *shape), np.nan)
     p_value = np.full((len(rows), *shape), np.nan)
     moments = np.full((2, len(rows), len(transforms)), np.nan)
-    for part in rows_alike(counts, usable.reshape(-1), rows.shape[-1]):
+    for part in rows_by_count(counts, usable.reshape(-1), rows.shape[-1]):
         x, left_out, largest = _copied(rows, counts, part)
         for i, transform in enumerate(transforms):
             y = TRANSFORMS[transform](x, largest)
