@@ -2,7 +2,7 @@
 
 Samples lie on the last axis; leading axes are a batch (pixels, channels). Channels and luminance
 are analysed together, as rows of one batch, and `take_rows` separates their results again, whatever
-their type. `chunks` and `rows_by_count` cut rows for the cache. `generator` and `seed_number` turn the
+their type. `chunks` and `rows_by_count` cut rows for the cache. `generator` and `seed_number` turn
 seeds that users give into random numbers.
 """
 

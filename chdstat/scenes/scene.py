@@ -24,7 +24,6 @@ from typing import Any, NoReturn
 import numpy as np
 
 from chdstat._core.display import Card, Shown
-from chdstat._core.files import exists
 from chdstat.errors import InputError, SceneError, did_you_mean
 from chdstat.scenes.builtin import BUILTIN, built_in
 from chdstat.scenes.plugins import code_of
@@ -210,7 +209,7 @@ def _checked_file(path: Path) -> tuple[str, Path]:
 def _nothing_at(path: Path) -> str:
     """Return the message on a scene or a store that is not there, by what it seems to be."""
     name = reprlib.repr(str(path))
-    if exists(path / "zarr.json"):
+    if is_file(path / "zarr.json"):
         return f"{name} is a store, of samples that are rendered already; give the scene"
     if path.suffix == ".zarr":
         return f"no store at {name}; render one with: chdstat render SCENE -o {path}"

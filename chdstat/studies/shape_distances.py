@@ -205,7 +205,7 @@ _PERMUTATIONS = 999
 _AT_ONCE = 64
 _HISTOGRAM = (
     *("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count"),
-    *("log_low", "log_high"),
+    *("log_low", "log_high", "log_negative"),
 )
 
 
