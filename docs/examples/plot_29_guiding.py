@@ -33,8 +33,10 @@ panels = {
 viz.chd_grid(panels)
 
 # %%
-# The means are the same within their errors, which are a fifth smaller on the wall. Somewhat fewer
-# samples find nothing; the far end of the tail is that of light which no guide expects.
+# The means are the same within their errors. On the carpet fewer samples find nothing, and light
+# that path tracing seldom meets, on the right, comes more often and counts less. A single pixel
+# does not show the gain: one sample of a hundred times the mean, of light that no guide expects,
+# decides its error. Over the image, relMSE falls by a third.
 
 for name, x in drawn.items():
     for region, light in zip(regions, x.mean(axis=1, dtype=np.float64), strict=True):
@@ -44,8 +46,9 @@ for name, x in drawn.items():
 
 # %%
 # Guiding costs a third as much time again for each sample, and a second before the first one.
-# ``integrator="auto"`` guides only where its own paths tell that this pays. Claims 30 to 32 of
-# ``chdstat study --integrators`` put numbers on what is seen here, for any scene.
+# ``integrator="auto"`` guides only where there are samples enough, and its own paths tell that this
+# pays. Claims 30 to 32 of ``chdstat study --integrators`` put numbers on what is seen here, for any
+# scene.
 #
 # **Next:** the how-to pages on `comparing renders <../how-to/compare-renders.html>`_ and on
 # `adaptive counts <../how-to/adaptive.html>`_.
