@@ -17,8 +17,8 @@ If the noise were known, counts in proportion to its root would make the error o
 the relative one or the MSE (Neyman 1934, "On the two different aspects of the representative
 method", doi:10.2307/2342192). It is only estimated, from pixels around of like albedo, normal and
 depth, and brightness is known better than noise. So counts follow a smaller power of the noise, and
-one of the brightness beside it. Both powers were found on 13 scenes at 64 spp, each scene judged by
-those of the other 12; regression trees and powers learned from the image itself gain no more.
+one of the brightness beside it. Both powers were chosen on the 13 scenes on which the how-to judges
+them; regression trees and powers learned from the image itself gained no more there.
 """
 
 from __future__ import annotations
