@@ -21,6 +21,7 @@ from chdstat.patterns.atlases import of_histograms
 from chdstat.samples import Samples
 from chdstat.studies.log_chds import WIDTH, LogChds, squared_distance, visible
 from chdstat.studies.scene_data import PixelSet, SceneData
+from chdstat.summary.histograms import LOG_VARIABLES
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -203,10 +204,6 @@ def _positive(data: SceneData) -> Counts:
 
 _PERMUTATIONS = 999
 _AT_ONCE = 64
-_HISTOGRAM = (
-    *("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count"),
-    *("log_low", "log_high", "log_negative"),
-)
 
 
 def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
@@ -235,7 +232,7 @@ def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
     """
     rng = generator(0)
     middle = slice(one.sizes["channel"] // 2, one.sizes["channel"] // 2 + 1)
-    datasets = [d[list(_HISTOGRAM)].isel(channel=middle) for d in (one, two)]
+    datasets = [d[list(LOG_VARIABLES)].isel(channel=middle) for d in (one, two)]
     thin = _equally_many(datasets, rng)
     return _squared([of_histograms(dataset, rng).cumulative[..., 1:, :] for dataset in thin])
 
@@ -254,7 +251,7 @@ def squares_of_pairs(one: Samples, two: Samples) -> Floats:
         for samples in (one, two):
             x = samples.read(ss=slice(0, spp))[:, :, middle : middle + 1, first::2]
             half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
-            datasets.append(summarize(half, progress=False)[list(_HISTOGRAM)])
+            datasets.append(summarize(half, progress=False)[list(LOG_VARIABLES)])
         thin = _equally_many(datasets, rng)
         halves.append([of_histograms(dataset, rng).cumulative[..., 0, :] for dataset in thin])
     return _squared([np.stack(pair, axis=-2) for pair in zip(*halves, strict=True)])

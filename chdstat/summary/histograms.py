@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "LOG_VARIABLES",
     "Histogram",
     "StreamingHistogram",
     "Support",
@@ -51,6 +52,9 @@ FIRST_DRAWS = 50
 """Draws whose span sets the linear support."""
 LOG_SUPPORT = (1e-5, 1e5)
 """Support of log histograms, in radiance."""
+_OF_LOG = ("counts", "low", "high", "underflow", "overflow", "negative")
+LOG_VARIABLES = (*(f"log_{name}" for name in _OF_LOG), "null_count", "bad_count")
+"""Variables of the dataset of an image that make up its log histogram."""
 
 _PADDING = 0.25
 
@@ -277,9 +281,7 @@ class Histogram(Result):
         InputError
             If the dataset lacks a variable of it.
         """
-        names = ("counts", "low", "high", "underflow", "overflow", "negative")
-        needed = *(f"log_{name}" for name in names), "null_count", "bad_count"
-        missing = [name for name in needed if name not in dataset]
+        missing = [name for name in LOG_VARIABLES if name not in dataset]
         if missing:
             message = (
                 "expected the dataset of chdstat.histogram(samples, scale='log'), "
@@ -288,7 +290,7 @@ class Histogram(Result):
             raise InputError(message)
         return cls(
             scale="log",
-            **{name: dataset[f"log_{name}"].to_numpy() for name in names},
+            **{name: dataset[f"log_{name}"].to_numpy() for name in _OF_LOG},
             null_count=dataset["null_count"].to_numpy()[..., np.newaxis],
             bad_count=dataset["bad_count"].to_numpy()[..., np.newaxis],
             reason=np.zeros(dataset["log_low"].shape, dtype=np.int8),
