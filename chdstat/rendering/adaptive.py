@@ -120,8 +120,8 @@ class Adaptive:
         Raises
         ------
         InputError
-            If there is no such measure, the error is not positive, the percentile is none or there
-            is no error of it, or there are too few samples.
+            If there is no such measure, the error is not positive, the percentile is not between 0
+            and 100 or is given without an error, or there are too few samples.
         """
         measure = "relMSE" if isinstance(asked, bool) else asked
         if held is not None and isinstance(asked, bool):
@@ -199,31 +199,30 @@ class _Seen(NamedTuple):
             return np.asarray(self.variance.mean(axis=-1))
         square = np.maximum(self.mean**2 - self.square, _LEFT * self.mean**2)
         of_scene = np.empty_like(square)
-        for half in _halves(
-            *square.shape[:2]
-        ):  # which decides for the other one, without its samples
+        # A half decides for the other one, without its samples.
+        for half in _halves(*square.shape[:2]):
             of_scene[half] = self.mean[half].mean(axis=0) if half.any() else 0
         scale = (square if mean is None else mean**2) + DARK * of_scene**2
         relative = np.divide(self.variance, scale, out=np.zeros_like(scale), where=scale > 0)
         return np.asarray(relative.mean(axis=-1))
 
-    def told(
+    def noise_for_error(
         self, measure: str, features: Mapping[str, Image], percentile: float | None, step: int = 1
     ) -> Floats:
-        """Return the same as it adds up to the error of the image, or a percentile of pixels.
+        """Return the noise of each pixel from which the error of the image is predicted.
 
         Relative to its own mean, the error of a pixel never seems large: a single bright sample
-        makes both. So the mean is that of similar pixels around, as far as it lies within one
-        standard error of the pixel's own; where all its light is one sample, that error reaches
-        down to 0. Percentiles are those of the noise that similar pixels have on average, or they
-        would tell how uncertain it is.
+        raises both. So the noise is relative to the mean of similar pixels around, which counts as
+        far as it lies within one standard error of the pixel's own mean; where all the light of a
+        pixel is one sample, that interval reaches down to 0. For percentiles, the noise is averaged
+        over similar pixels: those of the noise of single pixels would show how uncertain it is.
 
         Parameters
         ----------
         measure, features, percentile
             As for `error_of`.
         step
-            2 for pixels that are told by those of their colour alone.
+            2 to look only at pixels of the same colour of the chessboard.
         """
         error = np.sqrt(self.square)
         around = _around(self.mean, features, _NEAR, lambda away: away > 0 and away % step == 0)
@@ -348,11 +347,13 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
     noise, features = seen.noise(how.measure), samples.features
     bright = seen.mean.mean(axis=-1)
     density = density_of(noise, bright, features, _POWERS[how.measure], how.least)
-    told = seen.told(how.measure, features, how.percentile, 1 if how.error is None else 2)
-    found = _over_pixels(told / density, how.percentile)
+    of_error = seen.noise_for_error(
+        how.measure, features, how.percentile, 1 if how.error is None else 2
+    )
+    found = _over_pixels(of_error / density, how.percentile)
     known = {name: float(value) for name, value in found.to_dict().items()}
     if how.error is not None and found.value > 0:
-        scale = _halved(told, density, how.percentile) / found.value
+        scale = _halved(of_error, density, how.percentile) / found.value
         known |= {name: scale * known[name] for name in ("value", "low", "high")}
     if how.percentile is not None:
         known["percentile"] = how.percentile
@@ -370,7 +371,7 @@ def _over_pixels(noise: Floats, percentile: float | None) -> Interval[float]:
     return quantile_of(noise.ravel(), blocks, percentile / 100)
 
 
-def _halved(told: Floats, density: Floats, percentile: float | None) -> float:
+def _halved(noise: Floats, density: Floats, percentile: float | None) -> float:
     """Return the noise of the image, and let each half have what it needs as the other one tells.
 
     Then the number of samples of a pixel does not depend on its own, even where one of them decides
@@ -378,7 +379,7 @@ def _halved(told: Floats, density: Floats, percentile: float | None) -> float:
     """
     padded = np.pad(density, 1, mode="reflect")  # beside a pixel are those for which it decides
     beside = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
-    own, halves = 4 * told / beside, [half for half in _halves(*told.shape) if half.any()]
+    own, halves = 4 * noise / beside, [half for half in _halves(*noise.shape) if half.any()]
     tells = [own[~half] if (~half).any() else own for half in halves]
     needs = [x.mean() if percentile is None else np.percentile(x, percentile) for x in tells]
     total = float(sum(n * half.mean() for n, half in zip(needs, halves, strict=True)))
@@ -426,7 +427,7 @@ def error_of(
     Interval(value=...)
     """
     counts = samples.counts
-    told = _Seen.of(samples).told(measure, samples.features, percentile)
+    noise = _Seen.of(samples).noise_for_error(measure, samples.features, percentile)
     return _over_pixels(
-        told / np.maximum(samples.spp if counts is None else counts, 1), percentile
+        noise / np.maximum(samples.spp if counts is None else counts, 1), percentile
     ).root()

@@ -269,7 +269,10 @@ def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
     else:
         density, noise = writer.density, writer.attrs["noise"]
         if how.percentile not in (None, decided_for := noise.get("percentile")):
-            message = f"counts were decided for percentile {decided_for}, not {how.percentile:g}"
+            message = (
+                f"counts were decided for percentile {decided_for}, not {how.percentile:g}: render "
+                "into another store, or leave percentile out"
+            )
             raise InputError(message)
     spp = how.spp(noise, job.options.spp)
     height, width = density.shape

@@ -74,7 +74,7 @@ def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
     """Return the entries of the report, by their names, ready for JSON."""
     data, scene, dataset = found.data, found.overview, found.data.analysis
     height, width, channels, spp = data.samples.shape
-    pixels, each = f"{width} × {height} pixel{'s' * (height * width > 1)}", data.samples.numbers
+    pixels, each = f"{width} × {height} pixel{'s' * (height * width > 1)}", data.samples.spp_range
     about = f"{pixels}, {each} sample{'s' * (spp > 1)} each"
     entries: dict[str, Any] = {
         "title": data.samples.name,
@@ -137,7 +137,7 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
     return {
         "sentences": [
             f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with "
-            f"{samples.numbers} samples each.",
+            f"{samples.spp_range} samples each.",
             f"In the median pixel their standard deviation is {number(scene.variation[1])} times "
             f"their mean, and {percent(scene.null_share)} of all samples carry no light.",
             where if noise else "The samples of no pixel vary.",

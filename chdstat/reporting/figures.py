@@ -112,7 +112,7 @@ def report_figures(
         else:
             drawn["estimates"] = estimates_of(found.comparison, found.comparison.estimators[:2])
     elif estimate is not None:
-        images = {f"mean of {data.samples.numbers}": image, "default estimate": estimate.radiance}
+        images = {f"mean of {data.samples.spp_range}": image, "default estimate": estimate.radiance}
         parts = _noisy_parts(*images.values())
         drawn["estimates"] = viz.side_by_side(images, insets=parts, width=_PAIR)
     return drawn

@@ -215,7 +215,7 @@ class Samples:
         return None if found is None or (found == self.spp).all() else found
 
     @property
-    def numbers(self) -> str:
+    def spp_range(self) -> str:
         """How many samples a pixel has, in words: "64", or "32 to 161" where they differ."""
         return str(self.spp) if self.counts is None else f"{self.fewest} to {self.spp}"
 
@@ -337,7 +337,7 @@ class Samples:
     def __repr__(self) -> str:
         height, width, channels, _ = self.shape
         length = sequence_of(self._attrs)
-        number = f"{self.numbers} spp"
+        number = f"{self.spp_range} spp"
         if length > 1:
             sampler = self._attrs.get("sampler", "")
             number += f" in {sampler} sequences of {length}".replace("  ", " ")
@@ -356,7 +356,7 @@ class Samples:
         height, width, channels, spp = self.shape
         facts = provenance(self._attrs, self.shape)
         if self.counts is not None:
-            facts["Samples"] = different_counts(self._attrs, self.numbers)
+            facts["Samples"] = different_counts(self._attrs, self.spp_range)
         if self.features:
             facts["First hit"] = ", ".join(self.features)
         facts["Stored"] = "in memory" if self.path is None else str(self.path)

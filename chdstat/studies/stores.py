@@ -214,8 +214,7 @@ class Stores:
             other["shorter"] = more(3, half, max_depth=SHORT)
         if self.sampler != "independent":
             length = SPREAD[self.sampler]
-            spp = _SEQUENCES * length
-            other["spread"] = more(4, spp, sampler=self.sampler, sequence=length)
+            other["spread"] = more(4, _SEQUENCES * length, sampler=self.sampler, sequence=length)
         if self.integrators:
             # The path length is part of each of them; Mitsuba's `direct` has none.
             by = {

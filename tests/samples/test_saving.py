@@ -99,7 +99,7 @@ def test_a_pixel_has_the_samples_that_are_its_own(tmp_path):
         assert found.to_dataset()["counts"].to_numpy().sum() == COUNTS.sum()
     assert "0 to 100 spp" in repr(samples)
     assert "biased" in samples._repr_html_()
-    assert (samples.fewest, samples.numbers) == (0, "0 to 100")
+    assert (samples.fewest, samples.spp_range) == (0, "0 to 100")
     with pytest.raises(InputError, match="at least 64 spp, got 0"):
         chd.compare(samples)
     counts = np.full((70, 5), 100)
