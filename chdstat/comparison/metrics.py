@@ -104,7 +104,7 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
     The last place of the channel axis is the average over channels. The measures of a single unit
     have no interval. With k units, a percentile interval is too short by the factor
     sqrt((k - 1) / k), and because it uses normal quantiles in place of Student's (Hesterberg 2015,
-    doi:10.1080/00031305.2015.1089789); it is widened by both.
+    doi:10.1080/00031305.2015.1089789); it is widened by both, not beyond what the measure can be.
 
     Parameters
     ----------
@@ -126,7 +126,10 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
     reach = spread * float(stats.t.ppf(tails[1], units - 1) / stats.norm.ppf(tails[1]))
     with np.errstate(invalid="ignore"):
         error = spread * replicates.std(axis=0, ddof=1)
-        low, high = value + reach * (np.quantile(replicates, tails, axis=0) - value)
+        ends = value + reach * (np.quantile(replicates, tails, axis=0) - value)
+    bounds = [(-np.inf if name == "bias" else 0, 1 if "share" in about else np.inf)
+              for name, (about, _) in MEASURES.items()]  # fmt: skip
+    low, high = np.clip(ends, *np.transpose(bounds)[..., np.newaxis, np.newaxis])
     found = Interval(value, low, high, standard_error=error)
     return {name: found[index] for index, name in enumerate(MEASURES)}
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 from itertools import product
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +41,7 @@ from chdstat.patterns.classification import Classification
 from chdstat.patterns.definitions import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.runner import measured
-from chdstat.viz.chd import FEWEST_FITTED
+from chdstat.viz.chd import FEWEST_FITTED, log_support
 
 __all__ = [
     "FINITE",
@@ -164,8 +163,9 @@ class PlaceStatistics:
     def histograms(self) -> dict[str, Histogram]:
         """Linear and log10 histogram of each row, by scale."""
         null, bad = (np.broadcast_to(mask, self.rows.shape) for mask in (self.null, self.bad))
-        scales: tuple[Literal["linear", "log"], ...] = ("linear", "log")
-        return {s: histogram(self.rows, scale=s, null=null, bad=bad) for s in scales}
+        linear = histogram(self.rows, scale="linear", null=null, bad=bad)
+        log = histogram(self.rows, support=log_support(self.rows), null=null, bad=bad)
+        return {"linear": linear, "log": log}
 
     @cached_property
     def patterns(self) -> Patterns:

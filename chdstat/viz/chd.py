@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from chdstat._core.arrays import Array, is_bad, is_null, luminance, take_rows
 from chdstat._core.display import Width
 from chdstat.errors import InputError, check_option
-from chdstat.summary.histograms import Histogram, Scale, histogram
+from chdstat.summary.histograms import LOG_SUPPORT, Histogram, Scale, histogram
 from chdstat.viz.styling import (
     CHANNELS,
     PALETTE,
@@ -61,6 +61,7 @@ __all__ = [
     "draw_histograms",
     "draw_means",
     "fits",
+    "log_support",
     "scales_of",
     "share_radiance",
 ]
@@ -85,6 +86,8 @@ MEAN: Any = (0, (3, 2))
 """Dashes of the line of a mean."""
 _ROOM = 1.35
 """Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
+_BEYOND = 0.01
+"""Share of the positive samples beyond the support of log histograms from which it is widened."""
 _BINS = 40
 _VECTOR = 256
 """Batches that are drawn as outlines; more are an image inside of the figure."""
@@ -213,6 +216,23 @@ def scales_of(scales: Scale | Sequence[Scale]) -> list[Scale]:
     return [*wanted]
 
 
+def log_support(x: npt.ArrayLike) -> tuple[float, float]:
+    """Return the support of log histograms that are drawn: [1e-5, 1e5], or decades of the samples.
+
+    Examples
+    --------
+    >>> log_support([0.0, 0.5]), log_support([2e-7, 3e-6])
+    ((1e-05, 100000.0), (1e-07, 1e-05))
+    """
+    array = np.asarray(x)
+    seen = array[(array > 0) & (array < np.inf)]
+    low, high = LOG_SUPPORT
+    if not seen.size or ((seen < low) | (seen >= high)).mean() <= _BEYOND:
+        return LOG_SUPPORT
+    first, last = np.floor(np.log10([seen.min(), seen.max()], dtype=np.float64))
+    return float(f"1e{first:.0f}"), float(f"1e{last + 1:.0f}")
+
+
 def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[str, Histogram]:
     """Return the histogram of each channel of one pixel, by the name of the channel.
 
@@ -276,8 +296,9 @@ def draw_histograms(
         look = {"color": (outlines or colors)[i], "linestyle": dashes[i % len(dashes)]}
         ax.stairs(density, edges, linewidth=0.7, label=verbatim(name), **look)
     if not ends:
-        where = (0.5, 0.5)
-        ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center")
+        beyond = any((h.underflow + h.overflow).any() for h in found.values())
+        words = "no samples in the bins" if beyond else "no positive samples"
+        ax.annotate(words, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center")
     ax.set_xscale(scale)
     if scale == "log":
         low, high = min(ends, default=1e-5), max(ends, default=1e5)
@@ -386,7 +407,8 @@ class Panel:
             light = luminance(np.where(bad, 0.0, samples))
             samples = np.concatenate([samples, light[np.newaxis]])
             channels = [*(channels or "RGB"), _LUMINANCE]
-        linear, log = (histogram(samples, scale=s, null=null, bad=bad) for s in SCALES)
+        linear = histogram(samples, scale="linear", null=null, bad=bad)
+        log = histogram(samples, support=log_support(samples), null=null, bad=bad)
         mean = samples[:, ~bad].astype(np.float64).mean(axis=-1).tolist() if not bad.all() else ()
         return cls(name, linear, log, channels, fits, mean, note)
 
@@ -442,7 +464,8 @@ class Panel:
             raise InputError(message)
         bad, null = np.asarray(is_bad(samples).any(axis=1)), is_null(samples)
         light = np.asarray(luminance(np.where(bad[:, np.newaxis], 0.0, samples)))
-        return replace(self, luminance=histogram(light, scale="log", null=null, bad=bad))
+        found = histogram(light, support=log_support(light), null=null, bad=bad)
+        return replace(self, luminance=found)
 
 
 @style()

@@ -375,6 +375,17 @@ def test_intervals_hold_what_they_say_with_few_units(units):
     assert 127 < held < 150
 
 
+def test_no_interval_goes_beyond_what_a_measure_can_be():
+    sums = np.zeros((3, len(SUMS), 2, 1))
+    sums[:, -2:] = 1  # reference and count
+    sums[:, :5, 0], sums[0, :5, 1] = 1, [[9], [9], [1], [1], [1]]
+    for name, found in measures_of(sums, seed=0).items():
+        if name != "bias":
+            assert found.low.min() >= 0
+        if name in {"improved", "unchanged", "fireflies"}:
+            assert found.high.max() <= 1
+
+
 def test_intervals_over_batches_say_how_other_random_numbers_would_do():
     """The spread over 40 renders; its own error is 11 %, so that 1.6 is off by 5 of these."""
     rng = np.random.default_rng(5)

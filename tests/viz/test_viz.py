@@ -256,6 +256,15 @@ def test_an_atlas_is_a_map_and_a_panel_for_each_shape(two_shapes, clusters):
         assert str(k + 1) in shown
 
 
+@pytest.mark.parametrize("scale", [1e-9, 1e12])
+def test_samples_beyond_the_usual_bins_are_drawn(scale):
+    x = scale * np.random.default_rng(0).gamma(2.0, size=(3, 64))
+    panel = viz.Panel.of("unit", x)
+    assert panel.log.counts.sum(axis=-1).tolist() == [64] * 4
+    assert not {"no positive samples", "no samples in the bins"} & texts(viz.chd_pair(panel))
+    assert "no samples in the bins" in texts(viz.chd_axes(histogram(x)).figure)
+
+
 def test_nothing_is_drawn_where_there_is_nothing():
     dark = [histogram(np.zeros((3, 8)), scale=scale) for scale in ("linear", "log")]
     assert "no positive samples" in texts(viz.chd_grid([viz.Panel("dark", *dark)]))
