@@ -374,7 +374,7 @@ def luminance(
     if channels != 3:
         message = (
             f"luminance needs 1 or 3 channels, got {channels} in shape {x.shape}; samples lie on "
-            "the last axis, channels before them"
+            "the last axis, channels before them: keep one or three of these"
         )
         raise InputError(message)
     return np.asarray(np.moveaxis(x, channel_axis, -1) @ LUMINANCE.astype(x.dtype))

@@ -78,11 +78,13 @@ def percent(share: float, *, sign: bool = False) -> str:
 
     Examples
     --------
-    >>> percent(0.574), percent(0.0012), percent(-0.031, sign=True), percent(0.0)
-    ('57\xa0%', '0.1\xa0%', '−3.1\xa0%', '0\xa0%')
+    >>> percent(0.574), percent(0.0002), percent(-0.031, sign=True), percent(0.0)
+    ('57\xa0%', '< 0.1\xa0%', '−3.1\xa0%', '0\xa0%')
     """
     if not math.isfinite(share):
         return "—"
+    if 0 < share < 0.0005 and not sign:
+        return "< 0.1\N{NO-BREAK SPACE}%"
     digits = 0 if abs(share) >= 0.0995 or share == 0 else 1
     rounded = round(100 * share, digits) + 0.0  # no minus before 0
     text = f"{rounded:{'+' if sign and rounded else ''}.{digits}f}\N{NO-BREAK SPACE}%"

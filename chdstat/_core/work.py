@@ -708,6 +708,9 @@ def kept_until_written(out: Path | None) -> Iterator[Path | None]:
     _held.add(place)
     try:
         yield place
+    except InputError:  # the same again would fail again
+        _clear(place)
+        raise
     finally:
         _held.discard(place)
     _clear(place)

@@ -111,7 +111,7 @@ def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
             "fit": _fit_content(scene),
             "patterns": _pattern_table(scene),
             "thresholds": {
-                str(name).removeprefix(prefix): number(float(value))
+                str(name).removeprefix(prefix): f"{float(value):g}"
                 for name, value in dataset.attrs.items()
                 if str(name).startswith(prefix)
             },
@@ -212,8 +212,9 @@ def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     else:
         yield (
             f"The largest part of the noise is in {_pixels(noise.label)}.",
-            f"By the first pattern of each, they are {percent(noise.pixels[noise.label])} of the "
-            f"image and hold {percent(noise.share[noise.label])} of its relative variance. " + why,
+            f"They are {percent(noise.pixels[noise.label])} of the image, by the first pattern of "
+            f"each pixel, and hold {percent(noise.share[noise.label])} of its relative variance. "
+            + why,
         )
 
 
@@ -221,7 +222,7 @@ def _nulls(scene: Overview) -> Iterator[tuple[str, str]]:
     if scene.null_share >= _MANY_NULLS:
         yield (
             f"{percent(scene.null_share)} of all samples find no light.",
-            "They cost as much as the others: better light sampling would help.",
+            "They cost as much as the others: sampling the lights better would help.",
         )
 
 
@@ -230,8 +231,8 @@ def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     if share > 0 and noise.label != "firefly_dominated":
         yield (
             f"One sample decides {percent(share)} of the pixels.",
-            "There a single one of their samples carries so much of the mean that the "
-            "pixel is a firefly, or would be one without it.",
+            "This sample carries so much of the sum that the mean of the pixel is too bright with "
+            "it, or too dark without it.",
         )
 
 
@@ -268,9 +269,9 @@ def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
     rejected = scene.averages[most]
     yield (
         f"Averages of {most} samples are not Gaussian in {percent(rejected)} of the channels.",
-        "There, error bars that presume it mislead. In "
-        f"{percent(scene.doubtful_variance)} the estimated tail index is at least 1/2: the "
-        "variance may be infinite, and no error bar holds.",
+        "Error bars that assume Gaussian averages mislead there. In "
+        f"{percent(scene.doubtful_variance)} of the channels the estimated tail index is at least "
+        "1/2: the variance may be infinite, and then no error bar holds.",
     )
 
 
@@ -296,7 +297,7 @@ def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
     """Return what an estimator gains over the mean of n samples, as a finding."""
     name = name[0].upper() + name[1:]
     surely = row["mse_ratio_high"] < 1
-    equal = f", that of a mean of {n / row['mse_ratio']:.0f}" if surely else ""
+    equal = f", as of a mean of {n / row['mse_ratio']:.0f} samples" if surely else ""
     errors = (
         f"From {n} samples, its squared error is {shown_ratio(row, 'mse_ratio')} times the mean's"
         f"{equal}; its relative squared error is {shown_ratio(row, 'relmse_ratio')} times."
@@ -320,8 +321,8 @@ def _row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
 def _bad_samples(scene: Overview, samples: Samples) -> str:
     total = scene.pixels * scene.spp - samples.absent()
     if scene.bad_samples:
-        return f"{scene.bad_samples} of {total} samples are NaN or infinite."
-    return f"None of {total} samples is NaN or infinite."
+        return f"{scene.bad_samples:,} of {total:,} samples are NaN or infinite."
+    return f"None of {total:,} samples is NaN or infinite."
 
 
 def _deviations(found: SceneStudy) -> list[str]:
@@ -351,12 +352,10 @@ def remake_note(samples: Iterable[Samples]) -> str:
     found = {s.name: original for s in samples if (original := remake_of(s))}
     if not found:
         return ""
-    listed = ", ".join(f"{name} (of {original})" for name, original in found.items())
-    one = len(found) == 1
+    listed = ", ".join(f"{name} remakes the paper's {original}" for name, original in found.items())
     return (
-        f"{'A remake' if one else 'Remakes'} of the paper's scene{'s' * (not one)}: {listed}. "
-        f"{'It was' if one else 'They were'} made for this library after the paper's figures, with "
-        f"other geometry and materials: what holds here need not hold of the paper's own."
+        f"{listed}: made for this library after the paper's figures, with other geometry and "
+        "materials. What holds here need not hold in the original."
     )
 
 
@@ -516,7 +515,7 @@ def _noise_table(noise: Noise, comparison: Comparison | None, pixels: int) -> li
             "name": called(label),
             "color": LABEL_COLORS[called(label)],
             "pixels": percent(noise.pixels[label]),
-            "share": percent(share) if share >= _LITTLE else "0 %",
+            "share": percent(share),
             "meaning": Label[label.upper()].meaning,
             "cure": Label[label.upper()].cure,
             "estimate": number(
@@ -561,7 +560,7 @@ def _pattern_table(scene: Overview) -> list[dict[str, str]]:
 def atlas_content(found: Atlas) -> dict[str, str]:
     """Return how many shapes recur, and how far these can be trusted."""
     return {
-        "count": str(len(found.share)),
+        "count": f"{len(found.share)} shape{'s recur' if len(found.share) > 1 else ' recurs'}",
         "repeatable": percent(found.repeatable),
         "stability": number(found.stability),
     }

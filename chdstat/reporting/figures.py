@@ -37,7 +37,7 @@ from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.chd import FEWEST_FITTED
 from chdstat.viz.estimators import NAMES, called, estimator_name
 from chdstat.viz.maps import names_of
-from chdstat.viz.styling import spelt
+from chdstat.viz.styling import spelt, upright
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -97,7 +97,7 @@ def report_figures(
         panels = [data.samples.pixel(*mark.pixel).panel(mark.name) for mark in _marks(data)]
         alone = len(panels) == 1
         drawn["alone"] = viz.chd_pair(panels[0]) if alone else viz.chd_grid(panels, columns=2)
-    elif spp >= FEW_SAMPLES:
+    elif spp >= FEW_SAMPLES and (image > 0).any():
         drawn["regions"] = region_figure(data)
     if small or not found.noise:
         return drawn
@@ -163,7 +163,7 @@ def region_figure(data: SceneData) -> Figure:
 
 def _noise_maps(found: xr.Dataset) -> Figure:
     """Draw how noisy each pixel is, and which pattern it shows first of all."""
-    aspect = found.sizes["y"] / found.sizes["x"]
+    aspect = upright(found.sizes["y"], found.sizes["x"])
     figure = viz.map_grid(2, columns=2, aspect=aspect)
     figure.set_figheight(0.43 * figure.get_figwidth() * aspect + 0.3)  # there is no legend
     left, right = figure.axes

@@ -331,5 +331,5 @@ class Finding(Shown):
 
 
 def _number(value: float) -> str:
-    """Return a number in three digits."""
-    return "unknown" if math.isnan(value) else f"{value:.3g}"
+    """Return a number in three digits, with a real minus sign."""
+    return "unknown" if math.isnan(value) else f"{value:.3g}".replace("-", "−")

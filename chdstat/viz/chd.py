@@ -154,7 +154,7 @@ def chd_axes(
     if alone:
         ax.set_xlabel(_axis_name(_quantity([*shown]), found.scale))
         ax.set_ylabel("density")
-        if len(shown) > 1:
+        if len(shown) > 1 and ax.patches:
             ax.legend(handlelength=1)
     for name, counted in shown.items():
         if (density := fitted.get(name)) is not None:

@@ -53,6 +53,7 @@ from chdstat.viz.styling import (
     style,
     swatches,
     two_parts,
+    upright,
     verbatim,
 )
 
@@ -130,7 +131,7 @@ def with_marks(
         Where to draw; None makes a figure.
     """
     shown, across = tonemap(image, exposure=exposure), inches(width, fig)
-    aspect = shown.shape[0] / shown.shape[1]
+    aspect = upright(*shown.shape[:2])
     if narrow(across):
         columns = fitting(across, max(1, len(marks)), 1.1)
         letters = int(14 * across / columns)
@@ -258,7 +259,7 @@ def region_study(
     lit = all("luminance" in panel.histograms("log") for panel in panels)
     wanted = "luminance" if channels is None and lit else channels
     panels = [panel.select(wanted) for panel in panels]
-    rows, high = len(marks), across * shown.shape[0] / shown.shape[1]
+    rows, high = len(marks), across * upright(*shown.shape[:2])
     listed, explained = min(_ROW * rows, _ROWS) + 0.4, 0.2 * (1 + len(panels[0].log.counts)) + 0.3
     height = max(listed, _OF_IMAGE * high + explained)
     figure, left, right = two_parts(fig, width, height, _OF_IMAGE, (high + explained, listed))
@@ -370,7 +371,7 @@ def side_by_side(
     last = np.asarray(list(images.values())[-1])
     exposure, across = display_stops(last), inches(width, fig)
     columns = fitting(across, min(columns or len(images), len(images)), 1.0)
-    rows, aspect = -(-len(images) // columns), last.shape[0] / last.shape[1]
+    rows, aspect = -(-len(images) // columns), upright(*last.shape[:2])
     parts = [aspect] + [aspect] * bool(errors)
     if insets:
         parts.insert(1, max(map(_aspect, insets)) / len(insets))
@@ -509,7 +510,7 @@ def view_pair(
         message = f"expected two images of one view, got {len(images)}"
         raise InputError(message)
     first, second = images.values()
-    high = inches(width, fig) * np.shape(first)[0] / np.shape(first)[1]
+    high = inches(width, fig) * upright(*np.shape(first)[:2])
     height, below = max(0.225 * high, 1.5) + 0.35, (0.47 * high + 0.25, 2.0)
     figure, left, right = two_parts(fig, width, height, 0.51, below)
     exposure = display_stops(second)

@@ -44,6 +44,7 @@ from chdstat.viz.styling import (
     sequential,
     style,
     two_parts,
+    upright,
     verbatim,
 )
 
@@ -131,7 +132,8 @@ def map_grid(
     across = inches(width, fig)
     columns = fitting(across, columns, 1.6)
     rows = -(-number // columns)
-    figure = page(fig, across / columns * (0.86 * aspect + 0.2) * rows, width, wspace=0.06)
+    height = across / columns * (0.86 * upright(aspect, 1) + 0.2) * rows
+    figure = page(fig, height, width, wspace=0.06)
     grid(figure, number, columns)
     return figure
 
@@ -371,7 +373,7 @@ def atlas(found: Atlas, *, width: Width = "page", fig: Figure | None = None) -> 
     number = len(found.share)
     columns = 2 if number <= 8 else 3
     rows = max(2, -(-number // columns))
-    aspect = found.labels.shape[0] / found.labels.shape[1]
+    aspect = upright(*found.labels.shape)
     across, listed = inches(width, fig), 0.8 * rows + 0.3
     height = max(_OF_MAP * across * aspect + 0.2, listed)
     below = (min(across * aspect, 3.4) + 0.2, listed)

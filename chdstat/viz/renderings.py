@@ -25,6 +25,7 @@ from chdstat.viz.styling import (
     qualitative,
     style,
     swatches,
+    upright,
     verbatim,
 )
 
@@ -88,7 +89,7 @@ def renders_compared(
     count, wide = len(arrays) + (difference is not None), inches(width, fig)
     across, places = fitting(wide, min(count, 4), 1.6), len(marks) if samples else 0
     columns = fitting(wide, min(places, 2), 2.5)
-    height = wide / across * first.shape[0] / first.shape[1] + 0.25
+    height = wide / across * upright(*first.shape[:2]) + 0.25
     rows, below = -(-count // across), -(-places // columns)
     figure = page(fig, rows * height + 1.5 * below + 0.3, width)
     ratios = [rows * height, 1.5 * below] if places else [1]

@@ -62,6 +62,7 @@ __all__ = [
     "style",
     "swatches",
     "two_parts",
+    "upright",
     "verbatim",
 ]
 
@@ -70,6 +71,9 @@ WIDTHS = {"column": 3.4, "page": 6.7}
 
 _NARROW = 5.0
 """Inches below which panels stand below each other."""
+
+_UPRIGHT = 1.5
+"""Largest height over width of the room for an image."""
 
 HEIGHT = 8.0
 """Largest height of a figure, in inches: it leaves room on the page for a heading and a caption."""
@@ -176,6 +180,17 @@ def inches(width: Width, within: Figure | SubFigure | None = None) -> float:
         message = f"width must be 'column', 'page' or a number of inches, got {width}"
         raise InputError(message)
     return float(width)
+
+
+def upright(height: float, width: float) -> float:
+    """Return the height over the width of the room for an image: a tall one is drawn narrower.
+
+    Examples
+    --------
+    >>> upright(90, 160), upright(400, 13)
+    (0.5625, 1.5)
+    """
+    return min(height / width, _UPRIGHT)
 
 
 def narrow(across: float) -> bool:

@@ -56,7 +56,7 @@ def test_a_short_report_is_read_in_minutes(radiance, tmp_path, documents):
     path = chd.report(samples, tmp_path / "noise.pdf")
     text = text_of(path)
     assert pages_of(path) <= 4
-    note = "A remake of the paper's scene: bathroom (of Bathroom)."
+    note = "bathroom remakes the paper's Bathroom: "
     assert note in text_of(path, last=1)
     assert text.count(note) == 1
     assert remake_note([chd.Samples.from_array(radiance, scene="bathroom")]) == ""
@@ -114,8 +114,8 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
     [
         ("one sample", lambda x: x[:8, :8, :, :1], "1 sample per pixel tell no distribution", []),
         ("four samples", lambda x: x[..., :4], "4 samples per pixel tell no", ["estimates"]),
-        ("all null", lambda x: x[:8, :8] * 0, "100 % of all samples find no light", ["regions"]),
-        ("all bad", lambda x: x[:8, :8] * np.nan, "No sample is a number", ["regions"]),
+        ("all null", lambda x: x[:8, :8] * 0, "100 % of all samples find no light", []),
+        ("all bad", lambda x: x[:8, :8] * np.nan, "No sample is a number", []),
         ("constant", lambda x: x[:8, :8] * 0 + 2, "Nothing is noisy here", ["regions"]),
         ("one pixel", lambda x: x[:1, :1], "The pixel is gamma-like", ["alone"]),
         ("one channel", lambda x: x[..., :1, :], "one channel", ["regions", "noise", "estimates"]),
@@ -146,7 +146,7 @@ def test_a_report_says_where_numbers_of_samples_differ(radiance, tmp_path):
     chd.report(samples, tmp_path / "some.pdf")
     text = " ".join(text_of(tmp_path / "some.pdf").split())
     assert f"20 to {spp} samples each" in text
-    assert f"None of {counts.sum()} samples is NaN" in text
+    assert f"None of {counts.sum():,} samples is NaN" in text
     assert "at least 64 spp, got 20" in text
 
 
@@ -165,11 +165,11 @@ def test_a_region_may_have_any_name_and_what_is_bad_or_trained_is_told(radiance,
     path = chd.report(samples, tmp_path / "named.pdf", recipe=recipe, **asked)
     assert "1 a $x^$ b" in text_of(path)
     assert "in 3 iterations" in text_of(path)
-    assert "2 of 8192 samples are NaN or infinite" in text_of(path)
+    assert "2 of 8,192 samples are NaN or infinite" in text_of(path)
     assert [r.getMessage()[:24] for r in caplog.records] == ["no font has the letters "]
 
 
-def test_a_wrong_target_is_refused_before_any_work(radiance, tmp_path):
+def test_what_cannot_be_reported_is_refused_and_leaves_nothing(radiance, tmp_path):
     samples = chd.Samples.from_array(radiance)
     with pytest.raises(InputError, match=r"must end in \.pdf"):
         chd.report(samples, tmp_path / "report.html")
@@ -177,6 +177,10 @@ def test_a_wrong_target_is_refused_before_any_work(radiance, tmp_path):
         chd.report(samples, tmp_path / "a.pdf", contents="long")
     with pytest.raises(InputError, match="create it first"):
         chd.report(samples, tmp_path / "nowhere" / "report.pdf")
+    five = chd.Samples.from_array(np.ones((8, 8, 5, 64)), axes="yxcs")
+    with pytest.raises(InputError, match="keep one or three of these"):
+        chd.report(five, tmp_path / "five.pdf")
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):

@@ -226,7 +226,7 @@ def test_the_pdf_has_all_claims_and_says_which_scenes_are_remakes(tmp_path, monk
     found = study([samples, noise("noise", shape=(8, 8, 3, 64))], estimators=["mean"])
     assert list(tmp_path.iterdir()) == []  # without a folder
     path = found.save_pdf(tmp_path / "study.pdf")
-    assert "A remake of the paper's scene: bathroom (of Bathroom)." in text_of(path, last=1)
+    assert "bathroom remakes the paper's Bathroom: " in text_of(path, last=1)
     text = text_of(path)
     assert "bathroom*, noise" in text
     assert "noise*" not in text

@@ -225,7 +225,7 @@ def broken_assumptions(data: SceneData) -> Measurement:
     whole = data.whole(tests=4)
     slope, skewness = _slope(batches, whole), _skewness(data, whole)
     steps = _concentration(light, whole)
-    largest = f"share of squared steps of log radiance in the largest {_STEPS:.0%}"
+    largest = f"share of squared steps of log radiance in the largest {100 * _STEPS:.0f} %"
     tests = [
         # 0 for additive noise, 2 for multiplicative; half way.
         ClaimTest("slope of log variance on log mean", slope, least=1.0),

@@ -76,7 +76,7 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Measurement:
     if history is None:
         missing.append("needs the history of a training")
     else:
-        gain = f"share of the gain after {_EARLY:.0%} of the training"
+        gain = f"share of the gain after {100 * _EARLY:.0f} % of the training"
         tests.append(ClaimTest(gain, early_gain(history, level=level), least=0.5))
         series = {
             "validation": (history.iteration, history.validation_loss),

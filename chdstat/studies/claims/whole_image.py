@@ -266,8 +266,8 @@ def symmetry(data: SceneData) -> Measurement:
     share = float(same.mean())
     require(
         share >= _HALVES,
-        f"a view whose halves mirror each other in depth and albedo in {_HALVES:.0%} of the "
-        f"pixels, here {share:.0%}",
+        "a view whose halves mirror each other in depth and albedo in at least "
+        f"{100 * _HALVES:.0f} % of the pixels, here {100 * share:.0f} %",
     )
     square = squared_distance(data.chds[left], data.chds[right], width=_BIN)
     square = np.where(same, square, np.nan)
