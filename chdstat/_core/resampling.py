@@ -488,7 +488,9 @@ def _p_of_signs(d: Reals) -> Floats:
     scale = np.where(known, largest, 1)[:, np.newaxis]
     size = size / scale
     total = np.abs((d / scale).sum(axis=1, dtype=float))
-    terms, top = (size > 0).sum(axis=1), size.sum(axis=1, dtype=float)
+    top = size.sum(axis=1, dtype=float)
+    # What a flip of its sign does not move the sum by, in double precision, is no term.
+    terms = (size > _ROUNDING * top[:, np.newaxis]).sum(axis=1)
     root = np.sqrt(np.einsum("ij,ij->i", size, size, dtype=float))
     few, many = known & (terms <= _ENUMERATED), known & (terms > _ENUMERATED)
     p = np.where(known, 1.0, np.nan)
@@ -749,7 +751,10 @@ class Shuffles:
         """
 
         def of_rows(a: Reals, b: Reals) -> Floats:
-            found = (self._correlation if self.paired else self._log_ratio)(a, b)
+            # In units of the largest sample, so that squares of 1e30 and 1e-30 are numbers.
+            largest = np.maximum(*(np.abs(x).max(axis=1, initial=0) for x in (a, b)))
+            unit = np.where(largest > 0, largest, 1)[:, np.newaxis]
+            found = (self._correlation if self.paired else self._log_ratio)(a / unit, b / unit)
             # What does not vary does not differ.
             return p_of_tail(*(np.abs(np.nan_to_num(x, nan=0.0)) for x in found))
 
@@ -783,8 +788,6 @@ class Shuffles:
     def _log_ratio(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         z = np.concatenate([a, b], axis=1).astype(np.float32)
         z -= z.mean(axis=1, keepdims=True)
-        scale = np.sqrt(np.square(z).mean(axis=1, keepdims=True))
-        z = np.divide(z, scale, out=np.zeros_like(z), where=scale > 0)
         own = (np.arange(z.shape[1]) < self.n[0]).astype(np.float32)
         weights = np.concatenate([own[:, np.newaxis], self.weights], axis=1)
         powers = z, np.square(z)

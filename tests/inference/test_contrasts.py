@@ -68,6 +68,10 @@ def test_zeros_have_no_sign_and_scale_is_none():
     np.testing.assert_allclose(p_of_signs(padded), p, rtol=1e-6)
     for scale in (1e-30, -1e30):
         np.testing.assert_allclose(p_of_signs(scale * d), p, rtol=1e-6)
+    # Of a term far above the others, half of all flips are as far out as the others' sum is.
+    for firefly in (1e3, 1e12, 1e30):
+        with_it = np.concatenate([d, np.full((len(d), 1), firefly)], axis=1)
+        assert (p_of_signs(with_it) > 0.4 * p).all()
     assert p_of_signs(np.ones((1, 9)))[0] == 2**-8
     assert p_of_signs(np.ones((1, 300)))[0] == 2.0**-299
     assert np.isnan(p_of_signs(np.zeros((1, 9)))[0])
@@ -500,11 +504,21 @@ def test_one_channel_and_small_images_are_compared():
 
 def test_samples_of_any_size_are_compared():
     a, b = small(1, 64), small(2, 64) * np.float32(0.5)
-    found = contrast(a, b)
+    found = contrast(a, b, distributions=True)
     for scale in (1e-30, 1e30):
-        scaled = contrast(a * np.float32(scale), b * np.float32(scale))
-        np.testing.assert_allclose(scaled.p_value, found.p_value, rtol=1e-3)
+        scaled = contrast(a * np.float32(scale), b * np.float32(scale), distributions=True)
+        for name in ("p_value", "variance_p_value", "distribution_p_value"):
+            np.testing.assert_allclose(scaled.maps[name], found.maps[name], rtol=1e-3)
         assert scaled.image_p_value == found.image_p_value
+
+
+@pytest.mark.parametrize("firefly", [1e6, 1e12, 1e30])
+def test_one_firefly_makes_no_difference(firefly):
+    a, b = small(1, 64), small(2, 64)
+    a[3, 3, :, 5] += firefly
+    found = contrast(a, b)
+    assert found.outcome != "differ"
+    assert found.share == 0
 
 
 def test_it_shows_itself_and_its_numbers_go_into_json():
