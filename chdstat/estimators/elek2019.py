@@ -288,7 +288,8 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         # The network works on radiance itself; that of a black scene estimates black.
         first, *between, matrix, bias = self.state.weights
         scale = np.float32(self.state.scale)
-        weights = [first / (scale or np.float32(1)), *between, matrix * scale, bias * scale]
+        with np.errstate(over="ignore"):
+            weights = [first / (scale or np.float32(1)), *between, matrix * scale, bias * scale]
         estimate = evaluate(weights, rows)
         lost = ~np.isfinite(estimate)
         estimate[lost] = rows[lost].mean(axis=-1, dtype=np.float64)

@@ -103,6 +103,9 @@ def test_a_bad_sample_counts_as_the_mean_of_the_others(trained):
 def test_an_estimate_that_overflows_is_the_mean(trained):
     x = np.full(32, 3e38, np.float32)
     assert np.isfinite(trained.predict(x))
+    faint = image(spp=64).read() * np.float32(1e-42)
+    model = MLP.preset("elek2019").train(chd.Samples.from_array(faint), iterations=100)
+    assert model.predict(faint[..., :32]) == pytest.approx(faint[..., :32].mean(-1), abs=3e-45)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
