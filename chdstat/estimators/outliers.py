@@ -401,7 +401,8 @@ def decoro2010(
     radius = whole("radius", radius, least=0)
     registry.check_positive(bandwidth=bandwidth)
     kept, usable = registry.whole_samples(x)
-    exposed = np.float64(exposure_unit(kept.mean(axis=(-1, -2), dtype=np.float64), unit))
+    bright = kept.mean(axis=-2, dtype=np.float64).sum(axis=-1) / np.maximum(usable.sum(axis=-1), 1)
+    exposed = np.float64(exposure_unit(bright, unit))
     colours = np.log(np.maximum(kept / exposed, 0) + _BLACK).swapaxes(-1, -2)[usable]
     colours /= bandwidth * np.sqrt(x.shape[-2])
     places = np.argwhere(usable)[:, :2] / (radius + 1)
