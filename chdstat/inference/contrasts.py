@@ -455,7 +455,8 @@ def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
 @np.errstate(all="ignore")
 def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interval[float]:
     """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
-    mean = (maps["mean_a"][..., 0] + maps["mean_b"][..., 0]) / 2
+    # Of all samples: a mean of few is as large as their variance, and of many it is not.
+    mean = maps["radiance"]
     scale = relative_scale(mean, np.nanmean(mean))
     costs = [
         (maps[name] / scale * time).ravel()

@@ -254,9 +254,15 @@ class Pair:
             Reason.CONSTANT: np.isnan(p_value).all(axis=-1),
         }
         variance = sums[0].variance(_averaged(self.a))
+        number_a, number_b = (
+            render.number.sum(axis=-1) * _averaged(of)
+            for render, of in zip(sums, (self.a, self.b), strict=True)
+        )
+        total = number_a * mean_a[..., 0] + number_b * mean_b[..., 0]
         return {
             "mean_a": mean_a,
             "mean_b": mean_b,
+            "radiance": total / (number_a + number_b),
             "p_value": p_value,
             "exact": exact,
             "standard_error": error,

@@ -378,6 +378,19 @@ def test_means_and_efficiencies_are_those_of_the_samples():
     assert found.efficiency_ratio.low < found.efficiency_ratio.value < found.efficiency_ratio.high
 
 
+@pytest.mark.parametrize("counts", [(16, 256), (256, 16), (32, 32)])
+def test_samples_are_as_efficient_however_many_there_are(counts):
+    rng = np.random.default_rng(4)
+    lit = [
+        10 * rng.exponential(size=(24, 24, 1, n)) * (rng.random((24, 24, 1, n)) < 0.1)
+        for n in counts
+    ]
+    a, b = (chd.Samples.from_array(x, render_seconds=x.shape[-1]) for x in lit)
+    found = contrast(a, b).efficiency_ratio
+    assert found.low < 1 < found.high
+    assert found.value == pytest.approx(1, abs=0.2)  # standard deviation 0.08
+
+
 def test_averages_of_samples_have_the_variance_of_samples():
     x = small(1, 256)
     means = x.reshape(16, 16, 3, 32, 8).mean(axis=-1)
