@@ -49,8 +49,8 @@ FOLDERS = sorted(m for m in chd.__all__ if m in ORDER and m != "errors")
 """Folders that users see."""
 
 DOWNSTREAM = {
-    ("comparison.benchmark", "reporting.bench_report"),
-    ("studies.studies", "reporting.study_report"),
+    ("comparison.benchmark", "reporting.documents"),
+    ("studies.studies", "reporting.documents"),
     ("samples.samples", "patterns.pixel"),
     ("samples.samples", "patterns.regions"),
     ("patterns.pixel", "viz"),

@@ -126,7 +126,7 @@ def report(
 ) -> None:
     """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps."""
     import chdstat
-    from chdstat.reporting.typst import pages_of
+    from chdstat.reporting.documents import pages_of
     from chdstat.scenes import Scene
 
     asked.target(out, ".pdf")
@@ -200,7 +200,7 @@ def study(
 ) -> None:
     """Test the claims of the paper on scenes: verdicts, figures, a PDF."""
     import chdstat
-    from chdstat.reporting.typst import pages_of
+    from chdstat.reporting.documents import pages_of
 
     if out:
         asked.target(out, ".pdf")  # refused before the work, not after

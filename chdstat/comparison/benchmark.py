@@ -331,9 +331,9 @@ class Bench(Shown):
         """
         target = checked_target(path, *FORMATS)
         if target.suffix == ".pdf":
-            from chdstat.reporting.bench_report import save_pdf
+            from chdstat.reporting.documents import bench_document, typeset
 
-            return save_pdf(self, target)
+            return typeset(bench_document(self), target)
         if target.suffix == ".csv":
             text = str(self.to_dataframe().to_csv(index=False))
         elif target.suffix == ".tex":

@@ -21,7 +21,7 @@ from chdstat._core.files import is_exr, scratch
 from chdstat.explorer.selection import SelectionPlots
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
 from chdstat.explorer.view import Box, PixelIndex
-from chdstat.reporting.typst import Document, typeset
+from chdstat.reporting.documents import Document, typeset
 from chdstat.viz.estimators import called
 
 if TYPE_CHECKING:

@@ -33,8 +33,8 @@ from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.studies import SceneStudy
-from chdstat.summary.histograms import Histogram, histogram
-from chdstat.viz.chd import FEWEST_FITTED
+from chdstat.summary.histograms import histogram
+from chdstat.viz.chd import FEWEST_FITTED, SCALES
 from chdstat.viz.estimators import NAMES, called, estimator_name
 from chdstat.viz.maps import names_of
 from chdstat.viz.styling import spelt, upright
@@ -62,6 +62,8 @@ _PIXELS = 5
 """Pixels whose batches are shown."""
 _SEVERAL = ("bimodal", "multimodal")
 """Labels of pixels whose curve is that of a mixture."""
+_COMPARED = 4
+"""Regions whose CHDs of shorter and of longer paths stand over each other."""
 _PAIR = 5.2
 """Width of a figure of two images, in inches."""
 _TITLE = 48
@@ -265,28 +267,22 @@ def _firefly(data: SceneData) -> Figure | None:
     middle = data.samples.shape[2] // 2
     samples = {name: data.samples[pixel][middle] for name, pixel in pixels.items()}
     linear, log = (
-        {name: _histogram(values, scale) for name, values in samples.items()}
-        for scale in ("linear", "log")
+        {name: histogram(x, scale=scale, bad=is_bad(x)) for name, x in samples.items()}
+        for scale in SCALES
     )
     return viz.firefly_pair(means[..., batch], pixels, linear, log)
 
 
-def _histogram(x: npt.NDArray[np.float32], scale: Any = "log") -> Histogram:
-    return histogram(x, scale=scale, bad=is_bad(x))
-
-
 def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
     """Draw the view with shorter and with all paths; regions with all their samples together."""
-    renders = {f"up to {depth_of(s)} segments": s for s in (shorter, data.samples)}
-    means = (summary["mean"].values, data.summary["mean"].values)
-    log = {
-        region.name: {
-            name: _histogram(samples.read(*region.pixels(*samples.shape[:2])).ravel())
-            for name, samples in renders.items()
-        }
-        for region in data.regions
+    renders = {f"up to {depth_of(s)} segments": s for s in (data.samples, shorter)}
+    means = (data.summary["mean"].values, summary["mean"].values)
+    marks = _marks(data)[:_COMPARED]
+    pooled = {
+        name: [np.concatenate(np.concatenate(samples.read(m.ys, m.xs)), axis=-1) for m in marks]
+        for name, samples in renders.items()
     }
-    return viz.view_pair(dict(zip(renders, means, strict=True)), log)
+    return viz.renders_compared(dict(zip(renders, means, strict=True)), pooled, marks)
 
 
 def depth_of(samples: Samples) -> str:

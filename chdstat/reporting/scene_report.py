@@ -47,7 +47,7 @@ from chdstat.rendering.recipes import (
 from chdstat.rendering.renders import render
 from chdstat.reporting import content, figures
 from chdstat.reporting.content import Contents
-from chdstat.reporting.typst import Document, typeset
+from chdstat.reporting.documents import Document, typeset
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene

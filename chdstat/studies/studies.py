@@ -216,9 +216,10 @@ class Study(Shown):
         ChdstatError
             If it cannot be typeset or written.
         """
-        from chdstat.reporting.study_report import save_pdf
+        from chdstat.reporting.documents import study_document, typeset
 
-        return save_pdf(self, checked_target(path, ".pdf"))
+        target = checked_target(path, ".pdf")
+        return typeset(study_document(self), target)
 
 
 def study(

@@ -28,7 +28,6 @@ from chdstat.viz.image import (
     region_study,
     side_by_side,
     tonemap,
-    view_pair,
     with_marks,
 )
 from chdstat.viz.maps import (
@@ -38,9 +37,9 @@ from chdstat.viz.maps import (
     image_map,
     map_grid,
     n_needed,
+    renders_compared,
     value_map,
 )
-from chdstat.viz.renderings import renders_compared
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [
@@ -81,7 +80,6 @@ __all__ = [
     "training",
     "value_map",
     "verdict_matrix",
-    "view_pair",
     "with_marks",
 ]
 

@@ -2,7 +2,7 @@
 
 `with_marks` and `region_study` show the regions of an image, the latter with their CHDs, as in the
 case study of Elek et al. 2019; `side_by_side` shows estimates and their errors, `firefly_pair` two
-pixels, `view_pair` one view that was rendered in two ways.
+pixels.
 """
 
 from __future__ import annotations
@@ -43,7 +43,6 @@ from chdstat.viz.styling import (
     UNIT,
     bare,
     fitting,
-    grid,
     inches,
     ink_on,
     narrow,
@@ -65,7 +64,6 @@ __all__ = [
     "region_study",
     "side_by_side",
     "tonemap",
-    "view_pair",
     "with_marks",
 ]
 
@@ -476,54 +474,4 @@ def firefly_pair(
         figure.legend(handles, names, loc="outside upper center", ncols=2)
     elif left.patches:
         left.legend(loc="upper right")
-    return figure
-
-
-@style()
-def view_pair(
-    images: Mapping[str, npt.ArrayLike],
-    log: Mapping[str, Mapping[str, Histogram]],
-    *,
-    width: Width = "page",
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw one view rendered in two ways under one exposure, and CHDs of its regions.
-
-    Parameters
-    ----------
-    images
-        Linear radiance (y, x, channel) by name; the last sets the exposure.
-    log
-        By region, then by the names of the images: log histograms of shape (bin,). The first four
-        are drawn.
-    width
-        Of the figure: "column", "page" or inches.
-    fig
-        Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If there are not two images.
-    """
-    if len(images) != 2:
-        message = f"expected two images of one view, got {len(images)}"
-        raise InputError(message)
-    first, second = images.values()
-    high = inches(width, fig) * upright(*np.shape(first)[:2])
-    height, below = max(0.225 * high, 1.5) + 0.35, (0.47 * high + 0.25, 2.0)
-    figure, left, right = two_parts(fig, width, height, 0.51, below)
-    exposure = display_stops(second)
-    for ax, (name, image), color in zip(grid(left, 2, 2), images.items(), _PAIR, strict=True):
-        ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
-        bare(ax)
-        ax.set_title(verbatim(name), color=color, fontweight="bold")
-    shown = dict(list(log.items())[:4])
-    for ax, (region, found) in zip(right.subplots(2, 2).flat, shown.items(), strict=False):
-        ax.set_xlim(draw_histograms(ax, found, colors=_PAIR, dashes=_DASHES))
-        ax.set_title(verbatim(region), loc="left", pad=2)
-        ax.tick_params(pad=1.5)
-    for empty in right.axes[len(shown) :]:
-        empty.set_axis_off()
-    right.supxlabel(f"radiance in {UNIT}")
     return figure

@@ -1,7 +1,8 @@
 """Maps: one value, label or colour per pixel, with the scale that reads them.
 
 `map_grid` makes room for several of them. `atlas` draws the recurring distributions, as a map and
-as small multiples, `contrast` two renders and where they differ.
+as small multiples, `contrast` two renders and where they differ, `renders_compared` several renders
+and the CHDs of the same places.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from chdstat._core.arrays import Array
+from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops
 from chdstat._core.reasons import flag_names
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
-from chdstat.viz.chd import Channels, one_of
+from chdstat.viz.chd import Channels, Panel, draw_histograms, draw_means, one_of
 from chdstat.viz.estimators import called
-from chdstat.viz.image import one_channel, tonemap
+from chdstat.viz.image import Mark, draw_marked, one_channel, tonemap
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
+    UNIT,
     axes_in,
     bare,
     fitting,
@@ -43,6 +45,7 @@ from chdstat.viz.styling import (
     qualitative,
     sequential,
     style,
+    swatches,
     two_parts,
     upright,
     verbatim,
@@ -59,6 +62,7 @@ __all__ = [
     "map_grid",
     "n_needed",
     "names_of",
+    "renders_compared",
     "value_map",
 ]
 
@@ -421,7 +425,7 @@ def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
     )  # fmt: skip
 
 
-# --- contrasts of two renders -------------------------------------------------------------------
+# --- renders of one view ------------------------------------------------------------------------
 
 _LETTERS = 16
 """Of a line of text, in an inch."""
@@ -513,3 +517,96 @@ def _p_values(ax: Axes, p: Array) -> None:
     ax.axhline(1 / 20, color="#444444", linewidth=0.8, linestyle=":")
     ax.set(xlabel="p-value", title="Pixels by p-value", yticks=[], box_aspect=0.8)
     ax.spines["left"].set_visible(False)
+
+
+@style()
+def renders_compared(
+    images: Mapping[str, npt.ArrayLike],
+    samples: Mapping[str, Sequence[npt.ArrayLike]] | None = None,
+    marks: Sequence[Mark] = (),
+    *,
+    difference: tuple[str, str] | None = None,
+    exposure: float | None = None,
+    width: Width = "page",
+    fig: Figure | None = None,
+) -> Figure:
+    """Draw renders of one view, how two of them differ, and CHDs of the same places.
+
+    The CHDs of a place stand over each other: log histograms of luminance, dashed at the mean. A
+    render without samples has a dotted line at its luminance.
+
+    Parameters
+    ----------
+    images
+        Linear radiance (y, x, channel) by the name of the render.
+    samples
+        Of some of them, the samples (channel, sample) of each of the marks.
+    marks
+        Places; each has a number in the images, and a CHD.
+    difference
+        Names of two renders: the luminance of the first minus that of the second is drawn, too.
+    exposure
+        As in `tonemap`; all images share it. None suits the first.
+    width
+        Of a new figure: "column" or "page" of a paper, or inches.
+    fig
+        Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If there is no image, or a render has not as many samples as there are marks.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).gamma(1.0, size=(2, 8, 8, 3, 64))
+    >>> mark = Mark("wall", slice(3, 4), slice(4, 5), (3, 4))
+    >>> images = dict(zip("ab", x.mean(axis=-1)))
+    >>> figure = renders_compared(images, {"a": [x[0, 3, 4]]}, [mark], difference=("a", "b"))
+    >>> len(figure.axes)  # with the colour bar
+    5
+    """
+    samples = samples or {}
+    if not images or any(len(those) != len(marks) for those in samples.values()):
+        message = "expected at least one image, and samples of as many places as there are marks"
+        raise InputError(message)
+    arrays = {name: np.asarray(image, float) for name, image in images.items()}
+    first = next(iter(arrays.values()))
+    exposure = display_stops(first) if exposure is None else exposure
+    count, wide = len(arrays) + (difference is not None), inches(width, fig)
+    across, places = fitting(wide, min(count, 4), 1.6), len(marks) if samples else 0
+    columns = fitting(wide, min(places, 2), 2.5)
+    height = wide / across * upright(*first.shape[:2]) + 0.25
+    rows, below = -(-count // across), -(-places // columns)
+    figure = page(fig, rows * height + 1.5 * below + 0.3, width)
+    ratios = [rows * height, 1.5 * below] if places else [1]
+    parts = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
+    cells = parts[0].subgridspec(rows, across)
+    axes = [figure.add_subplot(cells[i // across, i % across]) for i in range(count)]
+    for ax, (name, image) in zip(axes, arrays.items(), strict=False):
+        draw_marked(ax, tonemap(image, exposure=exposure), marks)
+        bare(ax, verbatim(name))
+    if difference is not None:
+        one, two = (luminance(arrays[name], channel_axis=-1) for name in difference)
+        title = verbatim(" − ".join(difference))
+        value_map(one - two, title=title, unit="luminance", diverging=True, ax=axes[-1])
+    colors = dict(zip(arrays, qualitative(len(arrays)), strict=True))
+    for i, mark in enumerate(marks if places else ()):
+        cells = parts[1].subgridspec(below, columns, wspace=0.12)
+        ax = figure.add_subplot(cells[i // columns, i % columns])
+        panels = {name: Panel.of(name, those[i]) for name, those in samples.items()}
+        found = {name: [*panel.histograms("log").values()][-1] for name, panel in panels.items()}
+        draw_histograms(ax, found, colors=[colors[name] for name in found])
+        for name, color in colors.items():
+            if name in panels:
+                draw_means(ax, panels[name].mean[-1:], [color])
+            else:
+                seen = luminance(arrays[name][mark.ys, mark.xs], channel_axis=-1)
+                draw_means(ax, [float(np.nanmean(seen))], [color], dashes=":")
+        ax.set_title(verbatim(f"{i + 1} {mark.name}"), loc="left", fontweight="bold", pad=3)
+        ax.set_xlabel(f"luminance ({UNIT}), log scale")
+        ax.set_ylabel("" if i % columns else "density")
+    if places:
+        look: Any = {"loc": "outside lower center", "ncols": 2 * columns, "handlelength": 1}
+        figure.legend(handles=swatches(colors), **look)
+    return figure

@@ -18,7 +18,7 @@ import chdstat as chd
 from chdstat import viz
 from chdstat.rendering.recipes import find_recipe
 
-depths = {"up to 3 segments": 3, "full paths": None}
+depths = {"full paths": None, "up to 3 segments": 3}
 view = {"size": (64, 64), "seed": 1, "backend": "scalar"}
 images = {
     name: chd.render("gallery", spp=24, max_depth=depth, **view).read().mean(axis=-1)
@@ -39,11 +39,8 @@ x = {
     name: chd.rendering.render_pixels("gallery", pixels, spp=4096, max_depth=depth, **view)
     for name, depth in depths.items()
 }
-log = {
-    region.name: {name: chd.histogram(x[name][i, 1]) for name in depths}
-    for i, region in enumerate(regions)
-}
-viz.view_pair(images, log)
+marks = [viz.Mark(r.name, *r.pixels(64, 64), r.center(64, 64)) for r in regions]
+viz.renders_compared(images, {name: [*those] for name, those in x.items()}, marks)
 
 # %%
 # Longer paths add light, so that the image is brighter and fewer samples are null. They add it at

@@ -14,7 +14,7 @@ import chdstat as chd
 from chdstat.errors import InputError, LeftOutWarning
 from chdstat.reporting import scene_report
 from chdstat.reporting.content import remake_note
-from chdstat.reporting.typst import pages_of, typeset
+from chdstat.reporting.documents import pages_of, typeset
 from chdstat.studies.claims import CLAIMS
 
 FIXED = ("mean", "median_of_means")

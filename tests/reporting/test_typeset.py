@@ -12,8 +12,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from chdstat.errors import ChdstatError
-from chdstat.reporting import typst
-from chdstat.reporting.typst import Document, typeset
+from chdstat.reporting import documents
+from chdstat.reporting.documents import Document, typeset
 
 TEMPLATES = resources.files("chdstat.reporting") / "templates"
 
@@ -22,7 +22,7 @@ TEMPLATES = resources.files("chdstat.reporting") / "templates"
 def own(tmp_path, monkeypatch):
     """Return a folder of templates, for a test to add its own."""
     folder = Path(shutil.copytree(str(TEMPLATES), tmp_path / "templates"))
-    monkeypatch.setattr(typst, "_TEMPLATES", folder)
+    monkeypatch.setattr(documents, "_TEMPLATES", folder)
     return folder
 
 

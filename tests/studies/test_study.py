@@ -16,7 +16,7 @@ import chdstat as chd
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
 from chdstat.estimators.training import train_model
 from chdstat.patterns import atlas
-from chdstat.reporting.study_report import document
+from chdstat.reporting.documents import study_document
 from chdstat.studies import stores, studies, study
 from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.stores import scenes_of
@@ -257,7 +257,7 @@ def test_hopeless_samples_give_a_study_that_cannot_tell():
     assert hopeless.names == tuple(HOPELESS)
     for scene in hopeless.scenes:
         assert not any(f.verdict == "supported" for f in scene.findings), scene.name
-    drawn = document(hopeless)
+    drawn = study_document(hopeless)
     assert {f"scene{i}-batches" for i in range(len(HOPELESS))} <= set(drawn.figures)
     assert drawn.content["counts"]["supported"] == 0
     for figure in drawn.figures.values():

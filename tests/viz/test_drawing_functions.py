@@ -83,7 +83,6 @@ def examples():
         "training": partial(viz.training, History(*np.array([[1, 2], *4 * [[2, 1]]]))),
         "value_map": partial(viz.value_map, IMAGE[..., 0]),
         "verdict_matrix": partial(viz.verdict_matrix, {"nulls": {NAME: "supported"}}),
-        "view_pair": partial(viz.view_pair, {NAME: IMAGE, "b": IMAGE}, {NAME: two}),
         "with_marks": partial(viz.with_marks, IMAGE, [MARK]),
     }
 
@@ -226,7 +225,6 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.chd_grid({"a": [PANEL] * 2, "b": [PANEL]}), "'a': 2, 'b': 1"),
         (lambda: viz.region_study(IMAGE, [MARK], []), "got 0 for 1"),
         (lambda: viz.firefly_pair(IMAGE, {"firefly": (5, 5)}, {}, {}), "got 1 pixels"),
-        (lambda: viz.view_pair({"a": IMAGE}, {}), "got 1"),
         (lambda: viz.side_by_side({}), "at least one image"),
         (lambda: viz.renders_compared({}), "at least one image"),
         (lambda: viz.renders_compared({"a": IMAGE}, {"a": []}, [MARK]), "as many places"),

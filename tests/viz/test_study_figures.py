@@ -122,10 +122,10 @@ def test_all_batches_and_their_means_are_drawn():
     assert {"64 batches\nof 32 samples", "their 64\nmeans"} <= texts(figure)
 
 
-def test_two_views_share_one_exposure(image):
-    log = {f"region {i}": {"short": counted(), "long": counted()} for i in range(5)}
-    figure = viz.view_pair({"short": image / 2, "long": image}, log)
-    dark, bright = (a.images[0].get_array().mean() for a in figure.axes if a.images)
+def test_renders_of_a_view_share_one_exposure(image):
+    mark = viz.Mark("wall", slice(0, 2), slice(0, 2), (1, 1))
+    x = {name: [np.full((3, 8), level)] for name, level in (("long", 2.0), ("short", 1.0))}
+    figure = viz.renders_compared({"long": image, "short": image / 2}, x, [mark])
+    bright, dark = (a.images[0].get_array().mean() for a in figure.axes if a.images)
     assert dark < 0.85 * bright
-    assert "region 3" in texts(figure)
-    assert "region 4" not in texts(figure)
+    assert {"1 wall", "long", "short"} <= texts(figure)

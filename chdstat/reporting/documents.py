@@ -1,0 +1,305 @@
+"""Documents: text, tables and figures as a PDF, with Typst; those of a study and of a benchmark."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+
+from chdstat import viz
+from chdstat._core.display import duration, number, percent, with_interval
+from chdstat._core.files import scratch, writing
+from chdstat._core.image_scales import display_stops
+from chdstat.comparison.benchmark import Bench, Case
+from chdstat.errors import ChdstatError
+from chdstat.rendering.recipes import remake_of
+from chdstat.reporting.content import atlas_content, claim_content, remake_note
+from chdstat.reporting.figures import claim_figures, depth_of, region_figure, scene_figures
+from chdstat.scenes import BUILTIN
+from chdstat.studies.claims import CLAIMS
+from chdstat.studies.stores import ROULETTE
+from chdstat.studies.studies import ACROSS, SceneStudy, Study
+from chdstat.viz import VERDICTS
+from chdstat.viz.estimators import called
+from chdstat.viz.styling import qualitative, spelt, verbatim
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "Document",
+    "bench_document",
+    "overview",
+    "pages_of",
+    "study_document",
+    "typeset",
+    "verdicts",
+]
+
+_TEMPLATES = resources.files("chdstat.reporting") / "templates"
+_FONTS = Path(mpl.get_data_path(), "fonts", "ttf")
+"""Text has the family of the figures' lettering, which Matplotlib brings along."""
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a template is filled with.
+
+    Parameters
+    ----------
+    template
+        Name of a file in ``templates/``.
+    content
+        Text, numbers and tables, ready for JSON.
+    figures
+        Figures by name; the template finds them as ``<name>.svg``.
+    """
+
+    template: str
+    content: Mapping[str, Any]
+    figures: Mapping[str, Figure]
+
+
+def typeset(document: Document, target: Path) -> Path:
+    """Write a document as PDF.
+
+    Parameters
+    ----------
+    document
+        What to typeset.
+    target
+        The PDF; it is replaced only when the new one is complete.
+
+    Raises
+    ------
+    ChdstatError
+        If Typst refuses the document, or the PDF cannot be written.
+    """
+    import typst
+
+    with scratch() as folder:
+        for part in _TEMPLATES.iterdir():
+            (folder / part.name).write_text(part.read_text(encoding="utf-8"), encoding="utf-8")
+        content = {**document.content, "figures": sorted(document.figures)}
+        (folder / "content.json").write_text(json.dumps(content), encoding="utf-8")
+        with spelt():
+            for name, figure in document.figures.items():
+                figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+        try:
+            with writing(target) as partial:
+                typst.compile(folder / document.template, output=partial, font_paths=[_FONTS])
+        except (RuntimeError, typst.TypstError) as error:
+            message = f"typesetting the report failed: {error}"
+            raise ChdstatError(message) from error
+    return target
+
+
+def pages_of(path: Path) -> int:
+    """Return the number of pages of a PDF that `typeset` has written."""
+    return len(re.findall(rb"/Type\s*/Page\b", path.read_bytes()))
+
+
+# --- a study --------------------------------------------------------------------------------------
+
+
+def verdicts(study: Study) -> Axes:
+    """Draw the table of verdicts; a dot marks those that another seed repeats."""
+    rows = {}
+    repeated = {scene.name: scene.repeated for scene in study.scenes}
+    for row in study.table():
+        cells = {}
+        for name in (*study.names, ACROSS):
+            verdict = row[name]
+            same = verdict and repeated.get(name, {}).get(int(row["number"])) == verdict
+            cells[name] = f"{verdict}*" if same else verdict
+        rows[f"{row['number']}  {row['claim']}"] = cells
+    return viz.verdict_matrix(rows)
+
+
+def overview(study: Study) -> Figure:
+    """Draw all images, each under an exposure of its own."""
+    columns = min(4, len(study.scenes))
+    figure = viz.map_grid(len(study.scenes), columns=columns, aspect=0.2 * columns)
+    for ax, scene in zip(figure.axes, study.scenes, strict=True):
+        viz.image_map(scene.data.summary["mean"].values, title=verbatim(scene.name), ax=ax)
+    return figure
+
+
+def study_document(study: Study) -> Document:
+    """Return a study, ready to typeset."""
+    drawn: dict[str, Any] = {"verdicts": verdicts(study).figure, "overview": overview(study)}
+    claims = {}
+    for claim in CLAIMS:
+        columns = {name: study.finding(claim.number, name) for name in study.names}
+        columns[ACROSS] = study.finding(claim.number)
+        claims[claim] = {name: finding for name, finding in columns.items() if finding is not None}
+        drawn |= claim_figures(claim.number, claims[claim])
+    for i, scene in enumerate(study.scenes):
+        shown = scene_figures(scene.data, atlas=scene.atlas)
+        if scene.data.regions:
+            shown["regions"] = region_figure(scene.data)
+        drawn |= {f"scene{i}-{name}": figure for name, figure in shown.items()}
+    words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
+    content = {
+        "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],
+        "claims": [claim_content(claim, found) for claim, found in claims.items()],
+        "verdicts": VERDICTS,
+        "counts": {verdict: words.count(verdict) for verdict in VERDICTS},
+        "provenance": {k: str(v) for k, v in study.provenance.items()},
+        "repeated": any(scene.repeated for scene in study.scenes),
+        "remakes": remake_note(scene.data.samples for scene in study.scenes),
+    }
+    return Document("study.typ", content, drawn)
+
+
+def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
+    samples, seen = scene.data.samples, scene.overview
+    seconds = samples.attrs.get("render_seconds")
+    height, width, _, spp = samples.shape
+    regions = scene.data.regions
+    family, share = max(seen.families.items(), key=lambda item: item[1])
+    paths = next((f for f in scene.findings if f.number == 9), None)
+    ratio = None if paths is None else paths.details.get("time_ratio")
+    return {
+        "name": scene.name,
+        "about": BUILTIN.get(scene.name, ""),
+        "remake_of": remake_of(samples),
+        "prefix": f"scene{index}-",
+        "size": f"{width} × {height}",
+        "spp": spp,
+        "integrator": str((samples.attrs.get("integrator") or {}).get("type", "—")),
+        "depth": depth_of(samples),
+        "null_share": percent(seen.null_share),
+        "variation": number(seen.variation[1]),
+        "family": f"{called(family)} {percent(share)}" if share > 0 else "—",
+        "time": f"{float(seconds):.0f} s" if seconds else "—",
+        "chosen": scene.chosen,
+        "regions": [
+            {
+                "name": r.name,
+                "phenomenon": r.phenomenon.replace("-", " "),
+                "note": r.note,
+                "color": color,
+            }
+            for r, color in zip(regions, qualitative(len(regions)), strict=True)
+        ],
+        "renders": list(_renders(scene)),
+        "notes": list(scene.notes),
+        "atlas": None if scene.atlas is None else atlas_content(scene.atlas),
+        "time_ratio": "" if ratio is None else number(float(ratio)),
+    }
+
+
+def _renders(scene: SceneStudy) -> Iterator[str]:
+    """Yield the other renders of the view, in words."""
+    shorter, other, again = scene.data.shorter, scene.data.integrator, scene.again
+    if shorter is not None:
+        yield f"paths of up to {depth_of(shorter)} segments, {shorter.spp} spp"
+    if other is not None:
+        yield f"Russian roulette from segment {ROULETTE} on, {other.spp} spp"
+    if scene.data.spread is not None:
+        attrs = scene.data.spread.attrs
+        yield f"{attrs['sampler']} sequences of {attrs['sequence']}, {scene.data.spread.spp} spp"
+    if again is not None:
+        yield f"seed {again.attrs['seed']}, {again.spp} spp"
+
+
+# --- a benchmark ----------------------------------------------------------------------------------
+
+
+_PANELS = 3
+"""Scenes side by side."""
+_IMAGES = 5
+"""Most images side by side."""
+_LETTERS = 22
+"""Of a name above an image in one line."""
+
+
+def bench_document(found: Bench) -> Document:
+    """Return a benchmark, ready to typeset."""
+    shown = [case for case in found.cases if case.images]
+    drawn = {name: _curves(found, name) for name in ("mse", "relmse")}
+    drawn |= {f"images{i}": _images(case) for i, case in enumerate(shown)}
+    rows, table = found.shown(), found.table()
+    for row, values in zip(rows, found.summary(), strict=True):
+        row["estimator"] = called(row["estimator"])
+        row["rank"] += f" [{values['rank_low']:.1f}, {values['rank_high']:.1f}]"
+    content = {
+        "baseline": called(found.baseline),
+        "scenes": list(dict.fromkeys(case.scene for case in found.cases)),
+        "spp": [str(n) for n in _numbers(found)],
+        "summary": [[*rows[0]], *([*row.values()] for row in rows)],
+        "cases": [
+            {
+                "scene": case.scene,
+                "spp": case.spp,
+                "rows": [
+                    _case(row)
+                    for row in table
+                    if (row["scene"], row["spp"]) == (case.scene, case.spp)
+                ],
+            }
+            for case in found.cases
+        ],
+        "images": [{"scene": case.scene, "spp": case.spp} for case in shown],
+        "flip": "FLIP" in rows[0],
+        "notes": found.notes,
+    }
+    return Document("bench.typ", content, drawn)
+
+
+def _numbers(found: Bench) -> list[int]:
+    return sorted({case.spp for case in found.cases})
+
+
+def _curves(found: Bench, measure: str) -> Figure:
+    """Draw an error of all estimators, a panel for each scene."""
+    errors = {(r["scene"], r["estimator"], r["spp"]): r[measure] for r in found.table()}
+    numbers = _numbers(found)
+    panels = {
+        scene: {
+            name: [errors.get((scene, name, n), np.nan) for n in numbers]
+            for name in found.estimators
+        }
+        for scene in dict.fromkeys(case.scene for case in found.cases)
+    }
+    title = {"mse": "MSE", "relmse": "relMSE"}[measure]
+    return viz.curves(numbers, panels, ylabel=title, columns=_PANELS, log=True)
+
+
+def _images(case: Case) -> Figure:
+    """Draw what is kept of the estimates of a scene, under the exposure of its reference."""
+    stops = display_stops(case.images["reference"])
+    height, width = case.images["reference"].shape[:2]
+    columns = min(_IMAGES, max(_PANELS, len(case.images)))
+    figure = viz.map_grid(len(case.images), columns=columns, aspect=height / width)
+    for ax, (name, image) in zip(figure.axes, case.images.items(), strict=True):
+        title = fill(verbatim(called(name)), _LETTERS)
+        viz.image_map(image, title=title, exposure=stops, ax=ax)
+    return figure
+
+
+def _case(row: dict[str, Any]) -> list[str]:
+    """Return the numbers of an estimator in a case as text."""
+    ratios = (
+        with_interval(*(row[f"{measure}_ratio{end}"] for end in ("", "_low", "_high")))
+        for measure in ("mse", "relmse")
+    )
+    seconds = float(row["seconds"])
+    return [
+        called(row["estimator"]),
+        *ratios,
+        percent(row["bias"], sign=True),
+        percent(row["fireflies"]),
+        duration(seconds) if np.isfinite(seconds) else "—",
+        number(row["mse_equal_time"]),
+    ]
