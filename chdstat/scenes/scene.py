@@ -104,7 +104,7 @@ class Scene(Shown):
         Raises
         ------
         SceneError
-            If a file cannot be read, or the description is no XML or nested too deep.
+            If a file cannot be read, or the description is nested too deep.
         """
         return {name: digest_of(path) for name, path in self.described().items()}
 

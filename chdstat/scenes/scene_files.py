@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import html
 import itertools
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 from chdstat.errors import SceneError
 
@@ -36,7 +36,8 @@ def described(
     Raises
     ------
     SceneError
-        If a file of the description cannot be read, is no XML, or is nested without end.
+        If a file of the description cannot be read, or is nested without end, or attributes are no
+        UTF-8.
     """
     if isinstance(source, Path):
         reader = _Reader(scene, dict(parameters))
@@ -128,6 +129,33 @@ def _found_by_mitsuba(name: str) -> Path:
     return Path(str(mi.file_resolver().resolve(name)))
 
 
+_MARKUP = re.compile(
+    r"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)"
+    r"|<(/?)([^\s<>/!?]+)((?:[^>\"']+|\"[^\"]*(?:\"|\Z)|'[^']*(?:'|\Z))*+)(?:>|\Z)",
+    re.DOTALL,
+)
+"""What stands between < and >; of a tag, a slash if it closes an element, its name, and the rest.
+
+Mitsuba takes what is no well-formed XML, too, such as ``--`` in comments and bare ``&``."""
+_ATTRIBUTE = re.compile(r"(?<![^\s\"'])([^\s=\"'/]++)\s*+=\s*(?:\"([^\"]*)\"|'([^']*)')")
+_ENTITY = re.compile(r"&(?:#x?[0-9a-fA-F]+|lt|gt|amp|quot|apos);")
+_LATIN = re.compile(rb"<\?xml[^>]*encoding\s*=\s*[\"'](?:iso-8859-1|latin1)[\"']", re.IGNORECASE)
+_UTF16 = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"<\0": "utf-16-le", b"\0<": "utf-16-be"}
+
+
+def _decoded(data: bytes) -> str:
+    """Return the text of a file in the encoding that Mitsuba's parser takes."""
+    if name := _UTF16.get(data[:2]):
+        return data.decode(name, "replace")
+    return data.decode("latin-1" if _LATIN.match(data) else "utf-8", "replace")
+
+
+def _attributes(inside: str) -> Iterator[tuple[str, str]]:
+    """Yield the names and values of a tag's attributes."""
+    for name, double, single in _ATTRIBUTE.findall(inside):
+        yield name, _ENTITY.sub(lambda found: html.unescape(found[0]), double or single)
+
+
 class _Reader:
     """Reads one XML scene and its includes."""
 
@@ -141,36 +169,29 @@ class _Reader:
         if level > _MOST_INCLUDES:
             raise self._unreadable(path, f"included more than {_MOST_INCLUDES} files deep")
         _note(self.files, name, path)
+        try:
+            text = _decoded(path.read_bytes())
+        except OSError as error:
+            raise self._unreadable(path, error.strerror) from error
         depth = 0
-
-        def start(tag: str, attributes: dict[str, str]) -> None:
-            nonlocal depth
-            depth += 1
-            if depth > _DEEPEST:
-                line = parser.CurrentLineNumber
-                raise self._unreadable(path, f"nested over {_DEEPEST} elements deep, line {line}")
-            filled = {k: self._filled(v) for k, v in attributes.items()}
+        for found in _MARKUP.finditer(text):
+            closes, tag, inside = found.groups()
+            depth -= bool(closes)
+            if closes or tag is None:
+                continue
+            depth += not inside.endswith("/")
+            if depth > _DEEPEST or "\ufffd" in inside:
+                why = "no text in UTF-8" if depth <= _DEEPEST else f"nested over {_DEEPEST} deep"
+                line = text.count("\n", 0, found.start()) + 1
+                raise self._unreadable(path, f"{why}, line {line}")
+            filled = {k: self._filled(v) for k, v in _attributes(inside)}
             if tag == "include":
                 # From here on Mitsuba looks beside this file first, and then as before.
                 within, included = [path.parent, *folders], filled.get("filename", "")
-                if (found := _find(included, within)) is not None:
-                    self.read(found, included, within, level + 1)
+                if (target := _find(included, within)) is not None:
+                    self.read(target, included, within, level + 1)
             else:
                 self._element(tag, filled, path.parent, folders)
-
-        def end(_: str) -> None:
-            nonlocal depth
-            depth -= 1
-
-        parser = expat.ParserCreate()
-        parser.StartElementHandler, parser.EndElementHandler = start, end
-        try:
-            with path.open("rb") as stream:
-                parser.ParseFile(stream)
-        except OSError as error:
-            raise self._unreadable(path, error.strerror) from error
-        except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two: its encoding
-            raise self._unreadable(path, f"no well-formed XML in UTF-8, {error}") from error
 
     def _unreadable(self, path: Path, why: str | None) -> SceneError:
         return SceneError(f"cannot read the scene {self._scene!r}: {path} ({why})")

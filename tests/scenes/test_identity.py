@@ -122,8 +122,51 @@ def test_an_include_is_the_one_file_that_mitsuba_takes(tmp_path):
     }
     assert chd.render(source, spp=1, **SETTINGS).read().max() == 1
     (tmp_path / "parts/b.xml").unlink()
-    with pytest.raises(SceneError, match=r"rooms/b\.xml \(no well-formed XML"):
-        _ = load_scene(source).hash
+    assert load_scene(source).described()["b.xml"] == tmp_path / "rooms/b.xml"
+    with pytest.raises(SceneError, match=r"rooms/b\.xml.* failed"):
+        chd.render(source, spp=1, **SETTINGS)
+
+
+SKY = '<emitter type="envmap"><string name="filename" value="{}"/></emitter>'
+
+
+@pytest.mark.parametrize(
+    ("image", "before", "sky", "encoding"),
+    [
+        ("t&x.exr", "", "<!-- -- a ---- caf\xe9 ---->" + SKY.format("t&x.exr"), "latin-1"),
+        ("t<>'x.exr", "", "<!-- <path value='no'/> -->" + SKY.format("t<>'x.exr"), "utf-8"),
+        (
+            "t&x.exr",
+            "",
+            "<path value =\n'skies' ></path >" + SKY.format("t&amp;&#120;.exr"),
+            "utf-8",
+        ),
+        (
+            "t\xe9.exr",
+            "<?xml version='1.0' encoding='Latin1'?>",
+            SKY.format("t\xe9.exr"),
+            "latin-1",
+        ),
+        (
+            "t\u65e5.exr",
+            "",
+            SKY.format("t\u65e5.exr") + "<integrator type='path' type='x'/>",
+            "utf-16",
+        ),
+    ],
+)
+def test_files_are_found_in_all_that_mitsuba_takes(tmp_path, image, before, sky, encoding):
+    """Which is more than well-formed XML."""
+    write(tmp_path / image, 2.0)
+    write(tmp_path / "skies" / image, 1.0)
+    source = tmp_path / "scene.xml"
+    body = f"<path value='skies'></path><sensor type='perspective'/>{sky}</scene> more"
+    source.write_bytes(f"{before}<scene version='3.0.0'>{body}".encode(encoding))
+    assert load_scene(source).described() == {
+        "scene.xml": source,
+        image: tmp_path / "skies" / image,
+    }
+    assert chd.render(source, spp=1, **SETTINGS).read().max() == 1
 
 
 def test_the_tables_of_a_metal_are_files_of_the_scene(tmp_path):
