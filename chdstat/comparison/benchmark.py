@@ -373,7 +373,7 @@ def bench(
     ----------
     scenes
         Names, XML files, stores or `Samples`; a mapping gives them names of your own. Scenes are
-        rendered, of samples the first are taken.
+        rendered; of samples that are already there, the first are taken.
     estimators
         As for `chdstat.compare`; None takes those of `chdstat.comparison.DEFAULT_ESTIMATORS` that
         train nothing, and says which were left out. One that trains against a reference has no

@@ -464,9 +464,9 @@ def compare(
       too bright (a threshold of our own), and ``fireflies_left``, over that of the sample mean.
 
     The reference of a batch is the mean of the other samples of its pixel. It is itself noisy: its
-    variance, about n/(spp - n) times that of a batch's mean, is part of every squared error, a
-    share n/spp of that of the sample mean. Where all batches estimate, the errors of the sample
-    mean cancel within each pixel: its bias is then 0 by construction.
+    variance, about n/(spp - n) times that of a batch's mean, is part of every squared error. It
+    makes up n/spp of the squared error of the sample mean. Where all batches estimate, the errors
+    of the sample mean cancel within each pixel: its bias is then 0 by construction.
 
     Parameters
     ----------
@@ -498,9 +498,9 @@ def compare(
     labels
         What to break the measures down by: ``label`` of `chdstat.classify` or the dataset itself,
         codes of `chdstat.patterns.Label`, shape (y, x), or any map with the attributes
-        ``flag_values`` and ``flag_meanings``. "classify" labels these samples. A label that rests
-        on the samples that are judged selects among them: a pixel may be firefly-dominated because
-        of one batch, and is easy to improve there. Labels of an independent render do not.
+        ``flag_values`` and ``flag_meanings``. "classify" labels these samples. Labels that
+        are computed from the samples to judge bias the breakdown: a pixel may be firefly-dominated
+        because of one batch, which is then easy to improve. Labels of an independent render do not.
     progress
         Show progress bars; None shows them on a terminal.
     client

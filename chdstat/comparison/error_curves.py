@@ -128,8 +128,8 @@ def error_curve(
     estimators
         As `compare` takes them. Where one does not take N samples, there is no number.
     sizes
-        N, in any order; None doubles from 4 to an eighth of the samples, and adds the fewest that
-        an estimator takes where these are none.
+        N, in any order; None doubles from 4 to an eighth of the samples. An estimator that takes
+        none of these numbers adds the fewest samples that it takes.
     seed, max_batches, model, progress, client
         As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
         read one by one: `Samples.load` a store first.

@@ -182,7 +182,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         seed
             Draws the pixels, the validation part, the first weights and the minibatches.
         iterations
-            Other than the preset says.
+            Minibatches; None takes as many as the preset says.
         patience
             Stop after so many iterations without a smaller validation loss, and take the weights
             that had the smallest; None trains to the end, as published.

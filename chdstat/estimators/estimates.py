@@ -133,15 +133,15 @@ def estimate(
     spp
         Use the first so many samples; None uses all.
     loss_weight
-        Of a `Progressive`: 0 for the least MSE, 1 for the least relMSE, and what lies between; None
-        is 0.5. Of others, it has no place.
+        For a `Progressive` only: 0 for the least MSE, 1 for the least relMSE, or a number between;
+        None is 0.5.
     level
         Probability of the interval.
     denoise
         Put the image through Open Image Denoise, with first-hit features where there are any.
-        Certainty and interval remain those of the estimate before it. Where candidates are
-        combined, a pixel is denoised once more only as far as its weights are those of denoised
-        images, and stays within the interval of its mean.
+        Certainty and interval remain those of the estimate before it. Without a model, each pixel
+        is denoised once more in proportion to the weight of its denoised candidates, and stays
+        within the interval of its mean.
     progress
         Show progress bars; None shows them on a terminal. A rendering shows its own.
     client, checkpoint

@@ -456,13 +456,14 @@ def mixture(
     family.
 
     The likelihood of a mixture has no maximum: a component may shrink to one sample. Therefore each
-    of several components counts 0.3 of a sample more, at 3.5 median distances of neighbouring
-    samples from its centre, and its standard deviation in log x is at least 1e-3.
+    of several components is given 0.3 of a further sample, which lies 3.5 times the median distance
+    of neighbouring samples from its centre, and its standard deviation in log x is at least 1e-3.
 
-    Values that more samples share than a continuous law explains are atoms, see
-    `chdstat.fit.atoms`: the components describe the rest, of which samples that rounding made equal
-    are spread over what was rounded to them. Those of a clamp take part as the tail that one
-    component leaves above it. The number of components is chosen among 5 samples or more.
+    Values that more samples share than a continuous law explains are atoms (see
+    `chdstat.fit.atoms`), and the components describe the other samples. Samples that rounding made
+    equal are spread over the interval that was rounded to their value. Samples that a clamp cut
+    count as samples above the clamp: one component gives them the probability of its tail. The
+    number of components is chosen where there are 5 samples or more.
 
     Parameters
     ----------

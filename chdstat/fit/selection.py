@@ -265,9 +265,9 @@ def select(
 ) -> Selection | xr.Dataset:
     """Fit several families and select the one that describes the samples best.
 
-    ``AIC = 2 k - 2 log L`` and ``BIC = (k - 1) log n + log m - 2 log L``, where k counts the mass
-    at 0 as one parameter of every family, estimated from all m good samples, and the others from
-    the n positive ones; all likelihoods are those of linear radiance. The held-out loss is minus
+    ``AIC = 2 k - 2 log L`` and ``BIC = (k - 1) log n + log m - 2 log L``. Of the k parameters, one
+    is the mass at 0, estimated from all m good samples; the others are estimated from the n
+    positive ones. All likelihoods are those of linear radiance. The held-out loss is minus
     the log-likelihood per positive sample when the even samples, in stored order, are scored by a
     fit to the odd ones, and the other way round. The best of poor families is still poor: the
     margin compares the families, not the family with the data.

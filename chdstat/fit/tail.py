@@ -299,26 +299,27 @@ def tail_index(
     more samples may show another index, since their tail begins farther out, at a larger
     ``threshold``.
 
-    A 95 % interval covers the index of generalised Pareto samples in 94 to 97 % of cases. Where the
-    tail begins somewhere within the samples, it is 91 % on average with 512 samples and 94 % with
-    8192, and 76 to 80 % for a heavy tail of a tenth of 512 samples, as the body biases xi towards
-    0. It does **not** cover the index of a tail that is rarer than the threshold: of 1 % with index
-    1 among exponential samples, the index is 0.3 to 0.4 and the interval holds 1 next to never.
-    ``xi_far``, of the 28 largest samples, detects such tails; ``variance_trusted`` depends on it,
-    and, of fewer than 512 samples, on whether they scatter more than gamma ones. What it can detect
-    is samples of the tail beyond all others. Where there are five or more of them, the variance is
-    trusted in at most 5 % of pixels if the tail has index 1 or more, in at most 10 % (15 % with
-    fewer than 512 samples) if it has 2/3, and in up to 25 % as the index nears 1/2. A tail that
-    begins among the other samples needs more, since most of its own are lost there: if exactly 20
-    of 1024 exponential samples, of mean 1, are Pareto ones from 1 on, the variance is trusted in
-    12 % for index 1 and in half of the pixels for 2/3; with 40, in 1 % and 28 %. So a trusted
-    variance is no proof of a finite one. 90 % and more of exponential, uniform and gamma pixels
-    are trusted from 512 samples on (of gamma shapes below 0.5 from 2048 on). Log-normal and Weibull
-    samples with tails heavier than a gamma distribution's often are not identified, although their
-    variance is finite. Hill's interval is one for pure power laws only: with an offset, as
-    generalised Pareto samples have, it is too high at any threshold within the samples.
+    A 95 % interval covers the index of generalised Pareto samples in 94 to 97 % of cases. If the
+    tail begins somewhere within the samples, it covers the index in 91 % of cases with 512 samples
+    and in 94 % with 8192, on average; in 76 to 80 % if a heavy tail is a tenth of 512 samples,
+    since the body biases xi towards 0. It does **not** cover the index of a tail that is rarer than
+    the threshold: where 1 % of exponential samples have a tail of index 1, xi is 0.3 to 0.4 and the
+    interval hardly ever holds 1. ``xi_far``, of the 28 largest samples, detects such tails;
+    ``variance_trusted`` depends on it and, with fewer than 512 samples, on whether they scatter
+    more than gamma ones. It detects a tail only if some of its samples are larger than all others.
+    Where there are five or more of them, the variance is trusted in at most 5 % of pixels if the
+    tail has index 1 or more, in at most 10 % (15 % with fewer than 512 samples) if it has 2/3, and
+    in up to 25 % as the index nears 1/2. A tail that begins among the other samples needs more,
+    since most of its own are lost there: if exactly 20 of 1024 exponential samples, of mean 1, are
+    Pareto ones from 1 on, the variance is trusted in 12 % for index 1 and in half of the pixels for
+    2/3; with 40, in 1 % and 28 %. So a trusted variance is no proof of a finite one. 90 % and more
+    of exponential, uniform and gamma pixels are trusted from 512 samples on (of gamma shapes below
+    0.5 from 2048 on). Log-normal and Weibull samples with tails heavier than a gamma distribution's
+    often are not identified, although their variance is finite. Hill's interval is one for pure
+    power laws only: with an offset, as generalised Pareto samples have, it is too high at any
+    threshold within the samples.
 
-    An index at finite radiance is that of the range of the samples. A gamma tail gives about 0 for
+    The index describes only the range that was sampled. A gamma tail gives about 0 for
     shapes from 1/2 on; below, the density still curves where the tail begins: with 512, 2048 and
     8192 samples, the index is 0.15, 0.10 and 0.07 for a shape of 0.3, and 0.22, 0.14 and 0.11 for
     0.2. ``p_exponential`` allows for that: it tests against the gamma distribution with the

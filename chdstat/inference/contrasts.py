@@ -254,23 +254,23 @@ def contrast(
 ) -> Contrast:
     """Test whether two renders of a view have the same mean, pixel by pixel and over regions.
 
-    Sample i of A and sample i of B make a term, B - A. If both renders have one distribution, its
-    sign is as often one as the other, and flips of signs give exact p-values, with any tails and
-    nulls, whether or not the renders share random numbers; if they do, the terms are smaller, and
-    smaller differences are found. Of renders that agree in their means only, flips of signs are
-    right for many samples; where rare bright paths decide, the neighbours of a pixel show what it
-    may have missed (`chdstat.inference.windows`).
+    Sample i of A and sample i of B make a term, B - A. If both renders have one distribution, each
+    term is positive as often as negative. Random flips of signs then give exact p-values, whatever
+    the tails and nulls. Renders that share random numbers have smaller terms, and smaller
+    differences are found. If the renders agree in their means only, flips of signs are right for
+    many samples; where rare bright paths decide, the neighbours of a pixel show what it may have
+    missed (`chdstat.inference.windows`).
 
-    If one render has more samples, such as a reference has, a term is one sample of the shorter
-    render less the average of many, and flips of its sign are not exact. If both have one
-    distribution, any division of all samples into A's and B's is as likely as the real one, and
-    p-values are never smaller than those that all divisions give. Where the longer render has light
-    that the shorter one is likely to have missed, more than the differences that would have been
-    found, one cannot tell, and `Contrast.spp_needed` says how many samples would.
+    If one render has more samples, as a reference has, a term is one sample of the shorter render
+    less the average of many, and flips of its sign are not exact. If both have one distribution,
+    any division of all samples into A's and B's is as likely as the real one, and p-values are
+    never smaller than those that all divisions give. The longer render may have light that the
+    shorter one probably missed. If that is more than the differences that would have been found,
+    the outcome is "cannot tell", and `Contrast.spp_needed` says how many samples would tell.
 
     Small differences show in sums over windows of all sizes up to the whole image, compared with
-    the largest that flips of signs give anywhere. The outcome is by these, with four fifths of
-    `alpha`, and by the smallest q-value of a pixel, with the rest.
+    the largest that flips of signs give anywhere. This test has four fifths of `alpha`, and the
+    smallest q-value of a pixel has one fifth; either decides "differ".
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def difference(
 
     Welch's test rejects equal means too often where rare bright samples decide and one set is
     larger; divisions of the samples between the sets are exact if both are of one distribution, but
-    not if only their means agree. So that p-value of a mean counts which is larger.
+    not if only their means agree. So the larger of the two p-values of a mean counts.
 
     Parameters
     ----------

@@ -34,9 +34,8 @@ def denoise(
 ) -> npt.NDArray[np.floating[Any]]:
     """Denoise an image of estimates with Open Image Denoise.
 
-    With a certainty c, ``c estimate + (1 - c) denoised``: a pixel that is known is left alone, one
-    of which nothing is known is what the denoiser makes of its surroundings. The network itself has
-    no input for a certainty.
+    With a certainty c, ``c estimate + (1 - c) denoised``: a certainty of 1 keeps the pixel, 0
+    replaces it by the denoised one. The network itself has no input for a certainty.
 
     Linear radiance is brought to the exposure that the network was trained for, so that images
     of any unit come out alike.

@@ -124,8 +124,8 @@ def read(
         Order of the axes of arrays: the letters y, x, s (sample) and perhaps c (channel), such as
         "syxc" for a stack of images; None where their dims have names, or for "yxcs".
     variable
-        Which array of a file with several holds the samples; None takes the largest. Of EXR files
-        the layer; None takes red, green and blue, or Y.
+        Which array of a file with several holds the samples; None takes the largest. For EXR
+        files the name of the layer; None takes red, green and blue, or Y.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
         component), files of them (.npy, .exr), or their names within the source: arrays, or

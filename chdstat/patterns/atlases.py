@@ -143,10 +143,10 @@ def atlas(
     at the distance ``sqrt(integral (F - G)^2)``, Cramér's, and are grouped by k-means.
 
     How many groups there are is decided by prediction. The samples of each pixel are halved at
-    random; the typical shapes found in one half predict the other half. A number of clusters
-    explains ``(E1 - Ek) / (E1 - E)`` of the repeatable variation, with the mean squared error E1 of
-    one cluster, Ek of k clusters, and E of the true shape of each pixel: half the squared distance
-    of its halves. One more cluster is worth it if it explains a tenth or more of what is still
+    random; the typical shapes found in one half predict the other half. k clusters
+    explain ``(E1 - Ek) / (E1 - E)`` of the repeatable variation, where Ek is the mean squared error
+    of k clusters, and E that of the true shape of each pixel, which is half the squared distance
+    between its halves. One more cluster is worth it if it explains a tenth or more of what is still
     unexplained, and gains three standard errors or more. Clusters that follow noise predict worse
     than none. Where shapes pass into each other, as on real surfaces, the number is a resolution,
     not a count of kinds, and grows with the number of samples; `silhouettes` show it.
@@ -163,7 +163,7 @@ def atlas(
     max_clusters
         Largest number that is tried.
     min_share
-        Smallest share of a cluster in a number that is chosen.
+        Smallest share of the pixels that a cluster may have in a number that is chosen.
     nulls
         Whether the share of nulls is part of the shape. A share that differs by d counts as a
         distribution function that differs by d over one decade.

@@ -276,13 +276,14 @@ def classify(
     Each flag is a row of `PATTERNS`: a statistic, an effect that is large enough and, where the
     rule says so, a p-value. Of an image, the p-values of a pattern are corrected for the number of
     pixels (Benjamini and Hochberg); of an array, they are not: each pixel is tested at level
-    `Thresholds.alpha`. `label` is one of the flags, by the order of `Label`.
+    `Thresholds.alpha`. `label` is the first entry of `Label` that holds.
 
     Parameters
     ----------
     x
         An image, as `Samples` or the path of a store; or an array of radiance, shape (..., channel,
-        sample), with 1 or 3 channels. A whole sample is null or bad.
+        sample), with 1 or 3 channels. A sample is null if all its channels are 0, bad if any is
+        bad.
     thresholds
         When a pattern counts; None for the defaults.
     progress

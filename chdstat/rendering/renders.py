@@ -99,14 +99,14 @@ def render(
         paths show that it pays. Of your own, the name that a plugin registers it by (see
         `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an object of Mitsuba's, such as
         one of a class of your own: it renders in this process, with the backend of its variant
-        (with "scalar", which random numbers are a pixel's depends on how many threads Mitsuba has).
+        (with "scalar", the samples of a pixel then depend on how many threads Mitsuba has).
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
     color
         "rgb", or how light is transported before it becomes linear sRGB: "spectral", each sample at
-        four random wavelengths, or "mono", of one channel that all three are equal to. Mitsuba has
-        the latter with llvm and cuda only.
+        four random wavelengths, or "mono", one channel that is copied to all three, with llvm and
+        cuda only.
     sampler
         "independent", whatever the scene names, or one of Mitsuba's that spread the samples of a
         pixel: "stratified", "multijitter", "orthogonal" or "ldsampler". Then samples depend on each
@@ -120,8 +120,8 @@ def render(
         rooms, and more where paths are short anyway. An `out` that has it goes on with it.
     by_depth
         Render every sample once more with no more than 2, 3, ... and so many segments:
-        `Samples.depths`. Their differences are the light of each sample by the length of its path,
-        which `chdstat.patterns.attribute` makes shares of the mean, the variance and the tail of.
+        `Samples.depths`. Their differences are the light of each sample by the length of its path;
+        `chdstat.patterns.attribute` turns them into shares of the mean, the variance and the tail.
     by_light
         Render every sample once more by some lights alone: `Samples.lights`. Each entry is the name
         of a light (of its shape, in most scenes) or a pattern such as ``"lamp-*"`` that names a
@@ -139,8 +139,8 @@ def render(
         ``adaptive="MSE"`` that of MSE. The first samples, at most 64 of a pixel, predict how many
         that takes; `spp` is the most that are drawn, on average. The render is adaptive.
     percentile
-        The error to reach is that of pixels: 95 for what 95 % of them do not exceed. None takes the
-        error of the image, which its noisiest pixels decide.
+        Reach the error in single pixels: 95 means in 95 % of them. None takes the error of the
+        image, which its noisiest pixels decide.
     out
         Where to store the samples, a path or a URL; None keeps them in memory.
     backend

@@ -115,7 +115,7 @@ def report(
         them in memory.
     estimators
         As for `chdstat.compare`; those that learn are trained on these samples. None takes those
-        that are compared by default, in a short report without those that learn.
+        that are compared by default; a short report leaves out those that learn.
     iterations
         Minibatches of each training; None takes as many as pay: the network of the paper stops
         where its validation error no longer falls.
@@ -128,8 +128,8 @@ def report(
     **settings
         As for `chdstat.render`: ``spp``, ``size``, ``seed``, ``max_depth``, ``backend`` and the
         others; the samples must be independent. What is not given is the recipe's, or 512 spp and
-        128 pixels along the longer edge.
-        Of samples that are already there, `spp` takes the first, and the others have no place.
+        128 pixels along the longer edge. With samples that are already there, only `spp` may be
+        given: it takes the first ones.
 
     Returns
     -------

@@ -238,11 +238,11 @@ def study(
 ) -> Study:
     """Render scenes, or take up earlier renders, and test all claims of the paper in them.
 
-    For each scene there are up to four renders: the image; the same with paths of at most three
-    segments, and with another seed, each at half the samples; and by another integrator, which
-    plays Russian roulette from the first segment on, at a quarter, where the scene is not a file.
-    There is a fifth where a `sampler` is named, and up to seven more with `integrators`. A finding
-    that another seed contradicts becomes "cannot tell".
+    Each scene is rendered up to four times: the image; with paths of at most three segments, at
+    half the samples; with another seed, at half the samples; and, unless the scene is a file, with
+    Russian roulette from the first segment on, at a quarter of the samples. A `sampler` adds one
+    render, and `integrators` adds up to seven. A finding that another seed contradicts becomes
+    "cannot tell".
 
     Parameters
     ----------
@@ -257,15 +257,15 @@ def study(
         size take several GB.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
-        edge, and seed 1. Of samples that are already there, `spp` takes the first.
+        edge, and seed 1. With samples that are already there, `spp` takes the first ones.
     estimators
         As for `chdstat.compare`; those that learn are trained on each scene. The claims on learning
         are about "elek2019", which is among the default ones; other learned estimators are tested
         separately. "progressive" trains for about a minute on each scene.
     sampler
         A sampler that spreads samples over pixels, as for `chdstat.render`: each scene is rendered
-        once more with it, 256 or 400 samples, for the claim on correlated samples. Of
-        "independent" ones, nothing is rendered, and that claim stays open.
+        once more with it, 256 or 400 samples, for the claim on correlated samples. With
+        "independent", nothing more is rendered, and that claim stays open.
     integrators
         Whether scenes are rendered in more ways, at a quarter of the samples: by path guiding,
         which the scalar backend cannot, and with adaptive counts, for the claims on these; and

@@ -44,9 +44,9 @@ class Progressive(TrainedModel[learning.Learned]):
     """A network that reweighs the samples of a pixel octave by octave of their luminance.
 
     It takes any number of samples in any order, all channels together, and scales with their unit.
-    Its estimate is the mean, moved towards what it proposes by ``n0 / (n0 + N)``; n0, the number of
-    samples that its experience is worth, is predicted, too. So it tends to the mean as N grows,
-    and is the mean where it has learned nothing.
+    Its estimate is ``mean + n0 / (n0 + N) (proposal - mean)``. The network predicts the proposal
+    and n0, the number of samples that its training is worth. So the estimate tends to the mean as N
+    grows, and is the mean where the network has learned nothing.
 
     It is trained with a reference and makes two estimates, one for the least MSE and one for the
     least relMSE; `loss_weight` mixes them. Where all samples of a pixel are the same light, as
@@ -208,16 +208,16 @@ class Progressive(TrainedModel[learning.Learned]):
         x
             `Samples`, the path of a store, or an array (..., channel, sample), any number of
             samples; an image (y, x, channel, sample) where features are an input. A sample of which
-            any channel is NaN or infinite is left out. An array has no scene: it is known by its
-            samples where some of these trained.
+            any channel is NaN or infinite is left out. An array does not name its scene; it is
+            recognised if some of its samples were trained on.
         features
             First-hit features of the image; None takes those of `Samples`.
         loss_weight
             0 for the least MSE, 1 for the least relMSE, and what lies between.
         unit
-            Mean radiance, as of `mean_radiance`, of the image of a scene that trained it that `x`
-            is a part of: then parts of it are estimated as the whole is. None takes `x` for a whole
-            image, and measures it.
+            Where `x` is a part of an image that trained the model: the mean radiance of the whole
+            image, from `mean_radiance`, so that parts are estimated as the whole is. None takes `x`
+            for a whole image, and measures it.
         level
             Probability of the interval; None leaves it out (NaN). On another scene the interval
             reaches from Student's interval of the mean towards the model's, as far as the model
