@@ -293,6 +293,14 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
         return mi.ScalarTransform3f(value)
     if isinstance(value, np.ndarray):
         return value.tolist()
+    # These belong to one variant, and Mitsuba takes the content of tensors away.
+    if (kind := type(value).__name__) == "TensorXf":
+        return getattr(mi, kind)(np.array(value))
+    if kind == "VolumeGrid":
+        stream = mi.MemoryStream()
+        value.write(stream)
+        stream.seek(0)
+        return getattr(mi, kind)(stream)
     return value
 
 

@@ -139,7 +139,8 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
     ----------
     source
         A name in `BUILTIN`, the path of a Mitsuba XML file, a dict in Mitsuba's form, or a
-        ``mi.Scene``, which is rendered as it is, in this process. A `Scene` passes through.
+        ``mi.Scene``, which is rendered as it is, in this process; so is a dict that holds shapes,
+        materials or other objects of Mitsuba's. A `Scene` passes through.
     **parameters
         Values for the ``$name`` parameters of an XML file, as ``-D`` gives them to Mitsuba.
 
@@ -180,6 +181,9 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
             message = f"a scene dict needs 'type': 'scene', got 'type': {source.get('type')!r}"
             raise SceneError(message)
         scene = Scene("scene", source)
+        with _bounded("scene"):
+            if _holds_objects(source):  # which belong to this process and variant
+                scene = Scene("scene", LiveScene(scene.load()))
     elif str(source) in BUILTIN:
         scene = Scene(str(source), built_in(str(source)))
     else:
@@ -266,7 +270,8 @@ def _plain(value: Any) -> Any:
                 return str(value), array
     message = (
         f"a scene dict holds a {kind.__module__}.{kind.__qualname__}, which cannot be told from "
-        "another one; describe it by plain values (see chdstat.scenes.Scene)"
+        "another one; describe it by plain values or arrays of NumPy (mitsuba.load_dict "
+        "empties tensors)"
     )
     raise SceneError(message)
 
@@ -300,6 +305,13 @@ def is_built(value: object) -> bool:
     """Return whether a value is an object of Mitsuba's."""
     mi: Any = sys.modules.get("mitsuba")
     return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
+
+
+def _holds_objects(value: object) -> bool:
+    """Return whether a scene dict holds objects of Mitsuba's, but for those that are data."""
+    if isinstance(value, Mapping):
+        return any(map(_holds_objects, value.values()))
+    return is_built(value) and type(value).__name__ not in ("Bitmap", "VolumeGrid")
 
 
 @dataclass(frozen=True, eq=False)

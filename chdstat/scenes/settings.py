@@ -310,12 +310,10 @@ def _of_film(parsed: ParsedScene, films: list[int]) -> list[str]:
     if name == "hdrfilm":
         form = str(properties.get("pixel_format", "rgb")).lower()
         return [] if form in ("rgb", "rgba") else [f"the film's pixel_format {form}: {_INSTEAD}"]
-    kinds, same = type(properties).Type, (*_SIZES, *_SAME_FILM)
+    same, held = (*_SIZES, *_SAME_FILM), dict(parsed.references(films[0]))
+    filters = parsed.held(films[0], "ReconstructionFilter")
     others = [key for key in properties.keys() if key not in same]  # noqa: SIM118
-    bands = [key for key in others if properties.type(key) != kinds.ResolvedReference]
-    held = [key for key in others if key not in bands]
-    filters = {parsed.node(i).props.id() for i in parsed.held(films[0], "ReconstructionFilter")}
-    bands += [key for key in held if key not in filters]
+    bands = [key for key in others if held.get(key) not in filters]
     settings = f" and its {', '.join(bands)}" if bands else ""
     return [f"the scene asks for the {name} film{settings}: {_INSTEAD}"]
 

@@ -62,6 +62,39 @@ def test_in_a_wavefront_it_draws_what_its_description_draws(wavefront):
     assert np.array_equal(live.read(), expected.read())
 
 
+def test_a_dict_that_holds_objects_is_what_mitsuba_builds_of_it(mi):
+    grey = {"type": "diffuse", "reflectance": 0.2}
+    film, floor = BALL["sensor"]["film"], {**FLOOR, "bsdf": grey}
+    plain = {**BALL, "floor": floor, "integrator": PATH}
+    objects = {
+        "floor": {**floor, "bsdf": mi.load_dict(grey)},
+        "ball": mi.load_dict(BALL["ball"]),
+        "sensor": {**BALL["sensor"], "film": mi.load_dict(film)},
+        "integrator": mi.load_dict(PATH),
+    }
+    expected = chd.render(mi.load_dict(plain), spp=2, progress=False).read()
+    for name, held in objects.items():
+        found = chd.render({**plain, name: held}, spp=2, progress=False)
+        assert np.array_equal(found.read(), expected), name
+
+
+@pytest.mark.parametrize("kind", ["TensorXf", "VolumeGrid"])
+def test_data_of_mitsuba_are_of_no_variant_and_stay(mi, kind, wavefront):
+    grid = np.arange(8, dtype=np.float32).reshape(2, 2, 2, 1) / 8
+    volume = {"type": "gridvolume", "raw": True, "grid" if kind == "VolumeGrid" else "data": None}
+    held = getattr(mi, kind)(grid)
+    volume = {name: held if value is None else value for name, value in volume.items()}
+    texture = {"type": "volume", "volume": volume}
+    ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": texture}}
+    scene = {**BALL, "ball": ball, "integrator": PATH}
+    means = [
+        chd.render(scene, spp=16, backend=backend, progress=False).read().mean()
+        for backend in ("scalar", wavefront, "scalar")
+    ]
+    assert means[0] == means[2] == pytest.approx(means[1], rel=0.05)
+    assert (np.array(held).ravel() == grid.ravel()).all()
+
+
 def test_a_store_goes_on_with_it_until_it_is_changed(mi, tmp_path):
     out, built = tmp_path / "a.zarr", mi.load_dict(mi.cornell_box())
     chd.render(built, **VIEW, out=out)

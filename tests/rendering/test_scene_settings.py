@@ -241,8 +241,10 @@ def test_a_misspelt_plugin_is_named():
 
 def test_bands_of_a_film_and_settings_that_are_not_used_are_named():
     bands = {"type": "specfilm", "red": {"type": "spectrum", "value": [(400, 0.0), (700, 1.0)]}}
+    bands |= {"filter": {"type": "box", "id": "of_its_own"}}
+    film = {k: v for k, v in PLAIN_FILM.items() if k != "rfilter"}
     scene = floor(
-        sensor={**ABOVE, "film": {**PLAIN_FILM, **bands}},
+        sensor={**ABOVE, "film": {**film, **bands}},
         integrator={"type": "path", "timeout": 5.0, "samples_per_pass": 2},
     )
     for color in ("rgb", "spectral"):
