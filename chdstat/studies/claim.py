@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from chdstat.rendering.recipes import remake_of
-from chdstat.studies.findings import Finding, Measurement, MissingDataError, require
+from chdstat.studies.findings import Finding, MissingDataError, require
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["ENTERED", "Claim", "claim"]
@@ -18,7 +18,7 @@ _ABOUT = {
     "paired": "this view, rendered twice: other views of the scene, or other scenes, may differ",
     "across": "these images, one of each scene: other views of the scenes may differ",
 }
-Measure = Callable[[SceneData], Measurement] | Callable[[Sequence[SceneData]], Measurement]
+Measure = Callable[[SceneData], Finding] | Callable[[Sequence[SceneData]], Finding]
 
 
 @dataclass(frozen=True)
@@ -78,38 +78,24 @@ class Claim:
         used = [data, *others] if self.across else [data]
         spp = min(scene.samples.spp for scene in used)
         measured: Any = used if self.across else data
-        try:
-            require(spp >= self.spp, f"{self.spp} spp, has {spp}")
-            measurement = self.measure(measured)
-        except MissingDataError as error:
-            measurement = Measurement(missing=(str(error),))
-        return self.conclude(measurement, used, spp)
-
-    def conclude(self, measurement: Measurement, scenes: Sequence[SceneData], spp: int) -> Finding:
-        """Make a finding of what was measured in scenes with `spp` samples per pixel."""
         # Remakes look like scenes of the paper and are not.
         notes = [
             f"{scene.name} is a remake of the paper's {original}, not that scene."
-            for scene in scenes
+            for scene in used
             if (original := remake_of(scene.samples))
         ]
-        return Finding(
-            self.number,
-            self.name,
-            scene=", ".join(scene.name for scene in scenes),
+        try:
+            require(spp >= self.spp, f"{self.spp} spp, has {spp}")
+            finding = self.measure(measured)
+        except MissingDataError as error:
+            finding = Finding(missing=(str(error),))
+        return finding.on(
+            number=self.number,
+            name=self.name,
             claim=self.claim,
+            scene=", ".join(scene.name for scene in used),
             about=" ".join([f"About {self.about}.", *notes]),
-            verdict=measurement.verdict,
-            reason=measurement.reason(spp),
-            test=measurement.deciding,
-            tests=measurement.tests,
-            p_value=measurement.p_value,
-            details=measurement.details,
-            plot_data=measurement.plot_data,
-            other_models={
-                name: self.conclude(other, scenes, spp)
-                for name, other in measurement.other_models.items()
-            },
+            spp=spp,
         )
 
 

@@ -5,8 +5,8 @@ that the claim states. A test is supported where the whole interval lies in that
 supported where all of it lies outside, and otherwise undecided. A claim is supported where all of
 its tests are, not supported where any is not, and otherwise undecided ("cannot tell").
 
-The function that measures a claim returns a `Measurement`, or raises `MissingDataError`; the claim
-makes it a `Finding`, the public result.
+The function that measures a claim returns a `Finding`, or raises `MissingDataError`; the claim says
+which it is, and of which scene.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from chdstat._core.resampling import LEVEL, Interval
 __all__ = [
     "ClaimTest",
     "Finding",
-    "Measurement",
     "MissingDataError",
     "PlotData",
     "level_of",
@@ -167,21 +166,40 @@ class PlotData:
 
 
 @dataclass(frozen=True, repr=False)
-class Measurement(Shown):
-    """What was measured of a claim; the registry adds number, name and claim.
+class Finding(Shown):
+    """The verdict on one claim, with its tests and the reason.
 
     Attributes
     ----------
-    tests, missing
-        What was measured, and what could not be, each as a sentence.
-    p_value, details, plot_data
-        As for `Finding`.
+    tests
+        Tests of all that the claim says, each with its own verdict; their intervals hold together.
+    missing
+        What could not be measured, each as a sentence.
+    p_value
+        Of a null hypothesis that the details name; None where it would mean nothing.
+    details
+        Further numbers by region or channel, ready for JSON.
+    plot_data
+        What its figure draws.
     model
         Name of the model that was tested, where there are several: the reason names it.
     other_models
-        Measurements of other models, by name; the verdict does not depend on them.
+        Findings for other models, by name; the verdict does not depend on them.
     few
         What would narrow a wide interval, if not more samples.
+    number, name
+        Which claim; see `chdstat.studies.claims.CLAIMS`.
+    claim
+        One sentence.
+    scene
+        Name of the scene, or of the scenes.
+    about
+        What the verdict is about, in sentences: this image or this model, and not the scene; and
+        which scenes are remakes of the paper's.
+    spp
+        Samples per pixel that were there.
+    disagree
+        What the seeds say where they say the opposite: then there is no verdict.
     """
 
     tests: tuple[ClaimTest, ...] = ()
@@ -190,26 +208,43 @@ class Measurement(Shown):
     details: Mapping[str, Any] = field(default_factory=dict)
     plot_data: PlotData = field(default_factory=PlotData)
     model: str = ""
-    other_models: Mapping[str, Measurement] = field(default_factory=dict)
+    other_models: Mapping[str, Finding] = field(default_factory=dict)
     few: str = ""
+    number: int = 0
+    name: str = ""
+    claim: str = ""
+    scene: str = ""
+    about: str = ""
+    spp: int = 0
+    disagree: str = ""
+
+    def on(self, **about: Any) -> Finding:
+        """Return the finding on a claim in a scene, given by attributes; others as well."""
+        others = {name: other.on(**about) for name, other in self.other_models.items()}
+        return replace(self, other_models=others, **about)
+
+    @property
+    def test(self) -> ClaimTest | None:
+        """The test that decides: the first of the weakest; None where nothing was measured."""
+        order: tuple[Verdict, ...] = ("not supported", "cannot tell", "supported")
+        return min(self.tests, key=lambda test: order.index(test.verdict), default=None)
 
     @property
     def verdict(self) -> Verdict:
         """The verdict of the weakest test; nothing is supported while something is missing."""
-        deciding = self.deciding
-        if deciding is not None and deciding.verdict == "not supported":
+        test = self.test
+        if test is None or self.disagree:
+            return "cannot tell"
+        if test.verdict == "not supported":
             return "not supported"
-        return "cannot tell" if self.missing or deciding is None else deciding.verdict
+        return "cannot tell" if self.missing else test.verdict
 
     @property
-    def deciding(self) -> ClaimTest | None:
-        """The test that the verdict rests on: the first of the weakest."""
-        order: tuple[Verdict, ...] = ("not supported", "cannot tell", "supported")
-        return min(self.tests, key=lambda test: order.index(test.verdict), default=None)
-
-    def reason(self, spp: int) -> str:
-        """Return what led to the verdict, in one sentence, for samples of `spp` per pixel."""
-        test, verdict = self.deciding, self.verdict
+    def reason(self) -> str:
+        """What led to the verdict, in one sentence; for "cannot tell" with what would be needed."""
+        test, verdict = self.test, self.verdict
+        if self.disagree:
+            return self.disagree
         if verdict == "cannot tell" and self.missing:
             text = "; ".join(self.missing)
         elif test is None:
@@ -218,12 +253,12 @@ class Measurement(Shown):
             text = {
                 "supported": "; ".join(str(test) for test in self.tests),
                 "not supported": str(test),
-                "cannot tell": f"{test}; {self._advice(test, spp)}",
+                "cannot tell": f"{test}; {self._advice(test)}",
             }[verdict]
             text = f"for {self.model}: {text}" if self.model else text
         return f"{text[:1].upper()}{text[1:]}."
 
-    def _advice(self, test: ClaimTest, spp: int) -> str:
+    def _advice(self, test: ClaimTest) -> str:
         """Return how many samples would decide, if the interval shrinks with their square root."""
         if self.few:
             return f"more {self.few} would decide"
@@ -231,8 +266,8 @@ class Measurement(Shown):
         if not math.isfinite(interval.low):
             return "there are too few pixels or samples for an interval"
         if math.isinf(interval.high) and interval.value < test.least:
-            return f"{spp} spp do not show how far its tail reaches, many more would decide"
-        needed = spp * (1.2 / test.margin) ** 2 if test.margin > 0 else math.inf
+            return f"{self.spp} spp do not show how far its tail reaches, many more would decide"
+        needed = self.spp * (1.2 / test.margin) ** 2 if test.margin > 0 else math.inf
         if not needed < _MOST_SPP:
             return (
                 "the value is too near the border for any number of samples, or needs more pixels"
@@ -242,60 +277,12 @@ class Measurement(Shown):
             f"about {rounded} spp would decide if noise makes it wide, more pixels if these differ"
         )
 
-
-@dataclass(frozen=True, repr=False)
-class Finding(Shown):
-    """The verdict on one claim, with its tests and the reason.
-
-    Attributes
-    ----------
-    number, name
-        Which claim; see `chdstat.studies.claims.CLAIMS`.
-    scene
-        Name of the scene, or of the scenes.
-    claim
-        One sentence.
-    about
-        What the verdict is about, in sentences: this image or this model, and not the scene; and
-        which scenes are remakes of the paper's.
-    verdict
-        "supported", "not supported" or "cannot tell".
-    reason
-        One sentence; for "cannot tell" with what would be needed.
-    test
-        The test that decides; None where nothing was measured.
-    tests
-        Tests of all that the claim says, each with its own verdict; their intervals hold together.
-    p_value
-        Of a null hypothesis that the details name; None where it would mean nothing.
-    details
-        Further numbers by region or channel, ready for JSON.
-    plot_data
-        What its figure draws.
-    other_models
-        Findings for other models, by name; the verdict does not depend on them.
-    """
-
-    number: int
-    name: str
-    scene: str
-    claim: str
-    about: str
-    verdict: Verdict
-    reason: str
-    test: ClaimTest | None = None
-    tests: tuple[ClaimTest, ...] = ()
-    p_value: float | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
-    plot_data: PlotData = field(default_factory=PlotData)
-    other_models: Mapping[str, Finding] = field(default_factory=dict)
-
     def confirmed(self, again: Finding | None) -> Finding:
         """Return the finding, without a verdict if that of another seed is the opposite one."""
         if again is None or {self.verdict, again.verdict} != {"supported", "not supported"}:
             return self
         reason = f"Seeds disagree. The first: {self.reason} Another: {again.reason}"
-        return replace(self, verdict="cannot tell", reason=reason)
+        return replace(self, disagree=reason)
 
     def _card(self) -> Card:
         facts = {"claim": self.claim, "verdict": self.verdict, "reason": self.reason}

@@ -20,20 +20,15 @@ def part(low, high, unit="1"):
     return ClaimTest("share", Interval((low + high) / 2, low, high), least=0.5, unit=unit)
 
 
-def finding(verdict, *parts, **more):
-    return Finding(
-        *(15, CLAIM.name, "box", CLAIM.claim, "About this image."),
-        verdict,
-        f"It is {verdict}.",
-        tests=parts,
-        **more,
-    )
+def finding(*parts, **more):
+    about = {"number": 15, "name": CLAIM.name, "claim": CLAIM.claim, "about": "About this image."}
+    return Finding(parts, scene="box", spp=64, **about, **more)
 
 
 @pytest.fixture
 def both():
-    other = finding("not supported", part(0.1, 0.2))
-    return finding("supported", part(0.6, 0.8), other_models={"progressive": other})
+    other = finding(part(0.1, 0.2))
+    return finding(part(0.6, 0.8), other_models={"progressive": other})
 
 
 def test_each_part_has_its_number_and_what_was_claimed(both):
@@ -52,7 +47,7 @@ def test_each_part_has_its_number_and_what_was_claimed(both):
 
 def test_a_part_without_an_interval_says_so():
     unknown = part(np.nan, np.nan, "decade^1/2")
-    (shown,) = finding_content(finding("cannot tell", unknown))["parts"]
+    (shown,) = finding_content(finding(unknown))["parts"]
     assert (shown["name"], shown["value"], shown["interval"]) == ("share (√decade)", "—", "—")
     assert "no interval" in str(unknown)
 
@@ -73,15 +68,15 @@ def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
 
 
 def test_what_cannot_be_told_says_what_is_needed():
-    assert finding_content(finding("cannot tell"))["needs"] == "It is cannot tell."
-    assert finding_content(finding("supported"))["needs"] == ""
+    assert finding_content(finding())["needs"] == "Nothing was measured."
+    assert finding_content(finding(part(0.6, 0.8)))["needs"] == ""
 
 
 def test_plots_of_several_claims_have_labels_that_fit_their_panels():
     long = "log10 relative variance around its region's mean"
     x = np.arange(5.0)
-    one = finding("supported", plot_data=PlotData("curves", {"a": (x, x)}, "x", long))
+    one = finding(plot_data=PlotData("curves", {"a": (x, x)}, "x", long))
     two = replace(one, plot_data=PlotData("bars", {"a": (x[:1], x[:1])}, y_label="share"))
     figure = claim_figures(15, {"1": one, "2": two})["plots15"]
     assert max(len(line) for line in figure.axes[0].get_ylabel().splitlines()) < 30
-    assert claim_figures(15, {"none": finding("supported")}) == {}
+    assert claim_figures(15, {"none": finding()}) == {}

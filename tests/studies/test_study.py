@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import mmap
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,13 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
+from chdstat.comparison import Interval
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
 from chdstat.estimators.training import train_model
 from chdstat.patterns import atlas
 from chdstat.reporting.documents import study_document
 from chdstat.studies import stores, studies, study
-from chdstat.studies.claims import CLAIMS, SceneData
+from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, SceneData
 from chdstat.studies.stores import scenes_of
 
 TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
@@ -276,13 +276,15 @@ def test_a_recipe_names_scene_settings_and_regions(tmp_path):
 
 
 def test_seeds_that_contradict_each_other_cannot_tell():
-    supported = CLAIMS[0].find(SceneData("night-room", noise("night-room")))
-    yes, no = (replace(supported, verdict=v, reason=v) for v in ("supported", "not supported"))
+    nulls = Interval(0.3, 0.2, 0.4)
+    yes, no, open_ = (
+        Finding((ClaimTest("nulls", nulls, least=least),), spp=64) for least in (0.1, 0.5, 0.3)
+    )
     assert yes.confirmed(no).verdict == "cannot tell"
-    assert "not supported" in yes.confirmed(no).reason
+    assert "claimed at least 0.5" in yes.confirmed(no).reason
     assert yes.confirmed(yes) is yes
     assert yes.confirmed(None) is yes
-    assert yes.confirmed(replace(no, verdict="cannot tell")) is yes
+    assert yes.confirmed(open_) is yes
 
 
 def test_a_wrong_recipe_is_refused_before_any_work(tmp_path):

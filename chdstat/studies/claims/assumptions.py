@@ -24,7 +24,7 @@ from chdstat._core.arrays import Floats, Mask, Reals, generator
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Interval, holm
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require
+from chdstat.studies.findings import ClaimTest, Finding, PlotData, require
 from chdstat.studies.scene_data import PixelSet, SceneData, fold_of, logs
 
 __all__ = ["broken_assumptions", "growing", "with_room"]
@@ -217,7 +217,7 @@ _LEAST = 12
     "feature buffers, and radiance is not regular.",
     spp=384,
 )
-def broken_assumptions(data: SceneData) -> Measurement:
+def broken_assumptions(data: SceneData) -> Finding:
     """Test the four assumptions; each part says that one fails."""
     light = data.batch_light
     batches = light.reshape(-1, light.shape[-1])
@@ -248,7 +248,7 @@ def broken_assumptions(data: SceneData) -> Measurement:
         rejected = dict(zip(sizes, shares.to_numpy().tolist(), strict=True))
     p_values = uniformity(batches, whole.blocks)
     pixels = {"pixels": (logs(batches.mean(axis=1)), logs(batches.var(axis=1, ddof=1)))}
-    return Measurement(
+    return Finding(
         tuple(tests),
         tuple(missing),
         p_value=p_values["breusch_pagan"],

@@ -24,7 +24,7 @@ from chdstat._core.resampling import Blocks
 from chdstat.fit import tail_index
 from chdstat.studies.claim import claim
 from chdstat.studies.claims.between_renders import samples_ratio
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require, required
+from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.studies.scene_data import SceneData, known_mean, logs
 
 __all__ = ["averages", "counts", "tails"]
@@ -47,7 +47,7 @@ _LITTLE = 0.01
     paired=True,
     once=True,
 )
-def tails(data: SceneData) -> Measurement:
+def tails(data: SceneData) -> Finding:
     """Compare shares of nulls and tail indices with those of path guiding, pixel by pixel."""
     pair, whole = data.with_guided, data.whole(tests=2)
     null = np.stack([scene.summary["null_share"].to_numpy().ravel() for scene in pair])
@@ -67,7 +67,7 @@ def tails(data: SceneData) -> Measurement:
     measured = {"share of nulls": null, "tail index": xi}
     measured["long tails"] = np.where(np.isfinite(xi), xi >= _LONG, np.nan)
     means = {f"{name}, {who}": m for name, v in measured.items() for who, m in _means(v).items()}
-    return Measurement(
+    return Finding(
         tuple(tests),
         tuple(missing),
         details={"spp": pair[0].samples.spp, "means": means},
@@ -88,14 +88,14 @@ def _means(values: Floats) -> dict[str, float]:
     paired=True,
     once=True,
 )
-def averages(data: SceneData) -> Measurement:
+def averages(data: SceneData) -> Finding:
     """Compare the samples that averages need to be Gaussian, as the square of skewness has them."""
     own, guided = data.with_guided
     ratio = samples_ratio(guided.summary, own.summary, data.whole())
     name = "log samples until averages are Gaussian, guided over own"
     skewness = [scene.summary["skewness"].to_numpy().astype(np.float64) for scene in (own, guided)]
     until = _means(np.stack([s.ravel() ** 2 for s in skewness]))
-    return Measurement(
+    return Finding(
         (ClaimTest(name, ratio, most=-_LITTLE, unit="decade"),),
         details={"samples_until_skewness_1": until, "time_ratio_with_compiling": _time_ratio(data)},
         plot_data=PlotData.bars(until, "mean samples until averages have a skewness of 1"),
@@ -123,7 +123,7 @@ def _time_ratio(data: SceneData) -> float | None:
     paired=True,
     once=True,
 )
-def counts(data: SceneData) -> Measurement:
+def counts(data: SceneData) -> Finding:
     """Compare the spread of relative standard errors over pixels, as logarithms.
 
     It does not depend on how many samples there are in all. Deviations are those of the image, for
@@ -144,7 +144,7 @@ def counts(data: SceneData) -> Measurement:
     every = np.ones((1, len(whole.blocks)))
     decades = {n: float(f(every)[0]) for n, f in zip(("adaptive", "even"), spreads, strict=True)}
     name = "spread of relative errors over pixels, adaptive over even counts"
-    return Measurement(
+    return Finding(
         (ClaimTest(name, ratio, most=1.0),),
         details={"spread_in_decades": decades},
         plot_data=PlotData.bars(decades, "decades that relative errors spread"),

@@ -30,7 +30,7 @@ from chdstat.samples import Samples
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.tiles import tiles
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, require, required
+from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.log_chds import aligned, shape_plot
 from chdstat.studies.scene_data import (
     BSDF_SAMPLING,
@@ -75,7 +75,7 @@ _NO_TIMES = "needs times of the renders, by the scalar backend"
     "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
     paired=True,
 )
-def lengths(data: SceneData) -> Measurement:
+def lengths(data: SceneData) -> Finding:
     """Compare pixel by pixel with an image of the same view with shorter paths."""
     (shorter, short), long = _shorter(data), data.summary
     whole, changes = data.whole(tests=4), _changes(long, short)
@@ -94,7 +94,7 @@ def lengths(data: SceneData) -> Measurement:
     seconds = [_seconds_per_sample(samples) for samples in renders]
     integrators = [samples.attrs.get("integrator") for samples in renders]
     bars = {n: m for n, v in changes.items() if np.isfinite(m := known_mean(v))}
-    return Measurement(
+    return Finding(
         tests,
         details={
             "time_ratio": seconds[1] / seconds[0] if seconds[0] and seconds[1] else None,
@@ -177,7 +177,7 @@ def _seconds_per_sample(samples: Samples) -> float | None:
     spp=32,
     paired=True,
 )
-def cost(data: SceneData) -> Measurement:
+def cost(data: SceneData) -> Finding:
     """Compare mean radiance and time with those of the same view with shorter paths."""
     (shorter, short), long = _shorter(data), data.summary
     whole = data.whole(tests=2)
@@ -193,7 +193,7 @@ def cost(data: SceneData) -> Measurement:
         time = Interval(slower, slower / _TIMING, slower * _TIMING, whole.level)
         tests.append(ClaimTest("time per sample over that of shorter paths", time, least=1.0))
     values = {test.name.split(" over")[0]: test.interval.value for test in tests}
-    return Measurement(
+    return Finding(
         tuple(tests),
         () if timed else (_NO_TIMES,),
         details={"seconds_per_sample": seconds},
@@ -222,7 +222,7 @@ exist, and a test with enough samples would find them, but they change nothing i
     paired=True,
     once=True,
 )
-def integrators(data: SceneData) -> Measurement:
+def integrators(data: SceneData) -> Finding:
     """Compare the shapes of integrators, and the time until their averages are Gaussian."""
     require(
         data.integrators,
@@ -268,7 +268,7 @@ def integrators(data: SceneData) -> Measurement:
         name = f"log {_SLOWEST}, {BSDF_SAMPLING} over lights, too"
         tests.append(ClaimTest(name, sooner[BSDF_SAMPLING], least=0.0, unit="decade"))
     bars = {name: i.value for name, i in (sooner or fewer).items()}
-    return Measurement(
+    return Finding(
         tuple(tests),
         tuple(missing),
         details={
@@ -303,7 +303,7 @@ _SHUFFLES = 999
     paired=True,
     once=True,
 )
-def correlated(data: SceneData) -> Measurement:
+def correlated(data: SceneData) -> Finding:
     """Compare the variance of averages of spread samples with that of as many independent ones."""
     spread = required(
         data.spread,
@@ -336,7 +336,7 @@ def correlated(data: SceneData) -> Measurement:
     sampler = spread.attrs.get("sampler", "spreading")
     name = f"variance of an average of {length} over that of independent samples ({sampler})"
     bars = {n: i.value for n, i in ({"image": ratio} | by_region).items()}
-    return Measurement(
+    return Finding(
         (ClaimTest(name, ratio, most=1.0),),
         p_value=tested.pop("p_value"),
         details={
@@ -491,7 +491,7 @@ _TURN, _STEP, _PAINT = 0.9, 0.1, 0.1
     "CHDs have more modes in more complex scenes.",
     across=True,
 )
-def complexity(scenes: Sequence[SceneData]) -> Measurement:
+def complexity(scenes: Sequence[SceneData]) -> Finding:
     """Correlate the mean number of modes of the scenes with their complexity."""
     require(len(scenes) >= _SCENES, f"{_SCENES} scenes to rank, there are {len(scenes)}")
     complexity = np.array([scene_complexity(data) for data in scenes])
@@ -508,7 +508,7 @@ def complexity(scenes: Sequence[SceneData]) -> Measurement:
     correlation, p_value = rank_correlation(complexity[known], modes[known])
     names = [data.name for data in scenes]
     points = {name: (complexity[[i]], modes[[i]]) for i, name in enumerate(names)}
-    return Measurement(
+    return Finding(
         (ClaimTest("rank correlation of modes with scene complexity", correlation, least=0.0),),
         p_value=p_value,
         details={
@@ -586,7 +586,7 @@ _LEAST = 64
     "Shapes of CHDs are specific to the scene, and depend on the integrator.",
     across=True,
 )
-def scenes(scenes: Sequence[SceneData]) -> Measurement:
+def scenes(scenes: Sequence[SceneData]) -> Finding:
     """Classify scenes by shapes, and compare shapes of integrators pixel by pixel."""
     level, tests, missing = level_of(2), list[ClaimTest](), list[str]()
     details: dict[str, Any] = {"scenes": [data.name for data in scenes]}
@@ -623,7 +623,7 @@ def scenes(scenes: Sequence[SceneData]) -> Measurement:
         if len(of_scene)
     }
     plot = shape_plot(means)
-    return Measurement(tuple(tests), tuple(missing), p_value, details=details, plot_data=plot)
+    return Finding(tuple(tests), tuple(missing), p_value, details=details, plot_data=plot)
 
 
 def _scene_accuracy(

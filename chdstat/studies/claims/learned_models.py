@@ -29,7 +29,7 @@ from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, require, required
+from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["guided", "learned_model", "reduction"]
@@ -50,20 +50,20 @@ _EARLY = 0.1
     subject="this training on this image, judged on its other pixels: other scenes may differ",
     once=True,
 )
-def learned_model(data: SceneData) -> Measurement:
+def learned_model(data: SceneData) -> Finding:
     """Read majority, fireflies, training and denoising off a comparison."""
     comparison = required(data.comparison, "a comparison of estimators")
     learned = [name for name in comparison.estimators if name in comparison.models]
     return _papers({name: _worth(data, comparison, name) for name in learned})
 
 
-def _papers(measured: dict[str, Measurement]) -> Measurement:
-    """Return the measurement of the paper's model, with those of the others."""
-    missing = Measurement(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
+def _papers(measured: dict[str, Finding]) -> Finding:
+    """Return the finding on the paper's model, with those of the others."""
+    missing = Finding(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
     return replace(measured.pop(PAPER, missing), other_models=measured)
 
 
-def _worth(data: SceneData, comparison: Comparison, name: str) -> Measurement:
+def _worth(data: SceneData, comparison: Comparison, name: str) -> Finding:
     """Test what one estimator that learned is worth."""
     index, level = comparison.estimators.index(name), level_of(4)
     improved, left = (_read(comparison, m, index, level) for m in ("improved", "fireflies_left"))
@@ -90,7 +90,7 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Measurement:
     except ChdstatError as error:
         missing.append(f"needs a denoiser: {error}")
     bias = float(comparison.measures["bias"].value[index, -1])
-    return Measurement(
+    return Finding(
         tuple(tests),
         tuple(missing),
         details={"estimator": name, "n": comparison.n, "bias": bias},
@@ -188,7 +188,7 @@ _FEWER_LEVELS = (LEVELS[0], 1.0, LEVELS[-1])
     subject="this training on this image: the network itself, whatever the scene shows",
     once=True,
 )
-def reduction(data: SceneData) -> Measurement:
+def reduction(data: SceneData) -> Finding:
     """Give the model constant images, the samples in another order, and in another unit."""
     comparison = required(data.comparison, "a comparison of estimators")
     learned = [n for n in comparison.estimators if n in comparison.models or n in names("learned")]
@@ -200,7 +200,7 @@ def reduction(data: SceneData) -> Measurement:
     return replace(_papers(measured), plot_data=PlotData("curves", series, *labels))
 
 
-def _reduction(data: SceneData, comparison: Comparison, name: str) -> Measurement:
+def _reduction(data: SceneData, comparison: Comparison, name: str) -> Finding:
     """Test whether one estimator that learned is the mean where there is no pattern."""
     anew = name not in comparison.models
     edge, levels = (_EDGE_TO_LEARN, _FEWER_LEVELS) if anew else (_EDGE, LEVELS)
@@ -215,7 +215,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Measuremen
         constants[level] = _largest(deviation, np.full(deviation.shape, level))
     good = ~is_bad(x).any(axis=(-2, -1))
     if not good.any():
-        return Measurement(missing=("needs pixels without bad samples",))
+        return Finding(missing=("needs pixels without bad samples",))
     first = estimate(x)[good]
 
     def changes(convert: Callable[[Array], Array], factor: float = 1.0) -> Floats:
@@ -248,7 +248,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Measuremen
     step = first - x[good].mean(axis=-1, dtype=np.float64)
     # Deviations of 0 are drawn at the lower border.
     shown = np.log10(np.maximum(list(constants.values()), 1e-8))
-    return Measurement(
+    return Finding(
         tuple(tests),
         () if scaled else ("needs radiance that may be 1024 times as bright or dark",),
         details={
@@ -334,7 +334,7 @@ _SAME = 1.1
     subject="this training on this image, judged on its other pixels: other scenes may differ",
     once=True,
 )
-def guided(data: SceneData) -> Measurement:
+def guided(data: SceneData) -> Finding:
     """Compare relMSE over the mean's on guided samples with that on as many of the image's."""
     pair = data.with_guided
     comparison = required(data.comparison, "a comparison of estimators")
@@ -353,7 +353,7 @@ def guided(data: SceneData) -> Measurement:
     return _papers({name: _holds(own, by_guide, name) for name in learned})
 
 
-def _holds(own: Comparison, guided: Comparison, name: str) -> Measurement:
+def _holds(own: Comparison, guided: Comparison, name: str) -> Finding:
     """Compare what a model is worth in two comparisons, whose samples are independent."""
     index, level = own.estimators.index(name), level_of(1)
     errors = [_read(found, "relmse_ratio", index, level) for found in (own, guided)]
@@ -365,7 +365,7 @@ def _holds(own: Comparison, guided: Comparison, name: str) -> Measurement:
         ratio = Interval(larger, larger / reach, larger * reach, level)
     test = "error over the mean's, on guided samples over others"
     values = {"own": before, "guided": after}
-    return Measurement(
+    return Finding(
         (ClaimTest(test, ratio, most=_SAME),),
         details={"estimator": name, "n": own.n, "relmse_over_mean": values},
         plot_data=PlotData.bars(values, "relMSE over the mean's"),

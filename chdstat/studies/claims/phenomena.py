@@ -25,7 +25,7 @@ from chdstat.inference import modality
 from chdstat.patterns import Thresholds
 from chdstat.studies.claim import Claim, claim
 from chdstat.studies.claims.assumptions import growing, with_room
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, level_of, require, required
+from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.log_chds import aligned, counts_by_row, same_shape, shape_plot, visible
 from chdstat.studies.scene_data import (
     QUANTILES_NEED,
@@ -104,7 +104,7 @@ gallery, "low numbers" in the white room by day, for which the paper gives no fi
     "where large sources light the scene.",
     spp=32,
 )
-def nulls(data: SceneData) -> Measurement:
+def nulls(data: SceneData) -> Finding:
     """Compare the share of nulls with what the paper reports of such a scene."""
     expected, where = _EXPECTED.get(data.name.removeprefix("real-")), "the image"
     if expected is None:
@@ -118,7 +118,7 @@ def nulls(data: SceneData) -> Measurement:
         every = PixelSet.of(data.regions, *data.samples.shape[:2])
         by_region = every.by_region(every.take(image))
     everywhere = known_mean(image)
-    return Measurement(
+    return Finding(
         (ClaimTest(f"share of nulls in {where}", patch.mean(patch.take(image)), *expected),),
         details={"by_region": by_region, "image": None if math.isnan(everywhere) else everywhere},
         plot_data=PlotData.bars(by_region, "share of nulls"),
@@ -131,7 +131,7 @@ def nulls(data: SceneData) -> Measurement:
     "CHDs of indirect light have long tails, high kurtosis, negative skew in the log domain, "
     "and many nulls.",
 )
-def indirect(data: SceneData) -> Measurement:
+def indirect(data: SceneData) -> Finding:
     """Measure tail, kurtosis, skewness of logarithms and nulls in indirect light."""
     patch = data.patch("indirect", "of indirect light", tests=4)
     x = data.light(patch)
@@ -155,7 +155,7 @@ def indirect(data: SceneData) -> Measurement:
     ordered = np.sort(skewness[np.isfinite(skewness)])
     rank = (np.arange(len(ordered)) + 0.5) / max(len(ordered), 1)
     curve = {"pixels": (ordered, rank)}
-    return Measurement(
+    return Finding(
         (
             ClaimTest("quantile at 99 % over median", patch.median(tail), least=_TAIL),
             # That of the exponential distribution. Nulls would add to it; they have a test of their
@@ -186,7 +186,7 @@ _RATIO = np.linspace(0, 8, 641)
     "CHDs of diffuse objects are symmetric and close to Gaussian in the log domain, and "
     "gamma-like with a mode below the mean in the linear one.",
 )
-def diffuse(data: SceneData) -> Measurement:
+def diffuse(data: SceneData) -> Finding:
     """Measure skewness and distance to Gaussian of logarithms, and likeness to gamma."""
     patch = data.patch("diffuse", "of diffuse objects", tests=4)
     x = visible(data.light(patch))
@@ -225,7 +225,7 @@ def diffuse(data: SceneData) -> Measurement:
         "diffuse": (centers, counts / (counts.sum() * (_Z[1] - _Z[0]))),
         "Gaussian": (centers, np.exp(-(centers**2) / 2) / np.sqrt(2 * np.pi)),
     }
-    return Measurement(
+    return Finding(
         (
             # Fairly symmetric (Bulmer, "Principles of Statistics", 1979, page 63).
             ClaimTest("skewness of log radiance", mean, -0.5, 0.5),
@@ -271,7 +271,7 @@ def _distance(counts: Floats, distribution: Floats) -> Floats:
     "CHDs of glossy objects have the shape of diffuse ones, with channels moved apart and a "
     "spread that follows their radiance.",
 )
-def glossy(data: SceneData) -> Measurement:
+def glossy(data: SceneData) -> Finding:
     """Compare glossy with diffuse shapes, and the channels with each other."""
     which = "of glossy and one of diffuse objects"
     patches = {name: data.patch(name, which, tests=3) for name in ("glossy", "diffuse")}
@@ -285,7 +285,7 @@ def glossy(data: SceneData) -> Measurement:
     log_mean = logs(_moments(x).mean)
     known = {name: chds[chds.known].whole for name, chds in shapes.items() if chds.known.any()}
     channels = enumerate(data.samples.channels)
-    return Measurement(
+    return Finding(
         (
             same_shape("distance between glossy and diffuse shapes", distance),
             _cast(data, glossy, x),
@@ -321,7 +321,7 @@ def _spread_slope(x: Floats, pixels: PixelSet) -> Interval[float]:
     "noisy reflections",
     "All pixels of a noisy reflection share one shape of the CHD, though their estimates vary.",
 )
-def reflections(data: SceneData) -> Measurement:
+def reflections(data: SceneData) -> Finding:
     """Measure how far the shapes in a reflection differ, and how noisy it is."""
     patch = data.patch("noisy-reflection", "with a noisy reflection", tests=2)
     x = data.light(patch)
@@ -332,7 +332,7 @@ def reflections(data: SceneData) -> Measurement:
         variation = np.asarray(np.sqrt(moments.variance) / mean)
     spread, noise = shape_spread(shapes, patch), patch.median(variation)
     some = shapes.whole[shapes.known][:64]
-    return Measurement(
+    return Finding(
         (
             same_shape("distance of a pixel's shape to that of the region", spread),
             # That of an exponential distribution, whose average of 32 samples scatters by 18 %.
@@ -351,7 +351,7 @@ def reflections(data: SceneData) -> Measurement:
     "penumbrae",
     "CHDs in a penumbra are bimodal, with weights of the modes that follow the position across it.",
 )
-def penumbrae(data: SceneData) -> Measurement:
+def penumbrae(data: SceneData) -> Finding:
     """Count bimodal pixels, and correlate the weight of the bright mode with the position.
 
     One half of the samples says where the border between the modes is and which way the penumbra
@@ -374,7 +374,7 @@ def penumbrae(data: SceneData) -> Measurement:
             known = np.flatnonzero(here & np.isfinite(values))
             rank[known] = stats.rankdata(values[known]) / max(len(known), 1)
     follows, name = patch.correlation(*ranks), "weight of the bright mode"
-    return Measurement(
+    return Finding(
         (
             ClaimTest("share of bimodal pixels", bimodal, least=_MAJORITY),
             # Half of the variance of the ranks.
@@ -433,7 +433,7 @@ _CONTRAST = 0.1
     "A coloured texture moves the log CHD but does not change its shape, and albedo does not "
     "tell the relative variance.",
 )
-def textures(data: SceneData) -> Measurement:
+def textures(data: SceneData) -> Finding:
     """Compare shapes of channels, of dark and pale surfaces, and relative variance with albedo."""
     needed = "first-hit albedo of each channel"
     albedo = required(data.feature("albedo"), needed)
@@ -461,7 +461,7 @@ def textures(data: SceneData) -> Measurement:
         distance = pooled_distance(shapes, blocks, level=patch.level)
         tests.append(same_shape("distance between the shapes of dark and pale", distance))
     channels = enumerate(data.samples.channels)
-    return Measurement(
+    return Finding(
         tuple(tests),
         details={"regions": list(patch.names), "pixels": len(patch)},
         plot_data=PlotData(
@@ -635,7 +635,7 @@ class Statement:
 def _claim(number: int, name: str, words: str, *statements: Statement, cast: str = "") -> Claim:
     """Return the claim that all statements hold, and that a phenomenon has a colour cast."""
 
-    def measure(data: SceneData) -> Measurement:
+    def measure(data: SceneData) -> Finding:
         return _tested(data, statements, cast=cast)
 
     # Reports print the first line as the method.
@@ -715,7 +715,7 @@ CASE_STUDY = (
 """Claims on single regions; each is supported where all its statements are."""
 
 
-def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> Measurement:
+def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> Finding:
     """Test statements, and that the channels of a phenomenon are shifted, if one is named."""
     count = len(statements) + bool(cast)
     names = {s.phenomenon for s in statements} | {s.against for s in statements} - {""}
@@ -730,7 +730,7 @@ def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> M
     if cast:
         tests.append(_cast(data, sets[cast], data.radiance(sets[cast])))
     curves = {name: _density(x[name]) for name in sets}
-    return Measurement(
+    return Finding(
         tuple(tests),
         details={"means": means, "pixels": {name: len(patch) for name, patch in sets.items()}},
         plot_data=PlotData("curves", curves, "log10 radiance", "density"),
@@ -762,7 +762,7 @@ def _difference(values: Sequence[Floats], sets: Sequence[PixelSet]) -> Interval[
     "CHDs of indirect light have one shape all over a room, and vary more than those of "
     "direct light.",
 )
-def similarity(data: SceneData) -> Measurement:
+def similarity(data: SceneData) -> Finding:
     """Compare the shapes of indirect regions with each other, and their noise with direct light."""
     which = "of indirect light and another far from it"
     indirect, direct = data.patch("indirect", which, tests=2), _pixels(data, "direct", 2)
@@ -787,7 +787,7 @@ def similarity(data: SceneData) -> Measurement:
         for name, part in zip(indirect.names, parts, strict=True)
         if (part & shapes.known).any()
     }
-    return Measurement(
+    return Finding(
         (
             same_shape(
                 "largest distance between the shapes of two regions",
@@ -806,14 +806,14 @@ def similarity(data: SceneData) -> Measurement:
     "CHDs of light that comes by several bounces have several modes and one shape in all "
     "channels, in spite of a colour cast.",
 )
-def bounces(data: SceneData) -> Measurement:
+def bounces(data: SceneData) -> Finding:
     """Count modes where light comes by several bounces, and compare the channels' shapes."""
     patch = data.patch("multi-bounce", "lit by several bounces", tests=3)
     require(data.samples.shape[2] > 1, "several channels")
     x = data.radiance(patch)
     several = patch.mean(_several(np.asarray(luminance(x))))
     curves = {name: _density(x[:, i]) for i, name in enumerate(data.samples.channels)}
-    return Measurement(
+    return Finding(
         (
             ClaimTest("share of multimodal pixels", several, least=_MAJORITY),
             same_shape(

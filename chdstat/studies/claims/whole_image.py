@@ -12,7 +12,7 @@ from chdstat._core.reasons import flag_names
 from chdstat._core.resampling import LEVEL, Interval, largest_of
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Measurement, PlotData, require, required
+from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 
@@ -37,7 +37,7 @@ _FOLDS = 4
     "fireflies",
     "A firefly and the pixel next to it have nearly the same CHD, though their estimates differ.",
 )
-def fireflies(data: SceneData) -> Measurement:
+def fireflies(data: SceneData) -> Finding:
     """Compare CHDs of pixels with a firefly with those next to them: distances, and true means.
 
     Rare bright samples make a firefly, and hardly change a distance of distribution functions; they
@@ -71,7 +71,7 @@ def fireflies(data: SceneData) -> Measurement:
     shown = {"firefly": place, "neighbour": int(partner[place])}
     curves = {name: (edges, chds[pixel].whole) for name, pixel in shown.items()}
     name = "mean radiance of a firefly over its neighbour's, in other samples"
-    return Measurement(
+    return Finding(
         (
             same_shape(
                 "distance between the CHDs of a firefly and its neighbour",
@@ -172,7 +172,7 @@ _ON_EDGES = 30
     "neighbours",
     "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
 )
-def neighbours(data: SceneData) -> Measurement:
+def neighbours(data: SceneData) -> Finding:
     """Compare neighbours with other pixels, and pixels on edges with blends of both sides."""
     chds, whole = data.chds, data.whole(tests=2)
     near = _near(chds)
@@ -195,9 +195,7 @@ def neighbours(data: SceneData) -> Measurement:
         tests.append(ClaimTest("share explained by a blend of both sides", blend, least=0.75))
     shown = {"distance to neighbours": (np.empty(0), np.sqrt(np.maximum(near, 0)))}
     details = {"edge_pixels": len(left)}
-    return Measurement(
-        tuple(tests), tuple(missing), details=details, plot_data=PlotData("map", shown)
-    )
+    return Finding(tuple(tests), tuple(missing), details=details, plot_data=PlotData("map", shown))
 
 
 def _near(chds: LogChds) -> Floats:
@@ -251,7 +249,7 @@ _CELLS = (4, 2)
     "In a scene of symmetric geometry, CHDs are not symmetric everywhere.",
     spp=32,
 )
-def symmetry(data: SceneData) -> Measurement:
+def symmetry(data: SceneData) -> Finding:
     """Compare CHDs of pixels with those of their mirror images, where geometry is symmetric."""
     depth, albedo = (
         required(data.feature(n), "first-hit depth, albedo") for n in ("depth", "albedo")
@@ -286,7 +284,7 @@ def symmetry(data: SceneData) -> Measurement:
     largest = largest_of(means_by_region(values[used], blocks), blocks).root()
     name = "largest distance between CHDs of mirrored parts of the image"
     image = np.sqrt(np.maximum(square, 0))
-    return Measurement(
+    return Finding(
         (ClaimTest(name, largest, least=SAME_SHAPE, unit="decade^1/2"),),
         details={"symmetric_share": share, "parts": len(np.unique(blocks.region))},
         plot_data=PlotData("map", {"distance to the mirror image": (image, image)}),
@@ -302,7 +300,7 @@ def symmetry(data: SceneData) -> Measurement:
     "The most frequent elementary distribution is the gamma distribution.",
     once=True,
 )
-def families(data: SceneData) -> Measurement:
+def families(data: SceneData) -> Finding:
     """Compare the share of gamma among the best families with that of the next frequent one.
 
     The details have other readings of "gamma-like": gamma and Weibull together are the generalised
@@ -341,7 +339,7 @@ def families(data: SceneData) -> Measurement:
         others["gamma_by_held_out_likelihood"] = share_of(["gamma"], held_out)
     level = {"level": LEVEL}
     bars = {name: share.value for name, share in shares.items()}
-    return Measurement(
+    return Finding(
         (ClaimTest("share of gamma less that of the next family", least, least=0.0),),
         details={
             "shares": {name: share.to_dict() | level for name, share in shares.items()},

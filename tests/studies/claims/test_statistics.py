@@ -28,7 +28,7 @@ from chdstat.studies.claims import CLAIMS, ClaimTest, SceneData
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
 from chdstat.studies.claims.between_renders import rank_correlation, scene_complexity
 from chdstat.studies.claims.learned_models import early_gain
-from chdstat.studies.findings import Measurement, level_of
+from chdstat.studies.findings import Finding, level_of
 from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
 from chdstat.studies.scene_data import PixelSet
 from chdstat.studies.shape_distances import (
@@ -416,7 +416,7 @@ def test_an_open_interval_supports_and_refutes_nothing_above():
     test = ClaimTest("tail", Interval(4.0, 3.5, np.inf), least=6)
     assert test.verdict == "cannot tell"
     assert "3.5 or more" in str(test)
-    reason = Measurement((test,)).reason(512)
+    reason = Finding((test,), spp=512).reason
     assert "512 spp do not show how far its tail reaches" in reason
     assert ClaimTest("tail", Interval(8.0, 7.5, np.inf), least=6).verdict == "supported"
 
@@ -425,7 +425,7 @@ def test_advice_looks_at_the_side_that_reaches_over_the_border():
     """The interval would not reach the border with a third of its upper arm; the lower is short."""
     test = ClaimTest("share", Interval(0.3, 0.29, 0.51), most=0.5)
     assert test.margin == pytest.approx(0.2 / 0.21)
-    assert "about 1024 spp would decide" in Measurement((test,)).reason(512)
+    assert "about 1024 spp would decide" in Finding((test,), spp=512).reason
 
 
 def test_a_claim_is_as_strong_as_its_weakest_part():
@@ -433,13 +433,13 @@ def test_a_claim_is_as_strong_as_its_weakest_part():
         ClaimTest("x", Interval(0.5, low, high), least=0.0)
         for low, high in ((0.1, 1.0), (-1.0, -0.1), (-1.0, 1.0))
     )
-    assert Measurement((good, good)).verdict == "supported"
-    assert Measurement((good, open_)).verdict == "cannot tell"
-    assert Measurement((good, open_, bad)).verdict == "not supported"
-    assert Measurement((good,), ("needs light",)).verdict == "cannot tell"
-    assert Measurement((bad,), ("needs light",)).verdict == "not supported"
-    assert Measurement((good, open_)).deciding is open_
-    assert Measurement().deciding is None
+    assert Finding((good, good)).verdict == "supported"
+    assert Finding((good, open_)).verdict == "cannot tell"
+    assert Finding((good, open_, bad)).verdict == "not supported"
+    assert Finding((good,), ("needs light",)).verdict == "cannot tell"
+    assert Finding((bad,), ("needs light",)).verdict == "not supported"
+    assert Finding((good, open_)).test is open_
+    assert Finding().test is None
 
 
 def test_json_has_no_numbers_that_are_none():
