@@ -31,7 +31,7 @@ from chdstat.explorer.view import PixelIndex
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, get_family
 from chdstat.fit.goodness_of_fit import FitTest, GoodnessOfFit
-from chdstat.fit.selection import FamilySelection, Selection
+from chdstat.fit.selection import FEWEST_SHOWN, FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex
 from chdstat.inference.averages import NormalityOfMeans
 from chdstat.inference.modes import Modality, ModalMixture, Modes
@@ -41,7 +41,7 @@ from chdstat.patterns.classification import Classification
 from chdstat.patterns.definitions import firefly_limit
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.runner import measured
-from chdstat.viz.chd import FEWEST_FITTED, log_support
+from chdstat.viz.chd import log_support
 
 __all__ = [
     "FINITE",
@@ -220,7 +220,7 @@ class PlaceStatistics:
 
         None where the samples are constant, as families then describe rounding, or too few.
         """
-        if self.constant[row] or self.part.n[row] < FEWEST_FITTED:
+        if self.constant[row] or self.part.n[row] < FEWEST_SHOWN:
             return None
         selection = self.selection
         if family == "best":

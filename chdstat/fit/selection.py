@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "FEWEST_SHOWN",
     "FamilySelection",
     "HeldOut",
     "HeldOutLikelihood",
@@ -48,6 +49,8 @@ __all__ = [
 
 Criterion = Literal["aic", "bic", "held_out"]
 
+FEWEST_SHOWN = 16
+"""Positive samples from which a fit is worth showing: any curve describes fewer."""
 _NAMES = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}
 
 

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import is_bad, is_null, take_rows
+from chdstat._core.arrays import is_bad, is_null, luminance, take_rows
 from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import Selection, select
+from chdstat.fit.families import FAMILIES, Fit
+from chdstat.fit.mixtures import mixture
+from chdstat.fit.selection import FEWEST_SHOWN, Selection, select
 from chdstat.fit.tail import Tail, tail_index
 from chdstat.inference.modes import Modality, modality
 from chdstat.patterns.attribution import By, by_part, groups_of, part_names, shares
@@ -203,6 +204,22 @@ class Pixel(Shown):
         """The samples; NaN in all channels where one is bad."""
         return np.where(self.bad, np.float32(np.nan), self.radiance)
 
+    @cached_property
+    def curve(self) -> Fit | None:
+        """What describes its luminance best: a mixture where this has several modes, else a family.
+
+        None where too few samples are positive, or there are neither 1 nor 3 channels.
+        """
+        if len(self.channels) not in (1, 3):
+            return None
+        light = np.asarray(luminance(self._good.astype(np.float64)))
+        if (light > 0).sum() < FEWEST_SHOWN:
+            return None
+        if Label(int(self.patterns.label)) in (Label.BIMODAL, Label.MULTIMODAL):
+            return mixture(light)
+        found = select(light)
+        return found.fits.get(str(found.names))
+
     def plot(
         self,
         *,
@@ -237,13 +254,18 @@ class Pixel(Shown):
     def panel(self, title: str) -> Panel:
         """Return what `chdstat.viz.chd_grid` draws of it: histograms, best fits and means."""
         from chdstat import viz
+        from chdstat.viz.estimators import called
 
-        fits = [
-            None if not name else take_rows(self.selection.fits[name], i, axis=0).pdf
-            for i, name in enumerate(self.families.values())
-        ]
-        note = f"{percent(self.null_share)} null, {self.best_families or 'no fit'}"
-        return viz.Panel.of(title, self.radiance, channels=self.channels, fits=fits, note=note)
+        if len(self.channels) == 1:
+            fits = [self.curve]
+        else:
+            best = enumerate(self.families.values())
+            fits = [take_rows(self.selection.fits[n], i, axis=0) if n else None for i, n in best]
+            fits.append(self.curve)  # of the luminance that a panel adds
+        named = [called(fit.name) for fit in fits[: len(self.channels)] if fit is not None]
+        note = f"{percent(self.null_share)} null, {' / '.join(dict.fromkeys(named)) or 'no fit'}"
+        densities = [None if fit is None else fit.pdf for fit in fits]
+        return viz.Panel.of(title, self.radiance, channels=self.channels, fits=densities, note=note)
 
     def _card(self) -> Card:
         mean, error = (self.statistics[name].values for name in ("mean", "standard_error"))

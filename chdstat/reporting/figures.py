@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import viz
-from chdstat._core.arrays import is_bad, luminance, take_rows
+from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.display import number, percent
 from chdstat._core.files import replacing, unused, writing
 from chdstat.analysis import Overview, save
@@ -25,7 +25,6 @@ from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.estimators.registry import Estimates
-from chdstat.fit import mixture, select
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
 from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, with_others
@@ -34,9 +33,8 @@ from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.studies import SceneStudy
 from chdstat.summary.histograms import histogram
-from chdstat.viz.chd import FEWEST_FITTED, SCALES
+from chdstat.viz.chd import SCALES
 from chdstat.viz.estimators import NAMES, called, estimator_name
-from chdstat.viz.maps import names_of
 from chdstat.viz.styling import spelt, upright
 
 if TYPE_CHECKING:
@@ -60,8 +58,6 @@ _BATCH, _BATCHES = 32, 64
 """Samples of a batch, and batches of a pixel, as in the first figure of Elek et al. 2019."""
 _PIXELS = 5
 """Pixels whose batches are shown."""
-_SEVERAL = ("bimodal", "multimodal")
-"""Labels of pixels whose curve is that of a mixture."""
 _COMPARED = 4
 """Regions whose CHDs of shorter and of longer paths stand over each other."""
 _PAIR = 5.2
@@ -120,34 +116,6 @@ def report_figures(
     return drawn
 
 
-def _luminance_panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
-    """Return the CHD of the luminance of a region's pixel, with the curve that describes it best.
-
-    That is a mixture where the pixel has several modes, else a family.
-    """
-    y, x = mark.pixel
-    here = data.analysis.isel(y=y, x=x)
-    block = data.samples[y, x]
-    bad = is_bad(block).any(axis=0)
-    light = np.where(bad, np.nan, luminance(block.astype(np.float64)))[np.newaxis]
-    fitted, words = None, ""
-    if names_of(here["label"])[int(here["label"])] in _SEVERAL:
-        fitted, words = mixture(light[0]), "mixture"
-    elif (light > 0).sum() >= FEWEST_FITTED:
-        selected = select(light)
-        name = str(selected.names[0])
-        fitted = take_rows(selected.fits[name], 0, axis=0) if name else None
-        words = called(name)
-    spread = float(here["coefficient_of_variation"])
-    known = f"SD/mean {number(spread)}" if np.isfinite(spread) else ""
-    nulls = f"{percent(float(here['null_share']))} null"
-    note = ", ".join(filter(None, (nulls, known)))
-    if len(mark.name) + len(note) + len(words) < _TITLE:
-        note += f", {words}" * bool(words)
-    fits = [] if fitted is None else [fitted.pdf]
-    return viz.Panel.of(mark.name, light, channels=["luminance"], fits=fits, note=note)
-
-
 def _marks(data: SceneData) -> list[viz.Mark]:
     shape = data.samples.shape[:2]
     return [
@@ -158,9 +126,16 @@ def _marks(data: SceneData) -> list[viz.Mark]:
 
 def region_figure(data: SceneData) -> Figure:
     """Draw the regions of a scene, each with the CHD of the pixel in its middle."""
-    image = data.summary["mean"].values
-    panels = [_luminance_panel(data, mark) for mark in _marks(data)]
-    return viz.region_study(image, _marks(data), panels)
+    marks, notes = _marks(data), []
+    pixels = [data.samples.pixel(*mark.pixel) for mark in marks]
+    for mark, pixel in zip(marks, pixels, strict=True):
+        spread = number(float(data.analysis["coefficient_of_variation"][mark.pixel]))
+        note = f"{percent(pixel.null_share)} null" + f", SD/mean {spread}" * (spread != "—")
+        words = "" if pixel.curve is None else called(pixel.curve.name)
+        room = len(mark.name) + len(note) + len(words) < _TITLE
+        notes.append(note + f", {words}" * (bool(words) and room))
+    panels = [pixel.panel(mark.name) for mark, pixel in zip(marks, pixels, strict=True)]
+    return viz.region_study(data.summary["mean"].values, marks, panels, notes=notes)
 
 
 def _noise_maps(found: xr.Dataset) -> Figure:

@@ -43,7 +43,6 @@ from chdstat.viz.styling import (
 
 __all__ = [
     "DASHES",
-    "FEWEST_FITTED",
     "LINES",
     "MEAN",
     "SCALES",
@@ -65,9 +64,6 @@ __all__ = [
     "scales_of",
     "share_radiance",
 ]
-
-FEWEST_FITTED = 16
-"""Positive samples from which a family is worth showing: any curve describes fewer."""
 
 Density = Callable[[Array], Array]
 """Of the positive samples, per unit of radiance."""

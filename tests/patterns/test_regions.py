@@ -34,3 +34,20 @@ def test_without_places_there_is_one_for_each_pattern():
     assert len(study.pixels) == len(np.unique(labels))
     with pytest.raises(InputError, match="at least one region"):
         SAMPLES.regions({})
+
+
+def test_the_curve_of_luminance_is_a_mixture_where_it_has_several_modes():
+    """For regions of a report and of a notebook alike; few positive samples have none."""
+    rng = np.random.default_rng(1)
+    x = rng.lognormal(size=(2, 2, 3, 256))
+    x[0] *= np.where(rng.random((2, 1, 256)) < 0.5, 100, 1)
+    x[1, 1, :, 12:] = 0
+    samples = chd.Samples.from_array(x)
+    pixels = [samples.pixel(*place) for place in ((0, 0), (1, 0), (1, 1))]
+    assert [pixel.curve and pixel.curve.name for pixel in pixels] == [
+        *("lognormal_mixture", "lognormal"),
+        None,
+    ]
+    assert all(pixel.panel("wall").select("luminance").fits[0] for pixel in pixels[:2])
+    grey = chd.Samples.from_array(x[:, :, :1]).pixel(0, 0)
+    assert "mixture" in grey.panel("wall").note
