@@ -76,7 +76,7 @@ def flip(image: Array, reference: Array) -> Array:
     shape = (*reference.shape[:2], 3)
     shown = (
         np.array(np.broadcast_to(np.maximum(x, 0), shape), np.float32, order="C")
-        for x in (reference, np.nan_to_num(image, posinf=0))
+        for x in (reference, image)
     )
     found, _, _ = evaluator.evaluate(*shown, "HDR", applyMagma=False, computeMeanError=False)
     return np.asarray(found, np.float64).reshape(shape[:2])
@@ -367,7 +367,8 @@ def bench(
     :math:`\overline{((p - y)^2 - v) / (y^2 + 0.01\, m^2)}`, without the noise of the reference, and
     ``smape`` :math:`\overline{2 |p - y| / (|p| + |y| + 0.01\, m)}`, with it. Where
     ``flip-evaluator`` is installed (``pip install chdstat[flip]``), ``flip`` is what an observer
-    sees of the differences (Andersson et al. 2021, doi:10.2312/egs.20211015).
+    sees of the differences (Andersson et al. 2021, doi:10.2312/egs.20211015). Pixels without a
+    reference do not count; where an estimate is no number, it counts as black.
 
     Parameters
     ----------
@@ -390,7 +391,8 @@ def bench(
     references
         By scene: a converged image as an EXR file or an array (y, x, channel), or more samples as
         `Samples` or a store. The noise of an image is unknown, and part of the errors. Without one,
-        scenes are rendered with another seed; of given samples, those after the first are taken.
+        scenes are rendered with another seed; of given samples, and of a reference that has the
+        seed of the samples, those after the first are taken.
     reference_spp
         Samples of a rendered reference.
     images
@@ -495,14 +497,23 @@ class _Inputs:
 
     def reference(self, name: str, scene: Any, given: Any) -> tuple[Array, Array]:
         """Return a reference (y, x, channel) and its variance, 0 where that is unknown."""
-        more = _held(given)
+        more, held = _held(given), _held(scene)
         if more is not None:
-            return _mean(more)
+            seed, own = more.attrs.get("seed"), range(self.seed, self.seed + self.seeds)
+            same = seed in own if held is None else seed == held.attrs.get("seed")
+            # Sample i of both would have the same random numbers: those after them judge.
+            first = self.numbers[-1] if same and seed is not None else 0
+            if more.spp < 2 * first:
+                message = (
+                    f"the reference of {name} has its seed, {seed}, and {more.spp} samples per "
+                    f"pixel; give one of another seed, or of {2 * first} samples or more"
+                )
+                raise InputError(message)
+            return _mean(more.isel(sample=slice(first, None)))
         if given is not None:
             named = isinstance(given, str | Path)
             image = np.asarray(read_exr(given).image if named else given, np.float64)
             return image, np.zeros_like(image)
-        held = _held(scene)
         if held is not None:
             if held.spp < 2 * self.numbers[-1]:
                 message = (
@@ -546,7 +557,7 @@ def _held(given: Any) -> Samples | None:
 
 def _mean(samples: Samples) -> tuple[Array, Array]:
     found = summarize(samples, progress=False)
-    return found["mean"].values, found["variance"].values / samples.spp
+    return found["mean"].values, np.square(found["standard_error"].values)
 
 
 def _measured(
@@ -564,9 +575,13 @@ def _measured(
             f"the reference of {scene} has shape {reference.shape}, its samples {samples.shape[:3]}"
         )
         raise InputError(message)
-    mean = abs(float(reference.mean()))
+    known = np.asarray(np.isfinite(reference + variance).all(axis=-1))
+    if not known.any():
+        message = f"the reference of {scene} has no pixel with two good samples"
+        raise InputError(message)
+    mean = abs(float(reference[known].mean()))
     weight = 1 / relative_scale(reference, mean)
-    blocks, cases = Blocks.grid(*reference.shape[:2]), []
+    blocks, cases = Blocks.grid(*known.shape)[known.ravel()], []
     for n in numbers:
         few = samples.first(n)
         found: dict[str, tuple[Array, float]] = {}
@@ -580,15 +595,17 @@ def _measured(
                 found[name] = _finished(of_scene[scene], n, len(numbers), reference.shape), np.nan
         errors, bias, fireflies = {}, {}, {}
         for name, (image, _) in found.items():
-            apart = np.nan_to_num(image.astype(np.float64)) - reference
+            image = np.where(np.isfinite(image), image, 0).astype(np.float64)
+            apart = image - reference
             squared = np.square(apart) - variance
             relative = 2 * np.abs(apart) / (np.abs(image) + np.abs(reference) + 0.01 * mean)
             each = [x.mean(axis=2) for x in (squared, squared * weight, relative)]
             if "flip" in ERRORS:
-                each.append(flip(image, reference))
-            errors[name] = blocks.sums(np.stack(each, axis=-1).reshape(-1, len(ERRORS)))
-            bias[name] = float(apart.mean() / mean)
-            fireflies[name] = float((apart * np.sqrt(weight) > _FIREFLY).mean())
+                shown = (np.where(known[..., np.newaxis], x, 0) for x in (image, reference))
+                each.append(flip(*shown))
+            errors[name] = blocks.sums(np.stack(each, axis=-1)[known])
+            bias[name] = float(apart[known].mean() / mean)
+            fireflies[name] = float((apart * np.sqrt(weight) > _FIREFLY)[known].mean())
         cases.append(
             Case(
                 scene,

@@ -143,6 +143,36 @@ def test_samples_that_are_left_over_judge_and_seeds_are_averaged(tmp_path):
     assert denoising["mse_equal_time"] > denoising["mse_ratio"]
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+def test_references_judge_by_the_samples_that_pixels_have():
+    samples, more = images(1), images(3, 256).read()
+    more[:24, ..., 16:] = np.nan
+    more[3, 4] = np.nan
+    spoilt = samples.read().copy()
+    spoilt[30, 40] = np.nan
+    given = {"a": chd.Samples.from_array(more)}
+    found = chd.bench(
+        {"a": chd.Samples.from_array(spoilt)}, ["mean"], spp=[16], references=given, progress=False
+    )
+    (row,) = found.table()
+    assert row["mse"] == pytest.approx(np.square(TRUTH).mean() / 16, rel=0.1)  # 2.5 errors of it
+    assert all(np.isfinite(row[name]) for name in ("smape", "bias", "mse_ratio_low"))
+
+
+def test_a_reference_of_the_same_seed_judges_by_other_samples():
+    x = images(1, 128).read()
+    one, other = (chd.Samples.from_array(x[..., :n], seed=5) for n in (16, 128))
+    references = {"a": other}, {"a": chd.Samples.from_array(x[..., 16:])}
+    found = [
+        chd.bench({"a": one}, ["mean"], spp=[16], references=given, progress=False).table()
+        for given in references
+    ]
+    assert found[0][0]["mse"] == found[1][0]["mse"]
+    few = {"a": chd.Samples.from_array(x[..., :24], seed=5)}
+    with pytest.raises(InputError, match="another seed, or of 32 samples"):
+        chd.bench({"a": one}, ["mean"], spp=[16], references=few, progress=False)
+
+
 def test_a_finished_image_takes_part(tmp_path):
     file = tmp_path / "done.exr"
     chd.io.write_exr(file, (1.1 * TRUTH).astype(np.float32))
