@@ -60,7 +60,7 @@ def test_flip_is_between_what_cannot_and_what_must_be_seen():
     assert np.abs(same).max() < 1e-6
     little, much = (flip(factor * TRUTH, TRUTH).mean() for factor in (1.02, 0.0))
     assert 0 < little < 0.1 < 0.5 < much <= 1
-    grey = flip(np.full((*SHAPE, 1), np.nan), np.ones((*SHAPE, 1)))
+    grey = flip(np.zeros((*SHAPE, 1)), np.ones((*SHAPE, 1)))
     assert grey.mean() > 0.5
 
 
