@@ -527,7 +527,7 @@ def _held_out(
     both = usable.reshape(-1) & (halves.reason() == Reason.OK).all(axis=0)
     total = np.full((rows, largest), np.nan)
     total[both] = 0.0
-    n, ascending = halves.n.reshape(-1), halves.log_sorted.reshape(2 * rows, -1)
+    n, ascending = halves.n.reshape(-1), halves.log_sorted.reshape(2 * rows, halves.x.shape[-1])
     for piece, solutions in search(halves, np.tile(both, 2), family, largest, effort=effort):
         other = (piece.rows + rows) % (2 * rows)
         for i, solution in enumerate(solutions):

@@ -178,7 +178,7 @@ class HeldOutLikelihood(Statistic[HeldOut]):
             rows = order[span]
             loss[rows], best[rows], margins[:, rows] = _compare(halves_of(part, rows), rows, fits)
         margin, error = (each.reshape(shape) for each in margins)
-        return HeldOut(loss.reshape(*shape, -1), best.reshape(shape), margin, error)
+        return HeldOut(loss.reshape(*shape, len(fits)), best.reshape(shape), margin, error)
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Set names and units, and the names of the families."""

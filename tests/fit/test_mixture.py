@@ -179,6 +179,7 @@ def test_held_out_likelihood_is_that_of_the_other_half():
     for fitted, scored in ((x[::2], x[1::2]), (x[1::2], x[::2])):
         half = mixture(fitted[np.newaxis], 2)
         expected += np.log(density(half, 0, scored, "lognormal")).sum() / 400
+    assert mixture(np.ones((0, 8)), criterion="held_out").k.shape == (0,)
     result = mixture(x, criterion="held_out")
     assert result.held_out[1] == pytest.approx(expected, abs=1e-6)
 
