@@ -338,7 +338,8 @@ def nested_averages(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[A
     samples = x.astype(np.float64)
     if spoilt:
         np.copyto(samples, 0, where=bad)
-    largest = samples.max(axis=-1, keepdims=True, initial=0)
+    ends = samples.max(axis=-1, keepdims=True), samples.min(axis=-1, keepdims=True)
+    largest = np.maximum(ends[0], -ends[1])
     samples /= np.where(largest > 0, largest, 1)
     sums = {1: samples}
     counts = {1: np.subtract(1.0, bad)} if spoilt else {}
@@ -595,12 +596,13 @@ def _of_averages(
         tested, n = np.where(formed, tested, np.inf), np.count_nonzero(formed, axis=-1)
     tested = np.sort(tested, axis=-1)
     first, last = tested[..., 0], tested[..., -1]
+    largest = np.maximum(last, -first)
     reason = first_of(
         {
             Reason.ALL_BAD: n == 0,
             Reason.TOO_FEW: n < n_means,
-            Reason.ALL_NULL: last == 0,
-            Reason.CONSTANT: last - first <= CONSTANT_SPREAD * last,
+            Reason.ALL_NULL: largest == 0,
+            Reason.CONSTANT: last - first <= CONSTANT_SPREAD * largest,
         }
     )
     usable = reason == Reason.OK
@@ -616,11 +618,11 @@ def _of_samples(samples: Averages) -> Floats:
     """Return skewness, kurtosis and number of the samples themselves, shape (3, row)."""
     values, formed = samples.values, samples.formed
     n = np.full(len(values), float(values.shape[-1]))
-    smallest = values
+    high = low = values
     if formed is not None:
         n = np.count_nonzero(formed, axis=-1).astype(np.float64)
-        smallest = np.where(formed, values, 1)
-    # The largest is 1, unless all are 0.
-    varied = (values.max(axis=-1) > 0) & (smallest.min(axis=-1) < 1 - CONSTANT_SPREAD)
+        high, low = (np.where(formed, values, end) for end in (-np.inf, np.inf))
+    # The size of the largest is 1, unless all are 0.
+    varied = high.max(axis=-1) - low.min(axis=-1) > CONSTANT_SPREAD
     skewness, kurtosis = (np.where(varied, shape, np.nan) for shape in shapes(samples))
     return np.stack([skewness, kurtosis, n])

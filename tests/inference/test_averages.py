@@ -267,10 +267,14 @@ def test_pixels_without_an_answer():
 def test_units_do_not_matter():
     x = np.random.default_rng(21).gamma(0.3, size=(4, 256))
     one = gaussianity_of_means(x)
-    for unit in (1e-300, 1e30, 1e290):
+    for unit in (1e-300, 1e30, 1e290, -1.0, -1e30):
         other = gaussianity_of_means(unit * x)
         np.testing.assert_allclose(other.p_value, one.p_value, rtol=1e-7)
+        np.testing.assert_array_equal(other.n_needed, one.n_needed)
         np.testing.assert_array_equal(other.n_predicted, one.n_predicted)
+    constant = gaussianity_of_means(np.full(256, -2.0))
+    assert (constant.reason == Reason.CONSTANT).all()
+    assert constant.n_needed == UNTESTED
 
 
 def test_n_needed_over_an_image_is_corrected_for_the_image():
