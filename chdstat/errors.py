@@ -103,6 +103,8 @@ class Reason(enum.IntEnum):
     """The samples do not decide: the answer rests on a tail that may be too heavy for it."""
     NOT_REGULAR = 13
     """The likelihood is not regular there, or has no curvature: there are no standard errors."""
+    OUTSIDE = 14
+    """Most samples lie outside of the support of the histogram, and their shape with them."""
 
 
 def brief(error: BaseException) -> str:

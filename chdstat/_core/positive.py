@@ -266,6 +266,8 @@ class PositiveHistogram(_Rows):
     n, n_null, n_zero, n_negative, n_bad
         Samples in the bins; null ones; those too dark for the bins, or 0 in this channel alone;
         negative ones; bad ones. Shape (...).
+    n_above
+        Those in the last bin that are too bright for it, shape (...).
     """
 
     counts: Floats
@@ -276,6 +278,16 @@ class PositiveHistogram(_Rows):
     n_zero: Counts
     n_negative: Counts
     n_bad: Counts
+    n_above: Counts
+
+    def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
+        """Say which rows have no usable positive part, as `Reason` codes, shape (...).
+
+        What is too dark for the bins may as well be 0, but where none or the first of them is used.
+        """
+        dark = (self.n_zero > self.n) & ((self.counts[..., 0] > 0) | (self.n == 0))
+        outside = dark | (2 * self.n_above > self.n)
+        return np.where(outside, np.int8(Reason.OUTSIDE), super().reason(minimum))
 
     @cached_property
     def log_statistics(self) -> LogStatistics:

@@ -392,7 +392,8 @@ def fit(
     log radiance spreads over more than a bin. What is lost: a distribution within one bin (0.1
     decades by default) is constant; a zero of one channel is the same as radiance below the support
     (1e-5 by default), both are `n_zero`; radiance above the support counts as the last
-    bin; and the likelihood is that at the centres of the bins.
+    bin; and the likelihood is that at the centres of the bins. Where most samples lie outside of
+    the support, there is no fit (`OUTSIDE`).
 
     Examples
     --------

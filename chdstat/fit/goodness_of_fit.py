@@ -415,7 +415,7 @@ def _draw(
             log_centers=np.repeat(part.log_centers, times, axis=0),
             width=np.repeat(part.width, times),
             n=drawn_counts.sum(axis=-1).astype(np.int64),
-            **dict.fromkeys(("n_null", "n_zero", "n_negative", "n_bad"), none),
+            **dict.fromkeys(("n_null", "n_zero", "n_negative", "n_bad", "n_above"), none),
         )
     drawn = np.ones((len(part.n), times, int(part.n.max())))
     for i, (rng, n) in enumerate(zip(streams, part.n, strict=True)):

@@ -332,6 +332,7 @@ class Histogram(Result):
             n_zero=(self.underflow - self.negative).astype(np.int64),
             n_negative=self.negative.astype(np.int64),
             n_bad=bad,
+            n_above=self.overflow,
         )
 
     def _at(self, position: npt.NDArray[Any]) -> Floats:

@@ -39,6 +39,10 @@ def test_the_counts_are_those_of_the_samples():
         ([0.0, 2.0], Reason.TOO_FEW),
         ([2.0, 2.0, 2.01], Reason.CONSTANT),
         ([1.0, 2.0, 5.0], Reason.OK),
+        ([1e-9, 2.0, 5.0], Reason.OK),
+        ([1e-7, 2e-7, 0.0], Reason.OUTSIDE),
+        ([1e-6, 2e-6, 1.02e-5, 1e-6], Reason.OUTSIDE),
+        ([1.0, 2e5, 3e5], Reason.OUTSIDE),
     ],
 )
 def test_reasons(x, reason):
