@@ -338,8 +338,8 @@ def nested_averages(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[A
     samples = x.astype(np.float64)
     if spoilt:
         np.copyto(samples, 0, where=bad)
-    ends = samples.max(axis=-1, keepdims=True), samples.min(axis=-1, keepdims=True)
-    largest = np.maximum(ends[0], -ends[1])
+    highest, lowest = samples.max(axis=-1, keepdims=True), samples.min(axis=-1, keepdims=True)
+    largest = np.maximum(highest, -lowest)
     samples /= np.where(largest > 0, largest, 1)
     sums = {1: samples}
     counts = {1: np.subtract(1.0, bad)} if spoilt else {}
