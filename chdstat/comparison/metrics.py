@@ -206,7 +206,7 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
     >>> words["mse_ratio"], words["improved"].replace("\xa0", " ")
     ('0.913 [0.869, 0.950]', '60 %')
     """
-    label = {"label": row["label"].replace("_", " ")} if "label" in row else {}
+    label = {"label": row["label"].replace("_", "-")} if "label" in row else {}
     return {
         **label,
         "name": LABELS.get(row["estimator"], row["estimator"]),

@@ -136,27 +136,27 @@ class Contrast(Shown):
     @property
     def conclusion(self) -> str:
         """What was found, in a sentence."""
-        smallest = f"{self._smallest('image')} of the image, {self._smallest('tenth')} of a tenth"
         if self.outcome == "cannot tell":
             return f"Cannot tell: {self.why}."
         if self.outcome == "no difference found":
+            image, tenth = self._smallest("image"), self._smallest("tenth")
             return (
-                f"No difference found (p {number(self.image_p_value)}); a loss of {smallest} of it "
-                "would have been found with a probability of 90 %."
+                f"No difference found (p {number(self.image_p_value)}). With a probability of "
+                f"90 %, the test would have found a loss of {image} in the image, or of {tenth} in "
+                "a tenth of it."
             )
         y, x, height, width = self.window
-        pixels = "no single pixel does"
+        pixels = "no single pixel differs"
         if self.share:
             rate = percent(self.alpha)
-            pixels = (
-                f"single pixels do in {percent(self.share)} of it (false discovery rate {rate})"
-            )
+            pixels = f"{percent(self.share)} of the pixels differ (false discovery rate {rate})"
         where = f"most clearly in {width} x {height} pixels at y {y}, x {x}"
         if (height, width) == self.maps["reason"].shape:
             where = "most clearly in the sum over the image"
         return (
             f"The means differ (p {number(self.image_p_value)}), {where}, where B is "
-            f"{percent(-self.window_loss, sign=True)}; {pixels}{self._reservation()}."
+            f"{percent(abs(self.window_loss))} {'darker' if self.window_loss > 0 else 'brighter'}; "
+            f"{pixels}{self._reservation()}."
         )
 
     def _reservation(self) -> str:

@@ -181,7 +181,7 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
         "null_share": percent(seen.null_share),
         "variation": number(seen.variation[1]),
         "family": f"{called(family)} {percent(share)}" if share > 0 else "—",
-        "time": f"{float(seconds):.0f} s" if seconds else "—",
+        "time": duration(float(seconds)) if seconds else "—",
         "chosen": scene.chosen,
         "regions": [
             {

@@ -221,7 +221,8 @@ def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str
         seen = np.append(values.value, 1.0)
         seen = seen[np.isfinite(seen) & (seen > 0)]
         ax.set(xscale="log", xlim=(seen.min() / 1.25, seen.max() * 1.25))
-        plain_log(ax.xaxis, (1, 2, 5) if np.ptp(np.log(seen)) < _FEW else (1,))
+        span = np.ptp(np.log(seen))
+        plain_log(ax.xaxis, (1, 2, 4, 6, 8) if span < 1 else (1, 2, 5) if span < _FEW else (1,))
 
 
 def _draw_shares(ax: Axes, rows: Array, found: Comparison, of: int) -> None:

@@ -466,9 +466,9 @@ def contrast(
         of = f", {verbatim(name)}"
     first = tested.start or 0
     across = inches(width, fig)
-    columns, aspect = 2 if narrow(across) else 3, maps.sizes["y"] / maps.sizes["x"]
+    columns, aspect = 2 if narrow(across) else 3, upright(maps.sizes["y"], maps.sizes["x"])
     conclusion = fill(found.conclusion, int(_LETTERS * across))
-    rows = across / columns * (0.86 * aspect + 0.24) * 6 / columns
+    rows = (0.8 * across / columns * aspect + 0.3) * 6 / columns
     height = rows + 0.16 * (1 + conclusion.count("\n")) + 0.3
     figure = page(fig, height, width, wspace=0.06)
     axes = grid(figure, 6, columns)
