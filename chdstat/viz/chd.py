@@ -39,6 +39,7 @@ from chdstat.viz.styling import (
     style,
     swatches,
     verbatim,
+    within,
 )
 
 __all__ = [
@@ -278,7 +279,8 @@ def draw_histograms(
     Returns
     -------
     tuple of float
-        Ends of the bins that hold samples. The axis goes on to a whole decade, or to 0.
+        Ends of the bins that hold samples, or of their decade. The axis goes on to a whole decade,
+        or to 0.
     """
     scale = next(iter(found.values())).scale
     ends: list[float] = []
@@ -298,7 +300,9 @@ def draw_histograms(
     ax.set_xscale(scale)
     if scale == "log":
         low, high = min(ends, default=1e-5), max(ends, default=1e5)
-        ax.set_xlim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
+        decades = 10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high))
+        ax.set_xlim(*decades)
+        low, high = (low, high) if high >= 10 * low else decades
     else:
         low, high = min(ends, default=0.0), max(ends, default=1.0)
         ax.set_xlim(min(0.0, low), high)
@@ -724,7 +728,9 @@ def fits(
         ax.set_xlabel(_axis_name("radiance", scale, across / len(kinds)))
         per = "unit of radiance" if scale == "linear" else "decade"
         ax.set_ylabel(f"density per {per}")
-    if axes[0].get_legend_handles_labels()[0]:
+    if narrow(across):
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center")
+    elif axes[0].get_legend_handles_labels()[0]:
         axes[0].legend(loc="upper right", handlelength=1.6)
     axes[0].set_title(title, loc="left")
     return figure
@@ -790,7 +796,7 @@ def batch_histograms(
         upper.add_collection(PolyCollection([*outlines], **look))
         upper.stairs(counts.mean(axis=0), edges, color="#222222", linewidth=0.6)
         upper.set_ylim(0, 1.15 * float(np.max(counts[:, 1:])) or 1.0)
-        upper.set_title(verbatim(name))
+        upper.set_title(within(name, across / columns - 0.15))
         lower.hist(means, bins=_BINS // 2, color=color)
         for ax in (upper, lower):
             ax.axvline(expected, color="black", linewidth=0.9, linestyle="--")

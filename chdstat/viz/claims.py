@@ -29,10 +29,12 @@ from chdstat.viz.styling import (
     axes_in,
     fitting,
     inches,
+    narrow,
     panels_in,
     qualitative,
     style,
     verbatim,
+    within,
 )
 
 __all__ = ["VERDICTS", "claim_intervals", "finding_plots", "verdict_matrix"]
@@ -101,7 +103,10 @@ def verdict_matrix(
     ax.set(xlim=(-0.5, len(scenes) - 0.5), ylim=(len(verdicts) - 0.5, -0.5))
     cell = inches("page", ax.get_figure(root=False)) / max(1, len(scenes))
     ax.set_xticks(
-        range(len(scenes)), map(verbatim, scenes), rotation=28 if cell > 0.6 else 60, ha="left"
+        range(len(scenes)),
+        [within(scene, 1.3) for scene in scenes],
+        rotation=28 if cell > 0.6 else 60,
+        ha="left",
     )
     ax.set_yticks(range(len(verdicts)), list(verdicts), ha="left")
     ax.tick_params(length=0, labeltop=True, labelbottom=False)
@@ -112,7 +117,8 @@ def verdict_matrix(
         for v, (color, mark) in VERDICTS.items()
     ]
     ax.legend(
-        handles=handles, loc="upper right", bbox_to_anchor=(1, 0), ncols=3, columnspacing=1,
+        handles=handles, loc="upper right", bbox_to_anchor=(1, 0), columnspacing=1,
+        ncols=1 if narrow(cell * len(scenes)) else 3,
         prop={"family": "DejaVu Sans", "size": 7},
     )  # fmt: skip
     return ax
@@ -240,7 +246,8 @@ def finding_plots(
     labels = {(plot.x_label, plot.y_label) for plot in plots}
     across = inches(width, fig)
     most = _COLUMNS if len(labels) == 1 else _COLUMNS - 1
-    columns = fitting(across, min(most, len(plots)), 1.6)
+    wordy = len(labels) > 1 or any(plot.kind == "bars" for plot in plots)
+    columns = fitting(across, min(most, len(plots)), 2.2 if wordy else 1.6)
     height = 1.45 if len(labels) == 1 else 1.6
     rows = -(-len(plots) // columns)
     # Few panels are not as wide as a page.
@@ -249,7 +256,9 @@ def finding_plots(
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
         series = {verbatim(called(name)): xy for name, xy in plot.series.items()}
         _DRAW[plot.kind](ax, replace(plot, series=series))
-        ax.set_title(verbatim(title), loc="left")
+        ax.set_title(
+            within(title, wide / columns - (1.2 if plot.kind == "bars" else 0.3)), loc="left"
+        )
         if len(labels) > 1:
             x_label, y_label = _axis_labels(plot)
             ax.set_xlabel(_raised(textwrap.fill(x_label, _LABEL)))

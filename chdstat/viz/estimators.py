@@ -37,7 +37,9 @@ from chdstat.viz.styling import (
     UNIT,
     axes_in,
     fitting,
+    grow,
     inches,
+    name_ticks,
     narrow,
     panels_in,
     per_cent,
@@ -45,6 +47,7 @@ from chdstat.viz.styling import (
     qualitative,
     style,
     verbatim,
+    within,
 )
 
 __all__ = [
@@ -74,8 +77,6 @@ _EXTREME = 8.0
 """Ratios beyond this, or its inverse, have the colour of this."""
 _FEW = 3.0
 """Logarithm of the ratio of two numbers between which there is room for several ticks a decade."""
-_LEVEL = 6
-"""Estimators whose names have room beside each other."""
 _STARRED = "* uses neighbouring pixels"
 
 
@@ -150,8 +151,11 @@ def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | Non
     ]
     ax.set_yticks(np.arange(len(names)), names)
     columns = _marked(found)
+    cell = (inches("page", ax.get_figure(root=False)) - 1.4) / len(columns)  # beside the patterns
     slanted: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
-    ax.set_xticks(np.arange(len(columns)), columns, **slanted if len(columns) > _LEVEL else {})
+    ax.set_xticks(
+        np.arange(len(columns)), columns, **slanted if max(map(len, columns)) > 17 * cell else {}
+    )
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
     if found.uses_neighbours.any():
@@ -350,6 +354,7 @@ def training(history: History, *, width: Width = "column", ax: Axes | None = Non
     ax.set_xlim(left=0)
     # A few spikes of the optimiser must not squeeze the rest.
     ax.set_ylim(top=3 * max(baseline for _, baseline, _ in lines.values()))
+    name_ticks(ax.yaxis)
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return ax
 
@@ -389,7 +394,8 @@ def coverage(
     ax.set_aspect("equal")
     ax.xaxis.set_major_formatter(per_cent)
     ax.yaxis.set_major_formatter(per_cent)
-    ax.legend()
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    grow(ax.get_figure(), 0.17 * len(measured))
     return ax
 
 
@@ -404,14 +410,6 @@ def _by_number(ax: Axes, numbers: npt.ArrayLike) -> None:
     ax.set_xscale("log", base=2)
     ax.set_xticks(np.asarray(numbers), [str(n) for n in np.asarray(numbers).tolist()])
     ax.minorticks_off()
-
-
-def _name_ticks(ax: Axes) -> None:
-    """Give a logarithmic y axis on which powers of ten are few ticks between them, too."""
-    seen = np.concatenate([np.empty(0), *(np.asarray(line.get_ydata()) for line in ax.lines)])
-    seen = np.log(seen[np.isfinite(seen) & (seen > 0)])
-    if seen.size and np.ptp(seen) < _FEW:
-        plain_log(ax.yaxis)
 
 
 @style()
@@ -477,10 +475,10 @@ def curves(
             ax.plot(np.asarray(numbers), np.asarray(values), **look)
         if level is not None:
             ax.axhline(level, color=_GREY, linewidth=0.8, linestyle=":")
-        ax.set_title(verbatim(title))
+        ax.set_title(within(title, across / columns - 0.3))
         if log:
             ax.set_yscale("log", nonpositive="mask")
-            _name_ticks(ax)
+            name_ticks(ax.yaxis)
         else:
             ax.set_ylim(0, 1.03)
         _by_number(ax, numbers)
@@ -586,7 +584,7 @@ def error_curves(found: ErrorCurve, *, width: Width = "page", fig: Figure | None
     for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
         _draw_error_curves(ax, found, measure, [called(name) for name in found.estimators])
         ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
-        _name_ticks(ax)
+        name_ticks(ax.yaxis)
         _by_number(ax, found.sizes)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=names)

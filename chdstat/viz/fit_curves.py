@@ -19,7 +19,7 @@ from chdstat.fit import Fit, Mixture, Tail
 from chdstat.inference.modes import Modality
 from chdstat.viz.chd import DASHES, LINES
 from chdstat.viz.estimators import called
-from chdstat.viz.styling import UNIT, axes_in, style
+from chdstat.viz.styling import UNIT, axes_in, name_ticks, style
 
 __all__ = ["fit_curve", "mode_stems", "tail_curve"]
 
@@ -165,6 +165,7 @@ def tail_curve(found: Tail, *, width: Width = "column", ax: Axes | None = None) 
         ax.plot(start + scale * excess, share * left, **look)
         faint: dict[str, Any] = {"color": look["color"], "linewidth": 0.6, "linestyle": ":"}
         ax.plot(start - scale * np.log(left), share * left, **faint)
+    name_ticks(ax.xaxis)
     one = f"tail index {number(xis[0])}" if xis.size == 1 else "tails"
     ax.set(xlabel=f"radiance ({UNIT})", ylabel="share above it", title=one)
     return _finished(ax, looks)

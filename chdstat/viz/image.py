@@ -54,6 +54,7 @@ from chdstat.viz.styling import (
     two_parts,
     upright,
     verbatim,
+    within,
 )
 
 __all__ = [
@@ -80,6 +81,10 @@ _ROW, _ROWS = 0.68, 4.1
 """Largest height of a region, and of all of them, in inches."""
 _FILLED = 0.55
 """Opacity of the histogram of a region."""
+_BAR = 0.9
+"""Inches of a colour bar with its numbers."""
+_NOTE = 17
+"""Letters of a note, in an inch."""
 _MARGIN = 7
 """Pixels shown around a firefly."""
 
@@ -274,8 +279,10 @@ def region_study(
             _draw_region(ax, panel, scale, colors[i])
             ax.tick_params(pad=1.5, labelbottom=i == rows - 1 or scale == "linear")
             ax.minorticks_off()  # between decades there is nothing to read
-        axes[0].set_title(f"{i + 1} {verbatim(mark.name)}", loc="left", pad=2, fontweight="bold")
         note = notes[i] if i < len(notes) else panel.note
+        room = (across if narrow(across) else across * (1 - _OF_IMAGE)) * ratios[1]
+        title = within(f"{i + 1} {mark.name}", room - len(note) / _NOTE * (len(axes) == 1))
+        axes[0].set_title(title, loc="left", pad=2, fontweight="bold")
         axes[-1].set_title(note, loc="right", pad=2, color="#444444")
     for column, scale in zip(cells.T[1:], kinds, strict=True):
         if scale == "log":
@@ -375,14 +382,20 @@ def side_by_side(
         parts.insert(1, max(map(_aspect, insets)) / len(insets))
     each = 0.92 * across / columns * sum(parts) + 0.35
     figure = page(fig, rows * each, width, hspace=0.02, wspace=0.02)
-    cells, below = figure.add_gridspec(rows, columns), {}
+    free = next((title for title in images if title not in errors), None) if errors else ""
+    # Where no cell is free for the colour bar, it has a column of its own.
+    ratios = [across / columns] * columns + [_BAR] * (free is None)
+    cells, below = figure.add_gridspec(rows, len(ratios), width_ratios=ratios), {}
+    bar = cells[-1, -1].subgridspec(len(parts), 1, height_ratios=parts)[-1]
     for i, (title, image) in enumerate(images.items()):
         shown = tonemap(image, exposure=exposure)
-        own = cells[i].subgridspec(len(parts), max(1, len(insets)), height_ratios=parts)
+        own = cells[i // columns, i % columns].subgridspec(
+            len(parts), max(1, len(insets)), height_ratios=parts
+        )
         ax = figure.add_subplot(own[0, :])
         ax.imshow(shown, interpolation="nearest")
         note = (notes or {}).get(title, "")
-        bare(ax, verbatim(called(title)) + (f"\n{note}" if note else ""))
+        bare(ax, within(called(title), across / columns) + (f"\n{note}" if note else ""))
         for k, (ys, xs) in enumerate(insets):
             color = _FRAMES[k % len(_FRAMES)]
             _outline(ax, ys, xs, color)
@@ -390,11 +403,15 @@ def side_by_side(
             part.imshow(shown[ys, xs], interpolation="nearest")
             part.set(xticks=[], yticks=[])
             part.spines[:].set(visible=True, color=color, linewidth=1.6)
-        if errors:
+        if title == free:
+            bar = own[-1, :]
+        elif errors:
             below[title] = figure.add_subplot(own[-1, :])
             bare(below[title])
     if errors:
-        _draw_errors(figure, below, errors)
+        room = across / columns if free else _BAR
+        halves = bar.subgridspec(1, 2, width_ratios=(0.15, room - 0.15))
+        _draw_errors(below, errors, figure.add_subplot(halves[0]))
     return figure
 
 
@@ -411,9 +428,7 @@ def _outline(ax: Axes, ys: slice, xs: slice, color: str) -> None:
         ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
 
 
-def _draw_errors(
-    figure: Figure, axes: Mapping[str, Axes], errors: Mapping[str, npt.ArrayLike]
-) -> None:
+def _draw_errors(axes: Mapping[str, Axes], errors: Mapping[str, npt.ArrayLike], cax: Axes) -> None:
     """Draw squared errors as decades on one colour scale."""
     with np.errstate(divide="ignore"):
         decades = {title: np.log10(np.asarray(v, dtype=float)) for title, v in errors.items()}
@@ -422,9 +437,7 @@ def _draw_errors(
     for title, values in decades.items():
         shown = np.maximum(values, low)  # no error at all is as dark as the least
         drawn = axes[title].imshow(shown, vmin=low, vmax=high, cmap="magma")
-    below = list(axes.values())
-    bar = figure.colorbar(drawn, ax=below, orientation="vertical", fraction=0.03, pad=0.01)
-    bar.set_label("log10 squared error")
+    cax.figure.colorbar(drawn, cax=cax, label="log10 squared error")
 
 
 @style()

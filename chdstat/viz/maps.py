@@ -49,6 +49,7 @@ from chdstat.viz.styling import (
     two_parts,
     upright,
     verbatim,
+    within,
 )
 
 if TYPE_CHECKING:
@@ -585,14 +586,14 @@ def renders_compared(
     axes = [figure.add_subplot(cells[i // across, i % across]) for i in range(count)]
     for ax, (name, image) in zip(axes, arrays.items(), strict=False):
         draw_marked(ax, tonemap(image, exposure=exposure), marks)
-        bare(ax, verbatim(name))
+        bare(ax, within(name, wide / across))
     if difference is not None:
         one, two = (luminance(arrays[name], channel_axis=-1) for name in difference)
-        title = verbatim(" − ".join(difference))
+        title = within(" − ".join(difference), wide / across)
         value_map(one - two, title=title, unit="luminance", diverging=True, ax=axes[-1])
     colors = dict(zip(arrays, qualitative(len(arrays)), strict=True))
+    cells = parts[-1].subgridspec(max(1, below), columns, wspace=0.12)
     for i, mark in enumerate(marks if places else ()):
-        cells = parts[1].subgridspec(below, columns, wspace=0.12)
         ax = figure.add_subplot(cells[i // columns, i % columns])
         panels = {name: Panel.of(name, those[i]) for name, those in samples.items()}
         found = {name: [*panel.histograms("log").values()][-1] for name, panel in panels.items()}

@@ -50,6 +50,7 @@ __all__ = [
     "grow",
     "inches",
     "ink_on",
+    "name_ticks",
     "narrow",
     "page",
     "panels_in",
@@ -64,6 +65,7 @@ __all__ = [
     "two_parts",
     "upright",
     "verbatim",
+    "within",
 ]
 
 WIDTHS = {"column": 3.4, "page": 6.7}
@@ -74,6 +76,9 @@ _NARROW = 5.0
 
 _UPRIGHT = 1.5
 """Largest height over width of the room for an image."""
+
+_LETTERS = 15
+"""Of a title, in an inch."""
 
 HEIGHT = 8.0
 """Largest height of a figure, in inches: it leaves room on the page for a heading and a caption."""
@@ -315,6 +320,13 @@ def plain_log(axis: Axis, numbers: Sequence[int] = (1, 2, 5)) -> None:
     axis.set_minor_locator(NullLocator())
 
 
+def name_ticks(axis: Axis) -> None:
+    """Give a logarithmic axis of few decades ticks between powers of ten, too."""
+    low, high = axis.get_view_interval()
+    if high < 20 * low:
+        plain_log(axis)
+
+
 def swatches(colors: Mapping[str, str], **look: Any) -> list[Artist]:
     """Return lines for a legend, by what they are called."""
     return [Line2D([], [], color=c, label=verbatim(name), **look) for name, c in colors.items()]
@@ -401,6 +413,18 @@ def verbatim(text: str) -> str:
     a \$x^\$ b
     """
     return text.replace("$", r"\$")
+
+
+def within(text: str, room: float) -> str:
+    """Return a text for Matplotlib, cut to what a line of so many inches holds.
+
+    Examples
+    --------
+    >>> within("wall", 1.0), within("the wall beside the window", 1.0)
+    ('wall', 'the wall besid…')
+    """
+    most = max(4, int(_LETTERS * room))
+    return verbatim(text if len(text) <= most else f"{text[: most - 1]}…")
 
 
 @functools.cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import io
+from dataclasses import replace
 from functools import partial
 
 import matplotlib as mpl
@@ -132,6 +133,42 @@ def test_alone_it_makes_a_figure_with_room_for_all_names_as_they_are(examples, n
     figure.savefig(stream, format="pdf")  # outside of the style
     assert b"/FontFile2" in stream.getvalue()
     assert b"/Type3" not in stream.getvalue()
+
+
+LONG = "the wall beside the window, at night"
+MARKS = [replace(MARK, ys=slice(y, y + 2), xs=slice(y, y + 2)) for y in (1, 5, 9)]
+CROWDED = {
+    "batches": lambda w: viz.batch_histograms({LONG + i: np.ones((8, 4)) for i in "abcd"}, width=w),
+    "curves": lambda w: viz.curves([8, 16], {LONG: {"a": [0, 1]}, "b": {LONG: [1, 1]}}, width=w),
+    "errors": lambda w: viz.side_by_side(
+        {LONG: IMAGE, "b": IMAGE, "reference": IMAGE}, errors={LONG: IMAGE[..., 0]}, width=w
+    ),
+    "all errors": lambda w: viz.side_by_side({LONG: IMAGE}, errors={LONG: IMAGE[..., 0]}, width=w),
+    "findings": lambda w: viz.finding_plots(
+        {
+            LONG: PlotData("bars", {LONG: ([0], [1])}),
+            "b": PlotData("curves", {"b": ([0], [1])}, "x"),
+        },
+        width=w,
+    ),
+    "fits": lambda w: viz.fits(*ONE.values(), {LONG: np.ones_like, "b": np.ones_like}, width=w),
+    "regions": lambda w: viz.region_study(
+        IMAGE, [replace(MARK, name=LONG)], [replace(PANEL, note="48 % null, gamma")], width=w
+    ),
+    "renders": lambda w: viz.renders_compared(
+        {LONG: IMAGE, "b": IMAGE}, {LONG: [RNG.random((3, 64))] * 3}, MARKS, width=w
+    ),
+    "verdicts": lambda w: viz.verdict_matrix(
+        {"a": dict.fromkeys((LONG, "b"), "supported")}, width=w
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CROWDED)
+@pytest.mark.parametrize("width", ["column", "page"])
+def test_long_names_and_several_panels_have_room(name, width, monkeypatch):
+    drawn = CROWDED[name](width)
+    assert clashes(drawn.figure if isinstance(drawn, Axes) else drawn, monkeypatch) == []
 
 
 def test_texts_that_are_cut_or_lie_over_each_other_are_seen(monkeypatch):
