@@ -1,4 +1,4 @@
-"""Simulate the null distribution of the dip; print it for chdstat/inference/dip.py.
+"""Simulate the null distribution of the dip; print it for chdstat/inference/modes.py.
 
     python tools/make_dip_table.py > table.txt
 
@@ -16,7 +16,7 @@ import sys
 import numpy as np
 from make_normality_tables import smooth, table
 
-from chdstat.inference.dip import dips
+from chdstat.inference.modes import dips
 from chdstat.inference.normality import LEVELS
 
 SEED = 20240611

@@ -27,12 +27,12 @@ from chdstat._core.arrays import (
     Mask,
     as_samples,
     chunks,
+    first_of,
     is_bad,
     is_null,
     luminance,
     take_rows,
 )
-from chdstat._core.reasons import first_of
 from chdstat._core.statistic import Statistic
 from chdstat.errors import InputError, Reason
 

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, data
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Mapped
+from chdstat._core.arrays import Mapped, label_variables
 from chdstat._core.display import Shown
-from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, block_numbers
-from chdstat._core.reasons import flag_attributes, flag_names
+from chdstat._core.arrays import Array, block_numbers, flag_attributes, flag_names
 from chdstat._core.work import in_order, track
 from chdstat.comparison.entries import (
     Chosen,

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator
+from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator, label_variables
 from chdstat._core.display import (
     Card,
     Width,
@@ -31,7 +31,6 @@ from chdstat._core.display import (
     written,
 )
 from chdstat._core.positive import Part
-from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import Reason, check_option

@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Floats, Mask, chunks
+from chdstat._core.arrays import Floats, Mask, chunks, flag_names, label_variables, place_attributes
 from chdstat._core.display import Card, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
-from chdstat._core.reasons import flag_names, label_variables, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option

@@ -24,9 +24,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Counts, Floats, Mask, as_samples, chunks, is_bad
+from chdstat._core.arrays import Counts, Floats, Mask, as_samples, chunks, first_of, is_bad
 from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
-from chdstat._core.reasons import first_of
 from chdstat._core.resampling import Z_95
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability

@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import Array, Floats, Seed, plain, seed_number
+from chdstat._core.arrays import Array, Floats, Seed, label_variables, plain, seed_number
 from chdstat._core.display import Card, Shown, Width, number, percent, png, with_interval
 from chdstat._core.image_scales import relative_scale, tonemap
-from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished

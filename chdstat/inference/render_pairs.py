@@ -26,11 +26,11 @@ from chdstat._core.arrays import (
     LeftOut,
     Mask,
     all_good,
+    first_of,
     is_bad,
     spans,
 )
 from chdstat._core.display import number
-from chdstat._core.reasons import first_of
 from chdstat._core.resampling import Shuffles, p_of_means, p_of_signs, q_values
 from chdstat.errors import InputError, Reason
 from chdstat.inference.windows import Cells, FlipMoments, guarded

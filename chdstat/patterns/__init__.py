@@ -25,15 +25,16 @@ from chdstat.patterns.classification import (
     classify,
 )
 from chdstat.patterns.definitions import PATTERNS, Pattern, Thresholds
-from chdstat.patterns.known_chds import CHD, CHDS, Component
-from chdstat.patterns.pixel import Pixel
-from chdstat.patterns.regions import Regions
+from chdstat.patterns.pixel import Pixel, Regions
 from chdstat.patterns.simulation import (
+    CHD,
+    CHDS,
     FIREFLY_ZONE,
     INDISTINCT_SPREAD,
     NULL_ZONE,
     SEPARATION_ZONE,
     TAIL_ZONE,
+    Component,
     FlagScore,
     Truth,
     flag_scores,

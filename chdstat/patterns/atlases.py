@@ -23,6 +23,7 @@ from chdstat._core.arrays import (
     Floats,
     Mask,
     Seed,
+    first_of,
     generator,
     is_bad,
     luminance,
@@ -32,7 +33,6 @@ from chdstat._core.arrays import (
 from chdstat._core.display import Card, Shown, each, number, percent, with_interval
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD
-from chdstat._core.reasons import first_of
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import is_bad, luminance
-from chdstat._core.reasons import first_of, label_variables
+from chdstat._core.arrays import first_of, is_bad, label_variables, luminance
 from chdstat._core.resampling import Blocks, Interval, mean_of
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.samples import ImageLike, Mapped, Samples, samples_of

@@ -19,16 +19,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import Floats, Mask
-from chdstat._core.display import Shown, percent
-from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import (
+from chdstat._core.arrays import (
+    Floats,
+    Mask,
     first_of,
     flag_attributes,
     flag_names,
     label_variables,
     place_attributes,
 )
+from chdstat._core.display import Shown, percent
+from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason

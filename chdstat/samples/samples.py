@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.patterns.pixel import Pixel
-    from chdstat.patterns.regions import Regions
+    from chdstat.patterns.pixel import Pixel, Regions
 
 __all__ = [
     "ImageLike",
@@ -311,7 +310,7 @@ class Samples:
         >>> study = samples.regions({"wall": (2, 3), "floor": (6, 1)})
         >>> figure, table = study.plot(width="column"), study.to_latex()
         """
-        from chdstat.patterns.regions import Regions
+        from chdstat.patterns.pixel import Regions
 
         return Regions.of(self, places)
 

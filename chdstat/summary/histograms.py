@@ -24,10 +24,10 @@ from chdstat._core.arrays import (
     chunks,
     is_bad,
     is_null,
+    label_variables,
     warn_left_out,
 )
 from chdstat._core.positive import PositiveHistogram
-from chdstat._core.reasons import label_variables
 from chdstat._core.statistic import RADIANCE, Result, result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, opened, reduce_tiles

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, Counts, Floats, as_pixels, is_bad
+from chdstat._core.arrays import Array, Counts, Floats, as_pixels, is_bad, label_variables
 from chdstat._core.moments import Batches, PixelMoments
-from chdstat._core.reasons import label_variables
 from chdstat._core.statistic import RADIANCE, Result, result, variable
 from chdstat.errors import InputError
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, reduce_tiles, samples_of

@@ -19,10 +19,9 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from chdstat._core.arrays import Array, luminance
+from chdstat._core.arrays import Array, flag_names, luminance
 from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops
-from chdstat._core.reasons import flag_names
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas

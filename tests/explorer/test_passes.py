@@ -9,8 +9,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import StoreError
-from chdstat.explorer.passes import Passes
-from chdstat.explorer.shared import opened
+from chdstat.explorer.shared import Passes, opened
 from chdstat.explorer.view import View
 
 

@@ -4,7 +4,7 @@ import diptest
 import numpy as np
 import pytest
 
-from chdstat.inference.dip import dips
+from chdstat.inference.modes import dips
 
 
 def of_rows(rows):

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from chdstat._core.arrays import Counts, Floats, generator
-from chdstat._core.reasons import flag_names
+from chdstat._core.arrays import Counts, Floats, flag_names, generator
 from chdstat._core.resampling import LEVEL, Interval, largest_of
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claim import claim
