@@ -1,14 +1,14 @@
 """Estimators: from a few samples of a pixel to its radiance.
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
-is the baseline. `MLP` is the network of the paper; `Progressive` takes any number of samples and
-has a certainty and an interval. The others are order statistics and M-estimators; buckets,
-reweighting and resampling; shrinkage by `james_stein`; outliers, which a pixel's other samples or
-the pixels around do not confirm; and those that share statistics with similar pixels around.
+is the baseline. `MLP` is the network of the paper. `Progressive` takes any number of samples and
+also returns a certainty and an interval. The others are order statistics and M-estimators; means of
+buckets, reweighted means and bootstrap means; shrinkage by `james_stein`; estimators that remove
+outliers; and estimators that share samples between similar pixels.
 
-`mean_radiance` is the unit that `Progressive` measures an image in. `names` lists what is
-registered, the mean first, and `lookup` says where it comes from and what it needs;
-``estimators.<name>`` is the function of whatever is registered.
+`names` lists the registered estimators, the mean first. `lookup` says where an estimator comes from
+and what it needs. ``estimators.<name>`` is its function. `mean_radiance` is the unit in which
+`Progressive` measures an image.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Bayesian collaborative denoising: similar patches are shrunk towards their mean.
 
-Where `neighbourhood` averages pixels whose samples are alike, `boughida2017` asks how much of the
-difference between similar patches is noise, by the covariances of their samples, and removes that.
+`neighbourhood` averages pixels with similar samples. `boughida2017` estimates instead how much of
+the difference between similar patches is noise, from the covariances of their samples, and removes
+only that.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from chdstat.estimators.registry import check_positive, register
 __all__ = ["boughida2017"]
 
 _LEAST = 1e-8
-"""Eigenvalue of what is inverted, at least (authors' code)."""
+"""Added to the eigenvalues of the matrix that is inverted (authors' code)."""
 _PATCHES = 2**14
 """Similar patches that are denoised at once."""
 
@@ -43,47 +44,47 @@ def boughida2017(
     scales: int = 3,
     unit: float | None = None,
 ) -> Reals:
-    """Bayesian collaborative denoising: remove what noise adds to the variety of similar patches.
+    """Bayesian collaborative denoising: remove the noise from the variance of similar patches.
 
-    Patches are similar as in `delbracio2014`. With C the covariance of the patches that are similar
-    to one, m their mean and N the mean covariance of their noise, each patch p becomes ``p - N (C'
-    + N)^-1 (p - m)``, first with C' = C - N without its negative eigenvalues, then with mean and
-    covariance of the patches so found. Where fewer patches are similar than a covariance needs, the
-    patch becomes their mean. Each pixel is the average of all patches that hold it. Coarser scales,
-    each of half the resolution, are denoised alike and replace the low frequencies of the finer
-    one.
+    Patches are similar as in `delbracio2014`. For each patch, let m be the mean of the patches
+    similar to it, C their covariance, and N the mean covariance of their noise. Each of these
+    patches p becomes ``p - N (C' + N)^-1 (p - m)``. The first step takes C' = C - N without its
+    negative eigenvalues; the second takes the mean and the covariance of the patches from the first
+    step. Where too few patches are similar for a covariance, the patch becomes their mean. A pixel
+    is the average of all patches that contain it. Coarser scales, each at half the resolution, are
+    denoised in the same way and replace the low frequencies of the finer scale.
 
-    Formulas and settings are those of the authors' code, without its skipping of patches that have
-    been denoised as another's, which only saves time, and without its removal of spikes, which is
-    off there.
+    Formulas and settings follow the authors' code. Two parts of it are left out: it skips patches
+    that were already denoised, to save time, and it has a removal of spikes, which is off by
+    default.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample), at least 2. A sample of which any channel is NaN or
-        infinite is left out.
+        Samples, shape (y, x, channel, sample), at least 2. Samples with a NaN or infinite channel
+        are left out.
     threshold
         Distance up to which patches are similar, larger than 0.
     radius
-        Of the search window, in pixels: 6 for 13 x 13.
+        Radius of the search window, in pixels: 6 for 13 x 13.
     patch
         Radius of the patches: 1 for 3 x 3, 0 for single pixels.
     scales
-        How many, 1 or more; there are less where an image is too small for them.
+        Number of scales, 1 or more; small images have fewer.
     unit
-        Radiance that is exposed as 1, see `zirr2018`; None makes the log-average of the image 0.18.
+        Radiance that is exposed as 1; None makes the log-average of the image 0.18.
 
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`; never below 0 where no
-        sample is. The mean of a channel's good samples where less than 2 whole samples are good or
-        the image is smaller than a patch.
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`, not negative if no sample
+        is. Pixels with fewer than 2 samples that are good in all channels, and images smaller than
+        a patch, get the mean of each channel's good samples.
 
     Raises
     ------
     InputError
-        If `x` is no image, has less than 2 samples, or an option is out of range.
+        If `x` is not an image, has fewer than 2 samples, or an option is out of range.
 
     References
     ----------
@@ -123,7 +124,7 @@ class _Pixels:
     Attributes
     ----------
     mean
-        Shape (y, x, channel), NaN where less than 2 samples are good.
+        Shape (y, x, channel), NaN where fewer than 2 samples are good.
     noise
         Covariance of these means, shape (y, x, channel, channel).
     histogram
@@ -162,7 +163,7 @@ class _Pixels:
         return _Pixels(mean, noise, 4 * _halved(self.histogram), counts)
 
     def denoised(self, threshold: float, radius: int, patch: int) -> Floats:
-        """Return the denoised means, NaN of pixels that no patch of known ones holds."""
+        """Return the denoised means; NaN for pixels that are in no patch of known pixels."""
         height, width, channels = self.mean.shape
         side = 2 * patch + 1
         rows, columns = height - 2 * patch, width - 2 * patch
@@ -197,7 +198,7 @@ class _Pixels:
             return np.asarray(total[..., :-1] / total[..., -1:])
 
     def _similar(self, threshold: float, radius: int, patch: int) -> npt.NDArray[np.bool_]:
-        """Return which patches of the window are similar to that in its middle, (y, x, place)."""
+        """Return which patches of the window are similar to its central patch, (y, x, place)."""
         height, width = self.count.shape
         rows, columns, side = height - 2 * patch, width - 2 * patch, 2 * radius + 1
         found = np.zeros((rows, columns, side, side), np.bool_)
@@ -233,8 +234,8 @@ def _collaborated(
 ) -> tuple[Floats, Floats]:
     """Denoise the similar patches of some windows.
 
-    Values (window, patch, number) and noise (window, patch, number x channel); members are 1 or 0,
-    (window, patch). Returns patches and how often each counts.
+    Values have shape (window, patch, number), noise (window, patch, number x channel), members (1
+    or 0) (window, patch). Returns the patches and how often each counts.
     """
     n = members.sum(axis=-1)
     size = values.shape[-1]
@@ -272,8 +273,8 @@ def _covariance(apart: Floats, members: Floats, n: Floats) -> Floats:
 
 
 def _shrunk(values: Floats, centre: Floats, signal: Floats, noise: Floats) -> Floats:
-    """Draw patches to their centre by the share of noise in what they vary."""
-    # Added, not clamped at: what is inverted is that small where there is neither.
+    """Shrink patches towards their centre by the share of noise in their variance."""
+    # Added, not used as a lower bound: it only matters where signal and noise are both near 0.
     whole_of = signal + noise + _LEAST * np.eye(signal.shape[-1])
     share = np.linalg.solve(whole_of, noise)  # its transpose, for both are symmetric
     return np.asarray(values - (values - centre[:, np.newaxis]) @ share)
@@ -293,7 +294,7 @@ def _around(image: npt.NDArray[Any], radius: int) -> npt.NDArray[Any]:
 
 
 def _window(image: Floats, y: int, xs: slice, radius: int) -> Floats:
-    """Return what lies around some pixels of a row, shape (pixel, place, value)."""
+    """Return the windows around some pixels of a row, shape (pixel, place, value)."""
     side = 2 * radius + 1
     strip = image[y : y + side, xs.start : xs.stop + 2 * radius]
     views = np.lib.stride_tricks.sliding_window_view(strip, (side, side), axis=(0, 1))[0]

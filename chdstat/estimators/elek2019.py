@@ -49,29 +49,29 @@ Weights = list[npt.NDArray[np.float32]]
 RECORD_EVERY = 100
 """Iterations between two rows of the history."""
 _VALIDATION_ROWS = 16_384
-"""Rows of the validation part that a row of the history looks at, at most."""
+"""At most so many validation rows are evaluated for a row of the history."""
 _ROWS_AT_ONCE = 65_536
 
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """How a network is built and trained; what the source leaves open is marked as chosen here.
+    """How a network is built and trained; "chosen here" marks what the publication leaves open.
 
     Attributes
     ----------
     name, source
-        What it is called by, and where it was published.
+        Name of the preset, and where it was published.
     inputs
-        Samples of one channel that go in, in the order drawn.
+        Number of input samples, all of one channel, in the order drawn.
     hidden
         Neurons of each dense layer (ReLU, chosen here); one linear output follows.
     pixels
-        Pixels drawn for training: 6400 where the image has them and at least a quarter of it
-        remains to judge, 93 x 93 pixels or more; half of a smaller image.
+        Pixels drawn for training: 6400 if at least a quarter of the image remains for judging (93 x
+        93 pixels or more), else half of the image.
     validation_share
-        Part of the batches that only validate.
+        Share of the batches that are used for validation only.
     iterations
-        Minibatches seen.
+        Number of minibatches.
     learning_rate
         Constant step size.
     minibatch
@@ -110,7 +110,7 @@ PRESETS = {"elek2019": Preset(name="elek2019", source="Elek, Thomas and Forbes 2
 
 @dataclass(frozen=True, kw_only=True)
 class _TrainedMLP(training.Trained):
-    """All that training leaves behind.
+    """A trained network.
 
     Attributes
     ----------
@@ -265,13 +265,13 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         Returns
         -------
         ndarray
-            Estimates, shape (...), in the unit of `x`; NaN where no sample is good. Where the
-            network overflows, the mean of the good samples.
+            Estimates, shape (...), in the unit of `x`; NaN where no sample is good, and the mean of
+            the good samples where the network overflows.
 
         Raises
         ------
         InputError
-            If the last axis does not hold exactly `inputs` samples, or nothing was trained yet.
+            If the last axis does not hold exactly `inputs` samples, or the network is not trained.
         """
         samples = as_samples(x)
         warn_left_out(samples, within="chdstat.estimators")
@@ -285,7 +285,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         if not all_good(rows):
             rows = np.where(is_bad(rows), mean_of_good(rows)[..., np.newaxis], rows)
         rows = rows.astype(np.float32, copy=False)
-        # The network works on radiance itself; that of a black scene estimates black.
+        # The network works on linear radiance. Trained on a black scene, it estimates black.
         first, *between, matrix, bias = self.state.weights
         scale = np.float32(self.state.scale)
         with np.errstate(over="ignore"):
@@ -355,7 +355,7 @@ def evaluate(weights: Weights, x: npt.NDArray[np.float32]) -> npt.NDArray[np.flo
     result = np.empty(len(x), np.float32)
     with torch.inference_mode():
         for part in spans(len(x), _ROWS_AT_ONCE):
-            # Torch has no negative strides, such as those of a reversed view.
+            # Torch does not support negative strides, as a reversed view has.
             rows = torch.tensor(np.ascontiguousarray(x[part]), device=device)
             result[part] = _forward(parameters, rows).cpu().numpy()
     return result
@@ -385,8 +385,8 @@ def _fit(
     Returns
     -------
     weights : list of ndarray
-        As after the last record at which all of them were finite, or, with a patience, after that
-        of the smallest validation loss.
+        Weights at the last record at which all were finite; with a patience, those at the record
+        with the smallest validation loss.
     history : ndarray
         Rows of `History`.
     """

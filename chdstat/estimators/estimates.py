@@ -1,22 +1,22 @@
 """Estimates: the default estimate of an image, and the file of it.
 
 `estimate` is the one call from samples to radiance. By default it combines the mean, an
-outlier-free mean and denoised images of both, pixel by pixel; or it lets a model estimate that was
-trained before. Nothing is trained. `write_estimates` puts the image in an EXR file, with the
-certainty, the interval and the mean beside it.
+outlier-free mean and denoised images of both, pixel by pixel. Given a trained model, it applies
+that model instead. It trains nothing. `write_estimates` writes the image to an EXR file, together
+with the certainty, the interval and the mean.
 
-No single candidate is the best everywhere: a denoiser loses what is small and bright, the mean is
-noisy, and which of them is nearer to the truth differs from pixel to pixel. `combine` weights the
-candidates by their error on held-out samples: they are made of one half of the samples and compared
-with the mean of the other half, whose noise is independent and unbiased (van der Laan, Polley and
-Hubbard 2007, "Super learner", doi:10.2202/1544-6115.1309). A network turns these comparisons into
-weights and into the width of an interval. `chdstat.estimators.default_estimate` has the parts:
-candidates, the network, and how much of the mean a pixel keeps.
+No single candidate is the best everywhere: a denoiser loses small bright details, the mean is
+noisy. `combine` weights the candidates by their error on held-out samples: each is computed from
+one half of the samples and compared with the mean of the other half, which is unbiased and has
+independent noise (van der Laan, Polley and Hubbard 2007, "Super learner",
+doi:10.2202/1544-6115.1309). A network turns these comparisons into weights and into the width of an
+interval. `chdstat.estimators.default_estimate` contains the candidates, the network, and the rule
+for how much of the mean a pixel keeps.
 
 Weights per pixel for candidates follow Back et al. 2020, "Deep combiner for independent and
 correlated pixel estimates", doi:10.1145/3414685.3417847, and Firmino et al. 2022, "Progressive
-denoising of Monte Carlo rendered images", doi:10.1111/cgf.14454, which mixes by an estimated error;
-both train on the error of two estimates, here it is any number of them.
+denoising of Monte Carlo rendered images", doi:10.1111/cgf.14454, which mixes by an estimated error.
+Both combine two estimates; here there may be any number.
 """
 
 from __future__ import annotations
@@ -83,21 +83,21 @@ _log = logging.getLogger("chdstat")
 
 AnyModel = TrainedModel[Any]
 _AROUND = 4.0
-"""Standard deviation in pixels of the window that the spread of proposals is pooled over."""
+"""Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
 _FIRST = 16
-"""Samples of a pixel of the first estimate while rendering."""
+"""Samples per pixel at the first estimate while rendering."""
 _COPIES = 2.2
-"""Memory that an estimate by a model takes, over that of its samples (measured)."""
+"""Memory that an estimate by a model takes, relative to that of the samples (measured)."""
 _USUAL_CHANNELS = (1, 3)
 """Numbers of channels that EXR has names for."""
 _BELOW = 0.001
 """Probability, for normal samples, that radiance is less than its floor."""
 _AGREES = 1.5
-"""Standard errors that the sum of an image is left away from that of the mean."""
+"""Standard errors by which the sum of an image may differ from the sum of the mean."""
 _MOST = 0.05
-"""Share of its radiance that a pixel is given back at most."""
+"""Largest share of its radiance that a pixel is given back."""
 _LEAST = 4
-"""Samples of a pixel, of which each half needs two."""
+"""Fewest samples of a pixel: each half needs two."""
 
 
 # --- from samples to an image, and its file ---
@@ -123,13 +123,12 @@ def estimate(
     Parameters
     ----------
     samples
-        The image, as `Samples`, an array (y, x, channel, sample) or the path of a store; or a
-        rendering, as `chdstat.rendering.render_batches` makes it: then nothing is kept of its
-        batches but what the estimate needs, in memory that does not grow with `spp`. A model
-        takes samples only.
+        The image, as `Samples`, an array (y, x, channel, sample) or the path of a store. Without a
+        model also a rendering from `chdstat.rendering.render_batches`: its batches are summed and
+        dropped, so memory does not grow with `spp`.
     model
-        A trained estimator, or the file that one was saved to; None combines candidates. A
-        `Progressive` of another scene warns, and is mixed with the mean.
+        A trained estimator, or the file of one; None combines candidates. A `Progressive` that was
+        trained on another scene warns, and its estimate is mixed with the mean.
     spp
         Use the first so many samples; None uses all.
     loss_weight
@@ -138,29 +137,27 @@ def estimate(
     level
         Probability of the interval.
     denoise
-        Put the image through Open Image Denoise, with first-hit features where there are any.
-        Certainty and interval remain those of the estimate before it. Without a model, each pixel
-        is denoised once more in proportion to the weight of its denoised candidates, and stays
-        within the interval of its mean.
+        Denoise the estimate with Open Image Denoise, with first-hit features where there are any.
+        Certainty and interval remain those of the estimate before denoising. Without a model, each
+        pixel is denoised once more in proportion to the weight of its denoised candidates, and
+        stays within the interval of its mean.
     progress
         Show progress bars; None shows them on a terminal. A rendering shows its own.
     client, checkpoint
-        Where candidates are combined, as for `chdstat.analyze`: a Dask client whose workers do the
-        work, and a folder that keeps what is done, so that the same call goes on after a stop.
+        Without a model only, as for `chdstat.analyze`: a Dask client whose workers do the work, and
+        a folder for finished parts, from which the same call resumes.
 
     Returns
     -------
     Estimates
-        Shape (y, x, channel), in the unit of the samples; a `Combination` with the weight of each
-        candidate, where candidates were combined. `MLP` says neither certainty nor interval: these
-        are NaN.
+        Shape (y, x, channel), in the unit of the samples. Without a model it is a `Combination`,
+        with the weight of each candidate. `MLP` leaves certainty and interval NaN.
 
     Raises
     ------
     InputError
-        If the samples are too few, or more than the memory of this machine holds, the model does
-        not fit them, an option is out of range, or Open Image Denoise is wanted and cannot be
-        loaded.
+        If there are too few samples, they do not fit into memory, the model does not fit them, an
+        option is out of range, or Open Image Denoise cannot be loaded.
     StoreError
         If the model cannot be read.
 
@@ -181,32 +178,32 @@ def estimate(
 def refine(
     rendering: Rendering, *, level: float = 0.9, seconds: float | None = None
 ) -> Iterator[Combination]:
-    """Estimate while a scene renders: at 16 samples of a pixel, and whenever they have doubled.
+    """Estimate while a scene renders: at 16 samples per pixel, and at each doubling of that number.
 
     Parameters
     ----------
     rendering
-        As `chdstat.rendering.render_batches` makes it. Of its samples only sums are kept, in memory
-        that does not grow with their number.
+        From `chdstat.rendering.render_batches`. Only sums of its samples are kept, so memory does
+        not grow with their number.
     level
         Probability of the intervals.
     seconds
-        Stop after the pass that ends later than that; None renders all.
+        Stop after the first pass that ends later than this; None renders all.
 
     Yields
     ------
     Combination
-        What `chdstat.estimate` returns of the samples until now. The last one is, to the bit, that
-        of a store of the same samples.
+        What `chdstat.estimate` returns for the samples so far. The last one equals, to the bit, the
+        estimate from a store of the same samples.
 
     Raises
     ------
     InputError
-        If an option is out of range, or the samples are less than 4.
+        If an option is out of range, or there are fewer than 4 samples.
 
     Examples
     --------
-    Stop where the image is known to 40 %:
+    Stop when the estimated error of the image is below 40 %:
 
     >>> from chdstat.rendering import render_batches
     >>> rendering = render_batches("cornell-box", spp=1024, size=(16, 16), progress=False)
@@ -253,21 +250,21 @@ def write_estimates(
 ) -> Path:
     """Estimate the radiance of every pixel and write it to a file: .exr, .npy, .pfm or .png.
 
-    The image is the estimate; a PNG file is tone-mapped. The layers of an EXR file
-    are ``certainty``, ``low``, ``high`` and ``mean``, the ``weight`` of each candidate where
-    candidates were combined, and ``estimate`` where the image was denoised after it. Its header
-    says where all this comes from.
+    The image is the estimate; a PNG file is tone-mapped. An EXR file has the further layers
+    ``certainty``, ``low``, ``high`` and ``mean``. Without a model it also has the ``weight`` of
+    each candidate, and with `denoise` the ``estimate`` before denoising. Its header records the
+    scene, the samples and the options.
 
     Parameters
     ----------
     path
-        The file, as for `chdstat.io.write_image`; one that is there already is replaced at the
-        end. That of a rendering is replaced whenever the number of samples has doubled.
+        The file, as for `chdstat.io.write_image`. An existing file is replaced at the end; for a
+        rendering, it is replaced at each doubling of the number of samples.
     samples, model, spp, loss_weight, level, denoise, progress, client, checkpoint
         As for `estimate`.
     seconds, relative_error
-        Stop a rendering after so many seconds, or where the estimated error of the image, over its
-        mean, is not larger.
+        Stop a rendering after so many seconds, or as soon as the estimated error of the image,
+        divided by its mean, is at most this.
 
     Returns
     -------
@@ -333,18 +330,18 @@ class _Options:
 
 @dataclass(frozen=True)
 class _Estimated:
-    """An estimate with all that a file of it holds.
+    """An estimate, with everything that is written to its file.
 
     Attributes
     ----------
     source, options
-        The samples or the rendering, and how they were estimated from.
+        The samples or the rendering, and the options of the estimate.
     model
         The estimator; None for a combination.
     found
-        Before the denoiser.
+        The estimate before denoising.
     mean
-        Of the same samples, shape (y, x, channel).
+        Mean of the same samples, shape (y, x, channel).
     """
 
     source: Samples | Rendering
@@ -401,14 +398,14 @@ def _estimates(
     options: _Options,
     seconds: float | None = None,
 ) -> Iterator[_Estimated]:
-    """Yield the estimate; of a rendering, one after another, of more and more samples."""
+    """Yield the estimate; for a rendering, yield estimates from more and more samples."""
     check_loss_weight(options.weight)
     check_probability(level=options.level)
     model = load_model(model) if isinstance(model, str | Path) else model
     if options.loss_weight is not None and not isinstance(model, Progressive):
         message = "loss_weight is of a progressive model: give one as model, or leave it out"
         raise InputError(message)
-    # A rendering has batches; to test for its class would load Mitsuba here.
+    # Only a rendering has `batch`; testing for its class would import Mitsuba.
     if hasattr(source, "batch"):
         _check_rendering(source, model, options)
         for found in refine(source, level=options.level, seconds=seconds):
@@ -431,7 +428,7 @@ def _estimates(
 
 
 def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) -> None:
-    """Refuse what could not be estimated after the rendering."""
+    """Check before the rendering whatever would fail after it."""
     check_independent(rendering)
     message = None
     if model is not None:
@@ -457,7 +454,7 @@ def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) 
 def _by_model(
     model: AnyModel, samples: Samples, options: _Options
 ) -> tuple[Estimates, npt.NDArray[np.float32]]:
-    """Let a model estimate; return the mean of the samples, too."""
+    """Return the estimates of a model, and the mean of the samples."""
     check_memory(
         _COPIES * samples.nbytes,
         f"the {samples.spp} spp of an estimate and what it computes of them",
@@ -474,7 +471,7 @@ def _by_model(
 
 
 def check_denoiser(channels: int) -> None:
-    """Raise InputError where the denoiser cannot be loaded or takes no such image."""
+    """Raise InputError if the denoiser cannot be loaded or does not take so many channels."""
     run_denoiser(np.zeros((1, 1, channels)))
 
 
@@ -483,26 +480,27 @@ def check_denoiser(channels: int) -> None:
 
 @dataclass(frozen=True, repr=False)
 class Combination(Estimates):
-    """Estimates from several candidates, with what each of them was given.
+    """Estimates from several candidates, with the weight of each.
 
     Attributes
     ----------
     mean
-        Of each channel's good samples, shape (y, x, channel).
+        Mean of each channel's good samples, shape (y, x, channel).
     weights
-        Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is what
-        the mean was not given. Where the weighted sum is significantly darker than the mean of the
-        samples, the estimate is the lower end of the mean's interval instead; and where the image
-        as a whole is, it is made brighter (or darker) in proportion, but for what is certain.
+        Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is 1 minus
+        the weight of the mean. If the sum of the image differs significantly from the sum of the
+        mean, the estimate is also made brighter (or darker), more where it is uncertain.
     bias
-        How much brighter the image is than the mean of all samples, which has no bias, as a share
-        of it.
+        Difference between the sum of the image and the sum of the mean, which has no bias, divided
+        by the latter.
     bias_error
-        Standard error of that mean, as a share of it: a bias below twice this may be none.
+        Standard error of the sum of the mean, divided by that sum. A bias below twice this may be
+        chance.
     least
-        The lower end of the mean's interval, shape (y, x, channel).
+        Lower end of an interval of the mean, shape (y, x, channel); denoising keeps to this
+        interval.
     spp
-        Samples of a pixel, at most.
+        Largest number of samples of a pixel.
     """
 
     mean: Image = field(default_factory=lambda: np.empty(0, np.float32))
@@ -514,17 +512,17 @@ class Combination(Estimates):
 
     @property
     def relative_error(self) -> float:
-        """Root of the image's mean squared error over its mean, as the intervals estimate it."""
+        """Root mean squared error of the image over its mean, estimated from the intervals."""
         width = (self.high - self.low) / (2 * stats.norm.ppf(0.5 + self.level / 2))
         return float(np.sqrt(np.nanmean(np.square(width, dtype=np.float64)))) / float(
             np.abs(np.nanmean(self.radiance, dtype=np.float64))
         )
 
     def guarded(self, denoised: Image) -> Image:
-        """Mix a denoised image of these estimates with them, by the weights of denoised candidates.
+        """Mix these estimates with their denoised image, by the weights of the denoised candidates.
 
-        Candidates that are not denoised keep their weight: where denoising did not pay, it does
-        not pay afterwards. And no denoiser moves a pixel out of the interval of its mean.
+        Where the candidates that are not denoised have all the weight, nothing is denoised.
+        Denoising moves no pixel out of the interval of its mean.
         """
         unseen = [image for name, image in self.weights.items() if "denoised" not in name]
         kept = np.clip(np.sum(unseen, axis=0), 0, 1)[..., np.newaxis]
@@ -543,22 +541,22 @@ def combine(
     client: Client | None = None,
     checkpoint: str | Path | None = None,
 ) -> Combination:
-    """Estimate radiance by candidates that are weighted by their error on held-out samples.
+    """Estimate radiance from candidates, weighted by their error on held-out samples.
 
     Parameters
     ----------
     samples
-        `Samples`, which are read tile by tile, or an array (y, x, channel, sample): 1 or 3
-        channels, at least 4 samples of each pixel.
+        `Samples`, read tile by tile, or an array (y, x, channel, sample), with 1 or 3 channels and
+        at least 4 samples of each pixel.
     features
-        First-hit features by name, of which ``albedo`` and ``normal`` guide the denoiser; None
-        takes those of `Samples`.
+        First-hit features by name; ``albedo`` and ``normal`` guide the denoiser. None takes those
+        of `Samples`.
     level
         Probability of the interval.
     progress
         Show a progress bar; None shows it on a terminal.
     client, checkpoint
-        As for `chdstat.analyze`: workers of a cluster, and a folder that keeps what they have done.
+        As for `chdstat.analyze`: workers of a cluster, and a folder for finished parts.
 
     Returns
     -------
@@ -568,7 +566,7 @@ def combine(
     Raises
     ------
     InputError
-        If there are less than 4 samples, or no 1 or 3 channels.
+        If there are fewer than 4 samples, or neither 1 nor 3 channels.
 
     Examples
     --------
@@ -598,15 +596,15 @@ def combine(
 
 
 class CombinationStream:
-    """Samples of an image as they come, of which only sums are kept.
+    """Estimate from samples that arrive in batches; only sums of them are kept.
 
-    The memory does not depend on their number. What `estimate` returns is, to the bit, what
-    `combine` makes of the same samples in the same order, however they are cut into batches.
+    Memory does not depend on the number of samples. `estimate` returns, to the bit, what `combine`
+    returns for the same samples in the same order, however they are cut into batches.
 
     Parameters
     ----------
     shape
-        Of the image: (y, x, channel), 1 or 3 channels.
+        Shape of the image: (y, x, channel), 1 or 3 channels.
 
     Examples
     --------
@@ -628,7 +626,7 @@ class CombinationStream:
 
     @property
     def spp(self) -> int:
-        """Samples that every pixel has."""
+        """Number of samples that every pixel has."""
         return int(self._drawn.min())
 
     def update(
@@ -652,7 +650,7 @@ class CombinationStream:
         drawn += x.shape[-1]
 
     def merge(self, other: CombinationStream) -> None:
-        """Add the samples of another stream, such as that of another worker."""
+        """Add the samples of another stream, for example of another worker."""
         if self.shape != other.shape:
             message = f"expected a stream of an image of shape {self.shape}, got {other.shape}"
             raise InputError(message)
@@ -663,7 +661,7 @@ class CombinationStream:
     def estimate(
         self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
     ) -> Combination:
-        """Estimate the radiance from the samples until now, as `combine` does."""
+        """Estimate the radiance from the samples so far, as `combine` does."""
         if self.spp < _LEAST:
             message = f"expected at least {_LEAST} samples of a pixel, got {self.spp}"
             raise InputError(message)
@@ -677,7 +675,7 @@ def _combine_measured(
     level: float = 0.9,
     client: Client | None = None,
 ) -> Combination:
-    """Combine candidates, as `combine` does, from statistics of the samples and of their halves."""
+    """Combine candidates from the statistics of all samples and of their halves."""
     check_probability(level=level)
     made = [candidates(start, features, client) for start in measured.starts]
     names, unit = list(made[0]), unit_of(made[0])
@@ -688,7 +686,7 @@ def _combine_measured(
         weights, width = weighting(made, measured, unit)
         half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
     else:
-        # Nothing is denoised: the limited mean is proposed, as certain as the mean is.
+        # Nothing is denoised: propose the limited mean, with the interval of the mean.
         weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
         half = ends[1] - mean
     proposed = [
@@ -708,7 +706,7 @@ def _combine_measured(
     proposal = proposed[0].image
     radiance = proposal + of_mean * (mean - proposal)
     balanced = give_back(radiance, mean, error, 1 - of_mean)
-    # Where no light was found, the mean has no interval.
+    # The mean of a pixel without light has no interval: take that of the proposal.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
     below, above = (
@@ -754,14 +752,14 @@ def combination(
 ) -> Image:
     """Weight the mean, an outlier-free mean and denoised images of both, pixel by pixel.
 
-    The radiance of `combine`, whose network was trained once, on built-in scenes.
+    Returns the radiance of `combine`. Its network was trained once, on built-in scenes.
 
     Parameters
     ----------
     x
         Samples, shape (y, x, channel, sample) of 1 or 3 channels, at least 4.
     features
-        First-hit features of the image, as of `Samples.features`.
+        First-hit features of the image, as in `Samples.features`.
 
     Returns
     -------
@@ -797,10 +795,10 @@ def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
 
 
 def _spread(one: Proposal, other: Proposal, unit: Image) -> Image:
-    """Return the standard error of a proposal, shape (y, x, 1), as those of the halves tell it.
+    """Return the standard error of a proposal, shape (y, x, 1), from the proposals of the halves.
 
-    Pooled over pixels around. Images that are much smaller or thinner than those that the network
-    was trained on have larger errors than it expects.
+    It is averaged over the pixels around. Images much smaller or thinner than the training images
+    have larger errors than the network expects.
     """
     apart = np.square((one.image - other.image) / (2 * unit[..., np.newaxis])).mean(axis=-1)
     around = ndimage.gaussian_filter(apart, _AROUND, mode="nearest")
@@ -812,10 +810,10 @@ def interval_of_mean(
 ) -> Reals:
     """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
 
-    Means of positive samples are nearly gamma distributed, of the shape k = (mean / error)^2: those
-    of exponential samples are so, and k equal ones among many nulls are nearly (Garwood 1936,
-    doi:10.1093/biomet/28.3-4.437). k is smaller by the square of the
-    ratio of the normal quantile to Student's. Signed samples have Student's interval.
+    Means of positive samples are taken as gamma distributed with the shape k = (mean / error)^2.
+    That is exact for exponential samples and nearly true for k equal samples among many nulls
+    (Garwood 1936, doi:10.1093/biomet/28.3-4.437). For few samples, k is multiplied by the squared
+    ratio of the normal quantile to Student's. Signed samples get Student's interval.
     """
     tails = np.array((0.5 + level / 2, 0.5 - level / 2))
     n = np.maximum(count.astype(np.float64) - 1, 1)
@@ -829,11 +827,12 @@ def interval_of_mean(
 
 
 def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
-    """Return what a pixel's radiance is at least when it is denoised once more.
+    """Return the least radiance that a pixel may get when it is denoised once more.
 
-    The lower end of Student's interval. One bright sample of n makes mean and standard error
-    alike, k of them a standard error of about mean / sqrt(k): only light that many samples found
-    is kept by it. Skewness to the bright, as of radiance, makes this end the more certain.
+    It is the lower end of Student's interval. With one bright sample among n, the standard error
+    equals the mean; with k of them it is about mean / sqrt(k). So the bound is above 0 only for
+    light that many samples found. As radiance is skewed to the right, the lower end is the more
+    certain one.
     """
     counts, place = np.unique(count, return_inverse=True)
     certain = special.stdtrit(np.maximum(counts.astype(np.float64) - 1, 1), 1 - _BELOW)
@@ -843,10 +842,10 @@ def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
 def give_back(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals:
     """Return an image whose sum agrees with that of the mean, which has no bias.
 
-    What proposals lose or add beyond `_AGREES` standard errors of that sum is given back in
-    proportion to radiance, or to twice the standard error of a pixel that is known better, and to
-    how far it was moved from its mean, so that what is certain stays. It is no more than `_MOST` of
-    it: more would be guessed at.
+    The radiance that the proposals lose or add beyond `_AGREES` standard errors of that sum is
+    given back. A pixel's share is its radiance, or twice its standard error if that is less, times
+    how far it was moved from its mean: pixels that are certain stay. No pixel changes by more than
+    `_MOST`.
     """
     apart = float(radiance.sum(dtype=np.float64) - mean.sum())
     lost = np.sign(apart) * max(abs(apart) - _AGREES * error_of_sum(error), 0)
@@ -855,13 +854,13 @@ def give_back(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals
 
 
 def error_of_sum(error: Reals) -> float:
-    """Return the standard error of an image's sum, of those of its pixels."""
-    # Channels of a sample vary together: their errors add up as if they were the same.
+    """Return the standard error of an image's sum, from the errors of its pixels."""
+    # The channels of a sample vary together: add their errors, not their variances.
     return float(np.sqrt(np.square(error.sum(axis=-1)).sum()))
 
 
 def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
-    """Return by how much an image is brighter than the mean, and the standard error of that."""
+    """Return how much brighter an image is than the mean, and the standard error, as shares."""
     whole = float(mean.sum())
     if not whole:
         return np.nan, np.nan

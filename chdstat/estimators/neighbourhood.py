@@ -1,12 +1,13 @@
 """Neighbourhood: pixels whose samples are similar share their statistics.
 
-`delbracio2014` compares histograms of the samples, patch by patch; `sakai2024` compares their means
-by a test of significance, pixel by pixel; `rousselle2012` compares patches of means, and filters
-each half of the samples with weights from the other half, so that a firefly of one does not choose
-its own neighbours. None shares across an edge that the samples show.
+`delbracio2014` compares histograms of the samples, patch by patch. `sakai2024` compares means by a
+test of significance, pixel by pixel. `rousselle2012` compares patches of means; it filters each
+half of the samples with weights from the other half, so that a firefly does not choose its own
+neighbours. All of them preserve edges that the samples show.
 
-One is new here: `shared_patches` averages pixels whose surroundings are statistically similar, in
-two passes; on rendered scenes at 32 samples, its error is the smallest of all that are not learned.
+`shared_patches` is new here: it averages pixels whose patches are statistically similar, in two
+passes. On rendered scenes at 32 samples, it has the smallest error of all estimators without
+training.
 """
 
 from __future__ import annotations
@@ -40,21 +41,21 @@ Fireflies = Literal["limit", "keep"]
 _FIRST, _SECOND = 0.3, 0.5
 """How fast weights fall with the distance, in the first and in the second pass."""
 _CORRELATED = 3.0
-"""Factor on the variances of means that have been averaged once: neighbours share their samples,
-and what they share was chosen for being similar."""
+"""Factor on the variances of means after the first pass: averages of neighbours contain the same
+samples, and these were selected for being similar."""
 _HUE = 0.02
-"""Difference between channels, relative to their level, that tells nothing: light takes on the
-colour of what is around."""
+"""Difference between channels, relative to their level, that is ignored: light takes on the colour
+of surfaces around."""
 _ROUNDING = 1e-6
 _ALPHA = 0.005
 """Level of the test of means."""
 _GUIDES = {"albedo": 0.02, "normal": 0.1}
-"""Standard deviations of what guides (authors' code)."""
+"""Standard deviations of the guiding features (authors' code)."""
 _CUT = 7.0
-"""Weights below e^-7 are none."""
+"""Weights below e^-7 are set to 0."""
 _FAR = 1e6
 _LEAST_WEIGHT = 0.05
-"""Weights of non-local means below it are none (authors' code)."""
+"""Weights of non-local means below this are set to 0 (authors' code)."""
 _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
 
@@ -71,38 +72,38 @@ def delbracio2014(
     """Ray histogram fusion: average patches whose samples have similar histograms.
 
     Pixels i and j share their samples if ``chi^2 = sum (n_j h_i - n_i h_j)^2 / (n_i n_j (h_i +
-    h_j)) <= threshold`` per used bin, summed over a patch around each and over the channels. Bins
-    are used that hold more than one sample of both. Every similar patch lends all its pixels.
+    h_j)) <= threshold`` per used bin, summed over the patches around them and over the channels. A
+    bin is used if it holds more than one sample of the two together. A similar patch contributes
+    all its pixels.
 
-    Histogram and distance are those of the code of Bayesian collaborative denoising, a successor.
-    The coarse scales of the publication are left out, and the sums over patches that overlap are
-    divided once, by all their weights.
+    Histogram and distance follow the code of its successor, Bayesian collaborative denoising. The
+    coarse scales of the publication are left out. Overlapping patches are summed, then divided once
+    by the sum of all weights.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (y, x, channel, sample). Samples with a NaN or infinite channel are left out.
     threshold
-        Distance up to which patches are similar, larger than 0; 1 is what noise gives.
+        Distance up to which patches are similar, larger than 0; noise alone gives 1.
     radius
-        Of the search window, in pixels: 6 for 13 x 13.
+        Radius of the search window, in pixels: 6 for 13 x 13.
     patch
         Radius of the patches: 1 for 3 x 3, 0 for single pixels.
     unit
-        Radiance that is exposed as 1, see `zirr2018`; None makes the log-average of the image
-        0.18. Histograms end at about 7.5 of it; their last bin is full at 34.
+        Radiance that is exposed as 1; None makes the log-average of the image 0.18. Histograms end
+        at about 7.5 times this; from 34 times on, samples fall entirely into the last bin.
 
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where no whole sample is
-        good, the mean of a channel's good samples; NaN where there are none of these.
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
     InputError
-        If `x` is no image, or an option is out of range.
+        If `x` is not an image, or an option is out of range.
 
     References
     ----------
@@ -132,7 +133,7 @@ def delbracio2014(
         similar = similarity.window_sum(distance, patch) <= threshold * similarity.window_sum(
             used, patch
         )
-        # A patch lends to each of its pixels what lies at the same place of the other patch.
+        # Each pixel of a patch takes the pixel at the same place of the other patch.
         return similarity.window_sum(similar.astype(np.float64), patch) / (2 * patch + 1) ** 2
 
     window = similarity.Window(weigh, fields, radius, reach=2 * patch)
@@ -159,40 +160,38 @@ def sakai2024(
     """Statistical denoising: average pixels whose means do not differ significantly.
 
     Pixels i and j share their samples if, in every channel, ``(m_i - m_j)^2 <= t_i^2 SE_i^2 + t_j^2
-    SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, their means
-    corrected for skewness as by Johnson. They share by ``exp(-d^2 / 2)``, where d^2 adds up the
-    squared differences of place, albedo and shading normal, each in its own unit: `spread` pixels,
+    SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, with means
+    corrected for skewness after Johnson. The weight is ``exp(-d^2 / 2)``, where d^2 is the sum of
+    the squared differences of position, albedo and shading normal, in units of `spread` pixels,
     0.02 and 0.1.
 
-    Formulas and settings are those of the authors' published code, which repeats the border of the
-    image; here there is nothing outside. The root of a negative sample, minus that of its size, is
-    that of Bickel and Doksum 1981.
+    Formulas and settings follow the authors' published code, except that it repeats the border of
+    the image. The root of a negative sample x is ``-sqrt(-x)`` (Bickel and Doksum 1981).
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (y, x, channel, sample). Samples with a NaN or infinite channel are left out.
     features
-        First-hit features of the image, as of `Samples.features`; ``albedo`` and ``normal`` are
-        used where they are there, each of shape (y, x, 3).
+        First-hit features of the image, as in `Samples.features`; ``albedo`` and ``normal``, each
+        of shape (y, x, 3), are used if present.
     alpha
-        Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
+        Level of the two-sided test, between 0 and 1. A smaller level averages more pixels.
     radius
-        Of the round window, in pixels.
+        Radius of the round window, in pixels.
     spread
-        Standard deviation of the Gaussian that weighs the window, in pixels, larger than 0.
+        Standard deviation of the Gaussian weights in the window, in pixels, larger than 0.
 
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where no whole sample is
-        good, the mean of a channel's good samples; NaN where there are none of these.
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
     InputError
-        If `x` is no image, has less than 2 samples, a feature is no image of its size, or an option
+        If `x` is not an image, has fewer than 2 samples, a feature has another size, or an option
         is out of range.
 
     References
@@ -247,43 +246,43 @@ def shared_patches(
     """Average pixels whose patches are statistically similar, in two passes.
 
     The distance of two pixels is Welch's statistic, ``d = (m_i - m_j)^2 / (SE_i^2 + SE_j^2)``,
-    averaged over the pixels of a patch around each and over statistics: the mean of the samples, of
-    their roots, and of the differences between the roots of neighbouring channels. They share with
-    weight ``exp(-max(0, d - threshold) / s)``; noise alone gives d = 1. Patches lend all their
-    pixels, as in non-local means, except to pixels that differ significantly by the test of
-    `sakai2024`. A first pass (s = 0.3) averages the statistics. A second (s = 0.5) compares these
-    averages, whose errors are several times smaller, and averages the estimates.
+    averaged over the patches around them and over three statistics: the mean of the samples, of
+    their roots, and of the differences between the roots of neighbouring channels. The weight is
+    ``exp(-max(0, d - threshold) / s)``; noise alone gives d = 1. A patch contributes all its
+    pixels, as in non-local means, but no pixel is averaged with one from which it differs
+    significantly (test of `sakai2024`). The first pass (s = 0.3) averages the statistics. The
+    second (s = 0.5) compares these averages, which have several times smaller errors, and averages
+    the estimates.
 
-    Test and transform are those of `sakai2024`, patches those of `delbracio2014`. A single pixel
-    is no evidence: its error may be large for one firefly, or small because none has come yet.
-    The second pass is that of Rousselle et al. 2012. Weights, statistics and passes are
-    new here.
+    Test and transform are from `sakai2024`, patches from `delbracio2014`, the second pass from
+    Rousselle et al. 2012. The weights and the choice of statistics are new here. Patches are
+    compared because the error of a single pixel is unreliable: one firefly makes it large, and it
+    is too small until the first one comes.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (y, x, channel, sample). Samples with a NaN or infinite channel are left out.
     threshold
-        Distance up to which patches share fully, larger than 0: the larger, the smoother.
+        Distance up to which patches have full weight, larger than 0. A larger one smooths more.
     radius
-        Of the search window, in pixels: 5 for 11 x 11.
+        Radius of the search window, in pixels: 5 for 11 x 11.
     patch
         Radius of the patches: 1 for 3 x 3, 0 for single pixels.
     fireflies
-        "limit" averages what `shared_shape` makes of the pixels, which loses about 1 % of the
-        energy; "keep" averages their means.
+        "limit" averages the estimates of `shared_shape`, which loses about 1 % of the energy;
+        "keep" averages the means of the pixels.
 
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where no whole sample is
-        good, the mean of a channel's good samples; NaN where there are none of these.
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
     InputError
-        If `x` is no image, has less than 2 samples, or an option is out of range.
+        If `x` is not an image, has fewer than 2 samples, or an option is out of range.
 
     References
     ----------
@@ -332,7 +331,7 @@ def shared_patches(
 
 
 def _statistics(image: similarity.ScaledSamples) -> similarity.Means:
-    """Return means of samples, of their roots and of the differences of these between channels."""
+    """Return the means of samples, of roots, and of differences of roots between channels."""
 
     def transform(rows: Floats) -> Floats:
         roots = similarity.root(rows)
@@ -341,7 +340,7 @@ def _statistics(image: similarity.ScaledSamples) -> similarity.Means:
     mean, variance = similarity.corrected_means(image, transform)
     channels = image.samples.shape[2]
     roots = mean[..., channels : 2 * channels].mean(axis=-1, keepdims=True)
-    # Equal samples differ by rounding alone.
+    # Variances of equal samples are rounding errors.
     floor = (_ROUNDING * mean) ** 2
     floor[..., 2 * channels :] = (_HUE * roots) ** 2
     return mean, variance + floor
@@ -360,7 +359,7 @@ def _distance(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
 
 
 def _patch_mean(values: Floats, known: npt.NDArray[np.bool_], radius: int) -> Floats:
-    """Average the known values of (y, x) over patches; infinite where there are none."""
+    """Average the known values of (y, x) over patches; infinite where none is known."""
     count = similarity.window_sum(known.astype(values.dtype), radius)
     total = similarity.window_sum(np.where(known, values, 0), radius)
     return np.divide(total, count, out=np.full_like(total, np.inf), where=count > 0)
@@ -377,40 +376,40 @@ def _patch_mean(values: Floats, known: npt.NDArray[np.bool_], radius: int) -> Fl
 def rousselle2012(
     x: Reals, *, damping: float = 0.45, radius: int = 10, patch: int = 3, cancelled: float = 1.0
 ) -> Reals:
-    """Dual-buffer non-local means: average pixels whose patches differ by noise alone.
+    """Dual-buffer non-local means: average pixels whose patches differ only by noise.
 
-    With u the mean of one half of the samples and v its squared standard error, pixels p and q
-    are ``((u_p - u_q)^2 - a (v_p + min(v_p, v_q))) / (k^2 (v_p + v_q))`` apart, averaged over
-    channels and a patch around each. The weight ``exp(-max(0, d))`` is averaged over the patch
-    again, and filters the mean of the other half; the estimate is the mean of both filtered halves.
+    Let u be the mean of one half of the samples and v its squared standard error. The distance d of
+    pixels p and q is ``((u_p - u_q)^2 - a (v_p + min(v_p, v_q))) / (k^2 (v_p + v_q))``, averaged
+    over channels and patches. The weight ``exp(-max(0, d))``, averaged over the patch, filters the
+    mean of the other half. The estimate is the mean of both filtered halves.
 
-    Left out are what the paper adds for samples of low discrepancy, smoothed variances, and its
-    adaptive sampling. Formulas and the cut of small weights are those of the authors' code.
+    Formulas and the cut of small weights follow the authors' code. The paper's smoothed variances,
+    adaptive sampling and treatment of low-discrepancy samples are left out.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample), at least 4. A sample of which any channel is NaN or
-        infinite is left out.
+        Samples, shape (y, x, channel, sample), at least 4. Samples with a NaN or infinite channel
+        are left out.
     damping
         The strength k, larger than 0.
     radius
-        Of the window, in pixels: 10 for 21 x 21.
+        Radius of the window, in pixels: 10 for 21 x 21.
     patch
         Radius of the patches.
     cancelled
-        The share a of the variance that is taken from the distance, 0 or larger.
+        The share a of the variance that is subtracted from the distance, 0 or larger.
 
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit of `x`; the mean of a channel's good samples
-        where a half has less than 2 whole ones.
+        Estimates, shape (y, x, channel), in the unit of `x`. Pixels with fewer than 2 samples that
+        are good in all channels in a half get the mean of each channel's good samples.
 
     Raises
     ------
     InputError
-        If `x` is no image, or an option is out of range.
+        If `x` is not an image, or an option is out of range.
 
     References
     ----------
@@ -441,7 +440,7 @@ def rousselle2012(
         return np.pad(image, (edge, edge) + ((0, 0),) * (image.ndim - 2))
 
     def filtered(values: Floats, guide: Floats, error: Floats) -> Floats:
-        """Average an image by weights from the other one with its squared errors."""
+        """Average an image with weights from another image and its squared errors."""
         around = [padded(image) for image in (values, guide, error, known)]
         total, weights = values * known[..., np.newaxis], known.astype(np.float64)
         for dy, dx in itertools.product(range(2 * radius + 1), repeat=2):
@@ -451,7 +450,7 @@ def rousselle2012(
             its_value, its_guide, its_error, there = (image[place] for image in around)
             noise, both = error + np.minimum(error, its_error), error + its_error
             squared = np.square(guide - its_guide) - cancelled * noise
-            # Pixels without noise are the same or nothing.
+            # Pixels without noise are either equal or have no weight.
             distance = np.divide(
                 squared, damping**2 * both, out=np.where(squared > 0, np.inf, 0.0), where=both > 0
             ).mean(axis=-1)
@@ -470,7 +469,7 @@ def rousselle2012(
 
 
 def _mean_and_error(x: npt.NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
-    """Return the mean of whole good samples and its squared standard error, NaN of less than 2."""
+    """Return the mean of whole good samples and its squared error; NaN for fewer than 2."""
     kept, good = whole_samples(x)
     n = np.count_nonzero(good, axis=-1)[..., np.newaxis]
     mean = kept.sum(axis=-1, dtype=np.float64) / np.maximum(n, 1)

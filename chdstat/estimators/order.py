@@ -1,14 +1,13 @@
-"""The sample mean, which every other estimator is measured against, and robust locations.
+"""The sample mean, the baseline of all estimators, and robust locations.
 
-Order statistics: `median`, `trimmed_mean` and `winsorized_mean` treat both ends equally, and
-radiance is skewed to the right: they come out too dark, and black where at least half of the
-samples are null (the median) or all but the trimmed ones.
+Order statistics: `median`, `trimmed_mean` and `winsorized_mean` treat both ends equally. As
+radiance is skewed to the right, they are too dark. Where at least half of the samples are null, the
+median is black; where all but the trimmed samples are, so is the trimmed mean.
 
-M-estimators are the location at which the influences of the samples balance, ``sum_i psi((x_i -
-theta) / s) = 0`` with an influence psi that is bounded or grows slowly. `huber` limits the
-influence of far samples, `tukey` takes it away altogether; both tend to a centre of the
-distribution that lies below its mean. `catoni` widens with the number of samples and tends to the
-mean.
+M-estimators solve ``sum_i psi((x_i - theta) / s) = 0`` with an influence function psi that is
+bounded or grows slowly. `huber` limits the influence of far samples, `tukey` removes it. With more
+samples, both tend to a centre of the distribution below its mean. `catoni` tends to the mean, as
+its influence function widens with the number of samples.
 """
 
 from __future__ import annotations
@@ -39,9 +38,9 @@ __all__ = [
 _NORMAL_MAD = 0.6744897501960817
 """Median absolute deviation of the standard normal distribution."""
 _TOLERANCE = 1e-12
-"""Of a step, relative to the sample of the row that is farthest from 0."""
+"""Tolerance of a step, relative to the largest absolute sample of the row."""
 _TUKEY_TOLERANCE = 1e-10
-"""Of a step, relative to the scale."""
+"""Tolerance of a step, relative to the scale."""
 
 
 @register(
@@ -51,7 +50,7 @@ _TUKEY_TOLERANCE = 1e-10
     place=0,
 )
 def mean(x: Reals) -> Reals:
-    """Sample mean, (1/N) sum x_i: unbiased, and at the mercy of fireflies.
+    """Sample mean, (1/N) sum x_i: unbiased, but sensitive to fireflies.
 
     Parameters
     ----------
@@ -83,10 +82,10 @@ def mean(x: Reals) -> Reals:
 
 @register("median", "Hampel 1974, doi:10.1080/01621459.1974.10482962", place=1)
 def median(x: Reals) -> Reals:
-    """Median of the samples: unmoved by fireflies in less than half of them.
+    """Median of the samples: robust to fireflies in less than half of them.
 
     It estimates the median of the distribution, not its mean, so its bias does not vanish with more
-    samples: ``median_of_means`` is what tends to the mean.
+    samples. ``median_of_means`` tends to the mean.
 
     Parameters
     ----------
@@ -123,8 +122,7 @@ def trimmed_mean(x: Reals, *, share: float = 0.1) -> Reals:
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN and infinite samples are left out; N counts the
-        others.
+        Samples, shape (..., sample). NaN and infinite samples are left out; N counts the good ones.
     share
         Share of the samples to leave out at each end, 0 (the mean) to less than 0.5.
 
@@ -153,18 +151,17 @@ def trimmed_mean(x: Reals, *, share: float = 0.1) -> Reals:
 
 @register("winsorized_mean", "Dixon 1960, doi:10.1214/aoms/1177705900", place=1)
 def winsorized_mean(x: Reals, *, share: float = 0.1) -> Reals:
-    """Mean of the samples with the g smallest and largest set to those next to them.
+    """Mean of the samples, with the g smallest and g largest set to their nearest remaining sample.
 
-    With the samples in ascending order, ``((g + 1) (x_(g+1) + x_(N-g)) + sum of those between) /
-    N`` and g = floor(share N).
+    The mean of ``clip(x, x_(g+1), x_(N-g))``, where x_(i) is the i-th smallest sample and g =
+    floor(share N).
 
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN and infinite samples are left out; N counts the
-        others.
+        Samples, shape (..., sample). NaN and infinite samples are left out; N counts the good ones.
     share
-        Share of the samples to pull in at each end, 0 (the mean) to less than 0.5.
+        Share of the samples to replace at each end, 0 (the mean) to less than 0.5.
 
     Returns
     -------
@@ -191,19 +188,20 @@ def winsorized_mean(x: Reals, *, share: float = 0.1) -> Reals:
 
 @register("huber", "Huber 1964, doi:10.1214/aoms/1177703732", label="Huber", place=2)
 def huber(x: Reals, *, c: float = 1.345) -> Reals:
-    """Huber's location: samples farther than c scales pull no harder than one at c scales.
+    """Huber's location: samples farther than c scales count as if they were c scales away.
 
-    ``sum_i clip((x_i - theta) / s, -c, c) = 0`` with ``s = MAD / 0.6745``, the median absolute
-    deviation from the median. Where more than half of the samples are equal, above all null, s is 0
-    and the estimate is their value, the limit for a small scale.
+    Solves ``sum_i clip((x_i - theta) / s, -c, c) = 0`` with ``s = MAD / 0.6745``; MAD is the median
+    absolute deviation from the median. Where more than half of the samples are equal, for example
+    null, s is 0 and the estimate is their value.
 
     Parameters
     ----------
     x
         Samples, shape (..., sample). NaN and infinite samples are left out.
     c
-        Scales up to which a sample counts in full, larger than 0; the default costs 5 % efficiency
-        on normal samples. The mean for c to infinity, the median for c to 0.
+        Scales up to which a sample counts in full, larger than 0. The default costs 5 % efficiency
+        on normal samples. The estimate tends to the mean for c to infinity and to the median for c
+        to 0.
 
     Returns
     -------
@@ -234,7 +232,7 @@ def huber(x: Reals, *, c: float = 1.345) -> Reals:
         np.minimum(deviation, limit, out=deviation)
         np.maximum(deviation, -limit, out=deviation)
         total = row_sums(deviation)
-        # Between two samples the sum may stay 0; its rounding is not to move the estimate there.
+        # Between two samples the sum may stay 0; rounding must not move the estimate there.
         total[np.abs(total) <= 1e-15 * rows.shape[-1] * reach] = 0
         return total, inside.astype(np.float64)
 
@@ -286,19 +284,19 @@ def tukey(x: Reals, *, c: float = 4.685) -> Reals:
     "catoni", "Catoni 2012, doi:10.1214/11-AIHP454", label="Catoni", place=2, minimum_samples=10
 )
 def catoni(x: Reals, *, delta: float = 0.01) -> Reals:
-    """Catoni's mean: influences grow with the logarithm of the distance only.
+    """Catoni's mean: the influence of a sample grows only with the logarithm of its distance.
 
-    ``sum_i psi(a (x_i - theta)) = 0``, ``psi(t) = sign(t) log(1 + |t| + t^2 / 2)``, and, with
-    ``l = log(1 / delta)``, ``a^2 = 2 l / (N (v + 2 v l / (N - 2 l)))`` (Catoni's proposition 2.4).
-    He bounds the error with probability 1 - 2 delta for a known variance v. We put the sample
-    variance in its place, which fireflies inflate: one of them loses a quarter of its influence, no
-    more.
+    Solves ``sum_i psi(a (x_i - theta)) = 0`` with ``psi(t) = sign(t) log(1 + |t| + t^2 / 2)``, ``l
+    = log(1 / delta)`` and ``a^2 = 2 l / (N (v + 2 v l / (N - 2 l)))`` (Catoni's proposition 2.4).
+    Catoni bounds the error with probability 1 - 2 delta for a known variance v. Here v is the
+    sample variance, which fireflies inflate: a single firefly loses only a quarter of its
+    influence.
 
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN and infinite samples are left out. A row that
-        has no more than 2 l others gets their mean.
+        Samples, shape (..., sample). NaN and infinite samples are left out. A row with at most 2 l
+        good samples gets their mean.
     delta
         Probability of a large error, between 0 and 1. N must exceed 2 l, 9.2 for the default.
 
@@ -310,7 +308,7 @@ def catoni(x: Reals, *, delta: float = 0.01) -> Reals:
     Raises
     ------
     InputError
-        If `x` holds no more than 2 l samples, or `delta` is no probability.
+        If `x` holds at most 2 l samples, or `delta` is not a probability.
 
     References
     ----------
@@ -353,18 +351,17 @@ def balance(
 ) -> Floats:
     """Solve sum_i psi(x_i - theta) = 0 for theta in each row.
 
-    Newton's steps inside a bracket that shrinks with every one of them, for every M-estimator whose
-    influence function is monotone.
+    Newton's method inside a shrinking bracket, for M-estimators with a monotone influence function.
 
     Parameters
     ----------
     influence
-        ``influence(rows, theta, *beside)`` returns the sum, which decreases with theta, and minus
-        its derivative, shape (row,).
+        ``influence(rows, theta, *beside)`` returns the sum and minus its derivative by theta, shape
+        (row,). The sum decreases with theta.
     rows, beside
-        Samples, shape (row, m), and further values of each row, shape (row,).
+        Samples, shape (row, m), and other values of each row, shape (row,).
     start
-        First guesses within the range of their row, shape (row,).
+        First guesses, shape (row,), within the range of each row.
     """
 
     def update(
@@ -374,7 +371,7 @@ def balance(
         low, high = np.where(total > 0, here, low), np.where(total < 0, here, high)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             there = here + total / slope
-        # A bracket also catches the steps that a flat piece sends anywhere, NaN included.
+        # The bracket also catches steps from a flat piece, which may land anywhere or be NaN.
         there = np.where((there >= low) & (there <= high), there, 0.5 * (low + high))
         return np.where(total == 0, here, there), rows, low, high, *beside
 
@@ -384,12 +381,12 @@ def balance(
 
 
 def row_sums(rows: Floats) -> Floats:
-    """Return the sums of rows; a product with ones adds short rows up faster than a sum does."""
+    """Return the sums of rows; for short rows, a product with ones is faster than a sum."""
     return np.asarray(rows @ np.ones(rows.shape[-1]))
 
 
 def _without_ends(x: Reals, share: float, *, pulled_in: bool) -> Reals:
-    """Average the samples without a share at each end, which is left out or set to the next."""
+    """Average the samples with a share at each end left out, or set to the nearest kept sample."""
     if not 0 <= share < 0.5:
         message = f"share must be at least 0 and less than 0.5, got {share}"
         raise InputError(message)
@@ -406,7 +403,7 @@ def _without_ends(x: Reals, share: float, *, pulled_in: bool) -> Reals:
 
 
 def _by_deviation(x: Reals, solve: Callable[..., Floats], c: float) -> Reals:
-    """Solve rows whose influences reach c times their normalised median absolute deviation."""
+    """Solve rows with the reach c times the normalised median absolute deviation of each row."""
     registry.check_positive(c=c)
 
     def kernel(rows: Floats) -> Floats:
@@ -421,8 +418,8 @@ def _by_deviation(x: Reals, solve: Callable[..., Floats], c: float) -> Reals:
 def _where_spread(
     solve: Callable[..., Floats], rows: Floats, centre: Floats, scale: Floats
 ) -> Floats:
-    """Solve the rows with a scale; the others are as good as equal to their centre."""
-    # Below the spacing of doubles a deviation is rounding.
+    """Solve the rows with a positive scale; the others keep their centre."""
+    # A deviation below the spacing of doubles is rounding.
     some = np.flatnonzero(scale > 1e-15)
     result = centre.copy()
     result[some] = solve(rows[some], centre[some], scale[some])
@@ -436,8 +433,8 @@ def _biweight(rows: Floats, start: Floats, reach: Floats) -> Floats:
         np.subtract(1, weight, out=weight)
         np.maximum(weight, 0, out=weight)
         np.square(weight, out=weight)
-        # At least half of the samples lie within a MAD of the median, so weights never vanish
-        # for c >= 0.7; for smaller c the estimate may run out of samples and stays.
+        # At least half of the samples lie within a MAD of the median, so the weights never vanish
+        # for c >= 0.7. For smaller c they may all be 0; then the estimate stays.
         total = row_sums(weight)
         there = np.divide(np.vecdot(weight, rows), total, out=here.copy(), where=total > 0)
         return there, rows, reach

@@ -1,11 +1,10 @@
-"""Outliers: samples that few others confirm are left out, in part or as a whole.
+"""Outliers: samples with too few similar samples count less or not at all.
 
-`zirr2018` and `zirr2018_pixel` split a sample between the two layers whose brightness it lies
-between. A layer counts the more, the more samples of its brightness have fallen into the pixel or
-around it; rarer ones, the fireflies, are left out in part. The former looks at 3 x 3 pixels, the
-latter at the pixel alone, and `Cascade` keeps the layers, so that a sweep of kappa splits the
-samples once. `decoro2010` leaves out samples with too few similar ones in the pixels around, and
-averages the rest.
+`zirr2018` and `zirr2018_pixel` split each sample between the two nearest layers of brightness. A
+layer counts more if more samples of its brightness have fallen into the pixel or around it, so
+fireflies count less. `zirr2018` looks at 3 x 3 pixels, `zirr2018_pixel` at the pixel alone.
+`Cascade` keeps the layers, so that a sweep of kappa splits the samples only once. `decoro2010`
+averages the samples that have enough similar samples in the pixels around.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ __all__ = ["Cascade", "clamped", "decoro2010", "karis2013", "zirr2018", "zirr201
 
 
 _DARKEST = 0.05
-"""Luminance that is always taken for reliable (authors' code)."""
+"""Luminance that always counts as reliable (authors' code)."""
 _OFF = 1e-6
 """Largest kappa that switches the reweighting off (authors' code)."""
 _CHUNK = 2**16
 """Samples split at once."""
 _BLACK = 1e-2
-"""Radiance, of an image exposed as usual, below which colours are as good as black."""
+"""Radiance, after exposure, below which colours count as black."""
 _SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
 
 
@@ -43,23 +42,24 @@ def zirr2018(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Real
     """Reweighted fireflies: each brightness counts as far as the pixels around confirm it.
 
     Samples are split over layers of brightness ``B_i = 8^i``. The estimate is ``sum_i w_i C_i``:
-    C_i is the share of layer i in the mean, w_i its reliability. That grows with the number of
-    samples in layers i - 1, i, i + 1 of the 3 x 3 pixels and, once enough of them are there, of the
-    pixel itself; kappa is the number that makes a layer reliable. Bias is to the dark.
+    C_i is the share of layer i in the mean, w_i its reliability. The reliability grows with the
+    number of samples in layers i - 1, i, i + 1 of the 3 x 3 pixels and, once these are enough, of
+    the pixel itself. kappa is the number that makes a layer reliable. The estimate is too dark.
 
-    Formulas are those of the authors' published code (their WebGL viewer), the paper's text was not
-    at hand. The code measures radiance in units of an image that is exposed as usual: see `unit`.
+    Formulas follow the authors' published code (their WebGL viewer); the paper's text was not
+    available. The code expects an exposed image: see `unit`.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample), 1 or 3 channels. A sample of which any channel is
-        NaN or infinite is left out.
+        Samples, shape (y, x, channel, sample), 1 or 3 channels. Samples with a NaN or infinite
+        channel are left out.
     kappa
-        Samples that confirm a brightness, larger than 0: the larger, the darker and smoother. The
-        paper leaves it to the user; the authors' viewer starts at 32 for 1024 samples per pixel,
-        which is 1 for 32. At most 1e-6 switches the reweighting off, as there: the result is the
-        mean but for what exceeds the top layer. `Cascade.resolve` sweeps it.
+        Number of samples that confirm a brightness, larger than 0. A larger number makes the image
+        darker and smoother. The paper leaves it to the user; the authors' viewer starts at 32 for
+        1024 samples per pixel, which corresponds to 1 for 32. Values up to 1e-6 switch the
+        reweighting off: the result is then the mean, except for radiance above the top layer.
+        `Cascade.resolve` sweeps it.
     unit
         Radiance of the lowest layer's brightness, B_0; None exposes the image so that the
         log-average of its pixels is 0.18.
@@ -67,13 +67,13 @@ def zirr2018(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Real
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
     InputError
-        If `x` is no image of 1 or 3 channels, or `kappa` or `unit` is not positive.
+        If `x` is not an image of 1 or 3 channels, or `kappa` or `unit` is not positive.
 
     References
     ----------
@@ -92,18 +92,17 @@ def zirr2018(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Real
 
 @register("zirr2018_pixel", _SOURCE, label="Zirr et al. 2018, pixel", place=6, joint_channels=True)
 def zirr2018_pixel(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Reals:
-    """Reweighted fireflies of the pixel alone: `zirr2018` without its neighbourhood.
+    """Reweighted fireflies from the pixel alone: `zirr2018` without the pixels around.
 
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample), 1 or 3 channels. A sample of which any channel is
-        NaN or infinite is left out.
+        Samples, shape (..., channel, sample), 1 or 3 channels. Samples with a NaN or infinite
+        channel are left out.
     kappa
-        Samples that confirm a brightness, larger than 0.
-    unit
-        Radiance of the lowest layer's brightness; None exposes all pixels given so that their
-        log-average is 0.18. That one number is all that they have in common.
+        Number of samples that confirm a brightness, larger than 0. unit Radiance of the lowest
+        layer's brightness; None exposes all given pixels together so that their log-average is
+        0.18.
 
     Returns
     -------
@@ -143,15 +142,15 @@ class Cascade:
 
     @classmethod
     def of(cls, x: npt.ArrayLike, *, unit: float | None = None) -> Cascade:
-        """Split samples (..., channel, sample); see `zirr2018` for what they may be."""
+        """Split samples (..., channel, sample), as `zirr2018` takes them."""
         samples = as_pixels(x)
         channels, n = samples.shape[-2:]
         rows = samples.reshape(-1, channels, n)
-        # The image is exposed by what it shows, before anything is reweighted.
+        # The exposure follows from the mean, before anything is reweighted.
         means = luminance(np.nan_to_num(registry.mean_of_good(rows)), channel_axis=-1)
         found = exposure_unit(means, unit)
         layers, counts = [], []
-        # One part at least, for what has no pixels has layers, too.
+        # One part at least: an array without pixels has layers, too.
         for part in spans(len(rows) or 1, max(1, _CHUNK // (channels * n))):
             kept, whole = registry.whole_samples(rows[part])
             relative = kept / np.float64(found)
@@ -168,7 +167,7 @@ class Cascade:
         Parameters
         ----------
         kappa
-            Samples that confirm a brightness, larger than 0, shape () or (kappa,).
+            Number of samples that confirm a brightness, larger than 0, shape () or (kappa,).
         radius
             1 for 3 x 3 pixels, which needs an image (y, x, channel); 0 for the pixel alone.
 
@@ -180,7 +179,7 @@ class Cascade:
         Raises
         ------
         InputError
-            If a kappa is not positive, or neighbours are asked of what is no image.
+            If a kappa is not positive, or `radius` is not 0 and the samples are not an image.
 
         Examples
         --------
@@ -198,7 +197,7 @@ class Cascade:
         k = kappas.reshape(-1, *(1,) * self.count.ndim)
         near, around = self._luminances(0), self._luminances(radius)
         accepted = np.zeros((kappas.size, *self.layers.shape[1:]))
-        # Up to b times as much energy in one sample passes where kappa aims at a small error.
+        # For a large kappa, which asks for a small error, one sample may hold more energy.
         slack = 1 + 0.6 * (BASE - 1) * (1 - np.minimum(1 / k, 1))
         hits = self.count / k
         for index, layer in enumerate(self.layers):
@@ -235,10 +234,9 @@ def _estimate(x: Reals, kappa: float, unit: float | None, *, radius: int) -> Rea
 def karis2013(x: Reals, *, unit: float | None = None) -> Reals:
     """Tone-mapped average: each sample is weighted by ``1 / (1 + L)``, L being its luminance.
 
-    That is the mean of the samples after the tone curve ``x / (1 + L)``, taken back by the same
-    curve of its weights. One firefly pulls no harder than a white sample. Real-time renderers
-    average the samples of an edge, or of a bright highlight, like this. Bias is to the dark, the
-    more the samples differ.
+    The sum of ``x / (1 + L)`` over the samples, divided by the sum of ``1 / (1 + L)``. A firefly
+    counts no more than a white sample. Real-time renderers average the samples of edges and bright
+    highlights like this. The estimate is too dark, more so the more the samples differ.
 
     Parameters
     ----------
@@ -274,29 +272,29 @@ def karis2013(x: Reals, *, unit: float | None = None) -> Reals:
 
 
 def _over(total: Reals, weight: npt.NDArray[Any]) -> Reals:
-    """Return sums (..., channel) over weights (...); NaN where nothing has any."""
+    """Return sums (..., channel) over weights (...); NaN where the weight is 0."""
     return np.asarray(total / np.where(weight > 0, weight, np.nan)[..., np.newaxis])
 
 
 def _exposed(kept: Reals, whole: npt.NDArray[np.bool_], unit: float | None) -> np.float64:
-    """Return the radiance of 1: that of an exposure of the pixels' means, unless it is given."""
+    """Return the radiance that is exposed as 1: `unit`, or an exposure of the pixels' means."""
     total = luminance(kept).sum(axis=-1, dtype=np.float64)
     return np.float64(exposure_unit(total / np.maximum(np.count_nonzero(whole, axis=-1), 1), unit))
 
 
 @register("clamped", "Pharr, Jakob and Humphreys 2023, pbr-book.org", joint_channels=True)
 def clamped(x: Reals, *, limit: float = 10.0, unit: float | None = None) -> Reals:
-    """Mean of clamped samples: one whose largest channel exceeds a limit is scaled down to it.
+    """Mean of clamped samples: a sample whose largest channel exceeds a limit is scaled down to it.
 
-    What renderers offer against fireflies: ``maxcomponentvalue`` of pbrt's film, which keeps the
-    colour of a sample, and the clamping of light paths in Cycles. All light above the limit is
-    lost, that of lamps in view and of their reflections, too: bias is to the dark.
+    Renderers offer this against fireflies: ``maxcomponentvalue`` of pbrt's film, and the clamping
+    of light paths in Cycles. The colour of a sample is kept, as in pbrt. All light above the limit
+    is lost, also that of visible lamps and their reflections: the estimate is too dark.
 
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample), 1 or 3 channels. A sample of which any channel is
-        NaN or infinite is left out.
+        Samples, shape (..., channel, sample), 1 or 3 channels. Samples with a NaN or infinite
+        channel are left out.
     limit
         Larger than 0, in units of `unit`. Cycles clamps indirect light at 10 by default, pbrt
         nothing.
@@ -345,43 +343,40 @@ def decoro2010(
     radius: int = 1,
     unit: float | None = None,
 ) -> Reals:
-    """Mean of the samples that are not alone in joint image and colour space.
+    """Mean of the samples that have enough neighbours in joint image and colour space.
 
-    A sample stays if at least k others are less than 1 away, ``d^2 = (dx^2 + dy^2) / (r + 1)^2 +
-    mean_c (log x_c - log x'_c)^2 / h^2``. That is the same as a bound on the distance to its k-th
-    nearest neighbour, the classical estimate of a density.
+    A sample is kept if at least k other samples have a distance d below 1, ``d^2 = (dx^2 + dy^2) /
+    (r + 1)^2 + mean_c (log x_c - log x'_c)^2 / h^2``. This bounds the distance to its k-th nearest
+    neighbour, the classical estimate of a density.
 
     Reconstructed from the paper's abstract, which characterises outliers by their density among
-    nearby paths in joint image and colour space; metric, bounds and defaults are chosen here.
-    Colours are those of an image exposed as usual, and what is darker than 0.01 of that is black:
-    dim samples and negative ones are not outliers. Bias is to the dark, more where a bright event
-    is rare but real.
+    nearby paths in joint image and colour space. Metric, bounds and defaults are chosen here.
+    Colours are taken after exposure; values below 0.01 count as black, so dim and negative samples
+    are not outliers. The estimate is too dark, more so where a bright event is rare but real.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (y, x, channel, sample). Samples with a NaN or infinite channel are left out.
     neighbours
         k, at least 1.
     bandwidth
         h, the difference of natural logarithms that counts as 1, larger than 0.
     radius
-        r, in pixels: samples up to r pixels away count; 0 for those of the pixel alone.
+        r, in pixels: samples up to r pixels away are neighbours; 0 for the pixel alone.
     unit
         Radiance that is exposed as 1; None makes the log-average of the image 0.18.
 
     Returns
     -------
     ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where all samples of a pixel
-        are alone, and where no whole sample is good, the mean of a channel's good samples; NaN
-        where there are none of these.
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Pixels in which no sample is
+        kept get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
     InputError
-        If `x` is no image, or an option is out of range.
+        If `x` is not an image, or an option is out of range.
 
     References
     ----------
@@ -407,7 +402,8 @@ def decoro2010(
     colours /= bandwidth * np.sqrt(x.shape[-2])
     places = np.argwhere(usable)[:, :2] / (radius + 1)
     tree = cKDTree(np.concatenate([places, colours], axis=-1))
-    # The nearest is the sample itself. What has no k-th neighbour within 1 is infinitely far.
+    # The nearest one is the sample itself. Without a k-th neighbour within 1, the distance is
+    # infinite.
     distance = tree.query(tree.data, [neighbours + 1], distance_upper_bound=1, workers=-1)[0][:, 0]
     stays = np.zeros(usable.shape, bool)
     stays[usable] = np.isfinite(distance)

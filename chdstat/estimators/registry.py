@@ -1,18 +1,18 @@
-"""Registry of estimators, and what those of one row of samples are written with.
+"""Registry of estimators, and helpers to write estimators of single pixels.
 
-A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, entered with `register`.
-Every one takes an image (y, x, channel, sample); two flags say which need more of that shape than
-the last axis: those that look at the channels of a sample together, and those that look at other
-pixels. The decorated function takes array-likes and returns the dtype of the samples; the function
-itself is given a floating-point array of at least these axes.
+A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, registered with
+`register`. All of them take an image (y, x, channel, sample). Two flags say which axes an estimator
+needs besides the last: `joint_channels` for the channel axis, `uses_neighbours` for the whole
+image. The decorated function takes array-likes and returns the dtype of the samples; the function
+itself gets a floating-point array with the axes that it needs.
 
-A learned estimator is entered with `register_learned` as a function that trains it on a scene and
-returns a `Model`. Both are found by name with `lookup`, which also tells their label and place.
+A learned estimator is registered with `register_learned`, as a function that trains it on a scene
+and returns a `Model`. `lookup` finds both by name.
 
-An estimator of single pixels is a kernel on rows of good samples. `estimate_rows` hands them over
-in float64, with their mean size brought to about 1 by a power of two, which changes no digit:
-squares and cubes of a radiance of 1e30 or of subnormal radiance neither overflow nor vanish. Rows
-that miss samples are gathered by how many they have, so that a kernel never sees a mask.
+An estimator of single pixels is a kernel on rows of good samples. `estimate_rows` passes them in
+float64, divided by a power of two so that their mean size is about 1: squares and cubes of very
+large or subnormal radiance then neither overflow nor vanish. Rows with missing samples are grouped
+by their number of good samples, so a kernel never sees a mask.
 """
 
 from __future__ import annotations
@@ -65,23 +65,23 @@ __all__ = [
 Function = TypeVar("Function", bound=Callable[..., Reals])
 
 _LAST = 100
-"""Place of an estimator that names none."""
+"""Place of an estimator that is registered without one."""
 _CHUNK = 2**15
-"""Samples worked on at once: their float64 copies, and those of a kernel, stay in the cache."""
+"""Samples per block: their float64 copies and those of a kernel stay in the cache."""
 _STEPS = 200
-"""Bisection alone arrives in a quarter as many."""
+"""Largest number of steps; bisection alone converges in a quarter of them."""
 
 
 class Model(Protocol):
-    """What a trained estimator offers to those who apply or judge it."""
+    """Interface of a trained estimator."""
 
     @property
     def name(self) -> str:
-        """Registered name of the estimator that it is."""
+        """Registered name of the estimator."""
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
-        """Pixels that it has seen, rows (y, x); no judgement may use them."""
+        """Pixels that it was trained on, rows (y, x); they must not judge it."""
 
     @property
     def train_shape(self) -> tuple[int, int]:
@@ -100,8 +100,8 @@ class Estimates(Shown):
     radiance
         Shape (..., channel), in the unit of the samples; NaN where no sample is good.
     certainty
-        How far the estimate rests on more than the mean of the pixel's samples, 0 to 1, shape
-        (...): where it is 0, the estimate is this mean.
+        Weight of everything but the mean of the pixel's samples, 0 to 1, shape (...). Where it is
+        0, the estimate is this mean.
     low, high
         Ends of the interval that contains the radiance with probability `level`, shape (...,
         channel).
@@ -130,28 +130,26 @@ class Estimator(Shown):
     Attributes
     ----------
     name
-        What it is called by.
-    function
-        The function itself.
+        Registered name. function The function itself.
     source
         Author, year, DOI.
     label
-        What text and figures call it; "" for the name with spaces.
+        Name in text and figures; "" for the registered name with spaces.
     place
-        Place in lists of estimators, ascending; those of one place are in the order of their
-        registration.
+        Place in lists of estimators, ascending; estimators of the same place follow in the order of
+        their registration.
     minimum_samples
         Fewest samples that it takes.
     uses_neighbours
-        Whether it looks across pixels, and at all their channels; then it takes an image (y, x,
+        Whether it uses other pixels, with all their channels; then it takes an image (y, x,
         channel, sample).
     joint_channels
-        Whether it looks at the channels together; then it takes samples (..., channel, sample), and
-        a sample of which any channel is bad is left out as a whole.
+        Whether it uses all channels together; then it takes samples (..., channel, sample), and
+        leaves out samples with a bad channel.
     uses_features
         Whether it takes ``features=``, the first-hit features of the image, where there are any.
     learns
-        Whether it trains on the samples at hand each time that it is called.
+        Whether each call trains on the samples that it is given.
     """
 
     name: str
@@ -167,28 +165,28 @@ class Estimator(Shown):
 
     @property
     def about(self) -> str:
-        """What it does, in a sentence: the first of its documentation."""
+        """What it does: the first sentence of its documentation."""
         return (self.function.__doc__ or "").strip().partition("\n")[0].replace("`", "")
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Reals:
-        """Estimate the radiance that the samples `x` are draws of.
+        """Estimate the radiance from samples.
 
         Parameters
         ----------
         x
             Samples, shape (..., sample).
         **options
-            Keywords of the function itself.
+            Keywords of the function.
 
         Raises
         ------
         InputError
-            If there are too few samples, or `x` lacks the axes that the estimator looks at.
+            If there are too few samples, or `x` lacks axes that the estimator needs.
         """
         return self.function(self.checked(x, minimum=self.minimum_samples), **options)
 
     def checked(self, x: npt.ArrayLike, *, minimum: int = 1) -> Reals:
-        """Return samples as a floating-point array with the axes that the estimator looks at."""
+        """Return samples as a floating-point array with the axes that the estimator needs."""
         if self.joint_channels or self.uses_neighbours:
             return as_pixels(x, minimum=minimum, image=self.uses_neighbours)
         return as_samples(x, minimum=minimum)
@@ -201,27 +199,26 @@ class LearnedEstimator(Shown):
     Attributes
     ----------
     name
-        What it is called by.
-    train
-        ``train(samples, *, seed, iterations, pixels, progress)`` returns a trained `Model`; one
-        that takes any number of samples also takes ``sizes``, those that it will estimate from.
+        Registered name. train ``train(samples, *, seed, iterations, pixels, progress)`` returns a
+        trained `Model`. If the model takes any number of samples, ``train`` also takes ``sizes``,
+        the numbers to estimate from.
     source
         Author, year, DOI.
     label, place
         As for `Estimator`.
     inputs
-        Samples per estimate, where it takes neither more nor fewer; None for any number.
+        Number of samples that an estimate takes; None for any number.
     pixels
-        Pixels that it wants to train on.
+        Number of pixels to train on.
     options
-        Keywords of its models' ``predict``: entries that share `train` share one model, and differ
-        in these.
+        Keywords of its models' ``predict``. Entries with the same `train` share one model and
+        differ in these keywords.
     about
         What it does, in a sentence.
     uses_features, joint_channels
         As for `Estimator`.
     learns, uses_neighbours
-        It trains, and with a reference none looks across pixels.
+        True and False: it trains, and learned estimators use no other pixels.
     """
 
     name: str
@@ -242,15 +239,15 @@ class LearnedEstimator(Shown):
 ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
 """The registered estimators, by name."""
 LABELS: dict[str, str] = {}
-"""What text and figures call the registered estimators, by name."""
+"""Labels of the registered estimators in text and figures, by name."""
 
 
 def register(name: str, source: str, **facts: Any) -> Callable[[Function], Function]:
-    """Enter the decorated function as the estimator `name`; see `Estimator` for the parameters.
+    """Register the decorated function as the estimator `name`; see `Estimator` for the parameters.
 
-    Of a function that looks at the channels of a sample together, what is not finite becomes the
-    mean of the channel's good samples. A function that is defined again, as in a cell of a
-    notebook, takes the place of the former one.
+    If the function uses all channels together, estimates that are not finite are replaced by the
+    mean of the channel's good samples. A function that is defined again, as in a notebook cell,
+    replaces the earlier one.
 
     Examples
     --------
@@ -284,12 +281,12 @@ def register(name: str, source: str, **facts: Any) -> Callable[[Function], Funct
 
 
 def register_learned(entry: LearnedEstimator) -> None:
-    """Enter an estimator that has to be trained."""
+    """Register an estimator that has to be trained."""
     _enter(entry)
 
 
 def forget(name: str) -> None:
-    """Take an estimator out again."""
+    """Remove an estimator."""
     lookup(name)
     del ENTRIES[name], LABELS[name]
 
@@ -359,13 +356,12 @@ def estimate_rows(
     x
         Samples, shape (..., sample).
     kernel
-        ``kernel(rows, *beside) -> (row,)`` for rows (row, m) of m >= 1 good samples and what stands
-        beside them (row,). Equivariant under a change of the unit of radiance.
-    beside
-        Radiances that belong to the rows, shape (...).
+        ``kernel(rows, *beside) -> (row,)`` for rows (row, m) of m >= 1 good samples and the values
+        `beside` of these rows (row,). It must scale with the unit of radiance. beside Other
+        radiances of each row, shape (...).
     ordered
-        Whether the kernel wants ascending samples. Without, a row that misses samples is sorted,
-        too, so the kernel must not depend on their order.
+        Whether the kernel needs ascending samples. If not, it must not depend on their order: rows
+        with missing samples are sorted anyway.
 
     Returns
     -------
@@ -379,7 +375,7 @@ def estimate_rows(
         relative = good.astype(np.float64)
         m = relative.shape[-1]
         _, exponent = np.frexp(np.abs(relative) @ np.full(m, 1 / m))
-        # The unit and its inverse are finite for every mean, 0 included.
+        # The unit and its inverse are finite for every mean, also for 0.
         unit = np.ldexp(1.0, exponent - 1)
         relative /= unit[:, np.newaxis]
         result[where] = kernel(relative, *(other[where] / unit for other in others)) * unit
@@ -387,7 +383,7 @@ def estimate_rows(
 
 
 def _good_rows(rows: npt.NDArray[Any], ordered: bool) -> Iterator[tuple[Any, npt.NDArray[Any]]]:
-    """Yield the good samples of some rows, as many of each, and the places of these rows."""
+    """Yield rows with equally many good samples: their places, and these samples."""
     for part in spans(len(rows), max(1, _CHUNK // rows.shape[-1])):
         chunk = rows[part]
         if all_good(chunk):
@@ -410,7 +406,7 @@ def median_of_sorted(rows: Floats) -> Floats:
 def whole_samples(
     x: npt.NDArray[np.floating[Any]],
 ) -> tuple[npt.NDArray[np.floating[Any]], npt.NDArray[np.bool_]]:
-    """Return samples (..., channel, sample), 0 where a channel is bad, and which have none bad."""
+    """Return samples (..., channel, sample), 0 where a channel is bad, and a mask of the others."""
     good = np.asarray(~is_bad(x).any(axis=-2))
     return x if good.all() else np.where(good[..., np.newaxis, :], x, 0), good
 
@@ -418,7 +414,7 @@ def whole_samples(
 def known_features(
     features: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...], names: Sequence[str]
 ) -> dict[str, Floats]:
-    """Return those of some first-hit features that there are, finite, shape (y, x, number)."""
+    """Return the features of these names that exist, made finite, shape (y, x, number)."""
     found = {}
     for name in [name for name in names if name in features]:
         field = np.asarray(features[name], np.float64)
@@ -430,7 +426,7 @@ def known_features(
 
 
 def check_positive(**options: float) -> None:
-    """Refuse options, by name, that are not larger than 0."""
+    """Raise InputError for an option that is not larger than 0."""
     for name, value in options.items():
         if not value > 0:
             message = f"{name} must be larger than 0, got {value}"
@@ -440,9 +436,9 @@ def check_positive(**options: float) -> None:
 def converge(
     update: Callable[..., tuple[Floats, ...]], start: Floats, near: Floats, *beside: Floats
 ) -> Floats:
-    """Repeat an update until it moves no row by more than `near`; rows that arrive drop out.
+    """Repeat an update until it moves no row by more than `near`; converged rows drop out.
 
-    ``update(theta, *beside)`` returns the next theta (row,), and what stands beside it then.
+    ``update(theta, *beside)`` returns the next theta (row,) and the next `beside`.
     """
     theta, left = start.copy(), np.arange(len(start))
     for _ in range(_STEPS):

@@ -1,12 +1,12 @@
 """Robust means: estimators that group the samples into buckets, reweight the largest, or resample.
 
-A firefly spoils one bucket only. `median_of_means` is the safe and dark end; `gmon_binary` and
-`gmon_adaptive` measure by the Gini coefficient of the buckets how much of that a pixel needs, and
-are the mean where it needs nothing.
+A firefly spoils one bucket only. `median_of_means` is the most robust and the darkest.
+`gmon_binary` and `gmon_adaptive` measure by the Gini coefficient of the buckets how much robustness
+a pixel needs; where the buckets agree, they are the mean.
 
-`bayesian_median_of_means` corrects by the skewness, smoothly and by little; `lee_valiant` takes
-weight off the samples that are far from the median of means, and tends to the mean as fast as any
-estimator can. `jung2015` draws bootstrap means of a pixel and takes a robust location of them.
+`bayesian_median_of_means` corrects the mean by the skewness, smoothly and by little. `lee_valiant`
+reduces the weight of samples far from the median of means, and tends to the mean as fast as any
+estimator can. `jung2015` takes a robust location of the bootstrap means of a pixel.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _BUISINE = "Buisine et al. 2021, doi:10.2312/sr.20211296"
 def median_of_means(x: Reals, buckets: int = 11) -> Reals:
     """Median of means: deal the samples into M buckets, take the median of the buckets' means.
 
-    A firefly spoils one bucket, so fewer than M/2 of them do not move the estimate far. Radiance is
-    skewed to the right, so the estimate is too dark: by 5 % for gamma(2), by 40 % where most
-    samples are null (32 samples, 11 buckets).
+    A firefly spoils one bucket, so fewer than M/2 fireflies do not move the estimate far. As
+    radiance is skewed to the right, the estimate is too dark: by 5 % for gamma(2), by 40 % where
+    most samples are null (32 samples, 11 buckets).
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def median_of_means(x: Reals, buckets: int = 11) -> Reals:
         Samples, shape (..., sample). NaN and infinite samples are left out of their
         bucket; a bucket without a good sample is left out of the median.
     buckets
-        M. Sample i falls into bucket i mod M, so consecutive samples are spread.
+        M. Sample i belongs to bucket i mod M.
 
     Returns
     -------
@@ -78,8 +78,8 @@ def median_of_means(x: Reals, buckets: int = 11) -> Reals:
 def gmon_binary(x: Reals, *, buckets: int = 11, threshold: float = 0.25) -> Reals:
     """Binary G-MoN: the mean where the buckets agree, else the median of means.
 
-    The buckets agree where their Gini coefficient (`gini`) is at most the threshold. Formula and
-    threshold as in the authors' code.
+    The buckets agree if their Gini coefficient (`gini`) is at most the threshold. Formula and
+    threshold follow the authors' code.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def gmon_binary(x: Reals, *, buckets: int = 11, threshold: float = 0.25) -> Real
     buckets
         M, see `median_of_means`.
     threshold
-        Largest Gini coefficient that passes for agreement, 0 to 1.
+        Largest Gini coefficient that counts as agreement, 0 to 1.
 
     Returns
     -------
@@ -122,11 +122,11 @@ def gmon_binary(x: Reals, *, buckets: int = 11, threshold: float = 0.25) -> Real
 
 @register("gmon_adaptive", _BUISINE, label="G-MoN, adaptive", place=3, minimum_samples=11)
 def gmon_adaptive(x: Reals, *, buckets: int = 11) -> Reals:
-    """Adaptive G-MoN: leave out the more buckets at both ends, the less they agree.
+    """Adaptive G-MoN: leave out buckets at both ends, more of them the less the buckets agree.
 
-    With G the Gini coefficient of the buckets (`gini`) and their means in ascending order, the mean
-    of ``m_(c+1) .. m_(M-c)``, ``c = floor(G floor(M / 2))``: from the mean of all buckets, G = 0,
-    towards the median of means, G = 1. Formula as in the authors' code.
+    The mean of the ascending bucket means ``m_(c+1) .. m_(M-c)`` with ``c = floor(G floor(M /
+    2))``, where G is their Gini coefficient (`gini`). It goes from the mean of all buckets (G = 0)
+    towards the median of means (G = 1). The formula follows the authors' code.
 
     Parameters
     ----------
@@ -177,15 +177,15 @@ def bayesian_median_of_means(x: Reals, *, alpha: float = 1.0) -> Reals:
     """Approximate Bayesian median of means (aBMM): the mean, corrected by the skewness.
 
     ``mean - sigma g / (3 (N alpha + 2))`` with the standard deviation sigma (divisor N) and the
-    skewness g of the samples: the median of the means that Dirichlet(alpha) weights give, without
-    drawing any. The correction vanishes as 1/N, faster than the error of the mean.
+    skewness g of the samples. It approximates the median of the means with Dirichlet(alpha)
+    weights, without drawing any. The correction vanishes as 1/N, faster than the error of the mean.
 
     Parameters
     ----------
     x
         Samples, shape (..., sample). NaN and infinite samples are left out.
     alpha
-        Concentration of the weights, larger than 0; the mean for alpha to infinity.
+        Concentration of the weights, larger than 0. For alpha to infinity the estimate is the mean.
 
     Returns
     -------
@@ -216,9 +216,9 @@ def bayesian_median_of_means(x: Reals, *, alpha: float = 1.0) -> Reals:
         deviation = rows - mean[:, np.newaxis]
         square = deviation * deviation
         second, third = row_sums(square), np.vecdot(square, deviation)
-        # sigma times skewness is M3 / M2. Equal samples have neither.
+        # sigma times skewness is M3 / M2. Both are 0 for equal samples.
         shift = np.divide(third, second, out=np.zeros_like(mean), where=second > 1e-30)
-        # A tiny alpha would correct by more than there is: means with weights have bounds.
+        # A tiny alpha would correct too much: weighted means lie within the range of the samples.
         found = mean - shift / (3 * (rows.shape[-1] * alpha + 2))
         return np.asarray(np.clip(found, rows.min(axis=-1), rows.max(axis=-1)))
 
@@ -233,20 +233,21 @@ def bayesian_median_of_means(x: Reals, *, alpha: float = 1.0) -> Reals:
     minimum_samples=5,
 )
 def lee_valiant(x: Reals, *, delta: float = 0.01, buckets: int | None = None) -> Reals:
-    """Lee and Valiant's mean: take a set amount of weight off the samples far from the centre.
+    """Lee and Valiant's mean: remove a fixed amount of weight from the samples far from the centre.
 
-    With kappa the `median_of_means`, ``w_i = min(a (x_i - kappa)^2, 1)`` with a such that ``sum w_i
-    = log(1 / delta) / 3``; the estimate is ``kappa + (1/N) sum (x_i - kappa) (1 - w_i)``.
+    The estimate is ``kappa + (1/N) sum (x_i - kappa) (1 - w_i)``, where kappa is the
+    `median_of_means`, ``w_i = min(a (x_i - kappa)^2, 1)``, and a is such that ``sum w_i = log(1 /
+    delta) / 3``.
 
     Parameters
     ----------
     x
         Samples, shape (..., sample). NaN and infinite samples are left out.
     delta
-        Probability of a large error, between 0 and 1: the smaller, the more weight is taken off.
-        Where fewer samples differ from kappa than that amount, all of these lose all of theirs.
+        Probability of a large error, between 0 and 1. A smaller delta removes more weight. If fewer
+        samples differ from kappa than that amount, they lose all their weight.
     buckets
-        Of the median of means; None takes log(1 / delta) of them, rounded up, as the authors do.
+        Buckets of the median of means; None takes log(1 / delta), rounded up, as the authors do.
 
     Returns
     -------
@@ -256,7 +257,7 @@ def lee_valiant(x: Reals, *, delta: float = 0.01, buckets: int | None = None) ->
     Raises
     ------
     InputError
-        If there are fewer samples than buckets, no bucket, or `delta` is no probability.
+        If there are fewer samples than buckets, no bucket, or `delta` is not a probability.
 
     References
     ----------
@@ -287,13 +288,13 @@ def _strength(square: Floats, amount: float) -> Floats:
     """Solve sum_i min(a s_i, 1) = amount for a in each row."""
     ascending = np.sort(square)
     full = np.arange(min(int(np.ceil(amount)), square.shape[-1]))
-    # With the `full` largest at 1, the others share what remains of the amount.
+    # If the `full` largest weights are 1, the others share the rest of the amount.
     largest, rest = (a[:, ::-1][:, full] for a in (ascending, ascending.cumsum(axis=-1)))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         strength = (amount - full) / rest
         fits = (rest > 0) & (strength * largest <= 1)
     first = np.take_along_axis(strength, fits.argmax(axis=-1)[:, np.newaxis], axis=-1)[:, 0]
-    # Where not enough samples deviate, every one of them is to lose all: as good as infinite.
+    # If too few samples deviate, each of them loses all weight: a is as good as infinite.
     return np.where(fits.any(axis=-1), first, 1e300)
 
 
@@ -308,12 +309,13 @@ def jung2015(
 ) -> Reals:
     """Robust location of the bootstrap distribution of the mean.
 
-    ``location(mean_1 .. mean_B)`` of B resamples of the N samples, drawn with replacement. Where a
-    few samples make up the mean, that distribution is skewed and its centre lies below the mean.
+    ``location(mean_1 .. mean_B)``, the means of B resamples of the N samples, drawn with
+    replacement. If a few samples dominate the mean, this distribution is skewed and its centre lies
+    below the mean.
 
     Reconstructed from the paper's abstract, which names the two steps; number and kind of the
     resamples and the location are chosen here. Resamples are balanced (each sample occurs B times
-    in all), so that their mean is the sample mean, and the same for every pixel.
+    in all), so their overall mean is the sample mean. All pixels use the same resamples.
 
     Parameters
     ----------
@@ -324,8 +326,8 @@ def jung2015(
     location
         'median', or 'huber' for Huber's location.
     seed
-        Of the resamples; the estimate depends on it, and on the order of the samples, by about the
-        standard error of the mean over sqrt(B).
+        Seed of the resamples. The estimate depends on it, and on the order of the samples, by about
+        the standard error of the mean over sqrt(B).
 
     Returns
     -------
@@ -335,7 +337,7 @@ def jung2015(
     Raises
     ------
     InputError
-        If `x` holds no sample, there is no resample or no such location.
+        If `x` holds no sample, `resamples` is below 1, or there is no such location.
 
     References
     ----------
@@ -366,7 +368,7 @@ def jung2015(
 def bootstrap_counts(samples: int, resamples: int, seed: int) -> Floats:
     """Return how often each sample occurs in each balanced resample, shape (sample, resample).
 
-    Rows add up to the number of resamples, columns to that of samples.
+    Each row adds up to the number of resamples, each column to the number of samples.
 
     Examples
     --------
@@ -383,8 +385,9 @@ def bootstrap_counts(samples: int, resamples: int, seed: int) -> Floats:
 def gini(ascending: Floats) -> Floats:
     """Return the Gini coefficient of ascending numbers (..., M): 0 for equal, (M-1)/M for one.
 
-    ``G = sum_j (2 j - M - 1) m_(j) / (M sum_j |m_j|)``, 0 where all are 0. For negative numbers, as
-    Raffinetti, Siletti and Vernizzi 2015, doi:10.1007/s10260-014-0293-4.
+    ``G = sum_j (2 j - M - 1) m_(j) / (M sum_j |m_j|)``, 0 where all are 0. The absolute values
+    extend it to negative numbers (Raffinetti, Siletti and Vernizzi 2015,
+    doi:10.1007/s10260-014-0293-4).
 
     Examples
     --------
@@ -393,14 +396,14 @@ def gini(ascending: Floats) -> Floats:
     """
     count = ascending.shape[-1]
     total = np.abs(ascending).sum(axis=-1)
-    # Ranks around their mean: equal numbers cancel exactly, and none comes out below 0.
+    # Ranks around their mean: equal numbers cancel exactly, and G is never below 0.
     weighted = ascending @ (2 * np.arange(1, count + 1) - (count + 1.0))
     share = np.divide(weighted, count * total, out=np.zeros_like(total), where=total > 0)
     return np.asarray(np.clip(share, 0, 1))
 
 
 def bucket_means(x: Reals, buckets: int) -> Floats:
-    """Return the means of round-robin buckets, shape (..., bucket); NaN for one without samples.
+    """Return the means of round-robin buckets, shape (..., bucket); NaN for an empty bucket.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Shapes: how far a mean may lie above the level of the other samples of its pixel.
+"""Shapes: limit a pixel's mean by the shape of the distributions around it.
 
-`shared_shape` learns that from similar pixels and averages nothing: it removes fireflies, and
-leaves noise and edges to a denoiser. It is new here.
+`shared_shape` learns from similar pixels how far a mean lies above the level of the other samples.
+It averages no pixels: it removes fireflies, and leaves noise and edges to a denoiser. It is new
+here.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ __all__ = ["RADIUS", "PowerSums", "ShapeStatistics", "shared_shape"]
 _ROUNDING, _EQUAL = 1e-6, 1e-13
 _LIMIT, _ALPHA = 1.75, 0.005
 RADIUS = 5
-"""Of the window, in pixels."""
+"""Radius of the window, in pixels."""
 _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
 
@@ -31,42 +32,41 @@ def shared_shape(
 ) -> Reals:
     """Mean of the pixel, limited by the shape that its samples share with those of similar pixels.
 
-    ``min(mean_i, limit l_i / average_j(l_j / mean_j))``. The level ``l = p E(sqrt x)^2`` is that of
-    the samples but the largest: k of them are above 0, p = k / n, and all pairs of these estimate
-    it, ``p (S^2 - sum x) / (k (k - 1))`` with S the sum of their roots. One firefly does not move
-    it. How far means lie above levels is learned from the members j, each in its own unit and
-    weighted by k: a mean that lies further above than `limit` times that owes it to fireflies.
+    ``min(mean_i, limit l_i / average_j(l_j / mean_j))``. The level ``l = p E(sqrt x)^2`` is
+    computed without the largest sample, so one firefly does not move it: ``p (S^2 - sum x) / (k (k
+    - 1))``, where k of the n samples are above 0, p = k / n, and S is the sum of their roots. The
+    ratio of level to mean is averaged over the members j, weighted by k. A mean that exceeds its
+    level by more than `limit` times the usual ratio is attributed to fireflies.
 
-    Members have a shape that does not differ significantly from that of i, in any channel: Welch's
-    test on ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)``, again without the largest sample. No radiance
-    of another pixel enters, only the ratio of its level to its mean, so none crosses an edge. The
-    bias is to the dark. All of this is about the positive samples; negative ones are added as they
-    are.
+    The members are the pixels whose shape does not differ significantly from that of i in any
+    channel: Welch's test on ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)``, again without the largest
+    sample. Only ratios of other pixels enter, not their radiance, so no light crosses an edge. The
+    estimate is too dark. All this applies to positive samples; negative samples are added
+    unchanged.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (y, x, channel, sample). Samples with a NaN or infinite channel are left out.
     limit
-        Larger than 0; infinity for the mean. At 32 samples of rendered scenes, 1.75 loses about 1 %
-        of the energy and 1.25 twice to three times that.
+        Larger than 0; infinity gives the mean. At 32 samples of rendered scenes, 1.75 loses about 1
+        % of the energy, and 1.25 two to three times as much.
     alpha
-        Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
+        Level of the two-sided test, between 0 and 1. A smaller level has more members.
     radius
-        Of the window, in pixels: 5 for 11 x 11.
+        Radius of the window, in pixels: 5 for 11 x 11.
 
     Returns
     -------
     ndarray
         Estimates, shape (y, x, channel), in the unit and dtype of `x`, at most the mean of the
-        whole samples that are good. Where none is, or a channel has less than 3 above 0, the mean
-        of its good samples; NaN where there are none of these.
+        samples that are good in all channels. Where none is, or a channel has fewer than 3 above 0,
+        the mean of the channel's good samples, or NaN.
 
     Raises
     ------
     InputError
-        If `x` is no image, has less than 2 samples, or an option is out of range.
+        If `x` is not an image, has fewer than 2 samples, or an option is out of range.
 
     References
     ----------
@@ -90,21 +90,22 @@ def shared_shape(
 
 @dataclass
 class PowerSums:
-    """Sums over the samples of each pixel, from which means, errors and shapes follow.
+    """Sums over the samples of each pixel; means, errors and shapes follow from them.
 
-    Samples are added one after the other, so that it makes no difference in which batches they
-    come. The memory does not depend on their number.
+    Samples are added one after the other, so the sums do not depend on how they are cut into
+    batches. Memory does not depend on their number.
 
     Attributes
     ----------
     good, total, square
-        Good samples of each channel, their sum and that of their squares, shape (y, x, channel) as
-        all but `count` and `null`.
+        Number of good samples of each channel, their sum and the sum of their squares. These and
+        all other fields but `count` and `null` have shape (y, x, channel).
     above, fourth, root, product, positive, below, largest
-        Of the samples whose channels are all good: how many are above 0; the sums of these to the
-        powers 1/4, 1/2, 3/4 and 1; the sum of those below 0; and the largest (at least 0).
+        Over the samples that are good in all channels: how many are above 0; the sums of the
+        positive samples to the powers 1/4, 1/2, 3/4 and 1; the sum of the negative samples; and the
+        largest sample (at least 0).
     count, null
-        How many these are, and how many are null, shape (y, x).
+        Number of samples that are good in all channels, and of null samples, shape (y, x).
     """
 
     good: Floats
@@ -122,7 +123,7 @@ class PowerSums:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> PowerSums:
-        """Return sums of no samples of an image (y, x, channel)."""
+        """Return the sums of an image (y, x, channel) without samples."""
         sizes = {"count": shape[:2], "null": shape[:2]}
         return cls(**{field.name: np.zeros(sizes.get(field.name, shape)) for field in fields(cls)})
 
@@ -158,7 +159,7 @@ class PowerSums:
         return self.fourth, self.root, self.product, self.positive
 
     def part(self, rows: slice, columns: slice = slice(None)) -> PowerSums:
-        """Return the sums of a part of the image, which share its memory."""
+        """Return the sums of a part of the image; they share its memory."""
         return PowerSums(**{name: sums[rows, columns] for name, sums in vars(self).items()})
 
     def merged(self, other: PowerSums) -> PowerSums:
@@ -172,10 +173,10 @@ class PowerSums:
             return np.asarray(self.total / self.good)
 
     def error(self) -> Floats:
-        """Return the standard error of that mean; as large as the mean where it is one sample."""
+        """Return the standard error of that mean; for one sample, as large as the mean."""
         n = np.maximum(self.good, 1)
         spread = np.maximum(self.square - self.total**2 / n, 0)
-        # What is left of equal samples is rounding.
+        # The variance of equal samples is rounding.
         spread = np.where(spread > _EQUAL * self.square, spread, 0)
         error = np.sqrt(spread / (n * np.maximum(n - 1, 1)))
         return np.asarray(np.where(n == 1, np.abs(self.total), error))
@@ -190,21 +191,23 @@ def _powers(x: Floats) -> tuple[Floats, ...]:
 
 @dataclass(frozen=True)
 class ShapeStatistics:
-    """What `shared_shape` has to know of the samples of each pixel, and nothing of its neighbours.
+    """Statistics of the samples of each pixel that `shared_shape` needs.
 
-    So a part of an image at a time is enough.
+    They do not depend on other pixels, so an image can be measured in parts.
 
     Attributes
     ----------
     mean, below
-        Mean of the samples whose channels are all good, 0 for negative ones, and what these add,
-        shape (y, x, channel) as all but `count`.
+        Mean of the samples that are good in all channels, with negative ones as 0, and the mean of
+        the negative ones, with others as 0. These and all other fields but `count` have shape (y,
+        x, channel).
     level, positive
-        Levels, and numbers of positive samples, without the largest sample.
+        Level and number of the positive samples, without the largest.
     shape, error
-        ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` and its squared standard error, without it, too.
+        ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` and its squared standard error, without the largest
+        sample.
     count
-        Number of samples whose channels are all good, shape (y, x).
+        Number of samples that are good in all channels, shape (y, x).
     """
 
     mean: Floats
@@ -219,21 +222,21 @@ class ShapeStatistics:
     def of(cls, sums: PowerSums) -> ShapeStatistics:
         """Measure the samples of each pixel.
 
-        The shape is ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)``, a number without a scale: 1 of equal
-        samples, and the smaller, the more they differ or are null. Its error is that of a smooth
-        function of two means (the delta method).
+        The shape ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` does not depend on the scale. It is 1 for
+        equal samples, and smaller the more they differ or are null. Its error follows from the
+        delta method.
         """
         count = sums.count[..., np.newaxis]
         below = sums.below / np.maximum(count, 1)
         mean = sums.positive / np.where(count > 0, count, np.nan)
-        # The largest sample is left out, so that a firefly does not set a pixel apart.
+        # The largest sample is left out, so that a firefly does not change the shape.
         fourth, root, product, kept = (
             np.maximum(total - largest, 0)
             for total, largest in zip(sums._powers(), _powers(sums.largest), strict=True)
         )
         positive = np.maximum(sums.above - 1, 0)
         pairs = root**2 - kept
-        # What is left of a single sample, or of one among many darker by far, is rounding.
+        # For a single sample, or one among many far darker, the difference is rounding.
         pairs[(pairs < _ROUNDING * root**2) | (positive < 2)] = 0
         level = pairs / (np.maximum(positive - 1, 1) * np.maximum(count, 1))
         m = np.maximum(count - 1, 0)
@@ -246,7 +249,7 @@ class ShapeStatistics:
         return cls(mean, below, level, positive, shape, error, sums.count)
 
     def limited(self, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = RADIUS) -> Floats:
-        """Return the means, that of the positive samples limited by the shape of what is around.
+        """Return the means, with the mean of the positive samples limited by the shapes around.
 
         NaN where no sample is good in all channels.
         """

@@ -1,15 +1,14 @@
-"""Shrinkage: the mean, pulled towards a biased estimate, the less the more they differ.
+"""Shrinkage: the mean, moved towards a biased estimate; the more they differ, the less.
 
-`james_stein` combines any two estimates. `gmon_shrinkage` pulls towards a robust estimate, the
-others towards the mean of a fitted family: `gamma_shrinkage` shows that the family that most CHDs
-resemble has nothing to offer, `lognormal_shrinkage` and `mixture_shrinkage` what longer tails and
-several kinds of light paths do. Negative samples count as zeros in the fits, and what they
-contribute to the mean is added.
+`james_stein` combines any two estimates. `gmon_shrinkage` moves the mean towards a robust estimate,
+the others towards the mean of a fitted family. `gamma_shrinkage` changes nothing, although most
+CHDs resemble a gamma distribution; `lognormal_shrinkage` allows longer tails, `mixture_shrinkage`
+several kinds of light paths. In the fits, negative samples count as zeros; their contribution to
+the mean is added afterwards.
 
-The values that are shrunk together are the channels of a pixel: a pixel then needs no other, and
-all its channels move by one factor, which keeps its hue between those of the two estimates. With
-fewer than three channels nothing is shrunk. To share the factor between pixels too, call
-`james_stein` with their axes.
+The channels of a pixel are shrunk together, by one factor. So a pixel needs no other pixel, and its
+hue lies between the hues of the two estimates. With fewer than three channels nothing is shrunk. To
+share the factor between pixels too, call `james_stein` with their axes.
 """
 
 from __future__ import annotations
@@ -48,25 +47,26 @@ def james_stein(
     *,
     axis: int | Sequence[int] = -1,
 ) -> Floats:
-    """Combine an unbiased with a biased estimate of k values, by one weight.
+    """Combine an unbiased and a biased estimate of k values, with one weight.
 
-    ``b + rho (y - b)``, ``rho = max(0, 1 - (k - 2) sigma^2 / sum (y - b)^2)``: the closer the two,
-    for the noise of the unbiased one, the more the biased one counts. Its squared error is at most
-    that of y if the k errors are independent normal of variance sigma^2, independent of b, and k
-    is at least 3; for less the result is y. Channels of a pixel, which are nearly one value, and a
-    b from the same samples do not fulfil that: the weight is then a rule of thumb.
+    ``b + rho (y - b)``, ``rho = max(0, 1 - (k - 2) sigma^2 / sum (y - b)^2)``. The biased estimate
+    b counts more if it is close to the unbiased y, compared with the noise of y. The expected
+    squared error is at most that of y if k is at least 3 and the k errors are independent of each
+    other and of b, and normal with variance sigma^2. For k below 3 the result is y. The channels of
+    a pixel are strongly correlated, and b often comes from the same samples as y: the weight is
+    then a rule of thumb.
 
     Parameters
     ----------
     unbiased
         y, any shape.
     biased
-        b, broadcastable to y. Where it is not finite, y stands in its place and the value does not
-        count among the k.
+        b, broadcastable to y. Where it is not finite, the result is y, and the value does not count
+        among the k.
     variance
         sigma^2 of y, broadcastable to it, averaged over the k values.
     axis
-        Axis or axes that the k values lie on.
+        Axis or axes of the k values.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def james_stein(
         raise InputError(message) from None
     axes = tuple(np.atleast_1d(axis))
     known = np.isfinite(b) & np.isfinite(y)
-    # 1 - rho times the difference, not rho: a far b, of little weight, then rounds nothing away.
+    # Add 1 - rho times the difference to y: a distant b of little weight then costs no digits.
     difference = np.where(known, b, 0) - np.where(known, y, 0)
     k = np.count_nonzero(known, axis=axes, keepdims=True)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore"):
@@ -128,16 +128,15 @@ def gmon_shrinkage(x: Reals, *, buckets: int = 11) -> Reals:
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (..., channel, sample). Samples with a NaN or infinite channel are left out.
     buckets
-        Of the G-MoN.
+        Buckets of the G-MoN.
 
     Returns
     -------
     ndarray
-        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
+        Estimates, shape (..., channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
@@ -162,23 +161,22 @@ def gmon_shrinkage(x: Reals, *, buckets: int = 11) -> Reals:
 
 @register("gamma_shrinkage", _SOURCE, label="shrinkage to gamma", place=5, joint_channels=True)
 def gamma_shrinkage(x: Reals) -> Reals:
-    """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
+    """James-Stein combination of the sample mean with the mean of a fitted zero-inflated gamma.
 
-    It is the mean: of a gamma distribution, the maximum-likelihood estimate of the expectation is
-    the sample mean, and so it is with the share of nulls. The family that most CHDs look like has
-    nothing to offer here. Kept so that a comparison shows it.
+    It equals the sample mean: for a gamma distribution, with or without nulls, the
+    maximum-likelihood estimate of the expectation is the sample mean. It is kept to show this in
+    comparisons, since most CHDs look like a gamma distribution.
 
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (..., channel, sample). Samples with a NaN or infinite channel are left out.
 
     Returns
     -------
     ndarray
-        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
+        Estimates, shape (..., channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
@@ -203,23 +201,23 @@ def gamma_shrinkage(x: Reals) -> Reals:
     "lognormal_shrinkage", _SOURCE, label="shrinkage to log-normal", place=5, joint_channels=True
 )
 def lognormal_shrinkage(x: Reals) -> Reals:
-    """James-Stein combination of the mean with that of a fitted zero-inflated log-normal.
+    """James-Stein combination of the sample mean with that of a fitted zero-inflated log-normal.
 
-    The plug-in ``(1 - null share) exp(mu + sigma^2 / 2)`` weighs the largest samples less than the
-    mean does where sigma is small, but extrapolates a tail where it is large; then the two are far
-    apart and the mean counts. Where no log-normal can be fitted it is the mean.
+    The fitted mean is ``(1 - null share) exp(mu + sigma^2 / 2)``. For small sigma it gives the
+    largest samples less weight than the sample mean does. For large sigma it extrapolates a tail;
+    then the two means are far apart and the sample mean counts. Where no log-normal can be fitted,
+    the result is the sample mean.
 
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (..., channel, sample). Samples with a NaN or infinite channel are left out.
 
     Returns
     -------
     ndarray
-        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
+        Estimates, shape (..., channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
@@ -243,28 +241,26 @@ def lognormal_shrinkage(x: Reals) -> Reals:
 
 @register("mixture_shrinkage", _SOURCE, label="shrinkage to mixture", place=5, joint_channels=True)
 def mixture_shrinkage(x: Reals, *, max_k: int = 3) -> Reals:
-    """James-Stein combination of the mean with that of a fitted zero-inflated log-normal mixture.
+    """James-Stein combination of the sample mean with that of a zero-inflated log-normal mixture.
 
-    The plug-in ``(1 - null share) sum_j w_j exp(mu_j + sigma_j^2 / 2)`` extrapolates less than that
-    of one log-normal, as its components are narrower. The components are not gamma ones: those
-    have, like one gamma distribution, the sample mean for their plug-in. Few samples mostly ask
-    for one component, whose plug-in is that of `lognormal_shrinkage`; BIC does not depend on the
-    order of the samples, as a choice by held-out likelihood would. Where no mixture can be fitted
-    it is the mean.
+    The fitted mean is ``(1 - null share) sum_j w_j exp(mu_j + sigma_j^2 / 2)``. It extrapolates
+    less than one log-normal, as its components are narrower. Gamma components would change nothing,
+    see `gamma_shrinkage`. For few samples, BIC mostly chooses one component; the result is then
+    that of `lognormal_shrinkage`. Unlike held-out likelihood, BIC does not depend on the order of
+    the samples. Where no mixture can be fitted, the result is the sample mean.
 
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
+        Samples, shape (..., channel, sample). Samples with a NaN or infinite channel are left out.
     max_k
         Largest number of components, at most 8; BIC chooses.
 
     Returns
     -------
     ndarray
-        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
+        Estimates, shape (..., channel), in the unit and dtype of `x`. Pixels without a sample that
+        is good in all channels get the mean of each channel's good samples, or NaN.
 
     Raises
     ------
@@ -291,7 +287,7 @@ def mixture_shrinkage(x: Reals, *, max_k: int = 3) -> Reals:
         return _mean_of_fit(rows, lambda x: mixture(x, max_k=max_k, effort="fast"))
 
     def plug_in(x: Reals) -> Reals:
-        # Near 1, logarithms are exact enough for the narrowest components, of a width of 1e-3.
+        # Near 1, logarithms are exact enough for the narrowest components (width 1e-3).
         with np.errstate(over="ignore"):
             return estimate_rows(x.astype(np.float64, copy=False), kernel)
 
@@ -299,9 +295,9 @@ def mixture_shrinkage(x: Reals, *, max_k: int = 3) -> Reals:
 
 
 def _shrink_mean(x: Reals, towards: Callable[[Reals], Reals]) -> Reals:
-    """Pull the mean of samples (..., channel, sample) towards another estimate of them.
+    """Move the mean of samples (..., channel, sample) towards another estimate from them.
 
-    All channels of a sample are left out where one is bad.
+    Samples with a bad channel are left out.
     """
     if not all_good(x):
         x = np.where(is_bad(x).any(axis=-2, keepdims=True), x.dtype.type(np.nan), x)
@@ -310,7 +306,7 @@ def _shrink_mean(x: Reals, towards: Callable[[Reals], Reals]) -> Reals:
         return np.asarray(rows.std(axis=-1) / np.sqrt(max(rows.shape[-1] - 1, 1)))
 
     mean, error = mean_of_good(x), estimate_rows(x, standard_error).astype(np.float64)
-    # Radiance in units of the pixel's brightest channel can be squared whatever it is.
+    # In units of the pixel's brightest channel, squares of the radiance cannot overflow.
     unit = np.fmax.reduce(np.fmax(np.abs(mean), error), axis=-1, keepdims=True, initial=0)
     unit[unit == 0] = 1
     biased = towards(x)
@@ -319,8 +315,8 @@ def _shrink_mean(x: Reals, towards: Callable[[Reals], Reals]) -> Reals:
 
 
 def _mean_of_fit(x: Reals, fit: Callable[[Reals], Fit | Mixture]) -> Floats:
-    """Return the mean of a fit, for which negative samples are zeros, and add their values."""
-    # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
+    """Return the mean of a fit with negative samples as zeros, plus their contribution."""
+    # The mean of a very wide log-normal overflows; the sample mean then remains.
     with np.errstate(over="ignore", invalid="ignore"):
         mean = fit(np.maximum(x, 0)).mean()
         return mean if x.min(initial=0) >= 0 else mean + mean_of_good(np.minimum(x, 0))

@@ -1,13 +1,12 @@
-"""Similarity: whether the samples of two pixels come from one distribution, and sums over windows.
+"""Similarity: compare the samples of two pixels, and sum over windows of similar pixels.
 
-Means of transformed samples with their standard errors, as Welch's test compares them, and the
-histograms that a chi-square distance compares. Only samples that are good in all channels count;
-where there are too few, errors are NaN and histograms empty.
+Pixels are compared by means of transformed samples and their standard errors (Welch's test), or by
+histograms (chi-square distance). Only samples that are good in all channels count; where there are
+too few, errors are NaN and histograms empty.
 
-A `Window` averages the pixels around each pixel, each weighted by its similarity. It walks over the
-offsets of the window and shifts the image by each, so that all pixels of an offset are compared at
-once. A pair of pixels is compared once and counts both ways: the weight of one for the other is
-symmetric.
+A `Window` averages the pixels around each pixel, weighted by similarity. For each offset within the
+window it shifts the image and compares all pairs of pixels at once. Weights are symmetric, so each
+pair is compared only once.
 """
 
 from __future__ import annotations
@@ -44,27 +43,27 @@ _GAMMA = 2.2
 _HIGHEST = 2.5
 """Radiance, after the gamma, at which the last but one bin begins (BCD)."""
 _SATURATION = 2.0
-"""Multiple of that from which all counts in the last bin (BCD)."""
+"""Multiple of `_HIGHEST` from which samples fall entirely into the last bin (BCD)."""
 _CHUNK = 2**16
-"""Samples transformed at once."""
+"""Samples that are transformed at once."""
 _PIXELS = 2**15
-"""Pixels compared at once."""
+"""Pixels that are compared at once."""
 
 
 @dataclass(frozen=True)
 class ScaledSamples:
-    """Samples of an image, and the unit that brings its exposure near 1.
+    """Samples of an image, and a unit in which its radiance is near 1.
 
     Attributes
     ----------
     samples
         Shape (y, x, channel, sample), 0 where a channel is bad.
     good
-        Marks samples of which all channels are good, shape (y, x, sample).
+        Whether a sample is good in all channels, shape (y, x, sample).
     count
-        Number of these, shape (y, x).
+        Number of samples that are good in all channels, shape (y, x).
     unit
-        A power of two, which changes no digit.
+        A power of two, so that dividing by it does not round.
     """
 
     samples: npt.NDArray[np.floating[Any]]
@@ -110,19 +109,19 @@ class ScaledSamples:
 
 
 Means = tuple[Floats, ...]
-"""Means of transformed samples, shape (y, x, statistic), and their squared standard errors, NaN of
-less than 2 samples."""
+"""Means of transformed samples, shape (y, x, statistic), and their squared standard errors, NaN for
+fewer than 2 samples."""
 
 
 def root(x: Floats) -> Floats:
-    """Return the root of samples; of negative ones, minus the root of their size."""
+    """Return the root of samples; for a negative sample x, ``-sqrt(-x)``."""
     return np.sqrt(x) if x.min() >= 0 else np.copysign(np.sqrt(np.abs(x)), x)
 
 
 def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] = root) -> Means:
     """Return means of transformed samples, corrected for their skewness, and standard errors.
 
-    The transform turns samples (pixel, channel, sample) into values (pixel, statistic, sample).
+    The transform maps samples (pixel, channel, sample) to values (pixel, statistic, sample).
 
     ``mu + mu_3 / (6 s^2 n)``: Johnson 1978, doi:10.1080/01621459.1978.10480051, with mu_3 = M_3 / n
     and s^2 = M_2 / (n - 1), as in the code of Sakai et al. 2024.
@@ -131,7 +130,7 @@ def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] 
     def work(
         rows: Floats, good: npt.NDArray[np.bool_], n: npt.NDArray[np.int64]
     ) -> tuple[Floats, Floats]:
-        # Where radiances of one image differ by a factor of 1e100, errors may be infinite.
+        # If radiances of one image differ by a factor of 1e100, errors may be infinite.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             y = transform(rows)
             mean = y.sum(axis=-1) / n
@@ -149,10 +148,10 @@ def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] 
 def histograms(image: ScaledSamples, unit: float) -> Floats:
     """Return the histograms of all channels, one after the other, shape (y, x, channel x bin).
 
-    A sample is split between the two bins that it lies between, ``v = (x / unit)^(1/2.2) / 2.5``:
-    bins 0 to 18 are even in v up to 1, and the last begins to count there; negative samples fall
-    into the first. As in the code of
-    Bayesian collaborative denoising, Boughida and Boubekeur 2017, doi:10.1111/cgf.13231.
+    A sample is split linearly between the two nearest bins along ``v = (x / unit)^(1/2.2) / 2.5``.
+    Bins 0 to 18 are spaced evenly from v = 0 to 1; the last bin takes larger samples, and negative
+    samples fall into the first. This follows the code of Bayesian collaborative denoising, Boughida
+    and Boubekeur 2017, doi:10.1111/cgf.13231.
     """
     channels = image.samples.shape[2]
 
@@ -177,7 +176,8 @@ def chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, 
     """Return the chi-square distance of histograms of n and m samples, and the bins used.
 
     ``sum (m h - n h')^2 / (n m (h + h'))``: Delbracio et al. 2014, doi:10.1145/2532708. Bins with
-    no more than one sample of both are not used, as in the code of Boughida and Boubekeur 2017.
+    at most one sample of the two together are not used, as in the code of Boughida and Boubekeur
+    2017.
     """
     both = h + other
     used = (both > 1) & (n > 0) & (m > 0)
@@ -189,7 +189,7 @@ def chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, 
 def significance(
     means: Means, count: npt.NDArray[np.number[Any]], alpha: float
 ) -> tuple[Floats, Floats]:
-    """Return the means and the squares of t SE, by which `not_different` compares pixels.
+    """Return the means and the squares of t SE, which `not_different` compares.
 
     t is the two-sided quantile for 2 n - 2 degrees of freedom, as in the code of Sakai et al. 2024.
     """
@@ -200,7 +200,7 @@ def significance(
 
 
 def not_different(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
-    """Return 1 where no statistic differs significantly, else 0; 0 where one is unknown."""
+    """Return 1 where no statistic differs significantly, and 0 where one does or is unknown."""
     (mean, bound), (other, its) = here, there
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(((mean - other) ** 2 <= bound + its).all(axis=-1), np.float64)
@@ -223,7 +223,7 @@ class Window:
     radius
         Pixels up to this far in y and in x belong to the window.
     reach
-        How many rows around a pair its weight depends on.
+        Number of rows around a pair on which its weight depends.
     """
 
     weigh: Weigh
@@ -232,25 +232,25 @@ class Window:
     reach: int = 0
 
     def sums(self, values: Floats, squares: Floats | None = None) -> tuple[Floats, Floats]:
-        """Add up what lies within the window, each pixel by its weight.
+        """Sum over the window, each pixel with its weight.
 
         Parameters
         ----------
         values, squares
-            What is added up, shape (y, x, value): values by the weights, squares by the squared
-            weights, as variances of the former are.
+            Summands, shape (y, x, value): values are multiplied by the weights, squares (such as
+            variances of the values) by the squared weights.
 
         Returns
         -------
         tuple of ndarray
-            Both sums, shape (y, x, value); outside the image there is nothing.
+            Both sums, shape (y, x, value), over the part of the window inside the image.
         """
         squares = values[..., :0] if squares is None else squares
         height, width = values.shape[:2]
         sums, squared = np.empty_like(values), np.empty_like(squares)
         halo = self.radius + self.reach
         for rows in spans(height, max(halo, _PIXELS // max(width, 1), 1)):
-            # Strips with what they depend on around them give what the whole image does.
+            # Strips with enough rows around them give the same result as the whole image.
             strip = slice(max(rows.start - halo, 0), rows.stop + halo)
             own, own_squares = values[strip], squares[strip]
             compared = [field[strip] for field in self.fields]
@@ -268,19 +268,19 @@ class Window:
     def average(
         self, values: Floats, weight: npt.NDArray[Any], variance: Floats | None = None
     ) -> tuple[Floats, Floats]:
-        """Average the window, each pixel with its own weight times that of the pair.
+        """Average over the window, each pixel with its own weight times the weight of the pair.
 
         Parameters
         ----------
         values, variance
-            What is averaged, shape (y, x, value), and the squares of its errors.
+            Values, shape (y, x, value), and their squared errors.
         weight
-            Of each pixel, shape (y, x, 1), or of each value.
+            Weight of each pixel, shape (y, x, 1), or of each value.
 
         Returns
         -------
         tuple of ndarray
-            Averages, NaN where nothing has weight, and the squares of their errors.
+            Averages, NaN where nothing has weight, and their squared errors.
         """
         known = (weight > 0) & np.isfinite(values).all(axis=-1, keepdims=True)
         parts = np.where(known, values * weight, 0), np.where(known, weight, 0)
@@ -293,7 +293,7 @@ class Window:
 def pairs(
     height: int, width: int, radius: int
 ) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Yield, for every offset in one half of the window, the places of both pixels of the pairs."""
+    """Yield the slices of both pixels of all pairs, for each offset in one half of the window."""
     most = min(radius, width - 1)
     for dy in range(min(radius, height - 1) + 1):
         for dx in range(-most if dy else 1, most + 1):
@@ -307,7 +307,7 @@ def window_sum(
 ) -> Floats:
     """Add up (..., y, x) over windows of (2 radius + 1)^2 pixels.
 
-    Outside, there is nothing; with the mode "edge", the border repeats.
+    The image ends at its border; with the mode "edge", the border repeats.
     """
     if radius == 0:
         return values

@@ -1,4 +1,4 @@
-"""Training of networks: by name, the one loop, what it leaves behind, and the file of a model.
+"""Training of networks: by name, the training loop, its result, and model files.
 
 >>> from chdstat.estimators import load_model, train_model
 >>> # train_model(samples, "elek2019").save("scene.safetensors"); load_model("scene.safetensors")
@@ -52,8 +52,8 @@ __all__ = [
 Arrays = dict[str, npt.NDArray[Any]]
 
 _KEY = "chdstat"
-"""Header entry that marks a file of chdstat: a checksum of it and the arrays, and the JSON. What
-else a file holds is not looked at."""
+"""Header entry that marks a file of chdstat. It holds a checksum and the JSON; other entries are
+ignored."""
 _FOREIGN = (
     AttributeError,
     LookupError,
@@ -63,24 +63,24 @@ _FOREIGN = (
     TypeError,
     ValueError,
 )
-"""What damaged bytes may raise in the libraries that read them."""
+"""Errors that the reading libraries raise for damaged bytes."""
 _UNFIT = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
-"""What arrays that are no whole network raise where they are put into one."""
+"""Errors that a network raises for arrays that do not fit it."""
 
 
 @dataclass(frozen=True, repr=False)
 class History(Shown):
     """How the training went; every field has shape (record,).
 
-    Losses of `MLP` are squared radiance, those of `Progressive` in units of what the sample mean
-    loses on average.
+    Losses of `MLP` are in squared radiance, those of `Progressive` in units of the average loss of
+    the sample mean.
 
     Attributes
     ----------
     iteration
         Iterations done.
     train_loss
-        Mean loss of the minibatches since the record before.
+        Mean loss of the minibatches since the previous record.
     validation_loss
         Loss on held-out rows.
     train_baseline, validation_baseline
@@ -96,7 +96,7 @@ class History(Shown):
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """What the training of any network leaves behind.
+    """A trained network, with its provenance.
 
     Attributes
     ----------
@@ -105,9 +105,9 @@ class Trained:
     train_pixels
         Pixels used, rows (y, x).
     train_shape
-        Height and width of the image that they lie in, of several the first.
+        Height and width of the training image; with several images, of the first.
     provenance
-        Where it comes from, ready for JSON.
+        How and from what it was trained, ready for JSON.
     """
 
     history: npt.NDArray[np.float64]
@@ -123,7 +123,7 @@ class TrainedModel(Shown, ABC, Generic[State]):
     """An estimator that is trained once, then estimates, and can be saved."""
 
     kinds: ClassVar[dict[str, type[TrainedModel[Any]]]] = {}
-    """Those that model files may hold, by the names of their kinds there."""
+    """The classes of trained models, by their kind in model files."""
     name: str
     kind: ClassVar[str]
     """Name of its kind in model files."""
@@ -152,7 +152,7 @@ class TrainedModel(Shown, ABC, Generic[State]):
 
     @property
     def train_shape(self) -> tuple[int, int]:
-        """Height and width of the image that it was trained on, of several the first."""
+        """Height and width of the training image; with several images, of the first."""
         return self.state.train_shape
 
     @property
@@ -162,7 +162,7 @@ class TrainedModel(Shown, ABC, Generic[State]):
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Where it comes from: scene, seed, pixels, iterations, chdstat version."""
+        """How it was trained: scene, seed, pixels, iterations, chdstat version."""
         return dict(self.state.provenance)
 
     def save(self, path: str | Path) -> None:
@@ -215,16 +215,16 @@ class TrainedModel(Shown, ABC, Generic[State]):
 
     @abstractmethod
     def _to_file(self, state: State) -> tuple[Arrays, dict[str, Any]]:
-        """Return the arrays and the JSON of a file, beside those of every `Trained`."""
+        """Return the arrays and the JSON of a file, without the fields of `Trained`."""
 
     @classmethod
     @abstractmethod
     def _from_file(cls, arrays: Arrays, about: Mapping[str, Any], common: dict[str, Any]) -> Self:
-        """Return the estimator of a file; `common` are the fields of `Trained`."""
+        """Return the estimator from a file; `common` are the fields of `Trained`."""
 
     @property
     def state(self) -> State:
-        """What training left behind.
+        """The result of training.
 
         Raises
         ------
@@ -246,7 +246,7 @@ def scene_record(
 
 
 def provenance_of(*image: Any, **facts: Any) -> dict[str, Any]:
-    """Return where a trained network comes from: the `scene_record`, and the version."""
+    """Return the provenance of a trained network: the `scene_record` and the version."""
     return scene_record(*image, **facts, chdstat=chdstat.__version__)
 
 
@@ -270,18 +270,18 @@ def descend(
     Parameters
     ----------
     parameters
-        What is trained, in place.
+        Tensors to train, in place.
     losses
-        The loss of each minibatch, and what its record needs; the next one is drawn after the
-        parameters have changed.
+        Yields the loss of each minibatch, and values for the record. The next one is drawn after
+        the parameters have changed.
     iterations
-        How many there are.
+        Number of iterations.
     every
         Iterations between two records; the last iteration makes one, too.
     learning_rate
         Step size; where `annealed`, it falls as a cosine from this to 0.
     largest_gradient
-        Norm at which gradients are cut.
+        Norm to which gradients are limited.
     after_step, advance
         Called after every iteration, `advance` with 1.
 
@@ -290,7 +290,7 @@ def descend(
     iteration : int
         Iterations done.
     seen : list
-        What `losses` gave since the record before, the losses without their gradients.
+        What `losses` yielded since the previous record, with losses detached.
     """
     import torch
 
@@ -344,7 +344,7 @@ def write_model(path: Path, arrays: Mapping[str, npt.NDArray[Any]], about: Any) 
     """
     contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     text = json.dumps(about, default=str)
-    # One entry: of several the order would be left to chance.
+    # One entry only: the order of several would be random.
     header = {_KEY: f"{_checksum(text, contiguous)} {text}"}
     try:
         with replacing(path) as partial:
@@ -405,8 +405,8 @@ def train_model(
 ) -> TrainedModel[Any]:
     """Train an estimator on an image.
 
-    The other samples of each pixel are its reference: they must be many more than will be estimated
-    from.
+    The other samples of each pixel are its reference, so there must be many more samples than one
+    estimate takes.
 
     Parameters
     ----------
@@ -421,7 +421,7 @@ def train_model(
     seed
         Draws pixels, first weights and minibatches.
     iterations
-        Minibatches; None for what the estimator is meant to take.
+        Minibatches; None for the estimator's default.
     progress
         Show a progress bar; None shows it on a terminal.
 
@@ -433,7 +433,7 @@ def train_model(
     Raises
     ------
     InputError
-        If no estimator of that name learns, it takes no features, or the samples are too few.
+        If no estimator of that name learns, it takes no features, or there are too few samples.
 
     Examples
     --------
@@ -455,12 +455,12 @@ def train_model(
 
 
 def check_choice(name: str, *, with_features: bool = False) -> LearnedEstimator:
-    """Return the entry of an estimator that learns, with features if they are asked for.
+    """Return the entry of an estimator that learns, with or without features.
 
     Raises
     ------
     InputError
-        If it learns nothing, or takes no features.
+        If it does not learn, or takes no features.
     """
     entry = lookup(name)
     if not isinstance(entry, LearnedEstimator):
@@ -500,7 +500,7 @@ def first_samples(samples: ImageLike | npt.ArrayLike, spp: int | None) -> Sample
     Raises
     ------
     InputError
-        If there are not so many, or less than one is wanted.
+        If there are fewer samples, or `spp` is less than one.
     """
     image = samples_of(samples)
     return image if spp is None or spp == image.spp else image.first(spp)

@@ -1,10 +1,10 @@
-"""Held-out protocol: what a learned estimator may see, and what it is judged by.
+"""Held-out protocol: which samples train a learned estimator, and which judge it.
 
-The samples of an image are cut into batches of n. The reference of a batch is the mean of all
-other samples of its pixel, so the noise of the batch is in the estimate and not in the reference.
-The pixels that train are drawn here; those that judge are the others.
+The samples of an image are cut into batches of n. The reference of a batch is the mean of all other
+samples of its pixel, so the noise of the batch is not in the reference. Some pixels are drawn for
+training; the others judge.
 
-A batch with a bad sample has no reference (NaN): it neither trains nor judges.
+A batch with a bad sample has no reference (NaN). It is used neither for training nor for judging.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PUBLISHED_PIXELS = 6400
 _REORDERED = 2**15
 """Samples sorted at once."""
 _ROUNDING = 1e-13
-"""Share of a sum that is as good as nothing: what rounding leaves of all of it less all of it."""
+"""Share of a sum below which a remainder counts as rounding."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Totals:
 
     @classmethod
     def of(cls, samples: Samples) -> Totals:
-        """Add up an image in one walk through its blocks."""
+        """Sum over an image in one pass through its blocks."""
         height, width, channels, _ = samples.shape
         total = np.zeros((height, width, channels))
         count = np.zeros((height, width), np.int64)
@@ -90,12 +90,12 @@ class Totals:
         Parameters
         ----------
         batch
-            n samples that are part of these totals, shape (..., channel, n).
+            n samples, which must be part of these totals, shape (..., channel, n).
 
         Returns
         -------
         ndarray
-            Shape (..., channel); NaN where the batch holds a bad sample or nothing remains.
+            Shape (..., channel); NaN where the batch holds a bad sample or no sample remains.
         """
         kept, good = whole_samples(batch)
         total = without(self.total, kept.sum(axis=-1, dtype=np.float64))
@@ -106,7 +106,7 @@ class Totals:
 def without(
     total: npt.NDArray[np.float64], part: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """Return a sum less a part of it: exactly 0 where nothing but rounding is left.
+    """Return a sum minus a part of it: exactly 0 where only rounding is left.
 
     Examples
     --------
@@ -118,16 +118,16 @@ def without(
 
 
 def batches(samples: Samples, n: int) -> Iterator[npt.NDArray[np.float32]]:
-    """Yield the image with n consecutive samples at a time, shape (y, x, channel, n).
+    """Yield n consecutive samples of all pixels at a time, shape (y, x, channel, n).
 
-    Samples that do not fill a batch of all pixels are left over.
+    Samples that do not fill a batch in all pixels are dropped.
     """
     for first in range(0, samples.fewest // n * n, n):
         yield samples.read(ss=slice(first, first + n))
 
 
 def check_spp(samples: Samples, n: int) -> None:
-    """Refuse samples that hold no batch of n, or leave no reference beside it.
+    """Check that there are enough samples for a batch of n and its reference.
 
     Raises
     ------
@@ -146,19 +146,19 @@ def check_spp(samples: Samples, n: int) -> None:
 def draw_pixels(
     shape: tuple[int, int], count: int, *, seed: int | np.random.Generator | None
 ) -> npt.NDArray[np.int64]:
-    """Draw the pixels that train: `count` of them, or all that do not judge, none twice.
+    """Draw pixels for training without replacement: `count`, or all that do not judge.
 
-    Fewer pixels of the same seed are among more: who wants 6400 gets the same 6400 whoever else
-    trains.
+    For one seed, a smaller draw is part of every larger one, so estimators with different `count`
+    share their pixels.
 
     Parameters
     ----------
     shape
         Height and width of the image.
     count
-        How many are wanted.
+        Number of pixels.
     seed
-        Where the draw starts; the same seed draws the same pixels.
+        The same seed draws the same pixels.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def draw_pixels(
     [2, 4050, 6400]
     """
     order = generator(seed).permutation(shape[0] * shape[1])
-    # Where the published number leaves a quarter to judge, it trains, else half of the image.
+    # The published number trains if it leaves a quarter to judge, else half of the image.
     half, published = order.size // 2, PUBLISHED_PIXELS
     most = published if half < published <= 3 * order.size // 4 else half
     drawn = np.sort(order[: min(count, most)])
@@ -181,10 +181,10 @@ def draw_pixels(
 def judging_pixels(
     shape: tuple[int, int], *, seed: int | np.random.Generator | None
 ) -> npt.NDArray[np.bool_]:
-    """Return which pixels judge: those that `draw_pixels` of this seed never draws, shape (y, x).
+    """Return which pixels judge, shape (y, x): those that `draw_pixels` never draws for this seed.
 
-    They are half of the image, and the same whoever trains. In images that hold the 6400 training
-    pixels of Elek et al. 2019, but not in one half, they are all but 6400, at least a quarter.
+    They are half of the image. In images in which 6400 training pixels (Elek et al. 2019) are more
+    than half but leave at least a quarter, they are all others.
     """
     judging = np.ones(shape, bool)
     judging[tuple(draw_pixels(shape, judging.size, seed=seed).T)] = False
@@ -197,7 +197,7 @@ def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray
     Raises
     ------
     InputError
-        If they are not rows of two whole numbers, or one lies outside the image.
+        If they are not rows of two integers, or one lies outside the image.
     """
     chosen = np.asarray(pixels)
     if chosen.ndim != 2 or chosen.shape[1] != 2 or chosen.dtype.kind not in "iu":
@@ -226,7 +226,7 @@ def training_batches(
     Returns
     -------
     batches : ndarray
-        Shape (batch, channel, n); those with a bad sample are left out.
+        Shape (batch, channel, n); batches with a bad sample are left out.
     references : ndarray
         Shape (batch, channel).
     """
@@ -245,16 +245,16 @@ def training_batches(
 def reordered(
     x: npt.NDArray[np.floating[Any]], *beside: npt.NDArray[np.floating[Any]]
 ) -> list[npt.NDArray[np.floating[Any]]]:
-    """Return samples (..., channel, sample) in a random order that theirs does not change.
+    """Return samples (..., channel, sample) in a random order that does not depend on theirs.
 
-    A function that splits samples by their places then finds the same parts for any order and
-    any unit. They are sorted, and then shuffled in each pixel: otherwise some
-    parts would hold the bright samples and others the dark ones.
+    A function that splits samples by their position then gets the same parts for any order and
+    unit. The samples are sorted, then shuffled in each pixel; without the shuffle, some parts would
+    hold the bright samples and others the dark ones.
 
     Parameters
     ----------
     x, beside
-        Arrays of one shape, which come into one order.
+        Arrays of the same shape; all are brought into the same order.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Parts of the default estimate, which `chdstat.estimators.estimates` puts together.
+"""Parts of the default estimate of `chdstat.estimators.estimates`.
 
-`candidates` makes the images that are weighted, `weighting_network` weights them, and
-`mean_weights` says how much of the mean each pixel keeps.
+`candidates` computes the candidate images, `weighting_network` weights them, and `mean_weights`
+determines how much of the mean each pixel keeps.
 """
 
 from chdstat.estimators.default_estimate import candidates, mean_weights, weighting_network

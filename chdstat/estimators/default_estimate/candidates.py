@@ -1,6 +1,6 @@
-"""Candidates: the images that a combination weights, from all samples and from each half of them.
+"""Candidates: the images that are combined, from all samples and from each half of them.
 
-Samples are read once, tile by tile; only images of sums are kept.
+Samples are read once, tile by tile; only their sums per pixel are kept.
 """
 
 from __future__ import annotations
@@ -27,39 +27,40 @@ __all__ = ["Measured", "candidates", "through_denoiser"]
 
 
 _BAND = 2**19
-"""Radiances that are computed at once."""
+"""Radiance values that are computed at once."""
 _USUAL = 0.999
-"""Share of an image's radiances, the darkest, that its unit is made of."""
+"""Share of an image's radiances, the darkest ones, from which its unit is computed."""
 _ABSURD = 1e5
-"""Multiple of their mean from which a pixel is absurd."""
+"""Multiple of the mean of these radiances from which a pixel is absurd."""
 _NEAR = 5
 """Edge in pixels of the window around an absurd pixel."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a combination needs of the samples, which are read once, tile by tile.
+    """Statistics of the samples that a combination needs.
 
-    All radiance is in `unit`.
+    All radiance is in units of `unit`.
 
     Attributes
     ----------
     starts
-        The mean and `shared_shape` by name: of all samples, of the even and of the odd ones. NaN
-        where no sample is good, and the median of the pixels around where `absurd`.
+        The mean and `shared_shape` by name: from all samples, from the even and from the odd ones.
+        NaN where no sample is good; absurd pixels are replaced by the median of the pixels around
+        them.
     errors
         Standard errors of these three means.
     mean
-        Of each channel's good samples, shape (y, x, channel), 0 where there is none.
+        Mean of each channel's good samples, shape (y, x, channel), 0 where there is none.
     unit
         A power of two, near the typical radiance of the image.
     absurd
-        Marks pixels that are so much brighter than all others that they must not change others,
-        shape (y, x).
+        Whether a pixel is so much brighter than all others that it must not affect them, shape (y,
+        x).
     null
         Share of null samples, shape (y, x).
     count
-        Good samples of each channel, shape (y, x, channel).
+        Number of good samples of each channel, shape (y, x, channel).
     signed
         Whether any good sample is negative.
     """
@@ -91,14 +92,14 @@ class Measured:
 
     @classmethod
     def of_halves(cls, one: PowerSums, other: PowerSums) -> Measured:
-        """Measure an image from the sums of its even samples and of its odd ones."""
+        """Measure an image from the sums of its even and of its odd samples."""
         height, width, channels = one.total.shape
         starts = [
             {name: np.empty(one.total.shape) for name in ("mean", "shared_shape")} for _ in range(3)
         ]
         errors = [np.empty(one.total.shape) for _ in range(3)]
         count, null = np.empty(one.total.shape), np.empty((height, width))
-        # In bands of rows, temporary arrays stay small beside the sums.
+        # Bands of rows keep temporary arrays small.
         for rows in spans(height, max(1, _BAND // (width * channels))):
             around = slice(max(0, rows.start - RADIUS), rows.stop + RADIUS)
             inside = slice(rows.start - around.start, rows.stop - around.start)
@@ -148,10 +149,10 @@ def candidates(
     features: Mapping[str, npt.NDArray[Any]],
     client: Client | None = None,
 ) -> dict[str, Image]:
-    """Return the images that are weighted, by name, each (y, x, channel); the first is the base.
+    """Return the candidate images by name, each (y, x, channel); the first is the base.
 
-    Where no sample of a pixel is good, they are 0. With a client, its workers denoise; where the
-    library of the denoiser cannot be loaded, nothing is denoised.
+    Pixels without a good sample are 0. With a client, its workers denoise. If the library of the
+    denoiser cannot be loaded, nothing is denoised.
     """
     starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
     guides = {name: features[name] for name in ("albedo", "normal") if name in features}
@@ -162,14 +163,14 @@ def candidates(
         for name, image in starts.items()
         for kind, own in kinds.items()
     }
-    # One at a time here: the denoiser uses all cores by itself.
+    # One image at a time: the denoiser uses all cores by itself.
     denoised = in_order(_denoised, jobs.values(), workers=1, client=client)
     found = dict(zip(jobs, denoised, strict=True)) | starts
     return {name: image.astype(np.float32) for name, image in found.items()}
 
 
 def _denoised(job: tuple[Reals, Mapping[str, npt.NDArray[Any]]]) -> Reals:
-    """Return an image denoised; a black one as it is, since the denoiser would see light in it."""
+    """Denoise an image; return a black one unchanged, as the denoiser would put light in it."""
     image, features = job
     return through_denoiser(image, features) if (image > 0).any() else np.maximum(image, 0)
 
@@ -180,10 +181,9 @@ def through_denoiser(
     *,
     certainty: npt.NDArray[Any] | None = None,
 ) -> npt.NDArray[Any]:
-    """Return estimates denoised, with albedo and normal where `features` have an albedo.
+    """Denoise estimates, with albedo and normal if `features` contain an albedo.
 
-    Estimates of signed samples, and those of a network, may be negative. The denoiser takes no
-    negative radiance: it counts as 0.
+    The denoiser takes no negative radiance: negative estimates, as of signed samples, count as 0.
     """
     start = np.where(radiance < 0, 0, radiance)
     albedo = features.get("albedo")

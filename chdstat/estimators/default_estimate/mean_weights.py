@@ -1,19 +1,20 @@
-"""Held-out samples: how much of the mean a pixel keeps when another image is proposed for it.
+"""Weight of the mean: how much of it a pixel keeps when another image is proposed.
 
 A proposal is an image that is less noisy than the mean and may be biased, such as a weighted sum of
-denoised images. `weight_of_mean` measures on the image at hand which mixture of the two is nearest
-to the truth: a proposal of one half of the samples is compared with the mean of the other half,
-which is noisy, but neither biased nor correlated with it (a super learner: van der Laan, Polley and
-Hubbard 2007, doi:10.2202/1544-6115.1309).
+denoised images. `weight_of_mean` estimates which mixture of the two is nearest to the truth. It
+compares the proposal from one half of the samples with the mean of the other half, which is noisy
+but unbiased and independent (a super learner: van der Laan, Polley and Hubbard 2007,
+doi:10.2202/1544-6115.1309).
 
-With d the mean minus the proposal p of one half and t the mean of the other, the squared error of
-``p + r d`` is least at ``r = -E d (p - t) / E d^2`` (Stein's loss: James and Stein 1961). All
-samples are twice as many as half of them, so half of the noise is taken off both expectations; the
-difference of the halves is an estimate of it. The expectations are pooled over similar pixels: over
-the image in classes of the pixel's standard score, of whether `shared_shape` takes it for fireflies
-and of its brightness, then over wider and closer surroundings in the same class. Each of these
-steps either confirms the one before or refutes it (a spike and a slab: George and McCulloch 1993,
-doi:10.1080/01621459.1993.10476353), and needs more evidence where single pixels make it.
+Let p be the proposal from one half, d the mean of that half minus p, and t the mean of the other
+half. The squared error of ``p + r d`` is least at ``r = -E d (p - t) / E d^2`` (Stein's loss: James
+and Stein 1961). All samples have half the noise variance of one half, so half of the noise,
+estimated from the difference of the halves, is subtracted from both expectations. The expectations
+are averaged over similar pixels: first over the image in classes, then over wide and over close
+surroundings in the same class. The classes are those of the pixel's standard score, of how far
+`shared_shape` limits it, and of its brightness. Each step either confirms the weight of the
+previous step or refutes it (a spike and a slab: George and McCulloch 1993,
+doi:10.1080/01621459.1993.10476353). Evidence from few pixels needs to be stronger.
 """
 
 from __future__ import annotations
@@ -33,44 +34,45 @@ __all__ = ["Proposal", "weight_of_mean"]
 
 
 _SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
-"""Standard scores of the proposal against the mean, between which weights are interpolated."""
+"""Standard scores of the proposal against the mean; weights are interpolated between them."""
 _LIMITED = np.array((-0.1, 0.5))
-"""Logarithms of the mean over that which `shared_shape` limits it to."""
+"""Logarithms of the ratio of the mean to the mean limited by `shared_shape`."""
 _BRIGHT = np.array((0.5, 1.5))
-"""Logarithms of a pixel's unit over that of the image, its standard errors taken off."""
+"""Logarithms of a pixel's brightness over that of the image, reduced by its standard errors."""
 _TAKEN_OFF = 3.0
-"""Standard errors of the mean that are taken off before a pixel counts as bright."""
+"""Standard errors that are subtracted from the mean before a pixel counts as bright."""
 _BELIEVED = (-3.0, -1.5), (-4.5, -2.5)
-"""Scores between which the mean is believed before held-out samples are asked: of pixels that are
-not limited, since so many samples found the light, and of those that are."""
+"""Scores between which the prior weight of the mean falls from 1 to 0: for pixels that
+`shared_shape` does not limit, because many samples found their light, and for pixels that it
+limits."""
 _TILE = 8
-"""Distance in pixels of the nodes that evidence is gathered at."""
+"""Distance, in pixels, of the nodes at which evidence is collected."""
 _AROUND = 6.0, 1.5
-"""Standard deviations, in nodes, of the windows that evidence is pooled over."""
+"""Standard deviations, in nodes, of the windows in which evidence is averaged."""
 _REFUTED = 0.1
-"""Probability that a step is refuted."""
+"""Prior probability that a step is refuted."""
 _CONFIRMED, _FREE = 0.05, 0.5
-"""Standard deviation of a weight around the step before, where that is confirmed and refuted."""
+"""Standard deviation of a weight around the previous step, if that is confirmed or refuted."""
 _SINGLE = 0.5
-"""Variance of a weight that one pixel alone tells."""
+"""Variance of a weight that rests on a single pixel."""
 _FAINT = 0.03
-"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
+"""Share of the image's mean radiance in the unit of a pixel's errors, besides its own."""
 _ERROR = 1e-3
-"""Share of that unit that is added to standard errors, so that no score is infinite."""
+"""Share of that unit that is added to standard errors, so that scores are finite."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """An image that is proposed in place of the mean, from some samples.
+    """An image that is proposed instead of the mean of the same samples.
 
     Attributes
     ----------
     image
         The proposal, shape (y, x, channel).
     mean, error
-        Of the same samples: the mean and its standard error, shape (y, x, channel).
+        Mean of the same samples and its standard error, shape (y, x, channel).
     limited
-        The mean as `shared_shape` limits it, shape (y, x, channel).
+        The mean limited by `shared_shape`, shape (y, x, channel).
     """
 
     image: Reals
@@ -85,13 +87,13 @@ class Proposal:
         return np.asarray(around + (_FAINT * float(bright.mean(dtype=np.float64)) or 1.0))
 
     def classes(self) -> list[tuple[Reals, Reals]]:
-        """Return what pixels are sorted by, each with the knots it is interpolated between."""
+        """Return the quantities that classify pixels, each with its knots of interpolation."""
         unit = self.unit()
         apart = (self.image - self.mean) / (self.error + _ERROR * unit[..., np.newaxis])
         mean, limited = (
             np.maximum(image.mean(axis=-1), 0) + 0.01 * unit for image in (self.mean, self.limited)
         )
-        # Few bright samples among dark ones make a standard error as large as the mean.
+        # With few bright samples among dark ones, the standard error is as large as the mean.
         light, error = (np.abs(image).mean(axis=-1) for image in (self.mean, self.error))
         known = 1 - _TAKEN_OFF * error / np.maximum(light, 1e-30)
         return [
@@ -102,20 +104,20 @@ class Proposal:
 
 
 def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
-    """Return how much of the mean is kept of each pixel.
+    """Return the weight of the mean in each pixel.
 
     Parameters
     ----------
     whole
         The proposal from all samples.
     one, other
-        Those from one half of the samples and from the other. An image is proposed of each by the
-        same weights of candidates, which may depend on all samples, but hardly on one pixel's.
+        The proposals from one half of the samples and from the other. Both use the same weights of
+        candidates, which may depend on all samples, but hardly on those of a single pixel.
 
     Returns
     -------
     ndarray
-        Weights between 0, for the proposal, and 1, for the mean, shape (y, x).
+        Weights from 0 (the proposal) to 1 (the mean), shape (y, x).
 
     References
     ----------
@@ -126,7 +128,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
 
     Examples
     --------
-    The mean of uniform noise is worse than what is right everywhere, and better than what is wrong:
+    A noisy mean is worse than a proposal that is right everywhere, and better than a wrong one:
 
     >>> rng = np.random.default_rng(0)
     >>> halves = 1 + rng.normal(size=(2, 32, 32, 1)) / 8
@@ -152,7 +154,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
     for scale in _AROUND:
         spread = (0, scale, scale, *[0] * len(knots))
         around = ndimage.gaussian_filter(evidence, spread, mode="nearest", truncate=3)
-        # The whole weight of a window is the number of nodes in it.
+        # The total weight of a window is the number of nodes in it.
         weight = _at_nodes(weight, around * (4 * np.pi * scale * scale))
     nodes = _at_nodes(weight, evidence).ravel()
     return np.asarray(sum(share * nodes[place] for place, share in _corners(whole, sides)))
@@ -161,8 +163,8 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Reals:
 def _evidence(half: Proposal, held_out: Proposal) -> list[Reals]:
     """Compare the proposal of one half with the mean of the other, pixel by pixel.
 
-    The terms n of E d^2 and c of -E d (p - t) without half of their noise, and the products
-    that the variance of c - r n is made of.
+    Returns the terms n of E d^2 and c of -E d (p - t), without half of their noise, and the
+    products for the variance of c - r n.
     """
     unit = half.unit()[..., np.newaxis]
     apart = (half.mean - half.image) / unit
@@ -177,8 +179,8 @@ def _evidence(half: Proposal, held_out: Proposal) -> list[Reals]:
 def _at_nodes(before: Reals, evidence: Reals) -> Reals:
     """Return the weights of nodes (y, x, score, limited, bright) after their evidence.
 
-    First, the pixels that are not limited are pooled over all scores. The few pixels of a lamp
-    are otherwise spread over so many classes that no class has enough evidence.
+    First, the pixels that are not limited are pooled over all scores. Otherwise the few pixels of a
+    lamp would be spread over so many classes that none has enough evidence.
     """
     together = evidence.sum(axis=-3, keepdims=True)[..., :1, :]
     not_limited = _updated(before[..., :1, :], together)
@@ -187,7 +189,7 @@ def _at_nodes(before: Reals, evidence: Reals) -> Reals:
 
 
 def _updated(before: Reals, evidence: Reals) -> Reals:
-    """Return weights after evidence, which confirms those before it or refutes them."""
+    """Return weights updated by evidence, which confirms or refutes the weights before."""
     n, c, cc, cn, nn = evidence
     known = n > 1e-12
     n = np.where(known, n, 1)
@@ -206,8 +208,8 @@ def _updated(before: Reals, evidence: Reals) -> Reals:
 def _believed(knots: list[int]) -> Reals:
     """Return the weight of the mean in each class before any evidence.
 
-    k samples of equal radiance among nulls make a score of minus the root of k. Bright pixels that
-    are not limited are few and make most of an image's error: their mean is kept until held-out
+    k samples of equal radiance among nulls give the score -sqrt(k). Bright pixels that are not
+    limited are few but make up most of an image's error: they keep their mean until held-out
     samples show that the proposal is nearer.
     """
     weight = np.empty(knots)
@@ -219,7 +221,7 @@ def _believed(knots: list[int]) -> Reals:
 
 
 def _sides(shape: tuple[int, ...]) -> list[tuple[Indices, Reals, int]]:
-    """Return the node before each row and column, how far it is passed, and how many there are."""
+    """Return the node before each row and column, the fraction beyond it, and the node count."""
     found = []
     for axis, pixels in enumerate(shape):
         nodes = -(-pixels // _TILE) + 1
@@ -230,7 +232,7 @@ def _sides(shape: tuple[int, ...]) -> list[tuple[Indices, Reals, int]]:
 
 
 def _between(x: Reals, knots: npt.NDArray[Any]) -> tuple[Indices, Reals]:
-    """Return the knot before each number and which share of the way to the next it has gone."""
+    """Return the knot before each number, and the fraction of the way to the next knot."""
     x = np.clip(x, knots[0], knots[-1])
     before = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
     return before, (x - knots[before]) / (knots[before + 1] - knots[before])
@@ -239,7 +241,7 @@ def _between(x: Reals, knots: npt.NDArray[Any]) -> tuple[Indices, Reals]:
 def _corners(
     pixels: Proposal, sides: list[tuple[Indices, Reals, int]]
 ) -> Iterator[tuple[Indices, Reals]]:
-    """Yield the nodes around each pixel, one kind at a time, and its share in them."""
+    """Yield one corner of each pixel's cell at a time: the node, and its interpolation weight."""
     axes = [*sides, *((*_between(x, knots), len(knots)) for x, knots in pixels.classes())]
     shape = pixels.mean.shape[:2]
     for steps in itertools.product((0, 1), repeat=len(axes)):

@@ -1,7 +1,8 @@
 """Network: from comparisons of the candidates to their weights and to the width of an interval.
 
-It was trained once, on built-in scenes against converged images (``tools/train_combination.py``),
-and sees only ratios: how the candidates of a scene compare, and nothing else of the scene.
+It was trained once, on built-in scenes with converged references (``tools/train_combination.py``).
+Its inputs are ratios that compare the candidates with each other; they say nothing else of the
+scene.
 """
 
 from __future__ import annotations
@@ -22,34 +23,34 @@ __all__ = ["LEVELS", "WeightingNetwork", "comparisons", "unit_of"]
 
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
-"""Probabilities of which the width of an interval was measured."""
+"""Probabilities for which the width of intervals was measured."""
 _SHIPPED = Path(__file__).with_name("weighting_network.safetensors")
 _ROWS = 2**16
 """Pixels whose weights are computed at once."""
 _SCALES = (1.5, 4.0, 12.0)
-"""Standard deviations in pixels of the windows that comparisons are averaged over."""
+"""Standard deviations, in pixels, of the windows in which comparisons are averaged."""
 _TRUNCATE = 3
 """Standard deviations at which these windows end."""
 _FAINT = 0.01
-"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
+"""Share of the image's mean radiance in the unit of a pixel's errors, besides its own."""
 _BAND = 2**19
 """Pixels that are compared at once: an image of this size needs 150 MB of inputs."""
 
 
 @dataclass(frozen=True)
 class WeightingNetwork:
-    """The network from comparisons to weights and to the width of an interval.
+    """Network that maps comparisons of candidates to weights and the width of an interval.
 
     Attributes
     ----------
     layers
-        Matrices and offsets, each (out, in) and (out,): the last one gives a score for each
-        candidate, and the logarithm of the width.
+        Matrices (out, in) and offsets (out,). The last layer outputs a score for each candidate,
+        and the logarithm of the width.
     centre, spread
-        By which inputs are standardised.
+        Mean and scale by which inputs are standardised.
     quantiles
-        Widths of intervals of the probabilities `LEVELS`, in the dark, middle and bright third of
-        an image, shape (third, level).
+        Half-widths of intervals at the probabilities `LEVELS`, in units of the predicted width, for
+        the dark, middle and bright third of an image, shape (third, level).
     """
 
     layers: Sequence[tuple[Reals, Reals]]
@@ -73,7 +74,7 @@ class WeightingNetwork:
     ) -> tuple[Image, Image]:
         """Return weights (y, x, candidate) and widths (y, x) of intervals, in `unit`.
 
-        The image is worked on in bands of rows, so that the inputs of only one are in memory.
+        The image is processed in bands of rows, so that the inputs of only one band are in memory.
         """
         height, width = unit.shape
         weights = np.empty((height, width, len(made[0])), np.float32)
@@ -100,11 +101,11 @@ class WeightingNetwork:
         return np.asarray(x, np.float32)
 
     def quantile(self, level: float, brightness: Image) -> Image:
-        """Return how many widths an interval of this probability reaches to each side.
+        """Return how many widths an interval reaches to each side, shape (y, x).
 
-        Shape of `brightness` (y, x), of which only the order of pixels counts.
+        Only the ranks of `brightness` (y, x) matter.
         """
-        # Between levels that were measured, and beyond, errors fall off about exponentially.
+        # Interpolate and extrapolate the measured levels as if errors fell off exponentially.
         places = -np.log1p(-np.array((0, *LEVELS)))
         place = -np.log1p(-level)
         beyond = max(0, place - places[-1]) / (places[-1] - places[-2])
@@ -117,7 +118,7 @@ class WeightingNetwork:
 
 
 def unit_of(images: Mapping[str, Image]) -> Image:
-    """Return the radiance that errors are measured in, shape (y, x): that of all candidates."""
+    """Return the unit of errors, shape (y, x): the smoothed radiance of all candidates."""
     bright = np.mean([np.abs(image).mean(axis=-1) for image in images.values()], axis=0)
     return np.asarray(_smooth(bright, _SCALES[0]) + _FAINT * _overall(images), np.float32)
 
@@ -130,19 +131,20 @@ def comparisons(
 ) -> Image:
     """Return the inputs of the network for some rows: logarithms, ratios, standard scores.
 
-    Of each candidate against the first: which mixture of the two the other half of the samples asks
-    for (the slope of a regression without constant) and its standard error, in three windows; how
-    far they are apart, and on which side. Of each candidate: how far those of the two halves are
-    apart, and how many standard errors of the mean it is from the mean.
+    Each candidate but the first is compared with the first. In three windows: which mixture of the
+    two is nearest to the other half of the samples (the slope of a regression without constant),
+    and its standard error. In one window: how far the two are apart, and with which sign. For every
+    candidate: how far its versions from the two halves are apart, and how many standard errors of
+    the mean it is from the mean.
 
     Parameters
     ----------
     made
-        Candidates by name, of all samples and of each half.
+        Candidates by name, from all samples and from each half.
     measured
         Statistics of the samples and of their halves.
     unit
-        Radiance that errors are measured in, of the whole image, shape (y, x).
+        Unit of errors, of the whole image, shape (y, x).
     rows
         Rows of the image.
 
@@ -177,7 +179,7 @@ def comparisons(
         _smooth(measured.null[around], _SCALES[0]),
         np.log(unit / _overall(made[0])),
     )
-    # A window reaches beyond a small image, whose pixels are then those of the edge, again.
+    # A window cannot hold more pixels than a small image has.
     pooled = [np.prod(np.minimum(2 * np.sqrt(np.pi) * s, shape)) for s in _SCALES]
     scale = unit[..., np.newaxis]
     variance *= 2 / scale**2
@@ -207,7 +209,7 @@ def comparisons(
 
 
 def _overall(images: Mapping[str, Image]) -> float:
-    """Return the mean radiance of the first candidate, or 1 where it is black."""
+    """Return the mean radiance of the first candidate, or 1 if it is black."""
     first = next(iter(images.values()))
     return float(np.abs(first).mean(dtype=np.float64)) or 1.0
 

@@ -1,9 +1,9 @@
-r"""Errors of the progressive estimator: how far it pays to follow it, and how large they are.
+r"""Errors of the progressive estimator: how far to follow its network, and how wrong it may be.
 
-`validate` lets the network estimate from some samples of pixels whose others are the target.
+`validate` lets the network estimate from some samples of a pixel; the other samples are the target.
 
-An estimate ``m + a (g - m)`` lies between the mean m and the network's g. Where t is an unbiased
-target that neither has seen, the share with the least squared error under weights w is
+An estimate ``m + a (g - m)`` lies between the mean m and the network's g. If t is an unbiased
+target from other samples, the share a with the least squared error under weights w is
 
 .. math:: \alpha = \sum w (t - m) (g - m) / \sum w (g - m)^2
 
@@ -11,10 +11,11 @@ and every share below :math:`2 \alpha` is better than the mean (Stein's shrinkag
 target; Rousselle et al. 2012, doi:10.1145/2366145.2366214, choose between filters likewise).
 `reference_shares` finds shares for pixels of each brightness, brightened and darkened separately.
 
-`ErrorModel` explains squared errors by a sum of error terms, each with a weight that is not
-negative, by least squares. The radiance of a pixel is then taken for gamma distributed with the
-estimate for its mean and that variance, and quantiles are calibrated by split conformal prediction
-(Lei et al. 2018, doi:10.1080/01621459.2017.1307116), separately for dark and for bright estimates.
+`ErrorModel` predicts the squared error as a sum of error terms with non-negative weights, fitted by
+least squares. The radiance of a pixel is then modelled as gamma distributed, with the estimate as
+mean and the predicted squared error as variance. Its quantiles are calibrated by split conformal
+prediction (Lei et al. 2018, doi:10.1080/01621459.2017.1307116), separately for dark and for bright
+estimates.
 """
 
 from __future__ import annotations
@@ -51,34 +52,34 @@ __all__ = [
 ]
 
 LOSSES = ("mse", "relmse")
-"""What the estimates of a network minimise."""
+"""Losses that the estimates of a network minimise."""
 BRIGHTNESS = tuple(range(-8, 5, 2))
-"""Levels of the mean, in octaves of the unit, that pixels are grouped by."""
+"""Levels of the mean, in octaves of the unit, by which pixels are grouped."""
 FLOOR = 0.01
-"""Part of the squared mean radiance of the image that keeps relative errors finite."""
+"""Share of the image's squared mean radiance that keeps relative errors finite."""
 ERROR_TERMS = 6
 GROUPS = 2 * len(BRIGHTNESS)
-"""Groups of pixels with a share of their own: of each brightness, brightened and darkened ones."""
+"""Groups of pixels with their own share: for each brightness, brightened and darkened pixels."""
 FULL = np.ones(1), np.ones((1, len(LOSSES), GROUPS))
-"""Shares that follow all estimates all the way."""
+"""Shares that follow the network entirely."""
 _LARGEST = 1.5
-"""Share of a move at most: beyond 1 where others are held back and the image would lose light."""
+"""Largest share of a move: above 1 where other moves are reduced and the image would lose light."""
 _RIDGE = 1e-3
-"""Draws shares to 0 that no pixel speaks for."""
+"""Moves shares without evidence towards 0."""
 DARK = 0.02
-"""Radiance, in units of the image's, below which errors no longer fall with it."""
+"""Radiance, in units of the image's, below which errors no longer decrease with it."""
 _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
-"""Splits of each size, of each pixel on average, and samples of a pixel in all of these, at least:
-few samples of a lamp or a firefly are noisy."""
+"""Per size: splits, splits of each pixel on average, and fewest samples of a pixel over all its
+splits. Few samples of a lamp or a firefly are noisy."""
 _ROWS, _ENOUGH = 1024, 1 << 17
-"""Rows of a minibatch, and of a size; these are enough, even if a pixel is rarely drawn."""
+"""Rows of a minibatch, and rows of a size that are enough even if a pixel is rarely drawn."""
 Validation = dict[str, npt.NDArray[Any]]
 """Estimates from splits of pixels, in units of the image's radiance, by name:
 
-``size``, samples of each estimate, and ``rows``, which pixels, shape (row,); ``estimate``, shape
-(loss, row, channel), and ``certainty``, (loss, row); ``mean`` and ``target``, of the samples that
-were seen and of the others, shape (row, channel); ``noise``, unbiased for the variance of the
-target, and ``variance``, that of the mean, shape (row, channel)."""
+``size`` (samples of each estimate) and ``rows`` (pixels), shape (row,); ``estimate``, shape (loss,
+row, channel); ``certainty``, shape (loss, row); ``mean`` (of the input samples) and ``target``
+(mean of the others), ``noise`` (unbiased variance of the target) and ``variance`` (of the mean),
+shape (row, channel)."""
 _BY_LOSS = ("estimate", "certainty")
 
 
@@ -91,10 +92,11 @@ def validate(
     samples: int = _SAMPLES,
     noise: bool = False,
 ) -> Validation:
-    """Estimate from splits of some pixels at all sizes of the training, one or more of each pixel.
+    """Estimate from splits of some pixels, at all training sizes.
 
-    Of few pixels, so many `samples` each are seen at least in all splits of a size. The `noise` of
-    the targets takes as long as the estimates, and is measured if asked for.
+    There are one or more splits per pixel. If there are few pixels, the splits of a size use at
+    least `samples` samples of each. Measuring the `noise` of the targets takes as long as the
+    estimates, so it is optional.
     """
     import torch
 
@@ -138,9 +140,9 @@ def of_size(validation: Validation, size: int) -> Validation:
 def error_terms(estimate: Reals, mean: Reals, certainty: Reals, variance: Reals) -> Reals:
     """Return the terms of squared errors, shape (..., row, channel, term), float64.
 
-    The terms are a constant for dark pixels; the squares of the estimate and of its distance to the
-    mean; the variance of the mean, and the part of it that an uncertain estimate inherits; and the
-    square of the mean, as far as the estimate is certain.
+    The terms are a constant for dark pixels; the squared estimate; its squared distance to the
+    mean; the variance of the mean; this variance times the uncertainty; and the squared mean times
+    the certainty.
 
     Parameters
     ----------
@@ -149,7 +151,7 @@ def error_terms(estimate: Reals, mean: Reals, certainty: Reals, variance: Reals)
     certainty
         Shape (..., row).
     mean, variance
-        Of the samples, and of their mean, shape (row, channel).
+        Mean of the samples and variance of that mean, shape (row, channel).
     """
     sure = certainty[..., np.newaxis]
     terms = (
@@ -164,14 +166,14 @@ def error_terms(estimate: Reals, mean: Reals, certainty: Reals, variance: Reals)
 
 
 def between_sizes(sizes: Reals, count: npt.NDArray[Any]) -> tuple[Indices, Indices, Reals]:
-    """Return where numbers of samples lie among ascending sizes, along the logarithm.
+    """Return where numbers of samples lie among ascending sizes, on a logarithmic scale.
 
     Returns
     -------
     below, above
-        Indices of the sizes on both sides; beyond the ends the last one on both.
+        Indices of the sizes below and above; beyond the ends, both are the last one.
     part
-        How far from the one to the other, 0 to 1.
+        Fraction of the way from `below` to `above`, 0 to 1.
     """
     last = len(sizes) - 1
     place = np.interp(np.log2(np.maximum(count, 1)), np.log2(sizes), np.arange(last + 1))
@@ -180,7 +182,7 @@ def between_sizes(sizes: Reals, count: npt.NDArray[Any]) -> tuple[Indices, Indic
 
 
 def check_loss_weight(loss_weight: float) -> None:
-    """Refuse a mixture of the losses that is none."""
+    """Raise InputError if a loss weight is not between 0 and 1."""
     if not 0 <= loss_weight <= 1:
         message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {loss_weight}"
         raise InputError(message)
@@ -197,23 +199,23 @@ def shares_at(sizes: Reals, shares: Reals, count: npt.NDArray[Any]) -> Reals:
 
 
 def reference_shares(validation: Validation) -> tuple[Reals, Reals]:
-    """Return how far from the mean it pays to go to what a network estimates.
+    """Return how far to move from the mean towards the estimate of a network.
 
-    Shares are those with the least error among those under which neither MSE nor relMSE exceeds
-    the mean's and the image keeps its mean radiance.
+    The shares have the least error under two conditions: neither MSE nor relMSE exceeds that of the
+    mean, and the image keeps its mean radiance.
 
     Parameters
     ----------
     validation
-        Estimates of pixels of the image, at several numbers of samples, as of `validate`.
+        Estimates of pixels at several numbers of samples, from `validate`.
 
     Returns
     -------
     sizes : ndarray
-        Numbers of samples that shares are known for, ascending.
+        Numbers of samples for which shares are known, ascending.
     shares : ndarray
-        0 for the mean, 1 for the estimate, beyond 1 where others are held back; shape (size, loss,
-        group), groups of pixels as of `network.group_weights`.
+        0 for the mean, 1 for the estimate, above 1 where other moves are reduced; shape (size,
+        loss, group), with the groups of `network.group_weights`.
     """
     sizes = np.unique(validation["size"])
     shares = [[_best_shares(of_size(validation, n), k) for k in range(len(LOSSES))] for n in sizes]
@@ -221,7 +223,7 @@ def reference_shares(validation: Validation) -> tuple[Reals, Reals]:
 
 
 def _best_shares(validation: Validation, loss: int) -> Reals:
-    """Return the share of each group under which one of the errors is least.
+    """Return the share of each group that minimises one of the errors.
 
     Neither error exceeds the mean's, and the image keeps its mean.
     """
@@ -232,7 +234,7 @@ def _best_shares(validation: Validation, loss: int) -> Reals:
     rows, mean, target = (validation[name] for name in ("rows", "mean", "target"))
     move = validation["estimate"][loss] - mean
     group = group_weights(torch.from_numpy(mean), torch.from_numpy(move)).numpy()
-    # Each pixel counts once, however often it was drawn: lamps are few.
+    # Each pixel counts once, however often it was drawn.
     once = 1 / np.bincount(rows)[rows][:, np.newaxis]
     radiance = group.T @ (once * move).sum(axis=-1)
     size = np.abs(radiance).sum()
@@ -256,7 +258,7 @@ def _best_shares(validation: Validation, loss: int) -> Reals:
 
 
 def _least(gains: Sequence[tuple[Reals, Reals]], loss: int, radiance: Reals) -> Reals:
-    """Minimise ``a squares a - 2 along a`` of one loss, that of neither being above 0."""
+    """Minimise ``a squares a - 2 along a`` for one loss, with the values of both at most 0."""
     ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[loss][1]), 1e-12) / GROUPS
 
     def gain(shares: Reals, k: int) -> float:
@@ -290,19 +292,19 @@ def share_of(
     *,
     beyond: float = 0.0,
 ) -> float:
-    r"""Return the share of a move that reduces the weighted squared error for sure, 0 to 1.
+    r"""Return a share of a move, 0 to 1, that reduces the weighted squared error with confidence.
 
-    With the slope a of what is wanted over the move, and its standard error s over pixels, it is
+    Let a be the slope of `wanted` over `move`, and s its standard error over pixels. The share is
     :math:`\min(a + k s, 2 (a - s))`: every share below 2 a is better than none.
 
     Parameters
     ----------
     pixels
-        Which pixel each row is of, shape (row,).
+        Pixel of each row, shape (row,).
     move, wanted, weight
         Shape (row, channel).
     beyond
-        k, the standard errors above the measured share that are allowed.
+        k, how many standard errors the share may exceed a.
     """
     along, squares = (
         np.bincount(pixels, (weight * move * other).sum(axis=-1)) for other in (wanted, move)
@@ -319,7 +321,7 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
     Parameters
     ----------
     above, below
-        One of each a pixel; pixels with neither count for nothing.
+        One value per pixel; pixels where both are 0 are ignored.
     """
     total, pixels = float(below.sum()), int(np.count_nonzero(below))
     if not total > 0 or pixels < 2:
@@ -335,28 +337,27 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
 """Probabilities at which quantiles are calibrated."""
 LOSS_WEIGHTS = np.array([0.0, 0.5, 1.0])
-"""Mixtures of the losses that quantiles are calibrated for; between them they are interpolated."""
+"""Loss weights for which quantiles are calibrated; others are interpolated."""
 
 _CALIBRATED = (len(LOSS_WEIGHTS), len(BRIGHTNESS), len(LEVELS))
 _CHANCE = 0.5
-"""Standard errors that quantiles are taken farther out: then seven of ten are far enough."""
+"""Standard errors by which quantiles are moved outwards; then seven of ten are far enough."""
 _FEW = 5
-"""Pixels of a brightness that count as much as all others."""
+"""Pixels of a brightness that count as much as all other pixels."""
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """What errors to expect, in units of the image's radiance.
+    """Expected errors of estimates, in units of the image's radiance.
 
     Attributes
     ----------
     weights
-        Of the error terms, shape (loss, term).
+        Weights of the error terms, shape (loss, term).
     sizes
-        Numbers of samples that quantiles were calibrated at, ascending.
+        Numbers of samples for which quantiles were calibrated, ascending.
     normal
-        For each, the normal quantiles to take at `LEVELS` where an estimate is so bright, shape
-        (size, loss weight, brightness, level).
+        Calibrated normal quantiles at `LEVELS`, shape (size, loss weight, brightness, level).
     """
 
     weights: Reals
@@ -383,7 +384,7 @@ class ErrorModel:
         held_out = validate(network, training_set, pixels=pixels, rng=rng, noise=True)
         losses = range(len(LOSSES))
         weights = np.array([least_squares(held_out, loss) for loss in losses])
-        # Lamps are in all pixels, hardly in a tenth of them.
+        # Rare lamps are hardly found in the tenth of the pixels that is held out.
         pixels = np.arange(len(training_set))
         everywhere = validate(network, training_set, pixels=pixels, rng=rng, samples=0)
         sizes = np.unique(held_out["size"])
@@ -405,10 +406,10 @@ class ErrorModel:
     ) -> Reals:
         """Return a quantile; estimate and variance (row, channel), samples (row,).
 
-        Signed samples can make an estimate negative; then it is that of a normal distribution.
+        For a negative estimate, as of signed samples, it is a quantile of a normal distribution.
         """
         wanted = special.ndtri(level)
-        # Beyond the levels that were calibrated, tails go on as normal ones.
+        # Beyond the calibrated levels, tails continue as those of a normal distribution.
         levels = special.ndtri(LEVELS)
         beyond = wanted - np.clip(wanted, levels[0], levels[-1])
         at_level = interpolate.interp1d(levels, self.normal)(wanted - beyond)
@@ -425,7 +426,7 @@ class ErrorModel:
 
 
 def _mixed(of_losses: Reals, loss_weight: float) -> Reals:
-    """Return the mixture of what two losses give, shape (loss, ...)."""
+    """Mix the values of both losses, shape (loss, ...)."""
     return np.asarray((1 - loss_weight) * of_losses[0] + loss_weight * of_losses[1])
 
 
@@ -439,10 +440,10 @@ def least_squares(validation: Validation, loss: int) -> Reals:
     estimate = validation["estimate"][loss]
     own = validation["mean"], validation["certainty"][loss], validation["variance"]
     terms = error_terms(estimate, *own).reshape(-1, ERROR_TERMS)
-    # Without bias: the noise of the target is taken off.
+    # Unbiased: the noise of the target is subtracted.
     squared = (estimate - validation["target"]) ** 2 - validation["noise"]
     scale = 1 / terms[:, :4].sum(axis=1)
-    # The normal equations: tens of thousands of rows, six weights.
+    # Normal equations: there are tens of thousands of rows, but only six weights.
     scaled = terms * scale[:, np.newaxis]
     gram = np.linalg.cholesky(scaled.T @ scaled + 1e-9 * np.eye(ERROR_TERMS) * len(scaled))
     target = scaled.T @ (squared.reshape(-1) * scale)
@@ -454,9 +455,9 @@ def least_squares(validation: Validation, loss: int) -> Reals:
 def calibrate(weights: Reals, held_out: Validation, everywhere: Validation) -> Reals:
     """Return the normal quantiles of the truth, shape (loss weight, brightness, level).
 
-    They are those of pixels that did not train. Among all pixels, those as bright may differ from
-    the others, and so much is added (Mondrian conformal prediction separates categories likewise:
-    Vovk 2013, doi:10.1007/s10994-013-5355-6).
+    They come from pixels that did not train. The difference between pixels of a brightness and all
+    pixels, measured on all pixels, is added (Mondrian conformal prediction separates categories
+    likewise: Vovk 2013, doi:10.1007/s10994-013-5355-6).
     """
     found = []
     for loss_weight in LOSS_WEIGHTS:
@@ -473,9 +474,9 @@ def calibrate(weights: Reals, held_out: Validation, everywhere: Validation) -> R
 
 
 def _quantiles(normal: Reals, share: Reals) -> Reals:
-    """Return quantiles at `LEVELS`, each as far from the middle as chance may have it.
+    """Return quantiles at `LEVELS`, each moved outwards by its sampling error.
 
-    Otherwise too many of few pixels would lie farther out (Vovk 2013, as above).
+    Otherwise, with few pixels, too many would lie farther out (Vovk 2013, as above).
     """
     error = _CHANCE * np.sqrt(LEVELS * (1 - LEVELS) / share.sum())
     levels = np.clip(LEVELS + np.sign(LEVELS - 0.5) * error, 0, 1)
@@ -485,7 +486,7 @@ def _quantiles(normal: Reals, share: Reals) -> Reals:
 def _normals(
     weights: Reals, validation: Validation, loss_weight: float
 ) -> tuple[Reals, Reals, Reals]:
-    """Return normal places of truths, what share of a pixel each is, and how bright it seems.
+    """Return normal scores of the targets, their weights, and how bright their estimates are.
 
     The cube root of a gamma variable is near normal (Wilson and Hilferty 1931,
     doi:10.1073/pnas.17.12.684).
@@ -506,7 +507,7 @@ def _normals(
 
 
 def _brightness_weights(estimate: Reals) -> Reals:
-    """Return how near estimates (row, channel) are to each of `BRIGHTNESS`; rows sum to 1."""
+    """Return the weights of estimates (row, channel) at each of `BRIGHTNESS`; rows sum to 1."""
     octave = np.log2(np.maximum(estimate.mean(axis=-1), 1e-12))
     return np.stack(
         [np.interp(octave, BRIGHTNESS, level) for level in np.eye(len(BRIGHTNESS))], axis=-1

@@ -1,12 +1,12 @@
-"""Inputs of the progressive estimator: profiles of samples, and numbers of the first hit.
+"""Inputs of the progressive estimator: profiles of samples, and numbers that describe first hits.
 
-A profile is what a pixel's samples look like, octave by octave of luminance, in constant memory. It
-is to the estimator what the cascade is to `chdstat.estimators.zirr2018`: every sample enters the
-two octaves next to its luminance, linearly in the logarithm, with its weight and with its radiance
-in all channels. Profiles do not depend on the order of the samples, and keep their mean exactly,
-as the radiance in all octaves together is that of all samples.
+A profile describes a pixel's samples by octaves of luminance, in constant memory, like the cascade
+of `chdstat.estimators.zirr2018`. Each sample is split between the two octaves nearest to its
+luminance, linearly in the logarithm. An octave holds the sum of the weights and the sum of the
+radiance in all channels. Profiles do not depend on the order of the samples, and preserve their
+mean exactly.
 
-First hits describe the surface that a pixel shows.
+First hits describe the surface that is visible in a pixel.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ __all__ = ["OCTAVES", "Features", "Profile", "describe"]
 
 OCTAVES = 24
 _LOWEST = -12
-"""The first octave stands for luminance up to 2^-12 of the unit, the last for 2^11 and more."""
+"""The first octave is for luminance up to 2^-12 of the unit, the last for 2^11 and more."""
 _TOP = OCTAVES - 1 - 2.0**-10
 _SAMPLES_AT_ONCE = 2**16
-"""Small enough for all that is made of a block to stay in the cache."""
+"""Block size for which all temporary arrays stay in the cache."""
 _FEW = 4
 _SMALLEST, _LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
-"""Radiance that samples can be measured in, in single precision."""
+"""Range of units in which samples can be measured in single precision."""
 _NAMES = ("albedo", "normal", "depth", "position")
 _WAVES = 3
-"""Octaves of sine and cosine of the position, so that light may vary faster than linearly."""
+"""Octaves of sines and cosines of the position, so that light may vary faster than linearly."""
 _DARK = 0.02
-"""Albedo below which logarithms are cut."""
+"""Lower bound of the albedo in logarithms."""
 
 Features = Mapping[str, npt.NDArray[Any]]
 
@@ -52,12 +52,12 @@ class Profile:
     ----------
     bins
         Weight of the samples in each octave, then their radiance in each channel in units of
-        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave, samples of negative
-        luminance the lowest.
+        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave; samples with negative
+        luminance enter the lowest.
     count
-        Good samples, nulls among them, shape (...).
+        Number of good samples, including nulls, shape (...).
     unit
-        Radiance that octaves are counted from: that of the image, so that a brighter image of
+        Radiance at which octave 0 lies: the mean radiance of the image, so that a brighter image of
         the same scene has the same profiles.
     """
 
@@ -69,19 +69,19 @@ class Profile:
     def of(cls, x: npt.ArrayLike, *, unit: float) -> Self:
         """Return the profiles of samples (..., channel, sample).
 
-        A sample of which any channel is NaN or infinite is left out.
+        Samples with a NaN or infinite channel are left out.
 
         Parameters
         ----------
         x
             Linear radiance, shape (..., channel, sample).
         unit
-            Radiance that octaves are counted from.
+            Radiance at which octave 0 lies.
 
         Raises
         ------
         InputError
-            If `x` has no channels, or `unit` is no positive, normal float32.
+            If `x` has no channels, or `unit` is not a positive, normal float32.
 
         Examples
         --------
@@ -125,7 +125,7 @@ def _blocks_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]
         bins[here], count[here] = _bins_of(rows[here], unit)
 
     blocks = list(spans(len(rows), max(1, _SAMPLES_AT_ONCE // n)))
-    # A few blocks are done before threads have started.
+    # A few blocks are finished before threads have started.
     for _ in map(enter, blocks) if len(blocks) <= _FEW else in_order(enter, blocks):
         pass
     return bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape)
@@ -134,13 +134,13 @@ def _blocks_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]
 def _bins_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]]:
     """Return bins (row, octave, 1 + channel) and good samples of rows (row, channel, sample).
 
-    The bins are the product of a sparse matrix, with the two weights of each sample in its column,
-    and of the samples: one loop in C for all channels, on all cores.
+    The bins are the product of a sparse matrix, which holds the two weights of each sample in its
+    column, and the samples: one loop in C for all channels.
     """
     rows, channels, n = x.shape
     bad = is_bad(x).any(axis=1)
     values = np.empty((rows, n, 1 + channels), np.float32)
-    # Other channels than three weigh the same.
+    # If there are not three channels, all weigh the same.
     weights = LUMINANCE if channels == 3 else np.full(channels, 1 / channels, np.float32)
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
         for channel in range(channels):
@@ -170,17 +170,16 @@ def _bins_of(x: Reals, unit: np.float32) -> tuple[Reals, npt.NDArray[np.int64]]:
 
 
 def describe(features: Features, shape: tuple[int, ...]) -> Image:
-    """Return numbers of about unit size for each pixel, shape (y, x, number).
+    """Return numbers near 1 that describe the first hit of each pixel, shape (y, x, number).
 
-    Albedo and its logarithm, the normal, the logarithm of the depth, and the position in units of
-    its spread over the image with sine and cosine of it, as in Tancik et al. 2020, "Fourier
-    features let networks learn high frequency functions in low dimensional domains".
+    These are the albedo and its logarithm, the normal, the logarithm of the depth, and the
+    position, in units of its spread over the image, with its sines and cosines (Tancik et al. 2020,
+    "Fourier features let networks learn high frequency functions in low dimensional domains").
 
     Parameters
     ----------
     features
-        Albedo, normal, depth and position by name, shape (y, x) or (y, x, 3); those that are
-        missing are left out.
+        Albedo, normal, depth and position by name, shape (y, x) or (y, x, 3); each may be missing.
     shape
         Height and width.
 
@@ -205,7 +204,7 @@ def describe(features: Features, shape: tuple[int, ...]) -> Image:
 
 
 def _standard(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Centre and scale a field (y, x, number); values far out, as those of the sky, are clipped."""
+    """Centre and scale a field (y, x, number); clip distant values, as of the sky."""
     flat = field.reshape(-1, field.shape[-1])
     low, high = np.quantile(flat, [0.01, 0.99], axis=0)
     inside = field.clip(low, high)

@@ -1,8 +1,8 @@
-"""Training of the progressive estimator: from images to what was learned.
+"""Training of the progressive estimator, from images.
 
-Training keeps many samples of some pixels of each image. Every minibatch cuts those of a pixel in
-two at random: one part is the input, and the mean of the other is the target. A tenth of the pixels
-is held out, to validate and to fit the error model.
+Training keeps many samples of some pixels of each image. Every minibatch splits the samples of a
+pixel at random: one part is the input, and the mean of the other part is the target. A tenth of the
+pixels is held out for validation and for the error model.
 """
 
 from __future__ import annotations
@@ -39,58 +39,59 @@ __all__ = [
 ]
 
 _LADDER = (4, 8, 16, 16, 32, 32, 64, 64, 128, 256, 512)
-"""Numbers of samples to learn from: as people ask for them."""
+"""Numbers of samples to learn from, as often as users ask for them."""
 _MOST_SPP = 2048
 PIXELS = 8192
-"""Of one image, at most, where several may train together."""
+"""Most pixels of one image if several train together."""
 _MOST_PIXELS = 4 * PIXELS
-"""Of all images together: more take memory and hardly help."""
+"""Most pixels of all images together: more take memory and hardly help."""
 _ITERATIONS = 6000
 _VALIDATION = 0.1
-"""Share of the pixels held out for validation, to measure how large the errors are."""
+"""Share of the pixels that are held out for validation and for the error model."""
 _ENOUGH, _MARKS_NEEDED = 0.5, 4
-"""Of the marks that are expected among the samples of an image: some pixels may be bad."""
+"""An image is recognised if it contains this share of the expected marks (some pixels may be bad),
+and at least so many."""
 _SAME = 1e-6
-"""Logarithm of a ratio up to which samples are the same, in any unit."""
+"""Difference of logarithms up to which samples are the same, in any unit."""
 _MOST_SAMPLES = 2**17
-"""Samples of a minibatch: the more samples a row has, the fewer rows are needed."""
+"""Most samples of a minibatch: the more samples a row has, the fewer rows are needed."""
 _EQUAL = 1e-12
-"""Part of the squares below which what is left of them is rounding: samples are equal."""
+"""Share of the squares below which a variance is rounding: the samples are equal."""
 _MARKS, _TRIED = 2048, 2**15
-"""Samples that an image is recognised by, at most, and how many are drawn to find them."""
+"""Most samples by which an image is recognised, and how many are drawn to find them."""
 _DARKEST = 1e-3
-"""Mean radiance of a channel, in units of the image's, below which it counts as this: relative
-errors of a channel that is black would outweigh all others."""
+"""Lower bound of a channel's mean radiance, in units of the image's: relative errors of a black
+channel would outweigh all others."""
 _POWERS = (0.0, 1.0)
-"""Of the squared radiance in the loss of each output: MSE and relMSE."""
+"""Powers of the squared radiance by which the loss of each output is divided: MSE and relMSE."""
 _MINIBATCH = 1024
 _LEARNING_RATE = 2e-3
-"""At the start; it falls as a cosine to 0."""
+"""Learning rate at the start; it falls as a cosine to 0."""
 _RECORDS, _APART = 40, 10
-"""Records of a training at most, and iterations from one to the next at least: each takes a few."""
+"""Most records of a training, and fewest iterations between two: a record takes as long as a
+few."""
 _VALIDATION_ROWS = 4096
 _LARGEST_GRADIENT = 10.0
-"""Norm at which gradients are cut: a firefly shall not undo many steps, nor often be cut."""
+"""Norm to which gradients are limited, so that no firefly undoes many steps."""
 _KEEP = 0.995
-"""Of the average of the weights at each step, as Polyak and Juditsky 1992 average them: the targets
-are noisy, and so is each step."""
+"""Share of the averaged weights that is kept at each step (averaging: Polyak and Juditsky 1992).
+The targets are noisy, and so is each step."""
 _AVERAGED = 0.1
-"""Share of the steps that the average covers at most: a short training would keep its beginning."""
+"""Largest share of the steps that the average covers, so that short trainings forget their
+start."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Learned(Trained):
-    """What the training of a progressive estimator leaves behind.
+    """A trained progressive estimator.
 
     Attributes
     ----------
     network, error_model
-        What estimates, and what knows how large its errors are.
-    unit
-        Mean radiance of the image that it was trained on.
+        The network, and the model of its errors. unit Mean radiance of the training image.
     marks
-        Some of the samples that trained it, and their pixels, as of `TrainingSet.marks`: an array
-        has no provenance; its image is recognised by them.
+        Some of the training samples and their pixels, from `TrainingSet.marks`. They recognise an
+        image that is given as an array, without provenance.
     """
 
     network: Network
@@ -99,7 +100,7 @@ class Learned(Trained):
     marks: tuple[Indices, Image]
 
     def pixels_of(self, shape: tuple[int, int]) -> Indices:
-        """Return the pixels that trained in any image of a shape, rows (y, x)."""
+        """Return the training pixels of all images of a shape, rows (y, x)."""
         scenes = self.provenance["scenes"]
         ends = np.cumsum([scene["pixels_used"] for scene in scenes])
         found = [
@@ -110,7 +111,7 @@ class Learned(Trained):
         return np.unique(np.concatenate(found or [np.empty((0, 2), np.int64)]), axis=0)
 
     def recognises(self, x: npt.NDArray[Any]) -> bool:
-        """Return whether samples (y, x, channel, sample), in any order and unit, trained it."""
+        """Return whether samples (y, x, channel, sample), in any order or unit, trained it."""
         pixels, samples = self.marks
         for number, scene in enumerate(self.provenance["scenes"]):
             own, (*shape, spp) = pixels[:, 0] == number, scene["samples_shape"]
@@ -121,7 +122,8 @@ class Learned(Trained):
             known = samples[own].mean(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = np.round(np.log(drawn / known[:, np.newaxis]) / _SAME)
-            # One factor, that of the units, leads from many marks to a sample of their pixel.
+            # For a training image, one factor (the unit) maps many marks to samples of their
+            # pixels.
             near = np.concatenate([ratio, ratio + 1], axis=1)
             found = np.concatenate([np.unique(row[np.isfinite(row)]) for row in near])
             most = np.unique(found, return_counts=True)[1].max(initial=0)
@@ -133,24 +135,24 @@ class Learned(Trained):
 
 @dataclass(eq=False, kw_only=True)
 class TrainingSet:
-    """Pixels that train a network, with all their samples.
+    """Training pixels, with all their samples.
 
     Attributes
     ----------
     samples
         Good samples in units of their image's mean radiance, shape (pixel, channel, sample).
     described
-        Numbers of the first hit, shape (pixel, number); None where features are no input.
+        Numbers that describe the first hit, shape (pixel, number); None without features.
     sizes
         Numbers of samples to learn from; each minibatch draws one.
     iterations
-        Minibatches to train with.
+        Number of minibatches.
     pixels
-        The pixels in their images, rows (y, x), scene by scene.
+        Positions of the pixels in their images, rows (y, x), scene by scene.
     excluded
         Number of pixels that were left out for a bad sample.
     scenes
-        Provenance of each scene; ``pixels_used`` counts its pixels here.
+        Provenance of each scene; ``pixels_used`` is the number of its pixels here.
     mean, variance
         Mean of all samples of a pixel, and variance of one, shape (pixel, channel).
     """
@@ -183,9 +185,10 @@ class TrainingSet:
         iterations: int | None,
         seed: int,
     ) -> TrainingSet:
-        """Return pixels of several images, each measured in its own unit, with all their samples.
+        """Return pixels of several images with all their samples, each image in its own unit.
 
-        No image counts for being bright, and all have as many samples as the one with the fewest.
+        So bright images count no more than dark ones. All pixels get as many samples as the image
+        with the fewest has.
 
         Raises
         ------
@@ -210,7 +213,7 @@ class TrainingSet:
         spp = min(_MOST_SPP, *(image.fewest for image in images))
         found: list[tuple[Any, ...]] = []
         scenes, excluded = [], 0
-        # One scene at a time: the samples of all pixels of one are much larger than what is kept.
+        # One scene at a time: all samples of a scene take much more memory than what is kept.
         for image, own in zip(images, training_pixels(images, pixels, seed=seed), strict=True):
             shape, unit = image.shape[:2], mean_radiance(image)
             rows = _rows_of(image, own, spp)
@@ -242,22 +245,22 @@ class TrainingSet:
     def draw(
         self, pixels: Indices, n: int, rows: int, rng: np.random.Generator
     ) -> tuple[Indices, Indices]:
-        """Draw about `rows` of the given pixels, fewer of many samples, and n of their samples.
+        """Draw about `rows` of the given pixels (fewer if n is large), and n of their samples.
 
-        All pixels share the places of their samples: these are exchangeable.
+        The drawn sample indices are the same for all pixels: samples are exchangeable.
         """
         chosen = rng.choice(pixels, size=max(1, min(rows, _MOST_SAMPLES // n)))
         return chosen, rng.permutation(self.spp)[:n]
 
     def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, Image | None, Image]:
-        """Return what to learn from, and the target, for pixels `rows` and their samples `drawn`.
+        """Return inputs and target for the pixels `rows`; `drawn` are the samples of the inputs.
 
         Returns
         -------
         profile, described
             Inputs of the network.
         target
-            The mean of the other samples, shape (row, channel); 0 where there are none.
+            Mean of the other samples, shape (row, channel); 0 if there are none.
         """
         seen = self._take(rows, drawn)
         described = None if self.described is None else self.described[rows]
@@ -270,7 +273,8 @@ class TrainingSet:
     ) -> npt.NDArray[np.float64]:
         """Return an unbiased estimate of the variance of the target, shape (row, channel).
 
-        Of halves of a and b samples, with the means t and u, it is ``(t - u)^2 a b / (a + b)^2``.
+        The target is split into parts of a and b samples with the means t and u. The estimate is
+        ``(t - u)^2 a b / (a + b)^2``.
         """
         others = rng.permutation(np.setdiff1d(np.arange(self.spp), drawn))
         one, two = np.array_split(others, 2)
@@ -279,16 +283,16 @@ class TrainingSet:
         return np.asarray((means[1] - means[0]) ** 2 * (a * b / (a + b) ** 2))
 
     def marks(self, rng: np.random.Generator) -> tuple[Indices, Image]:
-        """Draw samples that no other pixel has, by which the images are recognised.
+        """Draw samples that occur in one pixel only; they recognise the images.
 
         Returns
         -------
         pixels : ndarray
-            Number of the image, y and x, shape (mark, 3).
+            Index of the image, y and x, shape (mark, 3).
         samples : ndarray
-            In units of the image's radiance, shape (mark, channel).
+            The samples, in units of the image's radiance, shape (mark, channel).
         """
-        # None twice: of a small image all are tried.
+        # Without replacement: in a small image all are tried.
         tried = np.unique(rng.integers(len(self) * self.spp, size=_TRIED))
         rows, places = np.divmod(tried, self.spp)
         drawn = self.samples[rows, :, places]
@@ -308,14 +312,14 @@ class TrainingSet:
 def training_pixels(
     images: Sequence[Samples], given: Sequence[npt.ArrayLike] | None, *, seed: int
 ) -> list[Indices]:
-    """Return the pixels of several images that train together, rows (y, x).
+    """Return the training pixels of several images that train together, rows (y, x).
 
-    An image draws fewer beside many others, from those that it draws alone.
+    With many images, each contributes fewer pixels: a part of those that it would contribute alone.
 
     Raises
     ------
     InputError
-        If there are not as many arrays as images, or one is not of pixels of its image.
+        If there are not as many arrays as images, or an array holds pixels outside its image.
     """
     if given is None:
         count = min(PIXELS, _MOST_PIXELS // len(images))
@@ -341,7 +345,7 @@ def _rows_of(image: Samples, pixels: Indices, spp: int) -> Image:
 
 
 def _joined(arrays: Sequence[Any]) -> Any:
-    """Return pixels of several scenes as those of one; one array alone is not copied."""
+    """Concatenate the pixels of several scenes; a single array is not copied."""
     return np.concatenate(arrays) if len(arrays) > 1 and arrays[0] is not None else arrays[0]
 
 
@@ -379,7 +383,7 @@ def train_network(training_set: TrainingSet, *, seed: int, progress: bool | None
         network = Network(channels, 0 if described is None else described.shape[1])
     with track("training", training_set.iterations, unit="it", show=progress) as advance:
         history = learn(network, training_set, train, validation, rng=rng, advance=advance)
-    # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
+    # Rare lamps and fireflies are hardly found in a tenth of the pixels.
     everywhere = validate(network, training_set, pixels=np.arange(count), rng=rng)
     network.shrinkage = reference_shares(everywhere)
     scenes = training_set.scenes
@@ -421,11 +425,12 @@ def learn(
     Parameters
     ----------
     network
-        Left with the average of its weights over the last steps, on the GPU where torch finds one.
+        Afterwards it holds the average of its weights over the last steps, on the GPU if torch
+        finds one.
     training_set
-        What to train with.
+        The training pixels.
     train, validation
-        Indices of the pixels that train and of those held out for validation.
+        Indices of the pixels for training and for validation.
     rng
         Draws minibatches.
     advance
@@ -434,7 +439,7 @@ def learn(
     Returns
     -------
     ndarray
-        Rows of `History`; the baseline is the sample mean under the same loss.
+        Rows of `History`; the baseline is the loss of the sample mean.
     """
     import torch
     from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
@@ -454,11 +459,11 @@ def learn(
         profile, described, target, size = minibatch
         return losses_of(model(profile, described), target, size)
 
-    # The same splits for every record, at the middle number of samples.
+    # All records use the same splits, at the middle number of samples.
     middle = sorted(training_set.sizes)[len(training_set.sizes) // 2]
     held_out = drawn(validation, middle, _VALIDATION_ROWS, rng)
     own, sizes = rng.spawn(1)[0], rng.choice(training_set.sizes, iterations).tolist()
-    # Each is drawn while the one before it trains; one worker, so that they come in order.
+    # Each minibatch is drawn while the previous one trains; one worker keeps their order.
     minibatches = in_order(lambda n: drawn(train, n, _MINIBATCH, own), sizes, workers=1)
     history = []
     with threads(max(1, cores() - 1)):
@@ -485,10 +490,10 @@ def learn(
 def weighted_losses(
     training_set: TrainingSet, place: torch.device
 ) -> Callable[[Output, Image, int], tuple[torch.Tensor, torch.Tensor]]:
-    """Return the loss of a network, in units of what the mean of as many samples loses on average.
+    """Return the loss of a network, in units of the average loss of the mean of as many samples.
 
-    It takes the output of the network, the target (row, channel), and how many samples were learned
-    from, and returns the loss of both estimates together, and that of the mean.
+    It takes the output of the network, the target (row, channel), and the number of input samples.
+    It returns the summed loss of both estimates, and the loss of the mean.
     """
     import torch
 

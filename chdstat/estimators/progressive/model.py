@@ -1,4 +1,4 @@
-"""The progressive estimator: a pixel's radiance from any number of its samples, and how sure it is.
+"""The progressive estimator: radiance from any number of samples, with certainty and interval.
 
 >>> from chdstat.estimators import Progressive
 >>> model = Progressive()  # then model.train(samples) and model.estimate(few_of_them)
@@ -33,11 +33,11 @@ from chdstat.samples import Samples, opened, samples_of
 __all__ = ["Progressive"]
 
 _MEASURED = 2**14
-"""Pixels on which the weight of a model of another scene is measured; more hardly help."""
+"""Pixels on which the weight of a model from another scene is measured; more hardly help."""
 _THIRDS = 3
-"""Parts of an image by brightness, as large as each other, that have a weight of their own."""
+"""Equally large parts of an image by brightness, each with its own weight."""
 _FEWEST = 4
-"""Samples that a weight is measured on: two halves of two."""
+"""Fewest samples for measuring a weight: two halves of two."""
 
 
 class Progressive(TrainedModel[learning.Learned]):
@@ -49,18 +49,19 @@ class Progressive(TrainedModel[learning.Learned]):
     grows, and is the mean where the network has learned nothing.
 
     It is trained with a reference and makes two estimates, one for the least MSE and one for the
-    least relMSE; `loss_weight` mixes them. Where all samples of a pixel are the same light, as
-    those of a lamp, their mean is kept.
+    least relMSE; `loss_weight` mixes them. Where all samples of a pixel are equal, as on a lamp,
+    their mean is kept.
 
-    What it learned holds for the scenes that it was trained on. On other samples it warns, and is
-    mixed with the mean: the estimate from one half of the samples is compared with the mean of the
-    other half, and the other way round, and the weight with the least squared error is taken, for
-    the dark, the middle and the bright third of the image separately.
+    What it learned holds for the scenes that it was trained on. On other scenes it warns, and its
+    estimate is mixed with the mean. The weight is measured by cross-validation: the estimate from
+    one half of the samples is compared with the mean of the other half, and the weight with the
+    least squared error is taken, separately for the dark, the middle and the bright third of the
+    image.
 
     Parameters
     ----------
     with_features
-        Whether it also takes what the camera rays hit: albedo, normal, depth and position.
+        Whether it also takes first-hit features: albedo, normal, depth and position.
 
     References
     ----------
@@ -94,32 +95,32 @@ class Progressive(TrainedModel[learning.Learned]):
 
     @property
     def unit(self) -> float:
-        """Mean radiance of the image that it was trained on, as of `mean_radiance`.
+        """Mean radiance of the training image, from `mean_radiance`.
 
-        Of several images it is the geometric mean of theirs.
+        For several images it is the geometric mean.
         """
         return self.state.unit
 
     @property
     def channels(self) -> int:
-        """Channels of the samples that it takes."""
+        """Number of channels of the samples that it takes."""
         return self.state.network.channels
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
-        """Pixels that it was trained on in images of `train_shape`, rows (y, x)."""
+        """Training pixels in images of `train_shape`, rows (y, x)."""
         return self.train_pixels_of(self.train_shape)
 
     def train_pixels_of(self, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
-        """Return the pixels that it was trained on in images of a shape, rows (y, x).
+        """Return the training pixels in images of a shape, rows (y, x).
 
-        Several scenes may have the same shape: then a pixel that trained in one of them counts as
-        used in all, so that it does not matter which image is which.
+        If several scenes have the same shape, a training pixel of one of them counts as used in
+        all.
         """
         return self.state.pixels_of(shape)
 
     def trained_on(self, attrs: Mapping[str, Any]) -> bool:
-        """Return whether a scene that trained it is the one that samples with `attrs` are of."""
+        """Return whether it was trained on the scene of samples with these `attrs`."""
         own = attrs.get("scene_hash")
         scenes = self.provenance["scenes"]
         return own is not None and any(s["samples"].get("scene_hash") == own for s in scenes)
@@ -140,18 +141,18 @@ class Progressive(TrainedModel[learning.Learned]):
         ----------
         samples
             The image, as `Samples`, an array (y, x, channel, sample) or the path of a store; or a
-            list of `Samples`, of other scenes or sizes, each measured in its own unit. The other
-            samples of a pixel are its reference: there must be many more than will be estimated
-            from. Pixels with a bad sample are left out and counted.
+            list of `Samples`, which may differ in scene and size. The other samples of a pixel are
+            its reference, so there must be many more samples than one estimate takes. Pixels with a
+            bad sample are left out.
         seed
             Draws the pixels, the first weights and the minibatches.
         sizes
-            Numbers of samples to learn from; None for 4 to 512. Fewer of them are learned a little
-            better; others can be estimated from all the same.
+            Numbers of samples to learn from; None for 4 to 512. With fewer different numbers, each
+            is learned a little better. Estimates can take other numbers, too.
         iterations
             Minibatches; None for 6000.
         pixels
-            Train on these, rows (y, x); of several images, one array each. None draws some.
+            Train on these pixels, rows (y, x); for several images, one array each. None draws some.
         progress
             Show a progress bar; None shows it on a terminal.
 
@@ -163,8 +164,8 @@ class Progressive(TrainedModel[learning.Learned]):
         Raises
         ------
         InputError
-            If there are too few samples or good pixels, images differ in channels, or one has no
-            features where these are an input.
+            If there are too few samples or good pixels, the images differ in channels, or features
+            are an input and an image has none.
         """
         several = isinstance(samples, list | tuple) and all(isinstance(s, Samples) for s in samples)
         images: Any = list(samples) if several else [samples_of(samples)]  # type: ignore[arg-type]
@@ -188,7 +189,7 @@ class Progressive(TrainedModel[learning.Learned]):
         loss_weight: float = 0.5,
         unit: float | None = None,
     ) -> npt.NDArray[np.float32]:
-        """Estimate radiance, shape (..., channel); as `estimate`, without interval."""
+        """Estimate radiance, shape (..., channel), as `estimate` does, without interval."""
         found = self.estimate(x, features=features, loss_weight=loss_weight, unit=unit, level=None)
         return found.radiance
 
@@ -206,22 +207,22 @@ class Progressive(TrainedModel[learning.Learned]):
         Parameters
         ----------
         x
-            `Samples`, the path of a store, or an array (..., channel, sample), any number of
-            samples; an image (y, x, channel, sample) where features are an input. A sample of which
-            any channel is NaN or infinite is left out. An array does not name its scene; it is
-            recognised if some of its samples were trained on.
+            `Samples`, the path of a store, or an array (..., channel, sample), with any number of
+            samples; if features are an input, an image (y, x, channel, sample). Samples with a NaN
+            or infinite channel are left out. An array does not name its scene; it is recognised if
+            some of its samples were trained on.
         features
             First-hit features of the image; None takes those of `Samples`.
         loss_weight
-            0 for the least MSE, 1 for the least relMSE, and what lies between.
+            0 for the least MSE, 1 for the least relMSE, or a number between.
         unit
             Where `x` is a part of an image that trained the model: the mean radiance of the whole
             image, from `mean_radiance`, so that parts are estimated as the whole is. None takes `x`
             for a whole image, and measures it.
         level
-            Probability of the interval; None leaves it out (NaN). On another scene the interval
-            reaches from Student's interval of the mean towards the model's, as far as the model
-            counts.
+            Probability of the interval; None leaves it out (NaN). On another scene, the interval is
+            a mixture of Student's interval of the mean and the model's interval, with the weight of
+            the model.
 
         Returns
         -------
@@ -231,13 +232,13 @@ class Progressive(TrainedModel[learning.Learned]):
         Warns
         -----
         OtherSceneWarning
-            If the samples are not known to be of a scene that trained it.
+            If the samples are not known to come from a training scene.
 
         Raises
         ------
         InputError
-            If it is not trained, `x` has another number of channels or is no image where it must
-            be, features are missing, or an option is out of range.
+            If it is not trained, `x` has another number of channels, `x` is not an image or
+            features are missing although features are an input, or an option is out of range.
         """
         if level is not None:
             check_probability(level=level)
@@ -278,7 +279,7 @@ class Progressive(TrainedModel[learning.Learned]):
         errors.check_loss_weight(loss_weight)
 
     def _described(self, features: Features | None, shape: tuple[int, ...]) -> Array | None:
-        """Return the numbers of the first hit of pixels, shape (pixel, number)."""
+        """Return the numbers that describe first hits, shape (pixel, number)."""
         if not self.with_features:
             return None
         if len(shape) != 2:
@@ -303,13 +304,13 @@ class Progressive(TrainedModel[learning.Learned]):
         loss_weight: float,
         level: float | None = None,
     ) -> Estimates:
-        """Estimate pixels (pixel, channel, sample) by the network alone."""
+        """Estimate pixels from samples (pixel, channel, sample) with the network alone."""
         from chdstat.estimators.progressive.network import estimate_pixels
 
         found = estimate_pixels(
             self.state, rows, described, unit=unit, loss_weight=loss_weight, level=level
         )
-        # Profile or network may overflow, and there may be no sample that is good in all channels.
+        # Profile or network may overflow, or no sample may be good in all channels.
         lost = ~np.isfinite(found.radiance).all(axis=-1)
         if lost.any():
             with np.errstate(over="ignore"):
@@ -321,13 +322,13 @@ class Progressive(TrainedModel[learning.Learned]):
     def _cross_validated(
         self, rows: Array, described: Array | None, *, unit: float, loss_weight: float
     ) -> Reals:
-        """Return the weight of the network beside the mean in each third of an image, 0 to 1.
+        """Return the weight of the network, against the mean, in each third of an image, 0 to 1.
 
         Estimates from one half of the samples are compared with the mean of the other half, under
-        squared errors and under relative ones, whose denominator is the darker of mean and
-        estimate of either half; the smallest weight counts. With half of the samples the variance
-        of the mean is 2 v in place of v, and beside an estimate of bias b the weight
-        a = 2 v / (2 v + b^2); with all of them it is v / (v + b^2) = a / (2 - a).
+        squared errors and under relative squared errors, divided by the darker of mean and estimate
+        of either half. The smallest weight counts. Let v be the variance of the mean of all samples
+        and b the bias of the estimate. With half of the samples the best weight is a = 2 v / (2 v +
+        b^2); with all samples it is v / (v + b^2) = a / (2 - a).
         """
         if rows.shape[-1] < _FEWEST or len(rows) < 2:
             return np.zeros(_THIRDS)
@@ -348,8 +349,8 @@ class Progressive(TrainedModel[learning.Learned]):
             moved.append((*(np.where(usable, a, 0) for a in (move, wanted)), squared, third))
         moves, wanted, squared, thirds = map(np.concatenate, zip(*moved, strict=True))
         pixels = np.tile(np.arange(len(rows)), 2)
-        # What is dark by chance in one half weighs more there, where a move up pays, and in the
-        # other, where a move down does: the truth lies between.
+        # A pixel that is dark by chance in one half weighs more in relative errors. There, a move
+        # up pays; in the other half, a move down. So both halves are used.
         weights = (1.0, 1 / squared, 1 / np.roll(squared, len(rows), axis=0))
         shares = [
             [errors.share_of(pixels, moves * (thirds == k), wanted, w) for w in weights]
@@ -410,14 +411,14 @@ def _train(samples: Samples, *, with_features: bool, **options: Any) -> Progress
 
 _SOURCE = "this library, after Zirr et al. 2018, doi:10.1111/cgf.13335"
 _TRAININGS = {given: partial(_train, with_features=given) for given in (False, True)}
-"""Entries of the same inputs share a training."""
+"""Training functions by `with_features`: entries with the same inputs share a training."""
 _ROWS = (
     ("progressive", "", 0.5, False),
     ("progressive_mse", ", for MSE", 0.0, False),
     ("progressive_relmse", ", for relMSE", 1.0, False),
     ("progressive_features", ", with features", 0.5, True),
 )
-"""Name, what its label adds, loss weight and whether it takes features."""
+"""Name, addition to the label, loss weight, and whether it takes features."""
 for _name, _which, _loss_weight, _given in _ROWS:
     register_learned(
         LearnedEstimator(
@@ -437,9 +438,9 @@ for _name, _which, _loss_weight, _given in _ROWS:
 
 
 def _rank(radiance: Reals) -> Reals:
-    """Return which share of the pixels (pixel, channel) is darker than each, shape (pixel,).
+    """Return the share of the pixels (pixel, channel) that are darker than each, shape (pixel,).
 
-    One without radiance counts as black: its rank would else be that of all, NaN.
+    A pixel without radiance (NaN) counts as black.
     """
     luminance = np.nan_to_num(radiance.mean(axis=-1, dtype=np.float64))
     return np.asarray((stats.rankdata(luminance) - 0.5) / max(len(radiance), 1))
@@ -448,13 +449,13 @@ def _rank(radiance: Reals) -> Reals:
 def _mixed(found: Estimates, rows: Array, weights: Reals) -> Estimates:
     """Mix estimates of pixels with the means of their samples (pixel, channel, sample).
 
-    The interval reaches from that of the mean towards that of the estimate, as far as this counts;
-    where all samples are equal, the error is unknown, and it reaches to both.
+    The intervals of mean and estimate are mixed by the same weights. Where all samples are equal,
+    the error of the mean is unknown, and the interval contains both.
     """
     centres = (np.arange(_THIRDS) + 0.5) / _THIRDS
     weight = np.interp(_rank(found.radiance), centres, weights)[:, np.newaxis]
     low, high = found.low, found.high
-    # What exceeds single precision is infinite in the estimate, and 0 of it is not a number.
+    # Estimates beyond single precision are infinite, and 0 times infinity is NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         mean = np.asarray(mean_of_good(rows), np.float64)
         radiance = np.where(weight > 0, mean + weight * (found.radiance - mean), mean)
@@ -469,9 +470,9 @@ def _mixed(found: Estimates, rows: Array, weights: Reals) -> Estimates:
 
 
 def _student(rows: Array, mean: Reals, level: float) -> tuple[Reals, Reals, Array]:
-    """Return the ends of Student's interval of the mean, and where no two samples differ.
+    """Return the ends of Student's interval of the mean, and where all samples are equal.
 
-    Radiance of which no sample is negative is not negative, either.
+    If no sample is negative, the interval does not reach below 0.
     """
     good = ~is_bad(rows)
     n = good.sum(axis=-1)
@@ -484,16 +485,16 @@ def _student(rows: Array, mean: Reals, level: float) -> tuple[Reals, Reals, Arra
 
 
 def _keep_constants(found: Estimates, rows: Array) -> None:
-    """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
+    """Set pixels with equal samples to their mean: there is no noise to remove.
 
-    An image without any light has no unit: it stays black. The interval
-    is kept, and widened to hold the mean, since few equal samples may still be wrong.
+    An image without any light has no unit and stays black. The interval is kept and widened to
+    contain the mean, since few equal samples may still be wrong.
     """
     first = rows[..., 0]
-    # The last one is another one in nearly all pixels; only the others are read as a whole.
+    # In nearly all pixels the last sample differs; only the other pixels are compared as a whole.
     same = np.asarray((np.isfinite(first) & (rows[..., -1] == first)).all(axis=-1))
     same[same] = (rows[same] == first[same][..., np.newaxis]).all(axis=(-2, -1))
-    # In nearly all images, one sample a pixel is enough to find light.
+    # In nearly all images, one sample per pixel is enough to find light.
     lit = bool(first.any() or rows.any())
     same &= first.any(axis=-1) | (not lit)
     if same.any():

@@ -1,15 +1,15 @@
-"""Network of the progressive estimator: what it computes, and the estimates it makes.
+"""Network of the progressive estimator.
 
-Its inputs are the profile of a pixel and the numbers of its first hit. It predicts a weight for
-each octave of the pixel's samples, and an offset. The proposal g is the radiance under these
-weights: all weights 1 and no offset give the mean. The estimate is ``mean + (g - mean) / (1 + N /
-n0)``: n0, which the network predicts, too, is the number of samples that its experience is worth.
-So the estimate tends to the mean as N grows.
+Its inputs are the profile of a pixel and the numbers that describe its first hit. It predicts a
+weight for each octave of the pixel's samples, and an offset. The proposal g is the radiance under
+these weights: all weights 1 and no offset give the mean. The estimate is ``mean + (g - mean) / (1 +
+N / n0)``, which tends to the mean as N grows. The network also predicts n0, the number of samples
+that its training is worth.
 
-There are two estimates from the same hidden layers, one for each of the losses: squared errors, and
-squared errors divided by ``y^2 + 0.01 m^2`` of the reference y and the image's mean m. It is what
-Zirr et al. 2018, doi:10.1111/cgf.13335, do with the layers of their cascade, by weights that are
-learned, as kernels are by Bako et al. 2017, doi:10.1145/3072959.3073708.
+The same hidden layers produce two estimates, one for each loss: squared errors, and squared errors
+divided by ``y^2 + 0.01 m^2`` with the reference y and the image's mean m. Zirr et al. 2018,
+doi:10.1111/cgf.13335, weight the layers of their cascade by a formula; here the weights are
+learned, as Bako et al. 2017, doi:10.1145/3072959.3073708, learn kernels.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
 __all__ = ["Network", "Output", "estimate_pixels", "group_weights"]
 
 _FAINT = 1e-3
-"""Radiance share, in units of the image's, below which differences hardly show."""
+"""Radiance, in units of the image's, below which differences hardly count."""
 _LARGEST_WORTH = 12.0
-"""log2 of the most samples that experience may be worth."""
+"""log2 of the largest n0."""
 _ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
 
 Output = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Estimates, one for each of the losses, shape (row, loss, channel), and means of the samples,
-shape (row, channel), in units of the image's radiance; certainty, the weight of the proposal beside
-the mean, 0 to 1, shape (row, loss)."""
+"""Estimates for each loss, shape (row, loss, channel), and means of the samples, shape (row,
+channel), in units of the image's radiance; certainty, the weight of the proposal against the mean,
+0 to 1, shape (row, loss)."""
 
 
 class Network(nn.Module):
-    """Dense network from the inputs of pixels to estimates of their radiance.
+    """Dense network that estimates the radiance of pixels.
 
     Parameters
     ----------
@@ -57,15 +57,15 @@ class Network(nn.Module):
     described
         Numbers that describe the first hit; 0 without features.
     width, layers
-        Neurons of a hidden layer, and how many of these there are.
+        Neurons of a hidden layer, and number of hidden layers.
 
     Attributes
     ----------
     shape
-        The parameters by name, as model files hold them.
+        The parameters of the constructor by name, as in model files.
     shrinkage
-        How far estimates are followed, sizes and shares as of `errors.reference_shares`;
-        certainty falls likewise. None follows them all the way.
+        Sizes and shares from `errors.reference_shares`: how far estimates are followed. Certainty
+        is scaled likewise. None follows them entirely.
     """
 
     def __init__(
@@ -85,18 +85,18 @@ class Network(nn.Module):
         }
         self.channels, self.described = channels, described
         self.shrinkage: tuple[Reals, Reals] | None = None
-        # Of octaves, offsets, and the worth of the experience.
+        # Outputs: weights of octaves, offsets, and n0.
         self.outputs = (OCTAVES, channels, 1)
         inputs = OCTAVES * (1 + channels) + 1 + described
         sizes = [inputs] + [width] * layers
         self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.answer = nn.Linear(sizes[-1], len(LOSSES) * sum(self.outputs))
-        # All weights begin near 1: training starts from the mean.
+        # All weights start near 1, so training starts from the mean.
         nn.init.zeros_(self.answer.weight)
         nn.init.zeros_(self.answer.bias)
 
     def forward(self, profile: Profile, described: Image | None) -> Output:
-        """Estimate under every loss from profiles of pixels, and numbers of their first hit."""
+        """Estimate for each loss from profiles of pixels and the numbers of their first hits."""
         samples = np.maximum(profile.count, 1).astype(np.float32)
         bins = self._tensor(profile.bins / samples[:, np.newaxis, np.newaxis])
         count, radiance = self._tensor(samples), bins[..., 1:]
@@ -125,7 +125,7 @@ class Network(nn.Module):
         return torch.from_numpy(np.asarray(array, np.float32)).to(self.answer.weight.device)
 
     def load_arrays(self, arrays: dict[str, npt.NDArray[np.float32]]) -> None:
-        """Take over weights by name; RuntimeError if one is missing, or of another shape."""
+        """Load weights by name; RuntimeError if one is missing or has another shape."""
         self.load_state_dict({name: torch.from_numpy(array) for name, array in arrays.items()})
 
     def to_arrays(self) -> dict[str, npt.NDArray[np.float32]]:
@@ -134,22 +134,22 @@ class Network(nn.Module):
 
 
 def _compressed(bins: torch.Tensor) -> torch.Tensor:
-    """Return shares and radiance so that rare and bright samples do not outweigh all others.
+    """Compress shares and radiance, so that rare and bright samples do not outweigh all others.
 
-    Negative radiance looks like none.
+    Negative radiance counts as 0.
     """
     bins = bins.clamp(min=0)
-    # The shares go through the logarithm, too, as one loop over all is faster than one with gaps.
+    # The shares go through the logarithm, too: one loop over all is faster than one with gaps.
     legible = torch.log1p(bins / _FAINT).mul_(0.2)
     legible[..., 0] = bins[..., 0].sqrt()
     return legible
 
 
 def group_weights(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-    """Return how far each pixel belongs to each group, shape (..., group), which sums to 1.
+    """Return the weight of each pixel in each group, shape (..., group), with the sum 1.
 
-    Groups are levels of the mean, first of pixels that are brightened, then of those that are
-    darkened.
+    The groups are levels of the mean, first for pixels that are brightened, then for pixels that
+    are darkened.
 
     Parameters
     ----------
@@ -175,16 +175,16 @@ def estimate_pixels(
 ) -> Estimates:
     """Estimate pixels from their samples, block by block on all cores.
 
-    Where no sample is good, radiance is NaN.
+    The radiance of pixels without a good sample is NaN.
 
     Parameters
     ----------
     learned
-        What estimates, and what knows how large its errors are.
+        The trained network, and the model of its errors.
     rows
         Samples, shape (pixel, channel, sample).
     described
-        Numbers of the first hit, shape (pixel, number); None where they are no input.
+        Numbers that describe the first hit, shape (pixel, number); None without features.
     unit
         Mean radiance of the image.
     loss_weight, level
