@@ -592,8 +592,8 @@ def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = Fal
     """
     exact = ascending.astype(np.float64)
     value, count, run = distinct_values(exact, n)
-    spacing = np.spacing(np.where(np.isnan(value), 1, value).astype(np.float32))
-    down = up = spacing.astype(np.float64)
+    # That of float32, also beyond its range.
+    down = up = np.ldexp(1.0, np.frexp(np.where(np.isnan(value), 1, value))[1] - 24)
     if rounded:
         steps = _steps(value)
         below, above = steps[:, :-1], steps[:, 1:]

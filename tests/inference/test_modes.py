@@ -375,6 +375,9 @@ def test_a_spike_of_ties_beside_a_lobe_is_a_second_mode():
     assert (result.dip_p_value < 1e-3).all()
     again = chd.modality(x.astype(np.float32))
     np.testing.assert_array_equal(again.dip, result.dip)
+    beyond = chd.modality(2.0**300 * x[:5])  # the range of single precision
+    np.testing.assert_array_equal(beyond.modes, 2)
+    np.testing.assert_allclose(beyond.dip, result.dip[:5], rtol=1e-5)
 
 
 def test_nulls_do_not_make_modes_harder_to_find():
