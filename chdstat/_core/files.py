@@ -49,6 +49,7 @@ __all__ = [
     "replacing",
     "room",
     "scratch",
+    "shown",
     "sweep",
     "tail",
     "unused",
@@ -136,6 +137,14 @@ def is_remote(path: Any) -> bool:
     whole or not at all, as far as the service behind it promises that.
     """
     return isinstance(path, UPath) and not isinstance(path, Path)
+
+
+def shown(path: Path) -> Path:
+    """Return a path as people read it: without the current folder, where it lies there."""
+    with contextlib.suppress(OSError):  # a current folder that is gone
+        if not is_remote(path) and path.is_relative_to(Path.cwd()):
+            return path.relative_to(Path.cwd())
+    return path
 
 
 def exists(path: Path) -> bool:

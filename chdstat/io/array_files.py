@@ -39,11 +39,11 @@ def load_npy(path: Path) -> Array:
         If there is none, or it is damaged.
     """
     with readable(path):
-        found = np.load(path, mmap_mode="r", allow_pickle=False)
-    if not isinstance(found, np.ndarray):
-        message = f"{path} is no .npy file of one array"
+        found: Any = np.lib.format.open_memmap(path, mode="r")
+    if found.offset + found.nbytes < path.stat().st_size:
+        message = f"{path} holds more than an array of shape {found.shape}; expected one array"
         raise StoreError(message)
-    return found
+    return np.asarray(found)
 
 
 def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
@@ -60,7 +60,8 @@ def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Ignored
         Nothing.
     Refused
-        As of arrays; pickled objects; files of other sizes; ``variable``, features by name.
+        As of arrays; pickled objects; several arrays in a file; files of other sizes; ``variable``,
+        features by name.
     """
     arrays = [Remapped(partial(load_npy, path)) for path in paths]
     given = zip(arrays, paths, strict=True)
@@ -80,7 +81,7 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Warned of
         Copies.
     Ignored
-        Other arrays.
+        Other arrays, Python objects, and members that are no arrays.
     Refused
         As of arrays; several largest ones, none or more than one of which is called "samples" or
         "radiance"; names that are not there.
@@ -100,7 +101,8 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Notes
     -----
     Read
-        The largest variable of 3 or 4 axes, or ``variable``, by the names of its dims or ``axes``;
+        The largest variable of 3 or 4 axes, or ``variable``, by the names of its dims or ``axes``,
+        also a zarr array without names of dims;
         attributes of the file, and the variable's ``units``, as provenance; features by name.
     Converted
         Packed values (``scale_factor``, ``add_offset``); ``_FillValue`` to NaN.
@@ -109,31 +111,49 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Ignored
         Other variables, coordinates.
     Refused
-        As of arrays; several largest variables, as of archives; HDF5 and netCDF 4 without the
-        package ``h5netcdf``.
+        As of arrays; several largest variables, as of archives; stores of chdstat; HDF5 and
+        netCDF 4 without the package ``h5netcdf``.
     """
     import xarray as xr
 
     sources, attrs = [], {}
     letters = {"y": "y", "x": "x", "channel": "c", "sample": "s"}
     for path in paths:
+        dataset: Any
         try:
             if path.is_dir():
                 dataset = xr.open_zarr(path, chunks=None, decode_times=False, consolidated=False)
             else:
                 dataset = xr.open_dataset(path, decode_times=False)
         except DAMAGED as error:
-            raise StoreError(_why_not(path, error)) from error
-        held = {str(name): values for name, values in dataset.data_vars.items()}
+            dataset = _without_dims(path)
+            if not dataset:
+                raise StoreError(_why_not(path, error)) from error
+        about, held = getattr(dataset, "attrs", {}), getattr(dataset, "data_vars", dataset)
+        if "manifest" in about:
+            message = f"{path} is a store of samples already: open it with chdstat.open"
+            raise InputError(message)
         array = held[_variable(path, held, options.variable)]
-        if options.axes is None and {*array.dims} <= letters.keys():
-            axes = "".join(letters[str(dim)] for dim in array.dims)
+        dims = getattr(array, "dims", ())
+        if options.axes is None and dims and {*dims} <= letters.keys():
+            axes = "".join(letters[str(dim)] for dim in dims)
         else:
             axes = axes_of(array, path.name, options.axes)
-        sources.append(ArraySource(array.variable, axes, path, _features(path, dataset, options)))
-        attrs = {str(k): v for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
+        lazy = getattr(array, "variable", array)
+        sources.append(ArraySource(lazy, axes, path, _features(path, dataset, options)))
+        attrs = {str(k): v for k, v in about.items() if isinstance(v, str | int | float)}
         attrs |= {"unit": str(array.attrs["units"])} if "units" in array.attrs else {}
     return Opened(Joined(sources), attrs)
+
+
+def _without_dims(path: Path) -> Mapping[str, Any]:
+    """Return the arrays in a folder of zarr whose dims have no names, which xarray asks for."""
+    import zarr
+
+    with contextlib.suppress(*DAMAGED):
+        node = zarr.open(path, mode="r")
+        return dict(node.arrays()) if isinstance(node, zarr.Group) else {"array": node}
+    return {}
 
 
 def _why_not(path: Path, error: BaseException) -> str:
@@ -168,7 +188,8 @@ def _unpacked(path: Path) -> dict[str, Remapped]:
             name = f"{number}.npy"
             with archive.open(member) as packed, (folder.path / name).open("wb") as plain:
                 shutil.copyfileobj(packed, plain, 2**20)
-            arrays[member.removesuffix(".npy")] = Remapped(partial(folder.load, name))
+            with contextlib.suppress(StoreError):  # Python objects and other files
+                arrays[member.removesuffix(".npy")] = Remapped(partial(folder.load, name))
     return arrays
 
 

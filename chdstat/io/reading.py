@@ -10,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
+import os
+import reprlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -20,12 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, warn_caller
+from chdstat._core.files import is_path, local
 from chdstat.errors import InputError, StoreError
 from chdstat.io.lazy import Opened, ReadOptions
 from chdstat.samples import Samples
 from chdstat.samples.dependence import warn_of_repeats
 from chdstat.samples.layout import canonical
-from chdstat.samples.samples import check_counts, check_features
+from chdstat.samples.samples import check_counts, check_features, checked_attrs
 from chdstat.samples.tiles import BATCH, SampleSource
 
 __all__ = ["FORMATS", "Format", "read"]
@@ -157,7 +160,7 @@ def read(
     >>> read(path, axes="syxc")
     <Samples 'radiance' 6 x 4 pixels, 3 channels, 32 spp, part of ...radiance.npy>
     """
-    paths = _files([Path(source), *map(Path, more)])
+    paths = _files([source, *more])
     given = dict(features or {})
     named = {n: str(v) for n, v in given.items() if isinstance(v, str | Path) and not _is_file(v)}
     opened = _format(paths, format).open(paths, ReadOptions(axes, variable, named))
@@ -179,6 +182,7 @@ def read(
         "files_hash": hashlib.blake2b(canonical(stated), digest_size=16).hexdigest(),
         **attrs,
     }
+    about = checked_attrs(about)
     held = opened.source if found is None else _Counted(opened.source, found)
     _warn_of_copies(paths, held)
     return Samples(held, attrs=about, features=images, counts=found)
@@ -223,12 +227,17 @@ class _Counted:
         return self._source.read_features()
 
 
-def _files(paths: Sequence[Path]) -> list[Path]:
+def _files(given: Sequence[str | Path]) -> list[Path]:
     """Return the files, those of a single folder in the order of their names."""
-    for path in paths:
-        if not path.exists():
-            message = f"there is nothing at {path}"
+    paths = []
+    for path in given:
+        if not is_path(path):
+            message = f"expected paths, one by one as in read(*files), got {path!r}"
+            raise InputError(message)
+        if not os.path.exists(local(path)):  # noqa: PTH110 - also of what cannot be a name
+            message = f"there is nothing at {reprlib.repr(str(path))}"
             raise StoreError(message)
+        paths.append(Path(path).absolute())
     folder = paths[0]
     if len(paths) > 1 or folder.is_file() or any((folder / m).exists() for m in _ZARR):
         return list(paths)

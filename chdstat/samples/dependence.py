@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, spans, warn_caller, whole
+from chdstat._core.arrays import Image, spans, warn_caller
 from chdstat.errors import InputError
 from chdstat.samples.tiles import TILE
 
@@ -39,18 +39,12 @@ __all__ = [
 def sequence_of(attrs: Mapping[str, Any]) -> int:
     """Return how many samples of a pixel depend on each other; 1 where they are independent.
 
-    Raises
-    ------
-    InputError
-        If it is no integer from 1.
-
     Examples
     --------
     >>> sequence_of({"sampler": "stratified", "sequence": 16}), sequence_of({})
     (16, 1)
     """
-    length = attrs.get("sequence")
-    return 1 if length is None else whole("sequence", length, least=1)
+    return int(attrs.get("sequence") or 1)
 
 
 def check_single(samples: Samples) -> None:

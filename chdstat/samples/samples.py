@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import importlib
 import itertools
+import json
 import math
 import operator
 import uuid
@@ -20,9 +21,9 @@ from typing import TYPE_CHECKING, Any, SupportsIndex, TypeAlias, Unpack, overloa
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, LeftOut, Reals, as_samples, check_real, is_bad, spans
+from chdstat._core.arrays import Image, LeftOut, Reals, as_samples, check_real, is_bad, spans, whole
 from chdstat._core.display import Card, duration, png
-from chdstat._core.files import place_of
+from chdstat._core.files import place_of, shown
 from chdstat._core.image_scales import tonemap
 from chdstat._core.moments import Moments
 from chdstat._core.work import check_memory
@@ -49,6 +50,7 @@ __all__ = [
     "axes_of",
     "check_counts",
     "check_features",
+    "checked_attrs",
     "different_counts",
     "provenance",
     "single",
@@ -165,6 +167,7 @@ class Samples:
             absent = np.arange(shape[3]) >= found[..., np.newaxis, np.newaxis]
             parts = [np.where(absent, np.float32(np.nan), part) for part in parts]
         check_features(features or {}, shape)
+        attrs = checked_attrs(attrs)
         warn_of_repeats(lambda y, x, s: parts[0][y, x, :, s], shape, "samples")
         held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
         if direct is not None:
@@ -184,7 +187,7 @@ class Samples:
     @property
     def path(self) -> Path | None:
         """Where the store lies; None in memory, or for a part of a store."""
-        return self._path
+        return self._path and shown(self._path)
 
     @property
     def source(self) -> SampleSource | None:
@@ -344,7 +347,7 @@ class Samples:
             number += f" (averages of {self._attrs['averaged']})"
         where = "in memory"
         if self.source is not None:
-            where = f"{'at' if self.path else 'part of'} {self.source.path}"
+            where = f"{'at' if self.path else 'part of'} {shown(self.source.path)}"
         return (
             f"<Samples {self.name!r} {width} x {height} pixels, "
             f"{channels} channel{'s' if channels > 1 else ''}, {number}, {where}>"
@@ -682,7 +685,7 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         numbers.append(f"{attrs['sampler']} sampler, seed {attrs['seed']}")
     if length > 1:
         numbers.append(f"in sequences of {length} samples that depend on each other")
-    source = Path(attrs.get("scene_source", "samples given")).name  # no folders of a machine
+    source = Path(str(attrs.get("scene_source", "samples given"))).name  # no folders of a machine
     rows = {
         "Scene": f"{attrs.get('scene', 'samples')} ({source})",
         "Scene hash": str(attrs.get("scene_hash", ""))[:16],
@@ -856,6 +859,51 @@ def check_counts(counts: npt.ArrayLike, shape: tuple[int, ...]) -> _PixelCounts:
         )
         raise InputError(message)
     return np.asarray(found, np.int32)
+
+
+_KINDS: Mapping[str, Any] = {
+    "averaged": int,
+    "sequence": int,
+    "integrator": dict,
+    "notes": list,
+    "plugins": dict,
+    "render_seconds": int | float,
+}
+"""What provenance is that is more than shown."""
+
+
+def checked_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return provenance as stores keep it: text, numbers, and lists and dicts of these, no None.
+
+    Raises
+    ------
+    InputError
+        If it is not what provenance of that name is.
+
+    Examples
+    --------
+    >>> checked_attrs({"seed": np.int64(7), "integrator": "path", "sequence": None})
+    {'seed': 7, 'integrator': {'type': 'path'}}
+    """
+    found = {}
+    for name, value in attrs.items():
+        if value is None:
+            continue
+        plain = json.loads(json.dumps(value, default=_plain), parse_constant=str)
+        kind = _KINDS.get(name, object)
+        if isinstance(plain, str) and kind in (dict, list):
+            plain = {"type": plain} if kind is dict else [plain]
+        if kind is int:
+            plain = whole(name, plain, least=1)
+        if not isinstance(plain, kind):
+            message = f"{name} must be of type {getattr(kind, '__name__', kind)}, got {value!r}"
+            raise InputError(message)
+        found[name] = plain
+    return found
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
 
 
 def _counted(counts: _PixelCounts, samples: range) -> _PixelCounts:

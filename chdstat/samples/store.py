@@ -33,6 +33,7 @@ from chdstat._core.files import (
     locked,
     place_of,
     remove,
+    shown,
     zarr_store,
 )
 from chdstat._core.work import track
@@ -94,7 +95,7 @@ class Store:
     _counts: npt.NDArray[np.int32] | None = None
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
-        self.path, self._attributes, self._lock = path, dict(attributes), lock
+        self.path, self._attributes, self._lock = path.absolute(), dict(attributes), lock
         height, width, channels, spp = self._manifest["shape"]
         self.shape = (height, width, channels, spp)
         self.density = self._decided()
@@ -169,7 +170,7 @@ class Store:
     def place(self) -> tuple[Any, ...]:
         """What another process needs for `reopened`."""
         held = self._manifest
-        return self.path.absolute(), held["identity"], held["complete"], self.shape
+        return self.path, held["identity"], held["complete"], self.shape
 
     def __reduce__(self) -> tuple[Any, ...]:
         return reopened, self.place
@@ -719,7 +720,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     files = [f for f in store.path.rglob("*") if f.is_file()]
     found = {
         **store.attrs,
-        "path": str(store.path),
+        "path": str(shown(store.path)),
         "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
         "complete_spp": store.complete_spp(),
         "pending_chunks": len(store.pending()),

@@ -169,6 +169,13 @@ def test_a_format_is_named_where_the_suffix_is_another(tmp_path):
         assert chd.io.read(other, format=name, **axes).spp >= 1
 
 
+def test_what_is_no_path_or_too_long_for_one_is_told(tmp_path):
+    np.save(tmp_path / "x.npy", X)
+    assert "one by one as in read(*files)" in refused(chd.io.read, [tmp_path / "x.npy"])
+    assert "nothing at 'xxx" in refused(chd.io.read, "x" * 5000)
+    assert "only stores of samples may lie behind URLs" in refused(chd.io.read, "https://a.b/x.npy")
+
+
 def test_files_that_do_not_belong_together_are_read_apart(tmp_path):
     files = [
         exr(tmp_path / f"{n}.exr", planes_of(X[..., n]), samplesPerPixel=n + 1) for n in (0, 1)

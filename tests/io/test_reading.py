@@ -6,11 +6,13 @@ What messages propose is followed in `test_proposals`.
 import contextlib
 import runpy
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, StoreError
@@ -106,6 +108,47 @@ def test_one_channel_gains_an_axis_and_zarr_is_read_by_its_dims(tmp_path):
     dataset = xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)})
     dataset.to_zarr(tmp_path / "x.zarr", consolidated=False)
     assert np.array_equal(chd.io.read(tmp_path / "x.zarr").read(), RADIANCE)
+
+
+def test_arrays_of_zarr_need_no_names_of_dims(tmp_path):
+    zarr.save_array(tmp_path / "array.zarr", FRAMES)
+    zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("light", data=FRAMES)
+    for path in tmp_path.iterdir():
+        assert np.array_equal(chd.io.read(path, axes="syxc").read(), RADIANCE)
+    chd.Samples.from_array(RADIANCE).save(tmp_path / "own.zarr")
+    with pytest.raises(InputError, match=r"own\.zarr is a store .* chdstat\.open"):
+        chd.io.read(tmp_path / "own.zarr")
+
+
+def test_what_lies_beside_samples_in_an_archive_is_left_out(tmp_path):
+    np.savez(tmp_path / "x.npz", samples=RADIANCE, about=np.array([{"seed": 3}], object))
+    with zipfile.ZipFile(tmp_path / "x.npz", "a") as archive:
+        archive.writestr("notes.txt", "rendered on Monday")
+    assert np.array_equal(chd.io.read(tmp_path / "x.npz").read(), RADIANCE)
+
+
+def test_a_file_of_several_arrays_is_refused(tmp_path):
+    with (tmp_path / "x.npy").open("wb") as file:
+        np.save(file, RADIANCE)
+        np.save(file, RADIANCE)
+    with pytest.raises(StoreError, match=r"more than an array of shape \(.*expected one array"):
+        chd.io.read(tmp_path / "x.npy")
+    (tmp_path / "x.npy").write_bytes(b"pickled or not")
+    with pytest.raises(StoreError, match="magic string is not correct"):
+        chd.io.read(tmp_path / "x.npy")
+
+
+def test_files_are_read_from_where_they_were(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.save("x.npy", RADIANCE)
+    chd.Samples.from_array(RADIANCE).save("x.zarr")
+    opened = [chd.io.read("x.npy"), chd.open("x.zarr")]
+    assert [repr(samples).split()[-1] for samples in opened] == ["x.npy>", "x.zarr>"]
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    for samples in opened:
+        assert np.array_equal(samples.read(), RADIANCE)
+    assert opened[1].path == tmp_path / "x.zarr"
 
 
 def test_netcdf_is_unpacked_and_says_its_unit(tmp_path):

@@ -26,6 +26,46 @@ def test_a_store_holds_what_was_saved(tmp_path):
         assert found.attrs["seed"] == 3
 
 
+def test_provenance_is_kept_as_text_and_numbers(tmp_path):
+    given = {
+        "seed": np.int64(7),
+        "integrator": "path",
+        "notes": "dusk",
+        "exposure": np.float32(0.5),
+        "view": np.eye(2),
+        "file": tmp_path,
+        "gain": np.nan,
+        "sequence": None,
+    }
+    kept = {
+        "seed": 7,
+        "integrator": {"type": "path"},
+        "notes": ["dusk"],
+        "exposure": 0.5,
+        "view": [[1, 0], [0, 1]],
+        "file": str(tmp_path),
+        "gain": "NaN",
+    }
+    saved = chd.Samples.from_array(RADIANCE, **given).save(tmp_path / "own.zarr")
+    assert {name: saved.attrs.get(name) for name in given} == {**kept, "sequence": None}
+    assert "dusk" in saved._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"averaged": 0}, "averaged must be at least 1, got 0"),
+        ({"averaged": "x"}, "averaged must be a whole number, got 'x'"),
+        ({"sequence": 2.5}, "sequence must be a whole number, got 2.5"),
+        ({"integrator": 5}, "integrator must be of type dict, got 5"),
+        ({"render_seconds": "long"}, "render_seconds must be of type .*float, got 'long'"),
+    ],
+)
+def test_provenance_that_means_something_is_checked(given, told):
+    with pytest.raises(InputError, match=told):
+        chd.Samples.from_array(RADIANCE, **given)
+
+
 def test_what_is_there_is_not_overwritten(tmp_path):
     samples = chd.Samples.from_array(RADIANCE)
     samples.save(tmp_path / "own.zarr")

@@ -155,13 +155,6 @@ def test_what_assumes_independence_refuses_and_says_how_to_go_on(name):
         REFUSED[name](stratified())
 
 
-def test_a_sequence_that_is_no_number_is_refused():
-    for length in ("x", 0, 2.5):
-        samples = chd.Samples.from_array(np.ones((2, 2, 3, 32)), sequence=length)
-        with pytest.raises(InputError, match="sequence must be"):
-            chd.summarize(samples)
-
-
 def test_what_looks_at_single_samples_takes_them():
     samples = stratified()
     same = chd.Samples.from_array(samples.read())
