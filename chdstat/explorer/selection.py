@@ -155,7 +155,7 @@ class SelectionResults:
         quick = estimators.fixed().keys() - estimators.SLOW
         scored = estimators.scored(batches, names=quick) if batches else []
         around = batches is not None and isinstance(source, StoreSource) and len(plots.key) == 2
-        more = "; those that look at the pixels around follow" * around
+        more = ". Estimators that use neighbouring pixels follow" * around
         columns = tables.columns_of(plots.places, plots.view.channel)
         found = {
             "statistics": tables.statistics_table(columns),
@@ -259,11 +259,11 @@ class SelectionResults:
         """Return the batches of the active place, and what their estimates are scored against."""
         place, key, truth = plots.place, plots.key, None
         reference, first = self._reference(plots.source)
-        said, of = "error against the mean of the other samples, which no batch contains", place
+        said, of = "Error against the mean of the samples outside the batch", place
         of_what = f"{place.spp} samples"
         if reference is not None and len(key) == 2:
             of = PlaceStatistics(reference.pixel(*key)[:, first:], place.channels)
-            said = f"error against {reference.name}"
+            said = f"Error against {reference.name}"
             # The first ones share their random numbers with what is scored.
             said += f" from sample {first} on" if first else ""
             truth = of.moments.seen(of.moments.mean)[: len(place.channels)]
@@ -276,7 +276,7 @@ class SelectionResults:
         if batches is not None and np.isnan(batches.truth).all():
             said = f"{of_what} are too few to score estimates from {plots.n}"
         elif error > _ROUGH:
-            said += f"; it is itself uncertain by {percent(error)}, and scores are rough"
+            said += f", which is uncertain by {percent(error)}: scores are rough"
         return batches, said
 
     def _estimates_table(

@@ -85,15 +85,15 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     xi = float(tail.xi[-1])
     if place.is_firefly:  # as in the patterns
         xi = float(place.patterns.statistics["long_tail"])
-        told += "; without the largest sample"
+        told += "; the index leaves out the largest sample"
     return [
-        ("Mean luminance", number(mean), f"standard error {number(error)}, {percent(share)}"),
+        ("Mean luminance", number(mean), f"standard error {number(error)} ({percent(share)})"),
         ("Null samples", percent(place.null_share), f"{low} to {high}"),
         ("Tail index", "—" if constant else number(xi), told),
         (
             "Modes",
             "—" if constant or not count else str(count),
-            "constant samples" if constant else f"p of a single one {as_p(modes.dip_p_value[-1])}",
+            "constant samples" if constant else f"p of one mode {as_p(modes.dip_p_value[-1])}",
         ),
         ("Spp for 1 % error", _count(needed), clear.get(trusted, f"{place.spp} are here")),
     ]

@@ -83,8 +83,6 @@ MEAN: Any = (0, (3, 2))
 """Dashes of the line of a mean."""
 _ROOM = 1.35
 """Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
-_BEYOND = 0.01
-"""Share of the positive samples beyond the support of log histograms from which it is widened."""
 _BINS = 40
 _VECTOR = 256
 """Batches that are drawn as outlines; more are an image inside of the figure."""
@@ -214,20 +212,22 @@ def scales_of(scales: Scale | Sequence[Scale]) -> list[Scale]:
 
 
 def log_support(x: npt.ArrayLike) -> tuple[float, float]:
-    """Return the support of log histograms that are drawn: [1e-5, 1e5], or decades of the samples.
+    """Return the support of log histograms that are drawn: [1e-5, 1e5], or as wide elsewhere.
+
+    It is moved by whole decades, to the median of the positive samples, where this lies beyond.
 
     Examples
     --------
-    >>> log_support([0.0, 0.5]), log_support([2e-7, 3e-6])
-    ((1e-05, 100000.0), (1e-07, 1e-05))
+    >>> log_support([0.0, 0.5, 1e-20]), log_support([2e-7, 3e-6, 4.0])
+    ((1e-05, 100000.0), (1e-11, 0.1))
     """
-    array = np.asarray(x)
+    array, (low, high) = np.asarray(x), LOG_SUPPORT
     seen = array[(array > 0) & (array < np.inf)]
-    low, high = LOG_SUPPORT
-    if not seen.size or ((seen < low) | (seen >= high)).mean() <= _BEYOND:
+    middle = float(np.median(seen)) if seen.size else 1.0
+    if low <= middle < high:
         return LOG_SUPPORT
-    first, last = np.floor(np.log10([seen.min(), seen.max()], dtype=np.float64))
-    return float(f"1e{first:.0f}"), float(f"1e{last + 1:.0f}")
+    decade = math.floor(math.log10(middle) + 0.5)
+    return float(f"1e{decade - 5}"), float(f"1e{decade + 5}")
 
 
 def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[str, Histogram]:

@@ -307,7 +307,7 @@ def test_the_tail_index_is_that_of_the_patterns_where_a_firefly_is_left_out():
     shown = tables.headline(place)[2]
     assert shown[1] == number(float(place.patterns.statistics["long_tail"]))
     assert shown[1] != number(float(place.tail.xi[-1]))
-    assert shown[2].endswith("without the largest sample")
+    assert shown[2].endswith("the index leaves out the largest sample")
     assert shown[1] in str(tables.patterns_table(tables.columns_of([place], "all"))["rows"])
     # The control: without a firefly, nothing is left out.
     assert tables.headline(plain)[2][1] == number(float(plain.tail.xi[-1]))
