@@ -120,18 +120,21 @@ class Adaptive:
         Raises
         ------
         InputError
-            If there is no such measure, the error is not positive, the percentile is not between 0
-            and 100 or is given without an error, or there are too few samples.
+            If there is no such measure, the error is not between 0 and 1, the percentile is not
+            between 1 and 100 or is given without an error, or there are too few samples.
         """
         measure = "relMSE" if isinstance(asked, bool) else asked
         if held is not None and isinstance(asked, bool):
             measure = held["measure"]
         check_option("adaptive", measure, get_args(ErrorMeasure))
-        if error is not None and not 0 < error < math.inf:
-            message = f"error must be above 0, such as 0.02 for 2 %, got {error}"
+        if error is not None and not 0 < error < 1:
+            message = f"error must lie between 0 and 1, such as 0.02 for 2 %, got {error:g}"
             raise InputError(message)
-        if percentile is not None and (error is None or not 0 < percentile < 100):
-            message = f"percentile must be above 0 and below 100, of an error, got {percentile}"
+        if percentile is not None and not 1 <= percentile < 100:
+            message = f"percentile must lie between 1 and 100, 95 for 95 %, got {percentile:g}"
+            raise InputError(message)
+        if percentile is not None and error is None:
+            message = "percentile says where an error is to be reached: give error, too"
             raise InputError(message)
         if spp < _FEWEST:
             message = (

@@ -269,9 +269,11 @@ def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
     else:
         density, noise = writer.density, writer.attrs["noise"]
         if how.percentile not in (None, decided_for := noise.get("percentile")):
+            of = "the whole image" if decided_for is None else f"{decided_for:g} % of the pixels"
             message = (
-                f"counts were decided for percentile {decided_for}, not {how.percentile:g}: render "
-                "into another store, or leave percentile out"
+                f"the numbers of samples were decided for the error of {of}, not of "
+                f"{how.percentile:g} % of the pixels: render into another store, or leave "
+                "percentile out"
             )
             raise InputError(message)
     spp = how.spp(noise, job.options.spp)

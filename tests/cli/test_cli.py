@@ -434,7 +434,7 @@ def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
     assert "those of other pixels decided how many" in out
     code, _, err = run("render", *view, "--spp", 20, "--error", 1e-3, "--percentile", 90)
     assert code == 1
-    assert "decided for percentile None" in err
+    assert "decided for the error of the whole image, not of 90 % of the pixels" in err
     other = ("-o", tmp_path / "b.zarr", "--spp", 16, "--error", 1e-3, "--percentile", 90)
     _, out, _ = run("render", *view, *other)
     assert "estimated relative error of 90 % of pixels" in out

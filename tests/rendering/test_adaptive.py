@@ -256,11 +256,12 @@ def test_what_makes_no_sense_is_refused(stored):
         chd.render(scene, spp=8, adaptive=True)
     with pytest.raises(InputError, match="relMSE"):
         chd.render(scene, adaptive="relmse")
-    with pytest.raises(InputError, match="above 0"):
-        chd.render(scene, error=0.0)
-    for settings in ({"percentile": 95}, {"percentile": 100, "error": 0.1}):
+    for error in (0.0, 2):  # two per cent are 0.02
+        with pytest.raises(InputError, match=r"between 0 and 1, such as 0\.02 for 2 %"):
+            chd.render(scene, error=error)
+    for percentile, error in ((95, None), (100, 0.1), (0.95, 0.1)):
         with pytest.raises(InputError, match="percentile"):
-            chd.render(scene, **settings)
+            chd.render(scene, percentile=percentile, error=error)
     with pytest.raises(InputError, match="only independent"):
         chd.render(scene, adaptive=True, sampler="stratified")
     with pytest.raises(StoreError, match="adaptive: stored None"):
