@@ -22,7 +22,7 @@ from chdstat.explorer.selection import SelectionPlots
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
 from chdstat.explorer.view import Box, PixelIndex
 from chdstat.reporting.documents import Document, typeset
-from chdstat.viz.estimators import called
+from chdstat.viz.styling import called
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -35,8 +35,8 @@ from chdstat.io.writing import open_maps
 from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import Mapped, assemble
 from chdstat.summary.runner import measured
-from chdstat.viz.estimators import called
 from chdstat.viz.maps import LABEL_COLORS, names_of
+from chdstat.viz.styling import called
 
 __all__ = [
     "CONTRASTS",

@@ -36,7 +36,7 @@ from chdstat.explorer.render_process import COARSE
 from chdstat.explorer.sources import AnySource, StoreSource
 from chdstat.explorer.view import BATCH_SIZES, FITS
 from chdstat.patterns import Label
-from chdstat.viz.estimators import called
+from chdstat.viz.styling import called
 
 __all__ = ["Page", "coarse_png", "colorbar", "isolated", "rgba"]
 

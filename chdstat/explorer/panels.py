@@ -31,7 +31,7 @@ from chdstat.explorer.tables import as_p
 from chdstat.explorer.view import View
 from chdstat.fit.families import FAMILIES
 from chdstat.summary.histograms import Scale
-from chdstat.viz.estimators import called
+from chdstat.viz.styling import called
 
 __all__ = [
     "BLENDED",

@@ -26,7 +26,7 @@ from chdstat.explorer.place import (
 )
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
-from chdstat.viz.estimators import called, estimator_name
+from chdstat.viz.styling import called, estimator_name
 
 __all__ = [
     "Column",

@@ -260,7 +260,7 @@ class Pixel(Shown):
     def panel(self, title: str) -> Panel:
         """Return what `chdstat.viz.chd_grid` draws of it: histograms, best fits and means."""
         from chdstat import viz
-        from chdstat.viz.estimators import called
+        from chdstat.viz.styling import called
 
         if len(self.channels) == 1:
             fits = [self.curve]

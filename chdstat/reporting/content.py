@@ -31,9 +31,8 @@ from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
 from chdstat.studies.claims import CLAIMS, Claim, ClaimTest, Finding, SceneData
 from chdstat.studies.studies import SceneStudy
-from chdstat.viz.estimators import NAMES, called, estimator_name
 from chdstat.viz.maps import LABEL_COLORS, names_of
-from chdstat.viz.styling import qualitative
+from chdstat.viz.styling import NAMES, called, estimator_name, qualitative
 
 if TYPE_CHECKING:
     import xarray as xr

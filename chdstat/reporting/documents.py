@@ -28,8 +28,7 @@ from chdstat.studies.claims import CLAIMS
 from chdstat.studies.stores import ROULETTE
 from chdstat.studies.studies import ACROSS, SceneStudy, Study
 from chdstat.viz import VERDICTS
-from chdstat.viz.estimators import called
-from chdstat.viz.styling import qualitative, spelt, verbatim
+from chdstat.viz.styling import called, qualitative, spelt, verbatim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

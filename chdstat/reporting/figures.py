@@ -34,8 +34,7 @@ from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.studies import SceneStudy
 from chdstat.summary.histograms import histogram
 from chdstat.viz.chd import SCALES
-from chdstat.viz.estimators import NAMES, called, estimator_name
-from chdstat.viz.styling import spelt, upright
+from chdstat.viz.styling import NAMES, called, estimator_name, spelt, upright
 
 if TYPE_CHECKING:
     import xarray as xr

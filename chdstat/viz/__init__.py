@@ -9,7 +9,17 @@ all (`style`); colours are distinct for colour-blind readers, and fonts are embe
 
 from __future__ import annotations
 
-from chdstat.viz.chd import Panel, batch_histograms, chd_axes, chd_grid, chd_pair, fits
+from chdstat.viz.chd import (
+    Panel,
+    batch_histograms,
+    chd_axes,
+    chd_grid,
+    chd_pair,
+    fit_curve,
+    fits,
+    mode_stems,
+    tail_curve,
+)
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
 from chdstat.viz.estimators import (
     averages,
@@ -21,7 +31,6 @@ from chdstat.viz.estimators import (
     pixel_estimates,
     training,
 )
-from chdstat.viz.fit_curves import fit_curve, mode_stems, tail_curve
 from chdstat.viz.image import (
     Mark,
     firefly_pair,

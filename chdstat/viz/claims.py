@@ -22,11 +22,11 @@ from matplotlib.patches import Rectangle
 from chdstat._core.display import Width
 from chdstat.errors import InputError
 from chdstat.studies.findings import ClaimTest, PlotData
-from chdstat.viz.estimators import called
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import (
     PALETTE,
     axes_in,
+    called,
     fitting,
     inches,
     narrow,

@@ -8,7 +8,6 @@ draws any quantity against the number of samples, `averages` how averages become
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,11 +23,8 @@ from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import Width
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
-from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import InputError
-from chdstat.estimators.registry import LABELS
 from chdstat.estimators.training import History
-from chdstat.fit.families import FAMILIES
 from chdstat.viz.chd import Channels, chosen, one_of
 from chdstat.viz.styling import (
     CHANNELS,
@@ -36,6 +32,7 @@ from chdstat.viz.styling import (
     PALETTE,
     UNIT,
     axes_in,
+    called,
     fitting,
     grow,
     inches,
@@ -51,14 +48,11 @@ from chdstat.viz.styling import (
 )
 
 __all__ = [
-    "NAMES",
     "averages",
-    "called",
     "coverage",
     "curves",
     "error_curves",
     "estimator_measures",
-    "estimator_name",
     "pattern_breakdown",
     "pixel_estimates",
     "training",
@@ -78,33 +72,6 @@ _EXTREME = 8.0
 _FEW = 3.0
 """Logarithm of the ratio of two numbers between which there is room for several ticks a decade."""
 _STARRED = "* uses neighbouring pixels"
-
-
-NAMES: Mapping[str, str] = ChainMap(
-    LABELS,
-    {
-        **{name: family.label for name, family in FAMILIES.items()},
-        "null_heavy": "null-heavy",
-        "long_tail": "long tail",
-        "firefly_dominated": "firefly-dominated",
-        "gamma_like": "gamma-like",
-        "lognormal_like": "log-normal-like",
-        "long-tail": "long tail",  # as regions are called
-        "lognormal-like": "log-normal-like",
-    },
-)
-"""What text and figures call estimators, families and patterns."""
-
-
-def called(name: str) -> str:
-    """Return what to write for a name: what `NAMES` has for it, or itself in words."""
-    return NAMES.get(name, name.replace("_", " "))
-
-
-def estimator_name(estimator: str) -> str:
-    """Return what to write for an estimator, where readers meet the default one."""
-    name = called(estimator)
-    return f"default estimate ({name})" if estimator == DEFAULT_ESTIMATE else name
 
 
 @style()

@@ -37,11 +37,11 @@ from chdstat.viz.chd import (
     scales_of,
     share_radiance,
 )
-from chdstat.viz.estimators import called
 from chdstat.viz.styling import (
     PALETTE,
     UNIT,
     bare,
+    called,
     fitting,
     inches,
     ink_on,

@@ -26,7 +26,6 @@ from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
 from chdstat.viz.chd import Channels, Panel, draw_histograms, draw_means, one_of
-from chdstat.viz.estimators import called
 from chdstat.viz.image import Mark, draw_marked, one_channel, tonemap
 from chdstat.viz.styling import (
     MISSING,
@@ -34,6 +33,7 @@ from chdstat.viz.styling import (
     UNIT,
     axes_in,
     bare,
+    called,
     fitting,
     grid,
     grow,

@@ -4,7 +4,7 @@
 column, a page or what is asked for; where a figure is `narrow`, its panels stand below each other.
 Names that users chose are drawn as they wrote them, in fonts that have their letters: `verbatim`
 goes around every such name, `families` returns the fonts, and `spelt` goes around what saves
-figures.
+figures. `called` says what the names of estimators, families and patterns are in words.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import logging
 import math
 import re
 import warnings
+from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import Any
@@ -33,17 +34,23 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
 from chdstat._core.display import Width
+from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import InputError, check_option
+from chdstat.estimators.registry import LABELS
+from chdstat.fit.families import FAMILIES
 
 __all__ = [
     "CHANNELS",
     "HEIGHT",
     "MISSING",
+    "NAMES",
     "PALETTE",
     "UNIT",
     "WIDTHS",
     "axes_in",
     "bare",
+    "called",
+    "estimator_name",
     "families",
     "fitting",
     "grid",
@@ -370,6 +377,33 @@ def ink_on(color: str) -> str:
 def sequential() -> Colormap:
     """Return the colour map of magnitudes; pixels without a number are light grey."""
     return colormaps["viridis"].with_extremes(bad=MISSING)
+
+
+NAMES: Mapping[str, str] = ChainMap(
+    LABELS,
+    {
+        **{name: family.label for name, family in FAMILIES.items()},
+        "null_heavy": "null-heavy",
+        "long_tail": "long tail",
+        "firefly_dominated": "firefly-dominated",
+        "gamma_like": "gamma-like",
+        "lognormal_like": "log-normal-like",
+        "long-tail": "long tail",  # as regions are called
+        "lognormal-like": "log-normal-like",
+    },
+)
+"""What text and figures call estimators, families and patterns."""
+
+
+def called(name: str) -> str:
+    """Return what to write for a name: what `NAMES` has for it, or itself in words."""
+    return NAMES.get(name, name.replace("_", " "))
+
+
+def estimator_name(estimator: str) -> str:
+    """Return what to write for an estimator, where readers meet the default one."""
+    name = called(estimator)
+    return f"default estimate ({name})" if estimator == DEFAULT_ESTIMATE else name
 
 
 _log = logging.getLogger("chdstat")

@@ -15,7 +15,7 @@ from chdstat.estimators import lookup, registry
 from chdstat.explorer.estimators import batches_of, score_model, scored, scored_around
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.tables import estimates_table
-from chdstat.viz.estimators import called, estimator_name
+from chdstat.viz.styling import called, estimator_name
 
 N = 32
 

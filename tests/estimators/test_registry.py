@@ -10,7 +10,7 @@ from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import registry
 from chdstat.explorer.estimators import batches_of, scored
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.styling import NAMES
 
 
 @pytest.fixture

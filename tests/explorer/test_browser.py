@@ -22,7 +22,7 @@ from chdstat.explorer.place import goodness
 from chdstat.io import write_exr
 from chdstat.patterns import Label
 from chdstat.samples.store import Store
-from chdstat.viz.estimators import called
+from chdstat.viz.styling import called
 
 SIZE = 32
 
