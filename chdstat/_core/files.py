@@ -86,7 +86,7 @@ def place_of(path: str | Path) -> Path:
     Raises
     ------
     InputError
-        If nothing that is installed reaches such URLs.
+        If it is no path, or nothing that is installed reaches such URLs.
 
     Examples
     --------
@@ -98,6 +98,9 @@ def place_of(path: str | Path) -> Path:
     chdstat.errors.InputError: cannot reach tape://room.zarr: Unsupported filesystem: 'tape'
     """
     given: Any = path
+    if not is_path(path) or "\0" in str(path):
+        message = f"expected a path, got {path!r}"
+        raise InputError(message)
     if not isinstance(given, str) or "://" not in given:
         return Path(given) if isinstance(given, str) else given
     try:
@@ -155,11 +158,11 @@ def exists(path: Path) -> bool:
     StoreError
         If what is behind a URL does not answer, or does not let one in.
     """
+    if not is_remote(path):
+        return os.path.exists(path)  # noqa: PTH110 - also of what is too long for a name
     try:
         return path.exists()
     except Exception as error:
-        if not is_remote(path):
-            raise
         # Each service has errors of its own.
         message = f"cannot reach {path}: {error or type(error).__name__}"
         raise StoreError(message) from error

@@ -294,11 +294,11 @@ def info(
     if found.get("damaged"):
         message = (
             f"{len(found['damaged'])} damaged file(s) in {store}, listed above; "
-            "run the same 'chdstat render' again to repair them"
+            "run the same 'chdstat render' or import again to repair them"
         )
         raise ChdstatError(message)
     if found["pending_chunks"]:
-        output.say_next(asked.quiet, "the same 'chdstat render' again, which resumes")
+        output.say_next(asked.quiet, "the same 'chdstat render' or import again, which resumes")
     else:
         output.say_next(asked.quiet, *output.after_render(found, store))
 

@@ -413,6 +413,9 @@ def writing(path: Path) -> Iterator[None]:
     """Turn the system's error about a disk into advice for the user."""
     try:
         yield
+    except NotImplementedError as error:
+        message = f"cannot write to {path}: stores behind such URLs can only be read"
+        raise StoreError(message) from error
     except OSError as error:
         message = f"cannot write to {path}: {error.strerror or error}"
         if is_store(path):

@@ -460,8 +460,8 @@ class Store:
         """Return the error that names damaged files and how to repair them."""
         named = ", ".join(map(str, files)) or self.path
         return StoreError(
-            f"cannot read {named} ({why}); run the same 'chdstat render' again to repair it "
-            "('chdstat info --verify' lists all that is damaged)"
+            f"cannot read {named} ({why}); run the same 'chdstat render' or import again to repair "
+            "it ('chdstat info --verify' lists all that is damaged)"
         )
 
     def _metadata(self) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -626,7 +626,7 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     if not store.complete_spp():
         message = (
             f"{path} holds no sample that every pixel has: its rendering was stopped early. "
-            "Run the same 'chdstat render' again to resume it"
+            "Run the same 'chdstat render' or import again to resume it"
         )
         raise StoreError(message)
     parts = store.parts().items()
@@ -791,8 +791,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
     elif append:
         store, first = _extended(samples, path, attrs)
     else:
-        _check_interrupted(samples, path, attrs)
-        store, first = Store.open(path, writable=True), 0
+        store, first = _interrupted(samples, path, attrs), 0
     with store:
         _fill(store, samples, first, progress)
         if append:
@@ -834,17 +833,25 @@ def _content(samples: Samples) -> str:
     return hashlib.blake2b(layout.canonical(about), digest_size=16).hexdigest()
 
 
-def _check_interrupted(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> None:
-    """Refuse a store unless it is one of the same samples whose writing was stopped."""
-    held = Store.open(path)
-    same = held.attrs.get("content") == attrs["content"] and held.shape == samples.shape
-    if not same or not held.pending():
-        what = "these samples already" if same else "other samples"
-        message = (
-            f"{path} holds {what}; nothing was changed. Give another path, or append to add these "
-            "to those that are there"
-        )
-        raise StoreError(message)
+def _interrupted(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> Store:
+    """Return a store of the same samples that lacks some: its writing was stopped, or is damaged.
+
+    Raises
+    ------
+    StoreError
+        If it is none.
+    """
+    held, what = Store.open(path), "other samples"
+    if held.attrs.get("content") == attrs["content"] and held.shape == samples.shape:
+        store, what = Store.open(path, writable=True), "these samples already"
+        if store.pending():
+            return store
+        store.close()
+    message = (
+        f"{path} holds {what}; nothing was changed. Give another path, or append to add these "
+        "to those that are there"
+    )
+    raise StoreError(message)
 
 
 def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[Store, int]:

@@ -176,7 +176,7 @@ def test_info_says_that_a_render_was_stopped(run, store, monkeypatch):
     code, out, err = run("info", store)
     assert code == 0
     assert "stopped: every pixel has 8 of 16 samples, and 2 chunks are missing" in out
-    assert err == "next: the same 'chdstat render' again, which resumes\n"
+    assert err == "next: the same 'chdstat render' or import again, which resumes\n"
 
 
 def test_analyze_speaks_in_sentences_and_writes_maps(run, store, tmp_path, monkeypatch):

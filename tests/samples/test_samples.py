@@ -222,6 +222,12 @@ def test_other_arrays_are_refused(array, message):
         Samples.from_array(array)
 
 
+@pytest.mark.parametrize("path", [None, 5, ["a.zarr"], "a\0b", "x" * 5000])
+def test_what_is_no_path_is_refused(path):
+    with pytest.raises((InputError, StoreError), match="expected a path, got|no store at xxx"):
+        chd.open(path)
+
+
 @pytest.mark.parametrize("index", [0, (0, 1, 2), ..., (0.5, 1)])
 def test_what_is_no_pixel_is_refused_with_advice(index):
     samples = chd.Samples.from_array(np.ones((2, 2, 1, 3)))

@@ -95,6 +95,15 @@ def test_samples_are_appended_behind_those_that_are_there(tmp_path):
         chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
 
 
+def test_saving_again_repairs_what_is_damaged(tmp_path):
+    samples = chd.Samples.from_array(RADIANCE)
+    samples.save(tmp_path / "own.zarr")
+    (tmp_path / "own.zarr/radiance/c/0/0/0/1").unlink()
+    with pytest.raises(StoreError, match="same 'chdstat render' or import again to repair it"):
+        chd.open(tmp_path / "own.zarr").read()
+    assert np.array_equal(samples.save(tmp_path / "own.zarr").read(), RADIANCE)
+
+
 @pytest.mark.parametrize("append", [False, True])
 def test_what_was_interrupted_goes_on(tmp_path, monkeypatch, append):
     path, written = tmp_path / "own.zarr", []

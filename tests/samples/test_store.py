@@ -288,7 +288,9 @@ def test_damage_is_found_named_and_repaired(tmp_path, harm):
     store = Store.open(path)
     assert store.damaged() == damaged
     named = ", ".join(map(str, damaged))
-    with pytest.raises(StoreError, match=rf"cannot read {named} \(.*render' again to repair"):
+    with pytest.raises(
+        StoreError, match=rf"cannot read {named} \(.*render' or import again to repair"
+    ):
         store.read(ALL, ALL, ALL)
     assert np.array_equal(store.read(ALL, slice(0, TILE), ALL), x[:, :TILE])
     if harm is not swap:
@@ -318,7 +320,9 @@ def test_metadata_and_features_are_used_only_where_they_are_sound(tmp_path, name
         assert store.read_features()["depth"].all()
     else:
         assert store.damaged() == [path / "features/depth"]
-        with pytest.raises(StoreError, match="cannot read .*features/depth/c/0/0 .*render' again"):
+        with pytest.raises(
+            StoreError, match="cannot read .*features/depth/c/0/0 .*render' or import again"
+        ):
             store.read_features()
     with Store.open(path, writable=True) as writer:
         writer.restore(features)

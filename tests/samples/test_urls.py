@@ -122,6 +122,11 @@ def test_maps_go_to_folders(expected, tmp_path, monkeypatch, run, words):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_place_that_only_lets_read_is_told():
+    with pytest.raises(StoreError, match="cannot write to http.* can only be read"):
+        chd.Samples.from_array(np.ones((2, 2, 3, 4))).save("http://127.0.0.1:9/own.zarr")
+
+
 @pytest.mark.parametrize(
     ("bad", "error", "message"),
     [
