@@ -756,7 +756,7 @@ class Shuffles:
             unit = np.where(largest > 0, largest, 1)[:, np.newaxis]
             found = (self._correlation if self.paired else self._log_ratio)(a / unit, b / unit)
             # What does not vary does not differ.
-            return p_of_tail(*(np.abs(np.nan_to_num(x, nan=0.0)) for x in found))
+            return self._p_of(*(np.abs(np.nan_to_num(x, nan=0.0)) for x in found))
 
         return _by_rows(of_rows, _ROWS, a, b)
 
@@ -776,7 +776,14 @@ class Shuffles:
         >>> Shuffles.draw((100, 100), 0, paired=False).p_of_distributions(a, b).round(2) < 0.05
         array([False,  True])
         """
-        return _by_rows(lambda a, b: p_of_tail(*self._distance(a, b)), _ROWS, a, b)
+        return _by_rows(lambda a, b: self._p_of(*self._distance(a, b)), _ROWS, a, b)
+
+    def _p_of(self, statistic: Reals, shuffled: Reals) -> Floats:
+        """Return p-values, none below the share of one division, or of two that are mirrored."""
+        n, m = map(np.asarray, self.n)
+        mirrored = np.log(2) * (self.paired or n == m)
+        choices = n * np.log(2) if self.paired else _log_choices(n + m, n)
+        return np.asarray(np.maximum(p_of_tail(statistic, shuffled), np.exp(mirrored - choices)))
 
     def _correlation(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         total, apart = a + b, a - b
@@ -799,7 +806,9 @@ class Shuffles:
             np.maximum(square / k - (total / k) ** 2, 0) * k / max(k - 1, 1)
             for (total, square), k in zip((of_first, of_second), self.n, strict=True)
         )
-        found = np.log(one / other)
+        # One sample may decide a variance: none is told from less than a share of both.
+        least = (one + other) / min(self.n)
+        found = np.log((one + least) / (other + least))
         return found[:, 0], found[:, 1:]
 
     def _distance(self, a: Reals, b: Reals) -> tuple[Floats, Reals]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat._core.resampling import p_of_means
+from chdstat._core.resampling import Shuffles, p_of_means
 
 
 def counted(a, b):
@@ -99,3 +99,19 @@ def test_far_tails_are_those_of_the_normal_distribution():
     np.testing.assert_allclose(
         np.log(p_of_means(a, b)), np.log(2 * stats.norm.sf(np.abs(z))), rtol=0.06
     )
+
+
+def test_variances_of_few_samples_beside_nulls_differ_as_rarely_as_they_should():
+    rng = np.random.default_rng(5)
+    lit = rng.exponential(size=(2, 20_000, 12)) * (rng.random((2, 20_000, 12)) < 0.2)
+    p = Shuffles.draw((12, 12), 0, paired=False).p_of_variances(*lit)
+    assert (p <= 1e-3).mean() <= 1.5e-3  # 2.2 standard deviations
+    assert (p <= 1e-4).mean() <= 3e-4
+
+
+@pytest.mark.parametrize(("paired", "least"), [(False, 2 / comb(8, 4)), (True, 2 / 2**4)])
+def test_no_p_value_is_below_the_share_of_one_division(paired, least):
+    a, b = np.random.default_rng(6).lognormal(size=(2, 500, 4))
+    shuffles = Shuffles.draw((4, 4), 0, paired=paired)
+    for test in (shuffles.p_of_variances, shuffles.p_of_distributions):
+        assert test(a, b).min() >= least * (1 - 1e-9)
