@@ -46,7 +46,7 @@ from chdstat.explorer.sources import (
     stream,
 )
 from chdstat.explorer.view import PixelIndex, View
-from chdstat.inference.contrasts import Contrast, contrasting
+from chdstat.inference.contrasts import contrasting
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
@@ -295,7 +295,7 @@ class Shared:
     overalls
         Their images so far.
     maps
-        Maps by what `key` says, finished or not.
+        Maps, finished or not, by what `key` says and by their name.
     suggested
         Names and places of pixels that are worth a first look.
     passes
@@ -317,8 +317,7 @@ class Shared:
         self.models, self.given = models, given
         empty = Overall.empty(*sources[0].size, len(sources[0].channels))
         self.overalls = [empty for _ in sources]
-        self._contrasts: dict[str, Contrast] = {}
-        self.maps: dict[str, Map] = {}
+        self.maps: dict[tuple[str, str], Map] = {}
         self.suggested: list[tuple[str, PixelIndex]] = []
         self.clicks, self.exports, self.additions, self.images = self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
@@ -408,13 +407,7 @@ class Shared:
             return map_of(name, *(luminance(mean, channel_axis=-1) for mean in pair))
         if name in IMAGES and not isinstance(self.sources[shown], ImageSource):
             return IMAGES[name].filled(getattr(overall, name))
-        key = self.key(view)
-        found = self._contrasts.get(key)
-        if found is None:
-            return self.maps.get(key)
-        return map_of(
-            name, found, note=f"A {found.names[0]}, B {found.names[1]}. {found.conclusion}"
-        )
+        return self.maps.get((self.key(view), name))
 
     def refresh(self) -> None:
         """Go on with the samples that were added to stores since, if there are any."""
@@ -426,7 +419,6 @@ class Shared:
             self.sources = [new or old for new, old in zip(grown, self.sources, strict=True)]
             self.passes.forget()
             self.maps.clear()
-            self._contrasts.clear()
             self.passes.ask(self, "start", self._draw())
             self.tell("source")
 
@@ -468,7 +460,7 @@ class Shared:
         kind, array = map_kind(name, source.samples.spp), npt.NDArray[np.float32]
         for share, values in kept(source.samples, name, array, walk(source, name)):
             if source in self.sources:  # else it has grown
-                self.maps[key] = replace(kind, values=values, done=share)
+                self.maps[key, name] = replace(kind, values=values, done=share)
             yield f"mapping {kind.title}", share
 
     def _contrast(self, key: str, shown: int, reference: int) -> Pass:
@@ -481,8 +473,8 @@ class Shared:
             raise InputError(message)
         other = b.samples if isinstance(b, StoreSource) else self.overalls[pair[1]].mean
         found = yield from contrasting(a.samples, other)
-        names = self.names[pair[0]], self.names[pair[1]]
-        self._contrasts[key] = replace(found, names=names)
+        note = f"A {self.names[pair[0]]}, B {self.names[pair[1]]}. {found.conclusion}"
+        self.maps |= {(key, name): map_of(name, found, note=note) for name in CONTRASTS}
 
 
 def _first(source: StoreSource) -> Overall:
