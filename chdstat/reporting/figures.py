@@ -32,8 +32,6 @@ from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.studies import SceneStudy
-from chdstat.summary.histograms import histogram
-from chdstat.viz.chd import SCALES
 from chdstat.viz.styling import NAMES, called, estimator_name, spelt, upright
 
 if TYPE_CHECKING:
@@ -240,11 +238,7 @@ def _firefly(data: SceneData) -> Figure | None:
     }
     middle = data.samples.shape[2] // 2
     samples = {name: data.samples[pixel][middle] for name, pixel in pixels.items()}
-    linear, log = (
-        {name: histogram(x, scale=scale, bad=is_bad(x)) for name, x in samples.items()}
-        for scale in SCALES
-    )
-    return viz.firefly_pair(means[..., batch], pixels, linear, log)
+    return viz.firefly_pair(means[..., batch], pixels, samples)
 
 
 def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:

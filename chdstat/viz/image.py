@@ -24,9 +24,10 @@ from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import Width
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
-from chdstat.summary.histograms import Histogram, Scale
+from chdstat.summary.histograms import Histogram, Scale, histogram
 from chdstat.viz.chd import (
     MEAN,
+    SCALES,
     Channels,
     Panel,
     colors_of,
@@ -444,8 +445,7 @@ def _draw_errors(axes: Mapping[str, Axes], errors: Mapping[str, npt.ArrayLike], 
 def firefly_pair(
     image: npt.ArrayLike,
     pixels: Mapping[str, tuple[int, int]],
-    linear: Mapping[str, Histogram],
-    log: Mapping[str, Histogram],
+    samples: Mapping[str, npt.ArrayLike],
     *,
     width: Width = "page",
     fig: Figure | None = None,
@@ -458,8 +458,8 @@ def firefly_pair(
         The estimate in which the firefly is seen: linear radiance, shape (y, x, channel).
     pixels
         (y, x) by name: the firefly, then its neighbour.
-    linear, log
-        Histograms of one channel, shape (bin,), by the same names.
+    samples
+        Of one channel of them, shape (sample,), by the same names.
     width
         Of the figure: "column", "page" or inches.
     fig
@@ -478,7 +478,8 @@ def firefly_pair(
     _magnify(seen, tonemap(image), next(iter(pixels.values())), _MARGIN)
     for color, pixel in zip(_PAIR, pixels.values(), strict=True):
         _frame(seen, pixel, color, linewidth=1.5)
-    for ax, counted in ((left, linear), (right, log)):
+    for ax, scale in zip((left, right), SCALES, strict=True):
+        counted = {n: histogram(x, scale=scale, bad=~np.isfinite(x)) for n, x in samples.items()}
         ax.set_xlim(draw_histograms(ax, counted, colors=_PAIR, dashes=_DASHES))
     left.set_xlabel(f"radiance\n({UNIT})" if tight else f"radiance ({UNIT})")
     right.set_xlabel("radiance,\nlog scale" if tight else "the same on a logarithmic scale")

@@ -34,11 +34,7 @@ print(f"RGB of the pixel above it: {neighbour.round(2)}")
 pair = {"firefly": (y, x), "neighbour": (y - 1, x)}
 x = chd.rendering.render_pixels("gallery", list(pair.values()), spp=8192, size=(48, 48), seed=2)
 red = x[:, 0]
-linear, log = (
-    {name: chd.histogram(red[i], scale=scale) for i, name in enumerate(pair)}
-    for scale in ("linear", "log")
-)
-viz.firefly_pair(batches[..., batch], pair, linear, log)
+viz.firefly_pair(batches[..., batch], pair, dict(zip(pair, red, strict=True)))
 
 # %%
 # The two histograms are almost the same. With 8192 samples each, so are the means: the firefly was

@@ -39,10 +39,9 @@ def examples():
     labels = np.zeros((8, 8), int)
     compared = chd.compare(samples, ["mean", "median"], labels=labels, progress=False)
     test = ClaimTest("share", Interval(0.5, 0.4, 0.6), least=0.3)
-    two = {name: chd.histogram(RNG.gamma(1.0, size=64)) for name in (NAME, "b")}
+    two = {name: RNG.gamma(1.0, size=64) for name in (NAME, "b")}
     pair = {NAME: (5, 5), "b": (4, 5)}
     bars = PlotData("bars", {NAME: (np.zeros(1), np.ones(1))})
-    linear = dict.fromkeys(pair, ONE["linear"])
     return {
         "atlas": partial(viz.atlas, chd.atlas(samples, clusters=2, progress=False)),
         "averages": partial(
@@ -62,7 +61,7 @@ def examples():
         ),
         "estimator_measures": partial(viz.estimator_measures, compared),
         "finding_plots": partial(viz.finding_plots, {NAME: bars}),
-        "firefly_pair": partial(viz.firefly_pair, IMAGE, pair, linear, two),
+        "firefly_pair": partial(viz.firefly_pair, IMAGE, pair, two),
         "fit_curve": partial(viz.fit_curve, chd.fit.mixture(RNG.gamma(2.0, size=64))),
         "mode_stems": partial(viz.mode_stems, chd.modality(RNG.gamma(2.0, size=(2, 64)))),
         "tail_curve": partial(viz.tail_curve, chd.fit.tail_index(RNG.pareto(2.0, size=256))),
@@ -261,7 +260,7 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.chd_grid({}), "at least one panel"),
         (lambda: viz.chd_grid({"a": [PANEL] * 2, "b": [PANEL]}), "'a': 2, 'b': 1"),
         (lambda: viz.region_study(IMAGE, [MARK], []), "got 0 for 1"),
-        (lambda: viz.firefly_pair(IMAGE, {"firefly": (5, 5)}, {}, {}), "got 1 pixels"),
+        (lambda: viz.firefly_pair(IMAGE, {"firefly": (5, 5)}, {}), "got 1 pixels"),
         (lambda: viz.side_by_side({}), "at least one image"),
         (lambda: viz.renders_compared({}), "at least one image"),
         (lambda: viz.renders_compared({"a": IMAGE}, {"a": []}, [MARK]), "as many places"),
