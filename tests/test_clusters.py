@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 from xarray.testing import assert_allclose
 
 import chdstat as chd
+from chdstat._core import work
 from chdstat._core.work import beside, client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
@@ -25,6 +26,7 @@ from chdstat.samples import Samples
 from chdstat.samples import tiles as cut
 from chdstat.samples.store import Store, reopened
 from chdstat.summary.statistics import Summary
+from tests.stops import counted, stopped
 
 SETTINGS: dict[str, Any] = {"size": (24, 16), "backend": "scalar", "progress": False}
 
@@ -163,38 +165,29 @@ def test_a_closed_client_is_told(store):
         chd.analyze(store, client=gone, progress=False)
 
 
-def stopping(function: Callable[..., Any], calls: list[int], most: int) -> Callable[..., Any]:
-    """Return a function that raises KeyboardInterrupt after some calls, and counts them."""
-
-    def counted(*arguments: Any, **options: Any) -> Any:
-        calls.append(1)
-        if len(calls) > most:
-            raise KeyboardInterrupt
-        return function(*arguments, **options)
-
-    return counted
+@pytest.fixture
+def one_thread(monkeypatch):
+    """Let one thread work, so that it is certain what it has done when it is stopped."""
+    monkeypatch.setattr(work, "cores", lambda: 1)
 
 
 TILES = 6
 """Of 8 x 8 pixels in the image."""
 
 
-def test_an_analysis_that_was_stopped_goes_on(store, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("one_thread")
+def test_an_analysis_that_was_stopped_goes_on(store, tmp_path):
+    """In its summary, and in its fits: what was done of tiles is not done again."""
     samples, folder = store.load(), tmp_path / "parts"
-    calls: list[int] = []
-    for most in (2, TILES + 1, 10 * TILES):  # in the summary, in the fits, and not at all
-        for target, name in ((Summary, "read"), (ModalMixture, "measure")):
-            monkeypatch.setattr(target, name, stopping(getattr(target, name), calls, most))
-        try:
-            found = chd.analyze(samples, checkpoint=folder, progress=False)
-        except KeyboardInterrupt:
-            assert folder.exists()
-        monkeypatch.undo()
-        monkeypatch.setattr(cut, "_EDGE", 8)
+    for target, name in ((Summary, "read"), (ModalMixture, "measure")):
+        with stopped(target, name, 2):
+            chd.analyze(samples, checkpoint=folder, progress=False)
+        assert folder.exists()
+    with counted(Summary, "read") as summaries, counted(ModalMixture, "measure") as fits:
+        found = chd.analyze(samples, checkpoint=folder, progress=False)
+    assert (len(summaries), len(fits)) == (0, TILES - 2)
     assert not folder.exists()
     assert found.identical(chd.analyze(samples, progress=False))
-    # Each tile twice, but for what was under way when it was stopped.
-    assert 2 * TILES <= len(calls) <= 2 * TILES + 2 * 4
 
 
 def test_checkpoints_remove_nothing_of_others_and_need_a_folder(store, tmp_path):
@@ -220,35 +213,29 @@ def test_checkpoints_stay_until_the_output_is_there(tmp_path, monkeypatch):
         with pytest.raises(StoreError, match="the disk is full"):
             app(command, standalone_mode=False)
     assert beside(out).is_dir()
-    monkeypatch.setattr(Summary, "read", stopping(Summary.read, [], 0))
-    app(command, standalone_mode=False)
+    with counted(Summary, "read", most=0):
+        app(command, standalone_mode=False)
     assert out.is_dir()
     assert not beside(out).exists()
 
 
-def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path, monkeypatch):
-    folder, calls = tmp_path / "parts", list[int]()
-    whole, measure = combine(store), PowerSums.of  # twice a tile
-    for most in (4, 20 * TILES):
-        with monkeypatch.context() as patch:
-            stopped = stopping(measure, calls, most)
-            patch.setattr(PowerSums, "of", stopped)
-            if most == 4:
-                with pytest.raises(KeyboardInterrupt):
-                    combine(store, checkpoint=folder)
-            else:
-                found = combine(store, checkpoint=folder)
-    assert np.array_equal(found.radiance, whole.radiance)
-    assert 2 * TILES <= len(calls) <= 2 * TILES + 8
-    monkeypatch.setattr(PowerSums, "of", stopping(measure, [], 4))
-    with pytest.raises(KeyboardInterrupt):
+@pytest.mark.usefixtures("one_thread")
+def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path):
+    folder, whole = tmp_path / "parts", combine(store)
+    with stopped(PowerSums, "of", 4):  # it is called twice a tile
         combine(store, checkpoint=folder)
-    monkeypatch.undo()
+    with counted(PowerSums, "of") as calls:
+        found = combine(store, checkpoint=folder)
+    assert np.array_equal(found.radiance, whole.radiance)
+    assert len(calls) == 2 * (TILES - 2)
+    with stopped(PowerSums, "of", 4):
+        combine(store, checkpoint=folder)
     fewer = store.isel(sample=slice(32))
     assert np.array_equal(combine(fewer, checkpoint=folder).radiance, combine(fewer).radiance)
 
 
-def test_a_render_is_summarised_without_its_samples(client, store, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("one_thread")
+def test_a_render_is_summarised_without_its_samples(client, store, tmp_path):
     def drawn(**at: Any) -> Any:
         rendering = render_batches("cornell-box", spp=64, **SETTINGS)
         return chd.analyze(rendering, progress=False, **at)
@@ -260,15 +247,11 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path, mon
     assert_allclose(found[sorted(set(fits) - set(kept))], fits[sorted(set(fits) - set(kept))])
     assert found.equals(chd.analyze(kept, progress=False))
     assert found.equals(drawn(client=client))
-    monkeypatch.setattr(Summary, "read", stopping(Summary.read, [], 2))
-    with pytest.raises(KeyboardInterrupt):
+    with stopped(Summary, "read", 2):
         drawn(checkpoint=tmp_path / "parts")
-    calls: list[int] = []
-    monkeypatch.undo()
-    monkeypatch.setattr(cut, "_EDGE", 8)
-    monkeypatch.setattr(Summary, "read", stopping(Summary.read, calls, 100))
-    assert found.equals(drawn(checkpoint=tmp_path / "parts"))
-    assert 0 < len(calls) <= TILES - 2
+    with counted(Summary, "read") as calls:
+        assert found.equals(drawn(checkpoint=tmp_path / "parts"))
+    assert len(calls) == TILES - 2
     assert not (tmp_path / "parts").exists()
     assert found["best_goodness_effect"].notnull().any()
     assert found["lognormal_mixture_k"].max() >= 1

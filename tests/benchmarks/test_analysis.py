@@ -1,11 +1,10 @@
-"""What each statistic of an analysis costs; and fits of histograms cost the same at any spp."""
+"""What each statistic of an analysis costs."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 import chdstat as chd
@@ -53,17 +52,3 @@ def test_cost_of_each_statistic(as_benchmark, samples):
     print(f"\nus of processor time per channel of {samples.spp} samples")
     for name, act in work.items():
         print(f"{name:34}{1e6 * seconds(act) / part.n.size:8.1f}")
-
-
-@pytest.mark.filterwarnings("ignore::chdstat.errors.InputWarning")  # passes that repeat
-def test_histogram_route_does_not_depend_on_spp(as_benchmark, samples):
-    x = samples.read()[:48, :48]
-    few, many = (chd.histogram(chd.Samples.from_array(y)) for y in (x, np.tile(x, 8)))
-
-    def fitted(counts: object) -> None:
-        chd.fit.select(counts)
-        chd.fit.mixture(counts, effort="fast")
-
-    fitted(few)
-    first, time_of_many, again = (seconds(lambda h=h: fitted(h)) for h in (few, many, few))
-    print(f"\ntime for 8 times the spp: {time_of_many / ((first + again) / 2):.2f}")

@@ -6,14 +6,11 @@ many worlds of each kind are drawn, in place of 50 (ties: eight times as many).
 
 import os
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-import chdstat as chd
-from chdstat.estimators import LearnedEstimator, lookup, names
-from chdstat.studies.claims import CLAIMS, SceneData
+from chdstat.studies.claims import CLAIMS
 from tests.studies.claims import worlds
 
 WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
@@ -104,30 +101,3 @@ def test_two_modes_across_a_penumbra_are_found():
     found = verdicts(6, worlds.penumbra(True), count=max(WORLDS // 5, 1))
     told("6, two modes", found)
     assert found["supported"] >= 0.9
-
-
-MINIBATCHES = {"elek2019": 10_000}
-"""Of the paper's network; the others take a twentieth."""
-
-
-@pytest.mark.usefixtures("as_benchmark")
-def test_reduction_to_the_mean():
-    """Every learned estimator of the registry: constants, order and unit, a row each."""
-    samples = chd.render("cornell-box", spp=128, size=(48, 48), backend="scalar")
-    models = {
-        name: lookup(name).train(samples, iterations=MINIBATCHES.get(name, 500), progress=False)
-        for name in names("learned")
-        if isinstance(lookup(name), LearnedEstimator)
-    }
-    compared = chd.compare(samples, ["mean", "median_of_means"], progress=False)
-    compared = replace(compared, estimators=("mean", *models), models=models)
-    found = BY_NUMBER[16].find(SceneData("cornell-box", samples, comparison=compared))
-    for name, one in {"elek2019": found, **found.other_models}.items():
-        values = [test.interval.value for test in one.tests]
-        row = "constants {:.2g}, order {:.2g}, unit {:.2g}".format(*values)
-        print(f"\n  16, {name}: {one.verdict}; largest deviation: {row}", end="")
-        print(
-            f"; reversed, {one.details['change_over_step_by_order']['reversed']:.2g} steps", end=""
-        )
-    assert found.verdict == "not supported"
-    assert {one.verdict for one in found.other_models.values()} == {"supported"}

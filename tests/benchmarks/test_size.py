@@ -1,8 +1,7 @@
 """Memory and processor time of large stores, of simulated samples, each stage in a child process.
 
-CHDSTAT_SIZE, such as ``1920x1080x64``, sets width, height and samples of a pixel, CHDSTAT_TILES how
-many tiles of samples that no disk holds are worked on (0: all). Run with ``--benchmark-only -s -n
-0``.
+CHDSTAT_SIZE, such as ``1920x1080x64``, sets width, height and samples of a pixel. Run with
+``--benchmark-only -s -n 0``.
 """
 
 from __future__ import annotations
@@ -73,10 +72,3 @@ def test_memory_of_a_large_store(as_benchmark, store, stage, tmp_path):
         f"\n{stage} of {WIDTH} x {HEIGHT} x {SPP} ({raw / 1e9:.1f} GB): at most "
         f"{peak / 1e6:.2f} GB of memory, {12e9 * seconds / raw:.0f} ns of processor time a sample"
     )
-
-
-@pytest.mark.parametrize("stage", ["analyze", "estimate"])
-def test_memory_does_not_grow_with_what_was_done(as_benchmark, stage, tmp_path):
-    program = Path(__file__).with_name("huge.py")
-    size, most = f"{WIDTH}x{HEIGHT}x{SPP}", os.environ.get("CHDSTAT_TILES", "64")
-    subprocess.run([sys.executable, str(program), stage, size, most, str(tmp_path)], check=True)

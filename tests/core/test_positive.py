@@ -9,6 +9,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import FamilySelection
 from chdstat.summary.runner import measured
+from tests.luminance import LUMINANCE
 
 X = np.array(
     [
@@ -31,42 +32,6 @@ def test_samples_add_up():
     np.testing.assert_array_equal(part.n_good, [5, 6, 6, 0, 5, 6])
 
 
-def test_sorted_samples_and_their_logarithms():
-    part = PositivePart.of(X)
-    np.testing.assert_array_equal(part.sorted[0], [1, 2, 4, np.inf, np.inf, np.inf])
-    np.testing.assert_array_equal(part.valid[0], [True] * 3 + [False] * 3)
-    np.testing.assert_array_equal(part.log_sorted, np.log(part.sorted))
-    assert part.log_sorted is part.log_sorted
-
-
-@pytest.mark.parametrize("scale", [1.0, 1e30, 1e-43])
-def test_logarithms_of_single_precision_are_double(scale):
-    rng = np.random.default_rng(1)
-    x = (scale * rng.gamma(2.0, size=(3, 64))).astype(np.float32)
-    part = PositivePart.of(x)
-    assert part.log_sorted.dtype == np.float64
-    exact = np.log(np.sort(x.astype(np.float64), axis=-1))
-    np.testing.assert_allclose(part.log_sorted, exact, rtol=1e-15)
-
-
-def test_log_statistics_are_those_of_the_positive_samples():
-    rng = np.random.default_rng(2)
-    x = np.where(rng.random((5, 400)) < 0.4, 0, rng.lognormal(size=(5, 400)))
-    statistics = PositivePart.of(x).log_statistics
-    for row, samples in enumerate(x):
-        log = np.log(samples[samples > 0])
-        assert statistics.log_mean[row] == pytest.approx(log.mean())
-        assert statistics.log_variance[row] == pytest.approx(log.var())
-        gap = np.log(samples[samples > 0].mean()) - log.mean()
-        assert statistics.gap[row] == pytest.approx(gap)
-
-
-def test_samples_of_all_magnitudes_have_finite_sums():
-    x = np.array([5e-324, 1.0, 1e30, 0.0])
-    for values in vars(PositivePart.of(x).log_statistics).values():
-        assert np.isfinite(values).all()
-
-
 def test_reasons():
     expected = [Reason.OK, Reason.ALL_NULL, Reason.CONSTANT, Reason.ALL_BAD]
     expected += [Reason.NONE_POSITIVE, Reason.OK]
@@ -82,7 +47,7 @@ def test_the_rows_of_a_pixel_are_its_channels_its_luminance_or_both():
     )
     bad = np.isnan(block).any(axis=1, keepdims=True)
     np.testing.assert_array_equal(channels.x, np.where(bad, np.nan, block))
-    expected = np.array([0.212671, 0.715160, 0.072169]) @ block
+    expected = LUMINANCE @ block
     assert light.x == pytest.approx(expected, rel=1e-6, nan_ok=True)
     np.testing.assert_array_equal(both.x, np.concatenate([channels.x, light.x[:, None]], axis=1))
     for name in ("positive", "n", "n_null", "n_zero", "n_negative", "n_bad"):

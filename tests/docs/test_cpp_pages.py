@@ -1,7 +1,5 @@
 """The pages for renderers in C++: all that they tell people to compile and to type is run."""
 
-import contextlib
-import io
 import os
 import re
 import shlex
@@ -10,13 +8,11 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.cli import main
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {
@@ -40,53 +36,33 @@ def blocks(page, language):
     return found
 
 
-def chdstat(line, folder):
-    """Run a command of chdstat in this process, and return what it prints."""
-    printed = io.StringIO()
-    with (
-        mock.patch("sys.argv", shlex.split(line)),
-        contextlib.chdir(folder),
-        contextlib.redirect_stdout(printed),
-        pytest.raises(SystemExit) as ended,
-    ):
-        main()
-    assert not ended.value.code, line
-    return printed.getvalue()
+@pytest.fixture
+def type_in(tmp_path, monkeypatch, run):
+    """Return what types lines of a terminal but for reports, which must succeed: all they print."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+
+    def typed(line):
+        if line.startswith("chdstat report"):  # as `test_guides` does
+            return ""
+        if line.startswith("chdstat "):
+            code, out, err = run(*shlex.split(line)[1:])
+        else:
+            done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+            code, out, err = done.returncode, done.stdout, done.stderr
+        assert code == 0, f"{line}\n{err}"
+        return out
+
+    return lambda lines: "".join(typed(line.removeprefix("$ ")) for line in lines.splitlines())
 
 
-def type_in(lines, folder):
-    """Type the lines of a terminal but for reports; they must succeed. Return what they print."""
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path}
-    printed = ""
-    for line in lines.splitlines():
-        if line.startswith("$ chdstat report"):  # as `test_guides` does
-            continue
-        if line.startswith("$ chdstat "):
-            printed += chdstat(line.removeprefix("$ "), folder)
-            continue
-        done = subprocess.run(
-            ["bash", "-c", line.removeprefix("$ ")],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
-        printed += done.stdout
-    return printed
-
-
-def test_the_shortest_program_becomes_samples(tmp_path):
+def test_the_shortest_program_becomes_samples(tmp_path, type_in):
     page, first = PAGES["cpp-renderer"], blocks("cpp-renderer", "cpp")["first.cpp"]
     own = [line for line in first.splitlines() if "writer" in line or "chdstat" in line]
     assert len(own) <= 20
     (tmp_path / "first.cpp").write_text(first)
     shutil.copy(DOCS / "how-to/cpp/tracer.cpp", tmp_path)
-    printed = "".join(
-        type_in(lines, tmp_path) for lines in blocks("cpp-renderer", "console").values()
-    )
+    printed = "".join(map(type_in, blocks("cpp-renderer", "console").values()))
     assert "box" in printed
     first = chd.open(tmp_path / "first.zarr")
     assert first.shape == (30, 40, 3, 64)
@@ -108,17 +84,17 @@ int main() {
 
 
 @pytest.mark.parametrize("caption", [c for c in blocks("cpp-renderer", "cpp") if c != "first.cpp"])
-def test_every_other_block_is_compiled_and_run(tmp_path, caption):
+def test_every_other_block_is_compiled_and_run(tmp_path, type_in, caption):
     code, given = blocks("cpp-renderer", "cpp")[caption], ""
     if "chdstat::Writer writer" not in code:
         given = '    chdstat::Writer writer("x.chds", width, height);\n'
     (tmp_path / "block.cpp").write_text(f"{FRAME}{given}{code}}}\n")
     options = f"-std=c++11 -Wall -Wextra -Werror -pthread -I{INCLUDE}"
-    type_in(f"g++ {options} block.cpp -o block\n./block", tmp_path)
+    type_in(f"g++ {options} block.cpp -o block\n./block")
     assert list(tmp_path.glob("*.chds"))
 
 
-def test_pbrt_writes_its_samples(tmp_path):
+def test_pbrt_writes_its_samples(tmp_path, type_in):
     code = blocks("pbrt", "cpp")
     names = {
         "at the top": "top",
@@ -131,9 +107,9 @@ def test_pbrt_writes_its_samples(tmp_path):
         (tmp_path / f"{name}.inc").write_text(code[caption])
     shutil.copy(Path(__file__).parent / "pbrt_stand_in.cpp", tmp_path)
     options = f"-std=c++17 -Wall -Wextra -Werror -pthread -I{INCLUDE}"
-    type_in(f"g++ {options} pbrt_stand_in.cpp -o pbrt\n./pbrt", tmp_path)
+    type_in(f"g++ {options} pbrt_stand_in.cpp -o pbrt\n./pbrt")
     (commands,) = blocks("pbrt", "console").values()
-    type_in(commands, tmp_path)
+    type_in(commands)
     samples = chd.open(tmp_path / "kitchen.zarr")
     assert samples.shape == (30, 40, 3, 24)
     assert samples.attrs["seed"] == 1

@@ -30,31 +30,6 @@ def test_the_reference_is_the_mean_of_all_other_samples(samples):
     assert k == 6
 
 
-def _correlation_of_batch_and(reference, trials=4000):
-    """Correlate a batch's mean with its reference over pixels of one and the same distribution."""
-    rng = np.random.default_rng(1)
-    x = rng.gamma(2, size=(trials, 1, 1, 64))
-    samples = chd.Samples.from_array(x)
-    batch = next(batches(samples, 32))
-    y = reference(Totals.of(samples), batch)
-    return np.corrcoef(batch.mean(axis=-1).ravel(), y.ravel())[0, 1]
-
-
-# Under independence the correlation of 4000 pixels is normal with standard deviation 1/sqrt(4000) =
-# 0.016; five of them are exceeded with a probability of 6e-7.
-INDEPENDENT = 5 / np.sqrt(4000)
-
-
-def test_the_reference_is_independent_of_the_batch():
-    assert abs(_correlation_of_batch_and(Totals.mean_without)) < INDEPENDENT
-
-
-def test_a_leak_would_be_noticed():
-    leaky = _correlation_of_batch_and(lambda totals, _: totals.mean())
-    # Half of the samples shared: the correlation is 1/sqrt(2).
-    assert leaky == pytest.approx(np.sqrt(0.5), abs=INDEPENDENT)
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_bad_sample_is_kept_out_as_a_whole_and_its_batch_has_no_reference(samples, bad):
     x = samples.read().copy()

@@ -7,12 +7,9 @@ from scipy.spatial.distance import cdist
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators.outliers import BASE, LAYERS, Cascade, layer_weights
+from tests.luminance import LUMINANCE
 
 BRIGHTNESS = BASE ** np.arange(LAYERS)
-
-LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
-
-"""Weights of linear sRGB (ITU-R BT.709)."""
 
 
 def image(seed=0, shape=(4, 5, 3, 32)):
@@ -65,7 +62,6 @@ def split_by_hand(x):
 
 def resolve_by_hand(layers, n, kappa, radius):
     height, width, _, channels = layers.shape
-    weights = LUMINANCE
     result = np.zeros((height, width, channels))
 
     def reliability(y, column, i, r):
@@ -77,7 +73,7 @@ def resolve_by_hand(layers, n, kappa, radius):
                 colour = s * here[i]
                 colour = colour + (s * BASE * here[i - 1] if i > 0 else 0)
                 colour = colour + (s / BASE * here[i + 1] if i + 1 < LAYERS else 0)
-                total += weights @ colour
+                total += LUMINANCE @ colour
         return total / (2 * r + 1) ** 2
 
     for y, column in np.ndindex(height, width):
@@ -89,7 +85,7 @@ def resolve_by_hand(layers, n, kappa, radius):
                 reliable = reliability(y, column, i, 0) - 1 / kappa
             aim = min(max(1 / kappa, 0), 1)
             slack = (1 + 0.6 * (BASE - 1)) * (1 - aim) + aim
-            bright = max(weights @ accepted, 0.05) * s * slack
+            bright = max(LUMINANCE @ accepted, 0.05) * s * slack
             accepted = accepted + np.clip((reliable + bright) / 2, 0, 1) * layers[y, column, i]
         result[y, column] = accepted
     return result

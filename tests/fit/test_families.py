@@ -196,18 +196,6 @@ def test_one_sample_apart_from_all_others_is_enough(n):
     assert (chd.fit.weibull(lone).reason == Reason.OK).all()
 
 
-def test_samples_in_two_heaps_may_be_likeliest_at_the_limit():
-    """Between the heaps, Burr's likelihood has a maximum that the Weibull limit may exceed."""
-    rng = np.random.default_rng(9)
-    share = rng.uniform(0.05, 0.5, size=(300, 1))
-    far = rng.random((300, 256)) < share
-    x = np.where(far, rng.gamma(8.0, 2.0, size=far.shape), rng.gamma(1.0, 0.1, size=far.shape))
-    burr, weibull = chd.fit.burr(x), chd.fit.weibull(x)
-    fitted = burr.reason == Reason.OK
-    assert fitted.any()
-    assert (burr.log_likelihood >= weibull.log_likelihood - 0.1)[fitted].all()
-
-
 @pytest.mark.parametrize("family", ["weibull", "burr"])
 @np.errstate(all="ignore")
 def test_where_the_search_begins_makes_no_difference(family):

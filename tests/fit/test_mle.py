@@ -27,13 +27,6 @@ def sparse(rng, shape, nulls=0.4):
     return typical("gamma", rng, shape, nulls)
 
 
-@pytest.mark.parametrize("shape", [0.05, 0.3, 0.9, 2.0, 7.0, 60.0, 3000.0])
-def test_gamma_equals_scipy(shape):
-    x = np.random.default_rng(int(100 * shape)).gamma(shape, 2.5, size=400)
-    ours = by_scipy.in_scipys_words("gamma", chd.fit.gamma(x).parameters)
-    assert by_scipy.difference("gamma", by_scipy.scipy_fit("gamma", x), ours) < 1e-6
-
-
 @pytest.mark.parametrize("k", [0.01, 0.1, 1.0, 30.0, 990.0, 1010.0, 1e4])
 def test_gamma_equation_is_solved(k):
     """Of two samples 1 / a and a, log(mean) - mean(log x) is that of shape k: log(k) - digamma."""
@@ -189,22 +182,6 @@ def test_draws_follow_the_model_they_come_from():
     positive = draws[draws > 0]
     assert stats.kstest(positive, stats.gamma(shape, scale=scale).cdf).pvalue > 1e-4
     assert stats.kstest(positive, stats.gamma(1.3 * shape, scale=scale).cdf).pvalue < 1e-4
-
-
-def test_image_counts_nulls_and_bad_samples_by_whole_samples():
-    rng = np.random.default_rng(15)
-    radiance = rng.gamma(1.0, size=(2, 2, 3, 50)).astype(np.float32)
-    radiance[0, 0, :, :10] = 0
-    radiance[0, 0, 2, 10:15] = 0
-    radiance[0, 0, 1, 20] = np.nan
-    dataset = chd.fit.gamma(chd.Samples.from_array(radiance), progress=False)
-    pixel = dataset.isel(y=0, x=0)
-    np.testing.assert_array_equal(pixel["n_null"], [10, 10, 10])
-    np.testing.assert_array_equal(pixel["n_zero"], [0, 0, 5])
-    np.testing.assert_array_equal(pixel["n_bad"], [1, 1, 1])
-    np.testing.assert_array_equal(pixel["n"], [39, 39, 34])
-    assert dataset["gamma_scale"].attrs["units"] == "W sr-1 m-2"
-    assert "all_null" in dataset["gamma_reason"].attrs["flag_meanings"]
 
 
 def test_wrong_input_is_refused():

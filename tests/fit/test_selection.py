@@ -7,7 +7,6 @@ from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
 from chdstat.errors import InputError, Reason
-from chdstat.fit.families import SELECTED
 
 ROWS = 400
 
@@ -143,16 +142,6 @@ def test_one_family_has_no_margin():
     selection = chd.fit.select(draws("gamma")[0], ("gamma",))
     assert str(selection.names) == "gamma"
     assert np.isnan(selection.margin)
-
-
-def test_image():
-    radiance = draws("lognormal")[:12].reshape(2, 2, 3, 512)
-    radiance[0, 0] = 0
-    dataset = chd.fit.select(chd.Samples.from_array(radiance), held_out=True, progress=False)
-    assert dataset["best_family"].attrs["flag_meanings"].split() == ["none", *SELECTED]
-    np.testing.assert_array_equal(dataset["best_family"][0, 0], -1)
-    np.testing.assert_array_equal(dataset["best_family"][1, 1], 1)
-    assert list(dataset["family"].values) == list(SELECTED)
 
 
 def test_shares_of_an_image():

@@ -82,16 +82,6 @@ def test_averages_hold_nulls_but_no_bad_samples():
     assert gaussianity_of_means(np.ones(64), sizes=[2]).reason[0] == Reason.CONSTANT
 
 
-def test_image_of_means():
-    radiance = np.random.default_rng(14).exponential(size=(8, 8, 3, 512))
-    radiance[0, 0] = 0
-    dataset = gaussianity_of_means(chd.Samples.from_array(radiance), progress=False)
-    assert dataset["p_value"].dims == ("y", "x", "channel", "size")
-    np.testing.assert_array_equal(dataset["size"], [1, 2, 4, 8, 16])
-    share = dataset["rejected_share"].mean("channel").to_numpy()
-    assert share[0] > 0.9 > 0.3 > share[-1]
-
-
 def test_a_test_sees_the_first_averages_only():
     x = np.random.default_rng(15).exponential(size=(2, 512))
     for test in TESTS:
@@ -296,16 +286,6 @@ def test_n_needed_over_an_image_is_corrected_for_the_image():
     known = dataset["n_predicted_reason"] == Reason.OK
     assert not known.any()
     np.testing.assert_array_equal(dataset["n_predicted_reason"][2:], Reason.TOO_FEW)
-
-
-def test_predictions_over_an_image():
-    radiance = np.random.default_rng(37).normal(100, 1, size=(4, 4, 1, 1536)).astype(np.float32)
-    radiance[0, 0] = 0
-    dataset = gaussianity_of_means(chd.Samples.from_array(radiance), progress=False)
-    known = dataset["n_predicted_reason"] == Reason.OK
-    np.testing.assert_array_equal(dataset["n_predicted"].notnull(), known)
-    assert known.sum() >= 14
-    assert dataset["n_predicted_reason"][0, 0, 0] == Reason.ALL_NULL
 
 
 def test_sizes():

@@ -17,6 +17,7 @@ from chdstat.inference.contrasts import contrasting
 from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import Cells, scan_windows, window_sums
 from chdstat.io import read_exr, write_exr
+from tests.luminance import LUMINANCE
 
 LEVELS = np.array([0.01, 0.05, 0.1])
 EDGE = 48
@@ -231,19 +232,6 @@ def test_a_loss_is_found_and_placed_at_unequal_spp(counts):
     assert found.spp_needed is None
 
 
-@pytest.mark.parametrize("counts", [(16, 256), (300, 1000), (257, 999), (16, 24), (9, 4000)])
-def test_units_are_of_as_many_samples(counts):
-    pair = Pair.of(*(np.zeros((1, 1, 1, n), np.float32) for n in counts), None)
-    assert min(pair.units) == pair.terms
-    for i in (0, 1):
-        numbers = pair.unit_numbers(i)
-        assert len(numbers) <= counts[i]
-        np.testing.assert_array_equal(np.bincount(numbers), pair.unit_size)
-        assert len(np.unique(numbers)) == pair.units[i]
-    both = (pair.terms * pair.unit_size,)
-    np.testing.assert_array_equal(pair.unit_numbers(0)[: both[0]], pair.unit_numbers(1)[: both[0]])
-
-
 def test_samples_that_both_have_make_no_difference():
     """Renders of one seed: the first samples of the longer one are those of the shorter one."""
     for seed in range(10):
@@ -367,8 +355,7 @@ def test_means_and_efficiencies_are_those_of_the_samples():
     for name, x in (("a", a), ("b", b)):
         mean = chd.summarize(x)["mean"].to_numpy()
         np.testing.assert_allclose(found.maps[f"mean_{name}"][..., 1:], mean, rtol=1e-5)
-        weights = [0.212671, 0.715160, 0.072169]
-        light = np.einsum("yxcs,c->yxs", np.asarray(x, dtype=float), weights)
+        light = np.einsum("yxcs,c->yxs", np.asarray(x, dtype=float), LUMINANCE)
         np.testing.assert_allclose(found.maps[f"variance_{name}"], light.var(-1, ddof=1), rtol=1e-4)
     ratio = found.maps["variance_a"] * (2 / 48) / (found.maps["variance_b"] * (5 / 300))
     np.testing.assert_allclose(found.efficiency, ratio)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -230,17 +228,3 @@ def test_what_cannot_be_compared_is_refused_in_words():
     ):
         with pytest.raises(InputError, match=message):
             difference(a, b, **options)
-
-
-def test_renders_of_one_seed_by_two_integrators_have_uniform_p_values_in_pairs():
-    """Path tracing with and without early Russian roulette: equal means, other samples."""
-    plain = chd.load_scene("cornell-box")
-    kind = {**plain.source["integrator"], "rr_depth": 1}
-    roulette = replace(plain, source={**plain.source, "integrator": kind})
-    options = {"spp": 256, "size": (32, 32), "backend": "scalar"}
-    one = chd.render(plain, **options, seed=0)
-    for seed in (0, 7):
-        found = difference(one, chd.render(roulette, **options, seed=seed), replicates=1)
-        assert found.paired == (seed == 0)
-        p = found.mean_p_value[..., 1]
-        assert distance_to_uniform(p[np.isfinite(p)]) < 0.07

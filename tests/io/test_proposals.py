@@ -5,7 +5,6 @@ import re
 import numpy as np
 import OpenEXR
 import pytest
-import xarray as xr
 
 import chdstat as chd
 from chdstat.errors import ChdstatError
@@ -54,15 +53,6 @@ def test_no_axes_are_proposed_where_there_are_none(shape):
     for options in ({}, {"axes": "yxcs"}):
         message = refused(chd.Samples.from_array, np.ones(shape), **options)
         assert "'yx" not in message.replace("got 'yxcs'", "")
-
-
-def test_letters_and_dims_that_are_no_axes_are_refused():
-    assert "'yxsc'" in refused(chd.Samples.from_array, X, axes="yxc")
-    assert "'yxs'" in refused(chd.Samples.from_array, X[:, :, 0], axes="yxcs")
-    array = xr.DataArray(X, dims=("y", "x", "channel", "sample"))
-    assert "leave axes='yxcs' out" in refused(chd.Samples.from_array, array, axes="yxcs")
-    assert np.array_equal(chd.Samples.from_array(array).read(), X)
-    assert "as counts=" in refused(chd.Samples.from_array, X, features={"counts": GREY})
 
 
 @pytest.mark.parametrize("power", [-50, -80, -200, 40, 90, 250])

@@ -10,6 +10,7 @@ from chdstat.errors import InputError, StoreError
 from chdstat.rendering.adaptive import Adaptive, decided, density_of, error_of, expected_error
 from chdstat.samples.layout import counts_of, missing_of
 from chdstat.samples.store import Store
+from tests.stops import stopped
 
 VIEW = {"size": (70, 12), "seed": 3, "progress": False}
 """Two tiles."""
@@ -203,21 +204,12 @@ def test_stores_hold_what_is_in_memory_and_go_on(backend, tmp_path):
 
 
 @pytest.mark.parametrize("writes", [1, 3])
-def test_what_was_stopped_goes_on(wavefront, tmp_path, monkeypatch, writes):
+def test_what_was_stopped_goes_on(wavefront, tmp_path, writes):
     """It stops among the first samples, or among those that were decided."""
     settings = VIEW | {"spp": 96, "adaptive": True, "backend": wavefront}
-    whole, written = chd.render("cornell-box", **settings), Store.write
-
-    def stopping(store, chunk, block, left=[writes]):  # noqa: B006 - it counts
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        written(store, chunk, block)
-
-    monkeypatch.setattr(Store, "write", stopping)
-    with pytest.raises(KeyboardInterrupt):
+    whole = chd.render("cornell-box", **settings)
+    with stopped(Store, "write", writes):
         chd.render("cornell-box", out=tmp_path / "a.zarr", **settings)
-    monkeypatch.setattr(Store, "write", written)
     assert Store.open(tmp_path / "a.zarr").pending()
     found = chd.render("cornell-box", out=tmp_path / "a.zarr", **settings)
     assert np.array_equal(found.read(), whole.read(), equal_nan=True)

@@ -12,6 +12,7 @@ from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering.backend import probe
 from chdstat.samples import inspect
 from chdstat.samples.store import Store
+from tests.stops import stopped
 
 DIRECT = "direct"
 
@@ -82,27 +83,13 @@ def test_it_can_be_added_to_a_store_and_grows_with_it(tmp_path):
     assert (direct_of(grown) == direct_of(render(spp=70))).all()
 
 
-def test_a_render_that_was_stopped_resumes(tmp_path, monkeypatch):
+def test_a_render_that_was_stopped_resumes(tmp_path):
     out, size = tmp_path / "a.zarr", (80, 6)
-
-    def stop(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        make = Store.create
-        patch.setattr(
-            Store, "create", lambda path, **of: stop() if path.name == DIRECT else make(path, **of)
-        )
-        with pytest.raises(KeyboardInterrupt):
-            render(out=out, size=size)
+    with stopped(Store, "create", when=lambda path: path.name == DIRECT):
+        render(out=out, size=size)
     assert chd.open(out).direct is None
-    with monkeypatch.context() as patch:
-        write = Store.write
-        patch.setattr(
-            Store, "write", lambda s, c, b: stop() if s.path.name == DIRECT else write(s, c, b)
-        )
-        with pytest.raises(KeyboardInterrupt):
-            render(out=out, size=size)
+    with stopped(Store, "write", when=lambda store, *_: store.path.name == DIRECT):
+        render(out=out, size=size)
     assert chd.open(out).spp == 4
     assert chd.open(out).direct is None
     assert (direct_of(render(out=out, size=size)) == direct_of(render(size=size))).all()

@@ -89,18 +89,13 @@ def test_two_regions_of_one_name_are_refused(tmp_path):
         ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25, 0.5, 0.5]", "rectangle of region 'wall' must be"),
         ('"diffuse"', '"glow"', "phenomenon must be one of diffuse, .*, got 'glow'"),
         ("schema = 1", "schema = ", "not valid TOML"),
-        ("schema = 1", "", "schema must be 1, got None"),
-        ("[128, 96]", '["a", 96]', "width must be a whole number, got 'a'"),
         ("spp = 64", "spp = true", "spp must be a int, got True"),
         ("spp = 64", "spp = 0", "spp must be at least 1, got 0"),
-        ("seed = 3", "seed = -3", "seed must be at least 0, got -3"),
         ("max_depth = 9", "max_depth = 0", "max_depth must be at least 1 segment"),
         ("max_depth = 9", "depth = 9", "key integrator.depth must be one of type, max_depth"),
-        ('type = "path"', "type = 3", "integrator.type must be a str, got 3"),
         ("seed = 3", "seeds = 3", "key seeds must be one of schema, .*, got 'seeds'"),
         ("[[regions]]", "[regions]", r"regions must be tables \[\[regions\]\]"),
         ('name = "wall"', "", r"regions\[0\].name must be a str, got None"),
-        ('name = "wall"', 'name = "a"\nnote = 3', r"regions\[0\].note must be a str, got 3"),
     ],
 )
 def test_a_broken_recipe_names_file_and_key(tmp_path, old, new, message):

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.arrays import LUMINANCE
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.io import write_exr
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.options import scene_integrator, scene_size
 from chdstat.scenes import load_scene
+from tests.luminance import LUMINANCE
 from tests.matrices import look_at, translate
 
 WHOLE, CROP = (

@@ -20,9 +20,9 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.arrays import LUMINANCE
 from chdstat.errors import ChdstatError
 from chdstat.rendering.backend import activate, probe
+from tests.luminance import LUMINANCE
 from tests.matrices import look_at, scale, translate
 
 Change = dict[str, Any]
@@ -54,10 +54,6 @@ def bsdf(name: str, **settings: Any) -> Change:
 def texture(name: str, **settings: Any) -> Change:
     reflectance = {"type": name, **settings}
     return {"floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": reflectance}}}
-
-
-UPRIGHT = np.eye(4)[[0, 2, 1, 3]] * [1, 1, -1, 1]
-"""From y up to z up."""
 
 
 def emitter(name: str, **settings: Any) -> Change:

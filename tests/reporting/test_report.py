@@ -7,7 +7,6 @@ import re
 from importlib import resources
 
 import numpy as np
-import pypdfium2
 import pytest
 
 import chdstat as chd
@@ -16,18 +15,9 @@ from chdstat.reporting import scene_report
 from chdstat.reporting.content import remake_note
 from chdstat.reporting.documents import pages_of, typeset
 from chdstat.studies.claims import CLAIMS
+from tests.pdf import text_of
 
 FIXED = ("mean", "median_of_means")
-
-
-def text_of(path, last=None):
-    pdf = pypdfium2.PdfDocument(path)
-    try:
-        pages = [pdf[i] for i in range(len(pdf))][:last]
-        text = " ".join(page.get_textpage().get_text_range() for page in pages)
-        return " ".join(text.split())
-    finally:
-        pdf.close()
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +134,7 @@ def test_a_report_says_where_numbers_of_samples_differ(radiance, tmp_path):
     counts = np.where(np.arange(radiance.shape[1]) < 8, 20, spp) * np.ones((len(radiance), 1), int)
     samples = chd.Samples.from_array(radiance, axes="yxcs", counts=counts)
     chd.report(samples, tmp_path / "some.pdf")
-    text = " ".join(text_of(tmp_path / "some.pdf").split())
+    text = text_of(tmp_path / "some.pdf")
     assert f"20 to {spp} samples each" in text
     assert f"None of {counts.sum():,} samples is NaN" in text
     assert "at least 64 spp, got 20" in text

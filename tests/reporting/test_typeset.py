@@ -7,13 +7,13 @@ import shutil
 from importlib import resources
 from pathlib import Path
 
-import pypdfium2
 import pytest
 from matplotlib.figure import Figure
 
 from chdstat.errors import ChdstatError
 from chdstat.reporting import documents
 from chdstat.reporting.documents import Document, typeset
+from tests.pdf import text_of
 
 TEMPLATES = resources.files("chdstat.reporting") / "templates"
 
@@ -33,11 +33,7 @@ def test_a_figure_has_the_size_in_which_it_was_drawn(own, tmp_path, width):
     )
     drawn = {"drawn": Figure(figsize=(width, 1))}
     path = typeset(Document("size.typ", {}, drawn), tmp_path / "size.pdf")
-    pdf = pypdfium2.PdfDocument(path)
-    try:
-        assert pdf[0].get_textpage().get_text_range().split()[0] == f"{72 * width:g}pt"
-    finally:
-        pdf.close()
+    assert text_of(path).split()[0] == f"{72 * width:g}pt"
 
 
 @pytest.mark.parametrize("name", ["parts.typ", "scene_report.typ", "study.typ"])

@@ -207,21 +207,6 @@ def test_arrays_are_held_in_single_precision():
     assert np.array_equal(Samples.from_array(x)[0, 0], x[0, 0], equal_nan=True)
 
 
-@pytest.mark.parametrize(
-    ("array", "message"),
-    [
-        (np.ones(4), r"must have shape \(y, x, channel, sample\) or .*, got \(4,\)"),
-        (np.ones((2, 2, 0, 4)), r"got \(2, 2, 0, 4\)"),
-        (np.ones((2, 2, 3, 0)), "at least one element"),
-        (np.ones((1, 2, 2, 3, 4)), r"got \(1, 2, 2, 3, 4\)"),
-        (np.full((2, 2, 3, 4), "a"), "must hold real numbers"),
-    ],
-)
-def test_other_arrays_are_refused(array, message):
-    with pytest.raises(InputError, match=message):
-        Samples.from_array(array)
-
-
 @pytest.mark.parametrize("path", [None, 5, ["a.zarr"], "a\0b", "x" * 5000])
 def test_what_is_no_path_is_refused(path):
     with pytest.raises((InputError, StoreError), match="expected a path, got|no store at xxx"):

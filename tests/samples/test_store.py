@@ -15,6 +15,7 @@ from chdstat.samples import inspect, is_store, layout
 from chdstat.samples.layout import SCHEMA_VERSION
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, TILE, chunk_grid
+from tests.stops import stopped
 
 ALL = slice(None)
 
@@ -72,18 +73,6 @@ def test_what_is_written_is_read_to_the_bit(tmp_path, shape, channels):
         assert np.array_equal(store.read(part, part, part), x[part, part, :, part])
 
 
-def test_nulls_and_bad_samples_stay_as_they_are(tmp_path):
-    x = radiance(TILE, 2 * TILE, BATCH)
-    x[:, :TILE] = 0
-    x[:, TILE:] = np.nan
-    x[3, 3, :, 5] = np.inf, -np.inf, -1
-    fill(create(tmp_path / "s.zarr", x), x)
-    store = Store.open(tmp_path / "s.zarr")
-    assert store.complete_spp() == BATCH
-    assert store.damaged() == []
-    assert np.array_equal(store.read(ALL, ALL, ALL), x, equal_nan=True)
-
-
 # --- stopping and growing -----------------------------------------------------------------------
 
 
@@ -115,21 +104,12 @@ def test_growing_keeps_what_is_stored(tmp_path, old, new):
     assert np.array_equal(Store.open(path).read(ALL, ALL, ALL), x)
 
 
-def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
+def test_a_growth_stopped_halfway_goes_on(tmp_path):
     x = radiance(4, 4, 100)
     path = tmp_path / "s.zarr"
     store = fill(create(path, x[..., :10]), x[..., :10])
-    put = layout.put
-
-    def stop_before_radiance(file: Path, content: bytes) -> None:
-        if file.parent.name == "radiance":
-            raise KeyboardInterrupt
-        put(file, content)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(layout, "put", stop_before_radiance)
-        with pytest.raises(KeyboardInterrupt):
-            store.extend(100)
+    with stopped(layout, "put", when=lambda file, _: file.parent.name == "radiance"):
+        store.extend(100)
     store.close()
     assert Store.open(path).damaged() == [path / "radiance/zarr.json"]
     again = Store.open(path, writable=True)
@@ -156,19 +136,11 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path):
 
 
 @pytest.mark.parametrize("stop", ["zarr.json", "features/depth/c/0/0"])
-def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
-    path, put = tmp_path / "s.zarr", layout.put
+def test_what_a_stopped_maker_left_is_completed(tmp_path, stop):
+    path = tmp_path / "s.zarr"
     x, features = radiance(4, 4, 4), {"depth": np.ones((4, 4), np.float32)}
-
-    def stopped(file: Path, content: bytes) -> None:
-        if file == path / stop:
-            raise KeyboardInterrupt
-        put(file, content)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(layout, "put", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            create(path, x, features=features)
+    with stopped(layout, "put", when=lambda file, _: file == path / stop):
+        create(path, x, features=features)
     assert is_store(path) == (stop != "zarr.json")
     store = Store.open(path, writable=True) if is_store(path) else create(path, x)
     with store:

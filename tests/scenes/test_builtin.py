@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import runpy
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,9 @@ import numpy as np
 import pytest
 from diptest import diptest
 
-from chdstat._core.arrays import LUMINANCE
 from chdstat.rendering.recipes import find_recipe
 from chdstat.scenes import BUILTIN, builtin, load_scene
+from tests.luminance import LUMINANCE
 
 IDENTITIES = {
     "bathroom": "f799da4d",
@@ -40,15 +39,6 @@ NULL_SHARES = {
     "many-lights": (0.0, 0.1),
     "night-room": (0.6, 0.75),
 }
-
-
-def leaves(value: Any) -> Iterator[Any]:
-    items = value.values() if isinstance(value, Mapping) else value
-    if not isinstance(value, Mapping | list):
-        yield value
-    else:
-        for item in items:
-            yield from leaves(item)
 
 
 @functools.cache
@@ -83,27 +73,6 @@ def test_the_tool_makes_their_meshes_and_textures(monkeypatch):
         assert list(made) == held.files
         for name in held.files:
             np.testing.assert_array_equal(made[name], held[name], err_msg=name)
-
-
-@pytest.mark.parametrize("name", BUILTIN)
-def test_scenes_are_plain_values_and_sound_meshes(name):
-    plain = {str, bool, int, float, np.ndarray, type(None)}
-    assert {type(leaf) for leaf in leaves(source_of(name))} <= plain
-    for key, entry in source_of(name).items():
-        if isinstance(entry, Mapping) and entry["type"] == "mesh":
-            assert np.isfinite(entry["vertices"]).all(), key
-            assert entry["faces"].max() < len(entry["vertices"]), key
-            if entry["normals"] is not None:
-                lengths = np.linalg.norm(entry["normals"], axis=-1)
-                np.testing.assert_allclose(lengths, 1.0, atol=1e-5, err_msg=key)
-
-
-def test_the_identity_changes_with_any_vertex():
-    description = source_of("cornell-box")
-    block = description["short-block"]
-    moved = {**block, "vertices": block["vertices"] + np.float32(1e-3)}
-    changed = load_scene({**description, "short-block": moved})
-    assert changed.hash != load_scene("cornell-box").hash
 
 
 @pytest.mark.parametrize("name", BUILTIN)

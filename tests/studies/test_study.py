@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pypdfium2
 import pytest
 
 import chdstat as chd
@@ -20,6 +19,8 @@ from chdstat.reporting.documents import study_document
 from chdstat.studies import stores, studies, study
 from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, SceneData
 from chdstat.studies.stores import scenes_of
+from tests.pdf import text_of
+from tests.stops import stopped
 
 TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
 
@@ -35,15 +36,6 @@ name = "back"
 phenomenon = "diffuse"
 rectangle = [0.3, 0.3, 0.7, 0.7]
 """
-
-
-def text_of(path, last=None):
-    pdf = pypdfium2.PdfDocument(path)
-    try:
-        pages = [pdf[i] for i in range(len(pdf))][:last]
-        return " ".join(" ".join(p.get_textpage().get_text_range() for p in pages).split())
-    finally:
-        pdf.close()
 
 
 def noise(scene, shape=(12, 12, 3, 128), seed=0):
@@ -169,14 +161,9 @@ def test_integrators_render_one_scene_in_other_ways():
     assert stores.without_emitter_sampling({"type": "scene", "lamp": lamp}) is None
 
 
-def test_an_interrupted_study_is_taken_up(tmp_path, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(stores, "analyze", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            study("cornell-box", folder=tmp_path, **TINY)
+def test_an_interrupted_study_is_taken_up(tmp_path):
+    with stopped(stores, "analyze"):
+        study("cornell-box", folder=tmp_path, **TINY)
     left = set(tmp_path.glob("*.zarr"))
     assert len(left) == 4
     study("cornell-box", folder=tmp_path, **TINY)

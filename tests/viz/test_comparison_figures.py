@@ -19,6 +19,7 @@ from chdstat.viz import (
     pattern_breakdown,
     pixel_estimates,
 )
+from tests.luminance import LUMINANCE
 from tests.viz.figures import texts
 
 NAMES = ["mean", "median", "median_of_means", "zirr2018"]
@@ -94,7 +95,7 @@ def test_pixels_are_drawn_by_their_luminance_with_reference_mean_and_estimates(f
     drawn = found.draw_pixels(9)
     ax = pixel_estimates(drawn)
     means = ax.collections[2].get_offsets()[:, 1]
-    assert sorted(means) == pytest.approx(sorted(drawn.mean @ [0.212671, 0.715160, 0.072169]))
+    assert sorted(means) == pytest.approx(sorted(drawn.mean @ LUMINANCE))
     assert ax.get_ylabel().startswith("luminance,")
     seen = texts(ax.figure)
     assert {"reference", "mean of 32", "median of means", "Zirr et al. 2018"} <= seen

@@ -159,12 +159,6 @@ def test_curves_of_several_panels_share_looks_and_one_legend():
     assert dark.get_ylim()[1] < bright.get_ylim()[0]
 
 
-def test_images_share_an_exposure_and_show_errors(image):
-    error = np.abs(image - 0.5).mean(axis=-1)
-    figure = viz.side_by_side({"a": image, "reference": image * 2}, errors={"a": error})
-    assert {"a", "reference", "log10 squared error"} <= texts(figure)
-
-
 def test_parts_of_images_are_magnified_below_each(image):
     parts = [(slice(0, 2), slice(0, 2)), (slice(2, 4), slice(1, 3))]
     images = {name: image * k for k, name in enumerate("abcd", 1)}

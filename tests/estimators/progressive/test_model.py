@@ -11,7 +11,6 @@ from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Progressive
 from chdstat.estimators.training import read_model, write_model
 
-BALANCES = (0.0, 0.5, 1.0)
 pytestmark = pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 
 

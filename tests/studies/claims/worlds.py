@@ -16,12 +16,18 @@ from chdstat.rendering.recipes import Region
 from chdstat.studies.claims import SceneData
 
 Rng = np.random.Generator
-World = Callable[[Rng, int], Sequence[SceneData]]
+Scenes = Sequence[SceneData]
+World = Callable[[Rng, int], Scenes]
 Draw = Callable[[Rng, tuple[int, ...]], np.ndarray]
 
 EDGE = 12
 WHITE = np.ones(3)
 BROWN = np.array([0.8, 0.4, 0.2])
+
+
+def given_first(world: Callable[..., Scenes]) -> Callable[..., World]:
+    """Let the parameters of a world be given first: ``nulls(0.5)(rng, spp)``."""
+    return lambda *parameters, **more: lambda rng, spp: world(rng, spp, *parameters, **more)
 
 
 def image(light: np.ndarray, color: np.ndarray = WHITE) -> np.ndarray:
@@ -54,14 +60,11 @@ def seen(draw: Draw, *phenomena: str, color: np.ndarray = WHITE) -> World:
     return lambda rng, spp: [evidence(image(draw(rng, size(spp)), color), *phenomena)]
 
 
-def parts(*named: tuple[str, Draw], color: np.ndarray = BROWN) -> World:
+@given_first
+def parts(rng: Rng, spp: int, *named: tuple[str, Draw], color: np.ndarray = BROWN) -> Scenes:
     """Return regions side by side, each of draws of its own."""
-
-    def world(rng, spp):
-        x = np.concatenate([draw(rng, size(spp)) for _, draw in named], axis=1)
-        return [evidence(image(x, color), *(name for name, _ in named))]
-
-    return world
+    x = np.concatenate([draw(rng, size(spp)) for _, draw in named], axis=1)
+    return [evidence(image(x, color), *(name for name, _ in named))]
 
 
 # --- draws --------------------------------------------------------------------------------------
@@ -171,57 +174,61 @@ def lit_across(draw: Draw) -> World:
     return seen(lambda rng, shape: scale * draw(rng, shape), "penumbra")
 
 
+@given_first
 def texture(
-    color: np.ndarray = BROWN, *, sigma: float = 0.5, multiplies: bool = True, pair: float = 0
-) -> World:
+    rng: Rng,
+    spp: int,
+    color: np.ndarray = BROWN,
+    *,
+    sigma: float = 0.5,
+    multiplies: bool = True,
+    pair: float = 0,
+) -> Scenes:
     """Return light times albedo, or with the albedo added to noise that does not know of it.
 
     The red channel has a deviation of its own. With a `pair`, a pale and a dark surface lie beside
     the texture, and that is the deviation of the dark one.
     """
-
-    def world(rng, spp):
-        shape = (EDGE, 3 * EDGE if pair else EDGE, spp)
-        albedo, light = (
-            color * rng.uniform(0.2, 1, size=(*shape[:2], 1)),
-            rng.lognormal(0, 0.5, shape),
-        )
-        if pair:
-            albedo[:, EDGE : 2 * EDGE], albedo[:, 2 * EDGE :] = 0.8, 0.04
-            light[:, 2 * EDGE :] **= pair / 0.5
-        x = image(light, albedo) if multiplies else 5 * albedo[..., np.newaxis] + image(light)
-        x[:, :, 0] **= sigma / 0.5
-        shown = ("texture", *("albedo-contrast", "albedo-contrast") * bool(pair))
-        return [evidence(x, *shown, features={"albedo": albedo.astype(np.float32)})]
-
-    return world
+    shape = (EDGE, 3 * EDGE if pair else EDGE, spp)
+    albedo, light = (
+        color * rng.uniform(0.2, 1, size=(*shape[:2], 1)),
+        rng.lognormal(0, 0.5, shape),
+    )
+    if pair:
+        albedo[:, EDGE : 2 * EDGE], albedo[:, 2 * EDGE :] = 0.8, 0.04
+        light[:, 2 * EDGE :] **= pair / 0.5
+    x = image(light, albedo) if multiplies else 5 * albedo[..., np.newaxis] + image(light)
+    x[:, :, 0] **= sigma / 0.5
+    shown = ("texture", *("albedo-contrast", "albedo-contrast") * bool(pair))
+    return [evidence(x, *shown, features={"albedo": albedo.astype(np.float32)})]
 
 
-def bounces(sigmas: Sequence[float], color: np.ndarray = BROWN, low: float = -4) -> World:
+@given_first
+def bounces(
+    rng: Rng, spp: int, sigmas: Sequence[float], color: np.ndarray = BROWN, low: float = -4
+) -> Scenes:
     """Return two modes in each channel, with the deviations of the channels."""
-
-    def world(rng, spp):
-        high = rng.random(size(spp))[:, :, np.newaxis] < 0.5
-        wide = np.asarray(sigmas)[:, np.newaxis]
-        x = rng.lognormal(np.where(high, 0, low), wide, (EDGE, EDGE, 3, spp))
-        return [evidence(x * color[:, np.newaxis], "multi-bounce")]
-
-    return world
+    high = rng.random(size(spp))[:, :, np.newaxis] < 0.5
+    wide = np.asarray(sigmas)[:, np.newaxis]
+    x = rng.lognormal(np.where(high, 0, low), wide, (EDGE, EDGE, 3, spp))
+    return [evidence(x * color[:, np.newaxis], "multi-bounce")]
 
 
 # --- whole images -------------------------------------------------------------------------------
 
 
+@given_first
 def fireflies(
-    rate: float = 1e-3, brightness: float = 1000, share: float = 1, edge: int = EDGE
-) -> World:
+    rng: Rng,
+    spp: int,
+    rate: float = 1e-3,
+    brightness: float = 1000,
+    share: float = 1,
+    edge: int = EDGE,
+) -> Scenes:
     """Return CHDs of which a share of the pixels has samples that are so much brighter."""
-
-    def world(rng, spp):
-        rare = rng.random(size(spp, edge)) < np.where(rng.random((edge, edge, 1)) < share, rate, 0)
-        return [evidence(image(rng.gamma(2, size=rare.shape) * np.where(rare, brightness, 1)))]
-
-    return world
+    rare = rng.random(size(spp, edge)) < np.where(rng.random((edge, edge, 1)) < share, rate, 0)
+    return [evidence(image(rng.gamma(2, size=rare.shape) * np.where(rare, brightness, 1)))]
 
 
 ROWS = np.where(np.arange(EDGE) % 2, 8, 1)[:, np.newaxis, np.newaxis]
@@ -229,20 +236,17 @@ glints = seen(lambda rng, shape: ROWS * rng.gamma(2, size=shape))
 """Rows that are brighter than those between them, in every sample."""
 
 
-def neighbours(ordered: bool) -> World:
+@given_first
+def neighbours(rng: Rng, spp: int, ordered: bool) -> Scenes:
     """Return two sides with a seam between, where every pixel sees both; or a jumble of them."""
-
-    def world(rng, spp):
-        shape = (36, 13, spp)
-        column = np.arange(13)
-        share = np.select([column < 6, column == 6], [0, 0.5], 1) * np.ones((36, 1))
-        if not ordered:
-            share = rng.random((36, 13))
-        right = rng.random(shape) < share[..., np.newaxis]
-        sides = rng.lognormal(-3, 0.5, shape), nulled(rng.gamma(2, size=shape), 0.4, rng)
-        return [evidence(image(np.where(right, sides[1], sides[0])))]
-
-    return world
+    shape = (36, 13, spp)
+    column = np.arange(13)
+    share = np.select([column < 6, column == 6], [0, 0.5], 1) * np.ones((36, 1))
+    if not ordered:
+        share = rng.random((36, 13))
+    right = rng.random(shape) < share[..., np.newaxis]
+    sides = rng.lognormal(-3, 0.5, shape), nulled(rng.gamma(2, size=shape), 0.4, rng)
+    return [evidence(image(np.where(right, sides[1], sides[0])))]
 
 
 def moved_seam(rng, spp):
@@ -251,60 +255,51 @@ def moved_seam(rng, spp):
     return [evidence(image(rng.lognormal(place[:, np.newaxis], 0.2, (36, 13, spp))))]
 
 
-def mirrored(factor: float) -> World:
+@given_first
+def mirrored(rng: Rng, spp: int, factor: float) -> Scenes:
     """Return a symmetric view whose right half has a lower right quarter that is brighter."""
-
-    def world(rng, spp):
-        x = rng.lognormal(0, 1, size(spp, 2 * EDGE))
-        x[EDGE:, EDGE:] *= factor
-        flat = np.ones((2 * EDGE, 2 * EDGE), dtype=np.float32)
-        features = {"depth": flat, "albedo": np.repeat(flat[..., None] / 2, 3, axis=-1)}
-        return [evidence(image(x), features=features)]
-
-    return world
+    x = rng.lognormal(0, 1, size(spp, 2 * EDGE))
+    x[EDGE:, EDGE:] *= factor
+    flat = np.ones((2 * EDGE, 2 * EDGE), dtype=np.float32)
+    features = {"depth": flat, "albedo": np.repeat(flat[..., None] / 2, 3, axis=-1)}
+    return [evidence(image(x), features=features)]
 
 
-def assumptions(kept: bool) -> World:
+@given_first
+def assumptions(rng: Rng, spp: int, kept: bool) -> Scenes:
     """Return two patches of long-tailed multiplicative noise, features that say nothing of them.
 
     Or a gentle slope with additive Gaussian noise of a variance that albedo knows.
     """
-
-    def world(rng, spp):
-        steps = np.linspace(2, 4, 24) if kept else np.where(np.arange(24) < 12, 1.0, 30.0)
-        mean, shape = steps * np.ones((24, 1)), (24, 24, spp)
-        features = {name: rng.uniform(-1, 1, size=(24, 24, 3)) for name in ("albedo", "normal")}
-        features["depth"] = rng.uniform(1, 2, size=(24, 24))
-        x = mean[..., np.newaxis] * rng.lognormal(0, 1.8, shape)
-        if kept:
-            features["albedo"] = np.abs(features["albedo"])
-            deviation = 0.05 + 0.3 * features["albedo"][..., :1]
-            x = np.maximum(mean[..., np.newaxis] + deviation * rng.normal(size=shape), 0)
-        small = {name: values.astype(np.float32) for name, values in features.items()}
-        return [evidence(image(x), features=small)]
-
-    return world
+    steps = np.linspace(2, 4, 24) if kept else np.where(np.arange(24) < 12, 1.0, 30.0)
+    mean, shape = steps * np.ones((24, 1)), (24, 24, spp)
+    features = {name: rng.uniform(-1, 1, size=(24, 24, 3)) for name in ("albedo", "normal")}
+    features["depth"] = rng.uniform(1, 2, size=(24, 24))
+    x = mean[..., np.newaxis] * rng.lognormal(0, 1.8, shape)
+    if kept:
+        features["albedo"] = np.abs(features["albedo"])
+        deviation = 0.05 + 0.3 * features["albedo"][..., :1]
+        x = np.maximum(mean[..., np.newaxis] + deviation * rng.normal(size=shape), 0)
+    small = {name: values.astype(np.float32) for name, values in features.items()}
+    return [evidence(image(x), features=small)]
 
 
 def families(draw: Draw) -> World:
     return lambda rng, spp: [evidence(image(draw(rng, (6, 6, spp))))]
 
 
-def family_shares(*shares: float) -> World:
+@given_first
+def family_shares(rng: Rng, spp: int, *shares: float) -> Scenes:
     """Return an analysis whose best families are drawn with these shares, gamma the first."""
     names = list(chd.fit.FAMILIES)
     flags = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
-
-    def world(rng, spp):
-        best = rng.choice(len(shares), p=shares, size=(24, 24, 1))
-        maps = {
-            "best_family": (("y", "x", "channel"), best, flags),
-            "gamma_like": (("y", "x"), np.zeros((24, 24), bool)),
-        }
-        samples = chd.Samples.from_array(np.ones((24, 24, 1, spp)))
-        return [SceneData("simulated", samples, given=xr.Dataset(maps))]
-
-    return world
+    best = rng.choice(len(shares), p=shares, size=(24, 24, 1))
+    maps = {
+        "best_family": (("y", "x", "channel"), best, flags),
+        "gamma_like": (("y", "x"), np.zeros((24, 24), bool)),
+    }
+    samples = chd.Samples.from_array(np.ones((24, 24, 1, spp)))
+    return [SceneData("simulated", samples, given=xr.Dataset(maps))]
 
 
 # --- several renders or scenes ------------------------------------------------------------------
@@ -316,73 +311,56 @@ def rendered(rng: Rng, draw: Draw, shape: tuple[int, ...], seconds: float = 1.0)
     return chd.Samples.from_array(x, backend="scalar", render_seconds=seconds)
 
 
-def path_lengths(short: float, long: float) -> World:
+@given_first
+def path_lengths(rng: Rng, spp: int, short: float, long: float) -> Scenes:
     """Return log-normal radiance with these deviations."""
-
-    def world(rng, spp):
-        x, y = (image(rng.lognormal(0, sigma, size(spp))) for sigma in (long, short))
-        return [evidence(x, shorter=chd.Samples.from_array(y))]
-
-    return world
+    x, y = (image(rng.lognormal(0, sigma, size(spp))) for sigma in (long, short))
+    return [evidence(x, shorter=chd.Samples.from_array(y))]
 
 
-def cost(brighter: float, seconds: float) -> World:
-    def world(rng, spp):
-        bright = rendered(rng, lambda r, s: brighter * r.gamma(2, size=s), size(spp), seconds)
-        return [SceneData("simulated", bright, shorter=rendered(rng, gamma(2), size(spp)))]
-
-    return world
+@given_first
+def cost(rng: Rng, spp: int, brighter: float, seconds: float) -> Scenes:
+    bright = rendered(rng, lambda r, s: brighter * r.gamma(2, size=s), size(spp), seconds)
+    return [SceneData("simulated", bright, shorter=rendered(rng, gamma(2), size(spp)))]
 
 
-def integrators(sigma: float, seconds: float) -> World:
+@given_first
+def integrators(rng: Rng, spp: int, sigma: float, seconds: float) -> Scenes:
     """Return an image, and it by sampling BSDFs alone, of another deviation and time."""
-
-    def world(rng, spp):
-        one = rendered(rng, lognormal(0.5), size(spp))
-        two = rendered(rng, lognormal(sigma), size(spp), seconds)
-        return [SceneData("simulated", one, integrators={"BSDF sampling alone": two})]
-
-    return world
+    one = rendered(rng, lognormal(0.5), size(spp))
+    two = rendered(rng, lognormal(sigma), size(spp), seconds)
+    return [SceneData("simulated", one, integrators={"BSDF sampling alone": two})]
 
 
-def guided(draw: Draw, by_guide: Draw) -> World:
+@given_first
+def guided(rng: Rng, spp: int, draw: Draw, by_guide: Draw) -> Scenes:
     """Return an image, and it by a guide, of draws of luminance."""
-
-    def world(rng, spp):
-        one, two = (image(d(rng, size(spp, 16))) for d in (draw, by_guide))
-        return [evidence(one, guided=chd.Samples.from_array(two))]
-
-    return world
+    one, two = (image(d(rng, size(spp, 16))) for d in (draw, by_guide))
+    return [evidence(one, guided=chd.Samples.from_array(two))]
 
 
-def adaptive(power: float) -> World:
+@given_first
+def adaptive(rng: Rng, spp: int, power: float) -> Scenes:
     """Return pixels with ever larger relative errors, and counts that follow a power of these."""
-
-    def world(rng, spp):
-        sigma = np.geomspace(0.1, 1, 2 * EDGE) * np.ones((2 * EDGE, 1))
-        shape = sigma[..., np.newaxis] ** -2
-        x = image(rng.gamma(shape, 1 / shape, size(spp, 2 * EDGE)))
-        counts = np.round(1000 * (sigma / sigma.max()) ** power).astype(int)
-        other = rng.random((*sigma.shape, 1, counts.max()))
-        uneven = chd.Samples.from_array(other, counts=counts)
-        return [evidence(x, adaptive=uneven)]
-
-    return world
+    sigma = np.geomspace(0.1, 1, 2 * EDGE) * np.ones((2 * EDGE, 1))
+    shape = sigma[..., np.newaxis] ** -2
+    x = image(rng.gamma(shape, 1 / shape, size(spp, 2 * EDGE)))
+    counts = np.round(1000 * (sigma / sigma.max()) ** power).astype(int)
+    other = rng.random((*sigma.shape, 1, counts.max()))
+    uneven = chd.Samples.from_array(other, counts=counts)
+    return [evidence(x, adaptive=uneven)]
 
 
-def complexity(sign: int) -> World:
+@given_first
+def complexity(rng: Rng, spp: int, sign: int) -> Scenes:
     """Return eight scenes of which ever more pixels have two modes, and their complexity."""
-
-    def world(rng, spp):
-        found = []
-        for i in range(8):
-            several = np.arange(12).reshape(3, 4, 1) < 1.5 * i
-            high = (rng.random((3, 4, spp)) < 0.5) & several
-            x = chd.Samples.from_array(image(rng.lognormal(np.where(high, 3, 0), 0.3)))
-            found.append(SceneData(f"scene {i}", x, complexity=sign * i))
-        return found
-
-    return world
+    found = []
+    for i in range(8):
+        several = np.arange(12).reshape(3, 4, 1) < 1.5 * i
+        high = (rng.random((3, 4, spp)) < 0.5) & several
+        x = chd.Samples.from_array(image(rng.lognormal(np.where(high, 3, 0), 0.3)))
+        found.append(SceneData(f"scene {i}", x, complexity=sign * i))
+    return found
 
 
 def more_light(rng, spp):
@@ -395,118 +373,104 @@ def more_light(rng, spp):
     return found
 
 
-def scenes(*sigmas: float, other: float | None = None) -> World:
+@given_first
+def scenes(rng: Rng, spp: int, *sigmas: float, other: float | None = None) -> Scenes:
     """Return one scene for each deviation, the first also by an integrator of another shape."""
 
-    def world(rng, spp):
-        def one(sigma):
-            return image(rng.lognormal(0, sigma, size(spp, 16)))
+    def one(sigma):
+        return image(rng.lognormal(0, sigma, size(spp, 16)))
 
-        integrator = chd.Samples.from_array(one(sigmas[-1] if other is None else other))
-        return [
-            evidence(one(s), name=f"scene {i}", integrator=integrator if i == 0 else None)
-            for i, s in enumerate(sigmas)
-        ]
-
-    return world
+    integrator = chd.Samples.from_array(one(sigmas[-1] if other is None else other))
+    return [
+        evidence(one(s), name=f"scene {i}", integrator=integrator if i == 0 else None)
+        for i, s in enumerate(sigmas)
+    ]
 
 
-def sequences(covariance: float, *, length: int = 16) -> World:
+@given_first
+def sequences(rng: Rng, spp: int, covariance: float, *, length: int = 16) -> Scenes:
     """Return samples of which those of a sequence depend on each other.
 
     Their average lies nearer the mean than that of independent ones for a covariance below 0, and
     farther from it above; in between, they are independent.
     """
-
-    def world(rng, spp):
-        shape = (24, 24, 16, length)
-        own = rng.gamma(2, size=shape)
-        if covariance < 0:
-            order = rng.permuted(np.broadcast_to(np.arange(length), shape), axis=-1)
-            own = -np.log1p(-(order + rng.random(shape)) / length)  # exponential, stratified
-        if covariance > 0:
-            own = own + np.sqrt(covariance) * rng.gamma(2, size=(*shape[:-1], 1))
-        x = image(own.reshape(24, 24, -1))
-        told: dict[str, Any] = {"sampler": "stratified", "sequence": length}
-        scene = evidence(image(rng.gamma(2, size=(24, 24, spp))), "direct", "shadow")
-        return [replace(scene, spread=chd.Samples.from_array(x, **told))]
-
-    return world
+    shape = (24, 24, 16, length)
+    own = rng.gamma(2, size=shape)
+    if covariance < 0:
+        order = rng.permuted(np.broadcast_to(np.arange(length), shape), axis=-1)
+        own = -np.log1p(-(order + rng.random(shape)) / length)  # exponential, stratified
+    if covariance > 0:
+        own = own + np.sqrt(covariance) * rng.gamma(2, size=(*shape[:-1], 1))
+    x = image(own.reshape(24, 24, -1))
+    told: dict[str, Any] = {"sampler": "stratified", "sequence": length}
+    scene = evidence(image(rng.gamma(2, size=(24, 24, spp))), "direct", "shadow")
+    return [replace(scene, spread=chd.Samples.from_array(x, **told))]
 
 
 # --- models -------------------------------------------------------------------------------------
 
 
-def learned(good: bool, who: str = "elek2019") -> World:
+@given_first
+def learned(rng: Rng, spp: int, good: bool, who: str = "elek2019") -> Scenes:
     """Return a comparison with a model that keeps what the paper promises of it, or nothing."""
-
-    def world(rng, spp):
-        x = rng.gamma(2, size=(32, 32, spp)) * np.where(rng.random((32, 32, spp)) < 2e-3, 300, 1)
-        scene = evidence(image(x))
-        found = chd.compare(scene.samples, ["mean", "median_of_means"], progress=False)
-        measures = dict(found.measures)
-        for name, share in (
-            ("improved", 0.7 if good else 0.3),
-            ("fireflies_left", 1.1 - 0.9 * good),
-        ):
-            value = np.full((2, 4), share)
-            error = np.full((2, 4), 0.02)
-            measures[name] = Interval(value, value - 0.04, value + 0.04, 0.95, error)
-        estimates = found.estimates.copy()
-        estimates[1] = (2.6 if good else 8) * np.ones_like(estimates[1])
-        iteration = np.arange(100, 10001, 100.0)
-        gain = 1 - np.exp(-iteration / 300) if good else iteration / 1e4
-        history = SimpleNamespace(
-            iteration=iteration,
-            validation_loss=2 - gain + rng.normal(0, 0.01, len(iteration)),
-            validation_baseline=np.full(len(iteration), 2.0),
-        )
-        comparison = replace(
-            found,
-            estimators=("mean", who),
-            measures=measures,
-            over_batches=measures,
-            estimates=estimates,
-            models={who: SimpleNamespace(history=history)},
-        )
-        return [replace(scene, comparison=comparison)]
-
-    return world
+    x = rng.gamma(2, size=(32, 32, spp)) * np.where(rng.random((32, 32, spp)) < 2e-3, 300, 1)
+    scene = evidence(image(x))
+    found = chd.compare(scene.samples, ["mean", "median_of_means"], progress=False)
+    measures = dict(found.measures)
+    for name, share in (
+        ("improved", 0.7 if good else 0.3),
+        ("fireflies_left", 1.1 - 0.9 * good),
+    ):
+        value = np.full((2, 4), share)
+        error = np.full((2, 4), 0.02)
+        measures[name] = Interval(value, value - 0.04, value + 0.04, 0.95, error)
+    estimates = found.estimates.copy()
+    estimates[1] = (2.6 if good else 8) * np.ones_like(estimates[1])
+    iteration = np.arange(100, 10001, 100.0)
+    gain = 1 - np.exp(-iteration / 300) if good else iteration / 1e4
+    history = SimpleNamespace(
+        iteration=iteration,
+        validation_loss=2 - gain + rng.normal(0, 0.01, len(iteration)),
+        validation_baseline=np.full(len(iteration), 2.0),
+    )
+    comparison = replace(
+        found,
+        estimators=("mean", who),
+        measures=measures,
+        over_batches=measures,
+        estimates=estimates,
+        models={who: SimpleNamespace(history=history)},
+    )
+    return [replace(scene, comparison=comparison)]
 
 
-def reduced(power: float) -> World:
+@given_first
+def reduced(rng: Rng, spp: int, power: float) -> Scenes:
     """Return a comparison with a model that says the mean to a power, which 1 leaves as it is."""
-
-    def world(rng, spp):
-        scene = evidence(image(rng.gamma(2, size=size(spp))))
-        found = chd.compare(scene.samples, ["mean"], progress=False)
-        model = SimpleNamespace(predict=lambda x: np.asarray(x.mean(axis=-1)) ** power)
-        models = {"elek2019": model}
-        comparison = replace(found, estimators=("mean", *models), models=models)
-        return [replace(scene, comparison=comparison)]
-
-    return world
+    scene = evidence(image(rng.gamma(2, size=size(spp))))
+    found = chd.compare(scene.samples, ["mean"], progress=False)
+    model = SimpleNamespace(predict=lambda x: np.asarray(x.mean(axis=-1)) ** power)
+    models = {"elek2019": model}
+    comparison = replace(found, estimators=("mean", *models), models=models)
+    return [replace(scene, comparison=comparison)]
 
 
-def held(bias: float) -> World:
+@given_first
+def held(rng: Rng, spp: int, bias: float) -> Scenes:
     """Return a model that takes a quarter of the error off the mean, and adds a bias to it.
 
     Of guided samples, which vary less, the bias is more of the error.
     """
-
-    def world(rng, spp):
-        x, y = (image(d(rng, size(spp, 24))) for d in (gamma(0.2), gamma(5)))
-        scene = evidence(25 * x, guided=chd.Samples.from_array(y))
-        found = chd.compare(scene.samples, ["mean"], progress=False)
-        model = SimpleNamespace(
-            predict=lambda x: 0.5 * np.asarray(x).mean(axis=-1) + 0.5 * 5 + bias,
-            train_shape=(0, 0),
-        )
-        models = {"elek2019": model}
-        comparison = replace(found, estimators=("mean", *models), models=models)
-        return [replace(scene, comparison=comparison)]
-
-    return world
+    x, y = (image(d(rng, size(spp, 24))) for d in (gamma(0.2), gamma(5)))
+    scene = evidence(25 * x, guided=chd.Samples.from_array(y))
+    found = chd.compare(scene.samples, ["mean"], progress=False)
+    model = SimpleNamespace(
+        predict=lambda x: 0.5 * np.asarray(x).mean(axis=-1) + 0.5 * 5 + bias,
+        train_shape=(0, 0),
+    )
+    models = {"elek2019": model}
+    comparison = replace(found, estimators=("mean", *models), models=models)
+    return [replace(scene, comparison=comparison)]
 
 
 WORLDS: dict[int, tuple[World, World]] = {
