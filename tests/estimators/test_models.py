@@ -89,16 +89,12 @@ def test_what_is_saved_is_read_as_what_it_is(tmp_path, name, kind):
     again = load_model(tmp_path / "a.safetensors")
     assert type(model) is type(again) is kind
     x = image().read(ss=slice(0, 32))
-    if kind is Progressive:
-        for loss_weight in (0.0, 0.5, 1.0):
-            found, right = (vars(m.estimate(x, loss_weight=loss_weight)) for m in (again, model))
-            np.testing.assert_equal(found, right)
     assert (again.predict(x) == model.predict(x)).all()
     assert again.provenance == json.loads(json.dumps(model.provenance))
-    assert (again.train_pixels == model.train_pixels).all()
-    assert again.train_shape == model.train_shape
     np.testing.assert_equal(vars(again.history), vars(model.history))
     assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
+    again.save(tmp_path / "b.safetensors")
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
 
 
 @pytest.mark.parametrize(("name", "kind"), [("progressive", Progressive), ("elek2019", MLP)])

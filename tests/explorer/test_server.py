@@ -44,9 +44,8 @@ def page(url):
         return answer.read().decode()
 
 
-def handshake(explorer, origin):
+def handshake(explorer, token, origin):
     """Ask for the websocket as a browser would that shows a page of this origin; the status."""
-    token = page(explorer.url).split('"token":"')[1].split('"')[0]
     connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
     headers = {
         "Origin": origin,
@@ -61,31 +60,28 @@ def handshake(explorer, origin):
         return connection.getresponse().status
 
 
-def answered(port, host):
+def answered(port, host, path="/progress"):
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
     with contextlib.closing(connection):
-        connection.request("GET", "/", headers={"Host": host})
+        connection.request("GET", path, headers={"Host": host})
         return connection.getresponse().status
 
 
 def test_only_names_of_this_machine_are_answered(served):
-    for host in ("127.0.0.1", f"localhost:{served.port}", "LOCALHOST", f"[::1]:{served.port}"):
-        assert answered(served.port, host) == 200
-    for host in (
-        "evil.example",
-        f"evil.example:{served.port}",
-        "localhost.evil.example",
-        "",
-        "[",
-    ):
-        assert answered(served.port, host) in (400, 403)
+    port = served.port
+    for host in ("127.0.0.1", f"localhost:{port}", "LOCALHOST", f"[::1]:{port}"):
+        assert answered(port, host) == 200
+    for host in ("evil.example", f"evil.example:{port}", "localhost.evil.example", "", "["):
+        for path in ("/", "/progress", "/ws"):
+            assert answered(port, host, path) in (400, 403)
 
 
 def test_only_pages_of_the_server_may_talk_to_it(served):
+    token = page(served.url).split('"token":"')[1].split('"')[0]
     for host in ("127.0.0.1", "localhost"):
-        assert handshake(served, f"http://{host}:{served.port}") == 101
+        assert handshake(served, token, f"http://{host}:{served.port}") == 101
     for origin in ("http://evil.example", "http://127.0.0.1:1", "http://localhost", "null"):
-        assert handshake(served, origin) == 403
+        assert handshake(served, token, origin) == 403
 
 
 def test_a_port_that_cannot_be_had_says_so(served, store_path):
@@ -143,7 +139,7 @@ def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
             assert "loading cornell-box</p>" in answer.read().decode()
         expected = {"text": "loading cornell-box", "image": "", "done": False}
         assert json.loads(page(url + "progress")) == expected
-        assert answered(urlsplit(url).port, "evil.example") == 403
+        assert answered(urlsplit(url).port, "evil.example", "/") == 403
         go_on.set()
         with waiting.result() as explorer:
             state = json.loads(page(url + "progress"))

@@ -232,6 +232,12 @@ def test_a_loss_is_found_and_placed_at_unequal_spp(counts):
     assert found.spp_needed is None
 
 
+@pytest.mark.parametrize("counts", [(16, 256), (300, 1000), (257, 999), (16, 24), (9, 4000)])
+def test_the_shorter_render_is_compared_as_a_whole(counts):
+    pair = Pair.of(*(np.zeros((1, 1, 1, n), np.float32) for n in counts), None)
+    assert min(pair.units) == pair.terms
+
+
 def test_samples_that_both_have_make_no_difference():
     """Renders of one seed: the first samples of the longer one are those of the shorter one."""
     for seed in range(10):
