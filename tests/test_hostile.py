@@ -13,6 +13,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, SceneError
 from chdstat.rendering.recipes import load_recipe
+from tests.rendering.test_recipes import GOOD
 
 SCENE = b"""<?xml version="1.0" encoding="utf-8"?>
 <scene version="3.0.0">
@@ -34,18 +35,7 @@ SCENE = b"""<?xml version="1.0" encoding="utf-8"?>
   <emitter type="constant"><rgb name="radiance" value="1"/></emitter>
 </scene>
 """
-RECIPE = b"""schema = 1
-scene = "bathroom"
-integrator = { type = "path", max_depth = 9 }
-size = [128, 96]
-spp = 64
-seed = 3
-[[regions]]
-name = "wall"
-phenomenon = "diffuse"
-rectangle = [0.5, 0.25, 0.75, 0.5]
-note = "plaster"
-"""
+RECIPE = GOOD.encode()
 
 
 def mutations(good: bytes, count: int, seed: int) -> Iterator[tuple[str, bytes]]:

@@ -141,14 +141,18 @@ def test_a_batch_of_hard_pixels(name, dtype):
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_pixel_is_the_same_alone_and_in_a_batch(name):
-    batch = np.stack(list(ROWS.values()))
-    together = dict(_arrays(FUNCTIONS[name](batch)))
-    for index, row in enumerate(ROWS):
-        alone = dict(_arrays(FUNCTIONS[name](batch[index])))
+    _check_alone(FUNCTIONS[name], np.stack(list(ROWS.values())), atol=1e-12)
+
+
+def _check_alone(function: Callable[[np.ndarray], Any], x: np.ndarray, *, atol: float) -> None:
+    together = dict(_arrays(function(x)))
+    for index, row in enumerate(x):
+        alone = dict(_arrays(function(row)))
         for path, values in together.items():
-            if values.ndim and len(values) == len(ROWS):
+            if values.ndim and len(values) == len(x):
+                told = f"row {index}{path}"
                 np.testing.assert_allclose(
-                    alone[path], values[index], rtol=1e-6, atol=1e-12, err_msg=f"{row}{path}"
+                    alone[path], values[index], rtol=1e-6, atol=atol, err_msg=told
                 )
 
 
@@ -171,14 +175,7 @@ def test_overlapping_components_are_the_same_alone_and_in_a_batch(name):
         second = rng.random(count) < rng.uniform(0.2, 0.8)
         deviation, place = np.where(second, 0.5, 1.0), rng.uniform(0.3, 3.0) * second
         row[:count] = np.exp(rng.normal(place, deviation))
-    together = dict(_arrays(OVERLAPPING[name](x)))
-    for index, row in enumerate(x):
-        alone = dict(_arrays(OVERLAPPING[name](row)))
-        for path, values in together.items():
-            if values.ndim and len(values) == len(x):
-                np.testing.assert_allclose(
-                    alone[path], values[index], rtol=1e-6, atol=1e-8, err_msg=f"{index}{path}"
-                )
+    _check_alone(OVERLAPPING[name], x, atol=1e-8)
 
 
 SHAPES: dict[str, Callable[[np.ndarray], Any]] = {

@@ -21,29 +21,29 @@ def test_dtype_of_the_samples_is_kept_and_its_rounding_is_not_added_up():
     assert estimators.mean(x) == pytest.approx(x.astype(np.float64).mean(), rel=1e-7)
 
 
-SHARES = [0.0, 0.05, 0.1, 0.25, 0.49]
-
-
 @pytest.mark.parametrize("n", [1, 2, 31, 32])
 def test_median_is_that_of_numpy(n):
     x = np.random.default_rng(n).gamma(0.5, size=(40, 3, n))
     assert estimators.median(x) == pytest.approx(np.median(x, axis=-1), rel=1e-15)
 
 
-@pytest.mark.parametrize("share", SHARES)
-@pytest.mark.parametrize("n", [7, 32])
-def test_trimmed_mean_is_that_of_scipy(n, share):
-    x = np.random.default_rng(n).gamma(0.5, size=(40, n))
-    expected = stats.trim_mean(x, share, axis=-1)
-    assert estimators.trimmed_mean(x, share=share) == pytest.approx(expected, rel=1e-13)
+def winsorized(x, share):
+    return np.asarray(stats.mstats.winsorize(x, (share, share), axis=-1)).mean(axis=-1)
 
 
-@pytest.mark.parametrize("share", SHARES)
+BY_SCIPY = {
+    "trimmed_mean": lambda x, share: stats.trim_mean(x, share, axis=-1),
+    "winsorized_mean": winsorized,
+}
+
+
+@pytest.mark.parametrize("name", BY_SCIPY)
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.1, 0.25, 0.49])
 @pytest.mark.parametrize("n", [7, 32])
-def test_winsorized_mean_is_that_of_scipy(n, share):
+def test_means_without_a_share_of_the_ends_are_those_of_scipy(name, n, share):
     x = np.random.default_rng(n).gamma(0.5, size=(40, n))
-    expected = np.asarray(stats.mstats.winsorize(x, (share, share), axis=-1)).mean(axis=-1)
-    assert estimators.winsorized_mean(x, share=share) == pytest.approx(expected, rel=1e-13)
+    expected = BY_SCIPY[name](x, share)
+    assert estimators.lookup(name)(x, share=share) == pytest.approx(expected, rel=1e-13)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

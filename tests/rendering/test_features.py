@@ -18,6 +18,7 @@ CAMERA = {
     "to_world": look_at([0.0, 0.0, 5.0], [0.0, 0.0, 0.0], up=[0.0, 1.0, 0.0]),
     "film": FILM,
 }
+FINE = {**CAMERA, "film": {**FILM, "width": 40, "height": 40}}
 GREY = {"type": "diffuse", "reflectance": 0.25}
 FLOOR = {"type": "rectangle", "to_world": scale(3, 3, 3), "bsdf": GREY}
 SCENE = {"type": "scene", "integrator": {"type": "path"}, "sensor": CAMERA, "floor": FLOOR}
@@ -65,14 +66,13 @@ def test_hidden_lamps_are_passed(backend, name):
 def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backend):
     assert is_floor(features(backend, sheet=sheet(type="null")))
     veil = sheet(type="mask", opacity=0.5, inner={"type": "diffuse", "reflectance": 0.75})
-    camera = {**CAMERA, "film": {**FILM, "width": 40, "height": 40}}
-    half = features(backend, sheet=veil, sensor=camera)
+    half = features(backend, sheet=veil, sensor=FINE)
     # 25,600 rays: four standard errors of a half are .0125.
     assert (half["albedo"].mean() - 0.25) / 0.5 == pytest.approx(0.5, abs=0.0125)
     assert (half["depth"].mean() - 3.03) / 2.02 == pytest.approx(0.5, abs=0.02)
     # What lets a ray through says nothing of what comes next.
     second = {**veil, "to_world": translate(0, 0, 1) @ scale(2, 2, 1)}
-    twice = features(backend, sheet=veil, second=second, sensor=camera)
+    twice = features(backend, sheet=veil, second=second, sensor=FINE)
     assert (twice["albedo"].mean() - 0.25) / 0.5 == pytest.approx(0.75, abs=0.0125)
 
 
@@ -87,8 +87,7 @@ def test_hidden_lamps_behind_what_is_passed_show_where_passing_is_a_reflection(
 
 
 def test_a_medium_ends_rays_where_it_scatters(backend):
-    film = {**FILM, "width": 40, "height": 40}
-    parts = {"box": foggy(0.5), "sensor": {**CAMERA, "film": film}}
+    parts = {"box": foggy(0.5), "sensor": FINE}
     assert features(backend, **parts)["albedo"].mean() == pytest.approx(0.25, abs=1e-4)
     through = np.exp(-0.5 * 2)  # two units of fog, of which the path integrator knows nothing
     found = features(backend, integrator={"type": "volpath"}, **parts)
@@ -98,8 +97,7 @@ def test_a_medium_ends_rays_where_it_scatters(backend):
 
 
 def test_a_camera_stands_in_its_medium(backend):
-    camera = {**CAMERA, "film": {**FILM, "width": 40, "height": 40}}
-    camera["fog"] = foggy(0.1)["interior"]
+    camera = {**FINE, "fog": foggy(0.1)["interior"]}
     found = features(backend, integrator={"type": "volpath"}, sensor=camera)
     share = (0.9 - found["albedo"].mean()) / 0.65
     assert share == pytest.approx(np.exp(-0.1 * 5.05), abs=0.0125)

@@ -20,22 +20,10 @@ from chdstat.studies import stores, studies, study
 from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, SceneData
 from chdstat.studies.stores import scenes_of
 from tests.pdf import text_of
+from tests.rendering.test_recipes import GOOD
 from tests.stops import stopped
 
 TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
-
-RECIPE = """
-schema = 1
-scene = "cornell-box"
-integrator = { type = "path", max_depth = 6 }
-size = [16, 16]
-spp = 64
-seed = 1
-[[regions]]
-name = "back"
-phenomenon = "diffuse"
-rectangle = [0.3, 0.3, 0.7, 0.7]
-"""
 
 
 def noise(scene, shape=(12, 12, 3, 128), seed=0):
@@ -253,11 +241,11 @@ def test_hopeless_samples_give_a_study_that_cannot_tell():
 
 def test_a_recipe_names_scene_settings_and_regions(tmp_path):
     path = tmp_path / "box.toml"
-    path.write_text(RECIPE)
+    path.write_text(GOOD)
     (scene,) = scenes_of(path, {"spp": 32})
     recipe = scene.recipe
-    assert (recipe.size, recipe.spp, recipe.seed, recipe.max_depth) == ((16, 16), 32, 1, 6)
-    assert [r.name for r in scene.regions] == ["back"]
+    assert (recipe.size, recipe.spp, recipe.seed, recipe.max_depth) == ((128, 96), 32, 3, 9)
+    assert [r.name for r in scene.regions] == ["wall"]
     (other,) = scenes_of(path, {"size": (16, 24)})
     assert other.regions == ()  # they are for its proportions
 
@@ -276,7 +264,7 @@ def test_seeds_that_contradict_each_other_cannot_tell():
 
 def test_a_wrong_recipe_is_refused_before_any_work(tmp_path):
     path = tmp_path / "box.toml"
-    path.write_text(RECIPE.replace("schema = 1", "schema = 7"))
+    path.write_text(GOOD.replace("schema = 1", "schema = 7"))
     with pytest.raises(InputError, match=r"box\.toml: schema must be 1, got 7"):
         study(path, folder=tmp_path / "out")
     assert not (tmp_path / "out").exists()

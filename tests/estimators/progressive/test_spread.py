@@ -15,23 +15,29 @@ from chdstat.estimators.progressive.errors import (
 )
 
 
-def validation(rng, rows=4000, *, size=16, dark=0.0):
+def known(estimate, truth, *, rows, mean, variance, certainty):
+    """Return what is known of estimates of 16 samples, which are the same for both losses."""
+    return {
+        "size": np.full(len(rows), 16),
+        "rows": rows,
+        "estimate": np.stack([estimate, estimate]),
+        "certainty": np.stack([certainty, certainty]),
+        "mean": mean,
+        "variance": variance,
+        "target": truth,
+        "noise": np.zeros_like(truth),
+    }
+
+
+def validation(rng, rows=4000, *, dark=0.0):
     """Return estimates whose errors have the terms 1, 3 and none else; gamma distributed truth."""
     estimate = rng.lognormal(-dark, 1 + dark, size=(rows, 1))
     variance = rng.gamma(1, 1, size=estimate.shape) * estimate**2
     expected = 0.02 * estimate**2 + 0.05 * variance
     truth = rng.gamma(estimate**2 / expected, expected / estimate)
-    certainty = rng.random(rows)
-    return {
-        "size": np.full(rows, size),
-        "rows": np.arange(rows),
-        "estimate": np.stack([estimate, estimate]),
-        "certainty": np.stack([certainty, certainty]),
-        "mean": estimate * rng.gamma(2, 0.5, size=estimate.shape),
-        "variance": variance,
-        "target": truth,
-        "noise": np.zeros_like(truth),
-    }
+    certainty, mean = rng.random(rows), estimate * rng.gamma(2, 0.5, size=estimate.shape)
+    about = {"mean": mean, "variance": variance, "certainty": certainty}
+    return known(estimate, truth, rows=np.arange(rows), **about)
 
 
 def terms(found):
@@ -66,8 +72,8 @@ def test_calibrated_quantiles_hold_as_often_as_stated():
     """8000 trials calibrate and 8000 judge: a share strays by 0.03 once in a million seeds."""
     rng = np.random.default_rng(1)
     weights = np.tile([1e-4, 0.06, 0.0, 0.02, 0.0, 0.0], (2, 1))  # not the true ones
-    known = validation(rng, 8000)
-    normal = calibrate(weights, known, known)[np.newaxis]
+    own = validation(rng, 8000)
+    normal = calibrate(weights, own, own)[np.newaxis]
     error_model = ErrorModel(weights, np.array([16.0]), normal)
     fresh = validation(rng, 8000)
     variance = error_model.variance(terms(fresh), 0.5)
@@ -129,16 +135,8 @@ def test_few_bright_pixels_with_other_errors_have_quantiles_of_their_own():
         estimate = np.where(rows < lamps, 16.0, 0.25)[:, np.newaxis]
         wide = np.where(rows < lamps, 0.4, 0.1)[:, np.newaxis] * estimate
         truth = rng.gamma(estimate**2 / wide**2, wide**2 / estimate)
-        return {
-            "size": np.full(len(rows), 16),
-            "rows": rows,
-            "estimate": np.stack([estimate, estimate]),
-            "certainty": np.zeros((2, len(rows))),
-            "mean": estimate,
-            "variance": np.zeros_like(truth),
-            "target": truth,
-            "noise": np.zeros_like(truth),
-        }
+        about = {"mean": estimate, "variance": 0 * truth, "certainty": np.zeros(len(rows))}
+        return known(estimate, truth, rows=rows, **about)
 
     error_model = ErrorModel(
         weights, np.array([16.0]), calibrate(weights, lit(0, 1), lit(20, 4))[None]
