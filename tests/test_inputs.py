@@ -307,8 +307,7 @@ LOGARITHMIC = ("classify", "fit.gamma", "fit.tail_index", "modality", "gaussiani
 def test_more_than_a_hundredth_left_out_is_told_with_its_reason(large, name):
     bad = large.copy()
     bad[:, 0, 0, :12], bad[0, :, 1, 20], bad[1, :, 2, 20] = np.nan, np.inf, -np.inf
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         IMAGE[name](Samples.from_array(bad))
     told = {str(w.message) for w in caught if w.category is LeftOutWarning}
     (said,) = told

@@ -223,8 +223,7 @@ def test_wrong_input_is_refused_and_nothing_written(tmp_path, options, message):
 
 def told(path, **options):
     """Read an image, and return it with what was told of it."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         found = read_exr(path, **options)
     assert {w.category for w in caught} <= {InputWarning}
     assert {w.filename for w in caught} <= {__file__}

@@ -190,8 +190,7 @@ def test_hostile_files_are_refused(written):
         if number % 7 == 0:  # a header that somebody signed
             mutated[8:38] = rng.bytes(30)
             mutated[38:42] = struct.pack("<I", checksum(bytes(mutated[:38])))
-        with contextlib.suppress(ChdstatError), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with contextlib.suppress(ChdstatError), warnings.catch_warnings(action="ignore"):
             chd.io.read(written(bytes(mutated))).read()
 
 

@@ -141,12 +141,6 @@ class Mute(mi.BSDF):
         bs.pdf = 0.0
         return bs, mi.Color3f(0.0)
 
-    def eval(self, ctx, si, wo, active=True):
-        return mi.Color3f(0.0)
-
-    def pdf(self, ctx, si, wo, active=True):
-        return 0.0
-
     def eval_pdf(self, ctx, si, wo, active=True):
         return mi.Color3f(0.0), 0.0
 

@@ -20,8 +20,7 @@ def noise(*shape, seed=0, nulls=0.0):
 
 
 def told(array, **options):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         chd.Samples.from_array(array, axes="yxcs", **options)
     assert {w.category for w in caught} <= {InputWarning}
     assert {w.filename for w in caught} <= {__file__}

@@ -54,12 +54,6 @@ class Coloured(mi.BSDF):
     def sample(self, ctx, si, sample1, sample2, active=True):
         return self.inside.sample(ctx, si, sample1, sample2, active)
 
-    def eval(self, ctx, si, wo, active=True):
-        return self.inside.eval(ctx, si, wo, active)
-
-    def pdf(self, ctx, si, wo, active=True):
-        return self.inside.pdf(ctx, si, wo, active)
-
     def eval_pdf(self, ctx, si, wo, active=True):
         return self.inside.eval_pdf(ctx, si, wo, active)
 
