@@ -53,7 +53,7 @@ _STEP = 1e-4
 _FEW = 70
 """Among few samples, modes are found where they happen to look separate: errors count as
 ``1 + (70/n)^2`` times as large, so that 1.96 of them hold the separation in 90 % of those that are
-found, as ``tests/benchmarks/test_modes.py`` prints."""
+found (``tests/inference/test_modes.py``)."""
 
 _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]

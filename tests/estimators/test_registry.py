@@ -31,11 +31,6 @@ def test_a_registered_estimator_is_an_attribute_until_forgotten(brightest):
     estimators.register("brightest", source="again")(brightest)
 
 
-def test_too_few_samples_are_refused_by_the_entry(brightest):
-    with pytest.raises(InputError, match="at least 2 sample"):
-        estimators.lookup("brightest")([[1.0]])
-
-
 def test_a_name_is_given_once(brightest):
     with pytest.raises(InputError, match="registered already"):
         estimators.register("brightest", source="twice")(np.max)
