@@ -40,6 +40,7 @@ from chdstat._core.files import checked_target
 from chdstat._core.work import check_memory, checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
+from chdstat.estimators.default_estimate.lost_light import lost_light
 from chdstat.estimators.default_estimate.mean_weights import Proposal, weight_of_mean
 from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
 from chdstat.estimators.progressive import Progressive
@@ -71,9 +72,7 @@ __all__ = [
     "check_denoiser",
     "combination",
     "combine",
-    "error_of_sum",
     "estimate",
-    "give_back",
     "interval_of_mean",
     "refine",
     "write_estimates",
@@ -92,10 +91,6 @@ _USUAL_CHANNELS = (1, 3)
 """Numbers of channels that EXR has names for."""
 _BELOW = 0.001
 """Probability, for normal samples, that radiance is less than its floor."""
-_AGREES = 1.5
-"""Standard errors by which the sum of an image may differ from the sum of the mean."""
-_MOST = 0.05
-"""Largest share of its radiance that a pixel is given back."""
 _LEAST = 4
 """Fewest samples of a pixel: each half needs two."""
 
@@ -489,7 +484,7 @@ class Combination(Estimates):
     weights
         Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is 1 minus
         the weight of the mean. If the sum of the image differs significantly from the sum of the
-        mean, the estimate is also made brighter (or darker), more where it is uncertain.
+        mean, the estimate is also made brighter (or darker): see `default_estimate.lost_light`.
     bias
         Difference between the sum of the image and the sum of the mean, which has no bias, divided
         by the latter.
@@ -704,26 +699,28 @@ def _combine_measured(
     )
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
     proposal = proposed[0].image
-    radiance = proposal + of_mean * (mean - proposal)
-    balanced = give_back(radiance, mean, error, 1 - of_mean)
+    unknown = np.isnan(measured.starts[0]["mean"]) & ~measured.absurd[..., np.newaxis]
+    moved = np.where(unknown, 0, 1 - of_mean)
+    radiance = mean + moved * (proposal - mean)
+    given, less, more = lost_light(proposed, measured.count, moved, level)
+    radiance += given
     # The mean of a pixel without light has no interval: take that of the proposal.
     ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
     # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
     below, above = (
-        np.hypot((1 - of_mean) * half, np.sqrt(of_mean) * reach)
-        for reach in (mean - ends[0], ends[1] - mean)
+        np.hypot(np.hypot((1 - of_mean) * half, np.sqrt(of_mean) * reach), light)
+        for reach, light in ((mean - ends[0], less), (ends[1] - mean, more))
     )
-    low, high = balanced - below, balanced + above
+    low, high = radiance - below, radiance + above
     weights = (weights * (1 - of_mean)).astype(np.float32)
     weights[..., names.index("mean")] += of_mean[..., 0]
-    lost = np.isnan(measured.starts[0]["mean"]) & ~measured.absurd[..., np.newaxis]
 
     def in_its_unit(image: Reals) -> Image:
-        return np.where(lost, np.nan, image * measured.unit).astype(np.float32)
+        return np.where(unknown, np.nan, image * measured.unit).astype(np.float32)
 
-    bias, bias_error = _bias(np.where(lost, 0, balanced), mean, error)
+    bias, bias_error = _bias(radiance, mean, error)
     return Combination(
-        in_its_unit(balanced),
+        in_its_unit(radiance),
         1 - weights[..., names.index("mean")],
         in_its_unit(low if measured.signed else np.maximum(low, 0)),
         in_its_unit(high),
@@ -839,30 +836,12 @@ def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
     return np.asarray(mean - certain[place] * error)
 
 
-def give_back(radiance: Reals, mean: Reals, error: Reals, moved: Reals) -> Reals:
-    """Return an image whose sum agrees with that of the mean, which has no bias.
-
-    The radiance that the proposals lose or add beyond `_AGREES` standard errors of that sum is
-    given back. A pixel's share is its radiance, or twice its standard error if that is less, times
-    how far it was moved from its mean: pixels that are certain stay. No pixel changes by more than
-    `_MOST`.
-    """
-    apart = float(radiance.sum(dtype=np.float64) - mean.sum())
-    lost = np.sign(apart) * max(abs(apart) - _AGREES * error_of_sum(error), 0)
-    share = np.clip(radiance, 0, 2 * error) * moved
-    return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -_MOST, _MOST) * share)
-
-
-def error_of_sum(error: Reals) -> float:
-    """Return the standard error of an image's sum, from the errors of its pixels."""
-    # The channels of a sample vary together: add their errors, not their variances.
-    return float(np.sqrt(np.square(error.sum(axis=-1)).sum()))
-
-
 def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
     """Return how much brighter an image is than the mean, and the standard error, as shares."""
     whole = float(mean.sum())
     if not whole:
         return np.nan, np.nan
     of_radiance = float(np.nansum(radiance, dtype=np.float64))
-    return of_radiance / whole - 1, error_of_sum(error) / abs(whole)
+    # The channels of a sample vary together: add their errors, not their variances.
+    doubt = np.sqrt(np.square(error.sum(axis=-1)).sum())
+    return of_radiance / whole - 1, float(doubt) / abs(whole)

@@ -1,9 +1,15 @@
 """Parts of the default estimate of `chdstat.estimators.estimates`.
 
-`candidates` computes the candidate images, `weighting_network` weights them, and `mean_weights`
-determines how much of the mean each pixel keeps.
+`candidates` computes the candidate images, `weighting_network` weights them, `mean_weights`
+determines how much of the mean each pixel keeps, and `lost_light` gives back the light that is then
+missing.
 """
 
-from chdstat.estimators.default_estimate import candidates, mean_weights, weighting_network
+from chdstat.estimators.default_estimate import (
+    candidates,
+    lost_light,
+    mean_weights,
+    weighting_network,
+)
 
-__all__ = ["candidates", "mean_weights", "weighting_network"]
+__all__ = ["candidates", "lost_light", "mean_weights", "weighting_network"]
