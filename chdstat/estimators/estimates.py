@@ -836,7 +836,7 @@ def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:
     return np.asarray(mean - certain[place] * error)
 
 
-def _bias(radiance: Image, mean: Reals, error: Reals) -> tuple[float, float]:
+def _bias(radiance: Reals, mean: Reals, error: Reals) -> tuple[float, float]:
     """Return how much brighter an image is than the mean, and the standard error, as shares."""
     whole = float(mean.sum())
     if not whole:

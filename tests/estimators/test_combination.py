@@ -78,9 +78,9 @@ def rare_light(part, events):
 
 
 def test_rare_light_that_may_be_anywhere_is_given_back():
-    image, asked = rare_light(part=1, events=400)
+    image, asked = rare_light(part=1, events=4000)
     found, less, more = lost_light(*asked) / image
-    assert found == pytest.approx(1, abs=0.15)  # 400 events are known to 5 %
+    assert found == pytest.approx(1, abs=0.05)  # 4000 events are known to 1.6 %
     assert np.mean((found - less <= 1) & (found + more >= 1)) > 0.9
     assert np.median(less + more) < 0.5
 

@@ -82,16 +82,17 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
         return np.zeros((3, *share.shape))
     rate, variance = lacking.sum(dtype=np.float64) / total, doubt / total**2
     alike = max(rate**2, np.prod([half.sum(dtype=np.float64) for half in halves]) / total**2)
-    square = alike
+    found, sure = alike, alike
     for edge in _BLOCKS:
         one, other, radiance = (_sums(image, edge) for image in (*halves, unit))
-        products = np.vdot(one, other) - _NOISE * 2 * edge * doubt / np.sqrt(unit.size)
-        square = max(square, products / np.square(radiance).sum())
+        products, norm = np.vdot(one, other), np.square(radiance).sum()
+        found = max(found, products / norm)
+        sure = max(sure, (products - _NOISE * 2 * edge * doubt / np.sqrt(unit.size)) / norm)
     given = 0.0
     if rate**2 > _NOISE * variance:
-        given = (rate - _NOISE * variance / rate) * alike / square
+        given = (rate - _NOISE * variance / rate) * alike / sure
     likely = max(rate, np.sqrt(variance))
-    shape = likely**2 / (variance + square - alike)
+    shape = likely**2 / (variance + found - alike)
     low, high = special.gammaincinv(shape, (0.5 - level / 2, 0.5 + level / 2)) * likely / shape
     return np.stack([x * share for x in (given, max(given - low, 0), max(high - given, 0))])
 
