@@ -1,10 +1,11 @@
 """Fits: distributions for the positive part of a CHD, with the share of nulls separately.
 
-`fit` fits a family; each of `FAMILIES` has a function of its name, too: `gamma`, `lognormal` and so
-on. `select` compares families, `goodness` tests whether a family describes the samples at all;
-`mixture` adds several components up, `tail_index` looks at the largest samples only. All take one
-pixel, a batch with the samples on the last axis, or a whole `Samples`; families and mixtures can be
-fitted to log histograms, too.
+`fit` fits a family; each of `FAMILIES` also has a function of its name: `gamma`, `lognormal` and so
+on. `select` compares families. `goodness` tests whether a family describes the samples at all.
+`mixture` adds up several components. `tail_index` looks at the largest samples only.
+
+All take one pixel, a batch with the samples on the last axis, or a whole `Samples`. Families and
+mixtures can also be fitted to log histograms.
 """
 
 from chdstat.fit.families import FAMILIES, Family, Fit, family_fit, fit

@@ -1,13 +1,16 @@
-"""Burr XII: a body of any width with a power tail, of which Weibull is the light end.
+"""Burr XII: a body of any width with a power tail; Weibull is its light-tailed limit.
 
-``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``, known to economists as Singh-Maddala; its
-tail index is ``1 / (c d)``. It has two limits, where rows are NaN with a reason of their own.
-As d grows without bound, it becomes a Weibull distribution: where the likelihood rises towards
-that, the reason is `AT_LIMIT`, and the Weibull fit describes it. As c grows without bound and
-c d does not, it becomes a power law that begins at the smallest sample: where that is likelier
-than any, as it is above a floor of ambient light, the reason is `AT_PARETO_LIMIT`, and no
-family of this library describes it; `chdstat.fit.tail_index` has the index of the tail.
-Standard errors are those of the observed information.
+``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``, which economists call Singh-Maddala. Its tail
+index is ``1 / (c d)``. The likelihood has no maximum where it rises towards one of two limits; such
+rows are NaN:
+
+- `AT_LIMIT`: as d grows without bound, the distribution becomes a Weibull distribution. The Weibull
+  fit describes the row.
+- `AT_PARETO_LIMIT`: as c grows without bound while c d does not, the distribution becomes a power
+  law that begins at the smallest sample, as above a floor of ambient light. No family of this
+  library describes the row; `chdstat.fit.tail_index` estimates the index of its tail.
+
+Standard errors come from the observed information.
 
 References
 ----------
@@ -40,7 +43,7 @@ from chdstat.fit.mle import maximise
 __all__ = ["BURR"]
 
 _LEAST = 1e-4
-"""Floor of b: below, d is about 1e4 or more, which is the Weibull limit to any sample."""
+"""Floor of b: below it, d is about 1e4 or more, which no sample can tell from the Weibull limit."""
 _NEAR_LIMIT = 0.01
 _SHAPES = np.exp(np.linspace(np.log(0.02), np.log(100), 200))
 """Shapes d at which the skewness of log x is tabulated for the start."""
@@ -52,12 +55,16 @@ _SKEWNESS = (special.polygamma(2, 1) - special.polygamma(2, _SHAPES)) / (
 def _estimate(part: Part, near: Parameters | None, tolerance: float) -> Estimate:
     """Maximise the profile likelihood of a = log c and b = log(1 + q), q = log(1 + e^rho).
 
-    With v = c (log x - log scale), rho is v at the log mean, and d is profiled out: ``1 / d =
-    mean log(1 + e^v)``. As d and the scale go to infinity together, which is the Weibull limit, q
-    goes to 0 and the profile stays smooth: where it rises all the way to q = 0 there is no Burr
-    distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5). Nor is there
-    one where c goes to infinity while c d stays: to a power law above the smallest sample. On the
-    way there, q grows as c does, so that the ridge of the profile is straight in a and b.
+    With v = c (log x - log scale), rho is v at the log mean. d is profiled out: ``1 / d = mean
+    log(1 + e^v)``.
+
+    At the Weibull limit, d and the scale go to infinity together, q goes to 0, and the profile
+    stays smooth. If it rises all the way to q = 0, no Burr distribution attains the maximum (Shao
+    2004, doi:10.1016/S0167-9473(02)00367-5).
+
+    Nor does one if the profile rises while c goes to infinity and c d stays: that limit is a power
+    law above the smallest sample. On the way there, q grows with c, so that the ridge of the
+    profile is straight in a and b.
     """
     start = None
     if near is not None:
@@ -94,8 +101,8 @@ def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     scale = np.exp(points.log_mean - rho / c)
     errors = _standard_errors(points, rest, c, d, rho)
     errors[2] *= scale
-    # A maximum at the floor is the Weibull limit. Wherever the search ends, it is a local one
-    # if the power law above the smallest sample, to which c grows without bound, is likelier.
+    # A maximum at the floor is the Weibull limit. Any other maximum is a local one if the power law
+    # above the smallest sample, the limit of growing c, is likelier.
     reached = at[0] + rho - np.log(level) - level
     weibull = converged & (at[1] <= 2 * _LEAST)
     # The limit of the profile as c goes to infinity, -log mean log(x / smallest x).
@@ -109,8 +116,8 @@ def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
 def _start(points: WeightedSamples) -> Floats:
     """Match mean, variance and skewness of log x: cumulants of v are polygamma functions of d.
 
-    Of samples in two heaps, the likelihood may have one maximum there and one in the Weibull limit,
-    so that a second start lies close to that.
+    If the samples form two heaps, the likelihood may have one maximum there and one in the Weibull
+    limit. A second start therefore lies close to that limit.
     """
     square = points.log**2
     variance = points.average(square)
@@ -149,7 +156,7 @@ def _profile(points: WeightedSamples, at: Floats) -> Floats:
 def _standard_errors(
     points: WeightedSamples, rest: Floats, c: Floats, d: Floats, rho: Floats
 ) -> Floats:
-    """Return those of c, d and log scale, shape (3, row), from the observed information."""
+    """Return standard errors of c, d and log scale, shape (3, row), from observed information."""
     offset = rho / c
     # Moments of the logistic function and its derivative by t = log x - log scale.
     mean, first, _ = points.moments(1 - rest)
@@ -189,7 +196,7 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     shift = (points.log_mean - np.log(parameters["scale"])) * c
     v = points.log * c[:, np.newaxis]
     v += shift[:, np.newaxis]
-    # A row without a fit is NaN, which must not hide that another is too large for exp.
+    # A row without a fit is NaN; it must not hide that another row is too large for exp.
     if np.fmax.reduce(v, axis=None, initial=0) > 700:
         density = np.logaddexp(0, v)
     else:

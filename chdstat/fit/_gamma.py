@@ -1,6 +1,6 @@
 """Gamma: what the paper sees most often.
 
-``f(x) = x^(shape-1) exp(-x/scale) / (Gamma(shape) scale^shape)``: Newton's method on
+``f(x) = x^(shape-1) exp(-x/scale) / (Gamma(shape) scale^shape)``. Newton's method solves
 ``log(shape) - digamma(shape) = log(mean) - mean(log x)``.
 
 References
@@ -63,7 +63,7 @@ def gamma_shape(gap: Floats) -> tuple[Floats, Mask]:
 
 def gap_of_shape(k: Floats) -> Floats:
     """Return log(k) - digamma(k)."""
-    # Both terms grow while their difference falls: the asymptotic series keeps its digits.
+    # Both terms grow while their difference falls; the asymptotic series keeps its digits.
     series = (1 + (1 - 0.1 / k**2) / (6 * k)) / (2 * k)
     return np.where(k > 1e3, series, np.log(k) - special.digamma(k))
 

@@ -1,8 +1,8 @@
 """Inverse Gaussian: more skewed than gamma, less than log-normal; its estimates are in closed form.
 
-``f(x) = sqrt(lambda / (2 pi x^3)) exp(-lambda (x - mu)^2 / (2 mu^2 x))`` with mu its expectation:
-``mu = mean(x)``, ``1 / lambda = mean(1/x - 1/mu)``. Standard errors are those of the expected
-information.
+``f(x) = sqrt(lambda / (2 pi x^3)) exp(-lambda (x - mu)^2 / (2 mu^2 x))``, where mu is the
+expectation. The estimates are ``mu = mean(x)`` and ``1 / lambda = mean(1/x - 1/mu)``. Standard
+errors come from the expected information.
 
 References
 ----------
@@ -53,7 +53,7 @@ def _estimate(part: Part, *_search: object) -> Estimate:
 def _moments(points: WeightedSamples) -> Floats:
     """Return the mean, and mean(mu / x - 1), which is mu / lambda; shape (2, row)."""
     mean = points.average(np.exp(points.log))
-    # Of nearly equal samples, mu / x - 1 cancels; its mean is that of (x - mu)^2 / (mu x).
+    # For nearly equal samples, mu / x - 1 cancels. Its mean equals the mean of (x - mu)^2 / (mu x).
     half = 0.5 * (points.log - np.log(mean)[:, np.newaxis])
     return np.stack([np.exp(points.log_mean) * mean, points.average(4 * np.sinh(half) ** 2)])
 
@@ -69,7 +69,7 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
 
 
 class _InverseGaussian(type(stats.invgauss)):  # type: ignore[misc]
-    """SciPy's, whose density is NaN, not 0, where a factor of it is too large for a double."""
+    """SciPy's distribution has a NaN density where a factor overflows a double; here it is 0."""
 
     def _pdf(self, x: Floats, mu: Floats) -> Floats:
         return np.asarray(np.exp(self._logpdf(x, mu)))

@@ -1,6 +1,6 @@
 """Log-normal: Gaussian in the log domain.
 
-``mu = mean(log x)``, ``sigma^2 = mean((log x - mu)^2)``, natural logarithms; the likelihood is
+``mu = mean(log x)``, ``sigma^2 = mean((log x - mu)^2)``, with natural logarithms. The likelihood is
 that of linear radiance, so that it compares with other families.
 
 References
@@ -41,7 +41,7 @@ def _estimate(part: Part, *_search: object) -> Estimate:
 def _log_likelihood(part: Part, parameters: Parameters) -> Floats:
     sums, mu, sigma = part.log_statistics, parameters["mu"], parameters["sigma"]
     misfit = (sums.log_variance + (sums.log_mean - mu) ** 2) / (2 * sigma**2)
-    # Minus log x is the Jacobian of the logarithm: likelihoods compare in linear radiance.
+    # Minus log x is the Jacobian of the logarithm: likelihoods are compared in linear radiance.
     per_sample = -misfit - np.log(sigma) - 0.5 * np.log(2 * np.pi) - sums.log_mean
     return np.asarray(sums.n * per_sample)
 

@@ -1,8 +1,9 @@
 """Generalised Pareto: excesses over a threshold, or a CHD whose density falls from the start.
 
-``P(X > x) = (1 + xi x / scale)^(-1/xi)``. From xi = -1/2 down the standard errors are NaN, since
-the likelihood is not regular there; below -1 it has no maximum, and the reason is `AT_LIMIT`. That
-of xi is ``max(1 + xi, 0.9) / sqrt(n)``, and there is none below 128 samples: it would be too small.
+``P(X > x) = (1 + xi x / scale)^(-1/xi)``. For xi <= -1/2, the likelihood is not regular and
+standard errors are NaN. For xi < -1, it has no maximum, and the reason is `AT_LIMIT`. The standard
+error of xi is ``max(1 + xi, 0.9) / sqrt(n)``; with fewer than 128 samples that is too small, and
+the error is NaN.
 
 References
 ----------
@@ -35,30 +36,30 @@ __all__ = ["PARETO"]
 _GRID = np.r_[-7.0, -5:-1:5j, -0.5, 0.25, 1:4, 4:12:2, 14:46:4]
 """Starts s: the ratio xi / scale is (e^s - 1) / largest x."""
 _LEAST = -0.99
-"""Below, a search that does not end was on its way past xi = -1."""
+"""A search that has not ended and is below this xi was on its way past xi = -1."""
 _AT_EDGE = -6.0
 """Below this s, the support ends within 0.3 % of the largest x, and the profile is flat."""
 _LEAST_ERROR = 0.9
-"""Of xi, times the root of n: as of `chdstat.fit.tail_index`."""
+"""Least standard error of xi times sqrt(n), as in `chdstat.fit.tail_index`."""
 _SMALL = 1e-2
 _TERMS = 9
-"""Terms of the series about xi = 0; the first left out is below double precision."""
+"""Terms of the series about xi = 0; the first omitted term is below double precision."""
 
 
 def _estimate(part: Part, *_search: object) -> Estimate:
     """Maximise the profile likelihood of Grimshaw 1993 in s of `_GRID`.
 
     ``xi = mean log(1 + theta x)`` for theta = xi / scale. The likelihood has no bound as theta goes
-    to -1 / max x, where xi < -1: what is looked for is the local maximum above that
+    to -1 / max x, where xi < -1. The search therefore looks for the local maximum above that
     (doi:10.1080/00401706.1993.10485040).
     """
     xi, scale, converged, limit = maximise(
         part, _profile, start=_best_of_grid, finish=_finish, names=4, minimum=PARETO.minimum
     )
-    # Smith 1987, doi:10.1214/aos/1176350499; from xi = -1/2 down they hold no more.
+    # Smith 1987, doi:10.1214/aos/1176350499; for xi <= -1/2, the errors no longer hold.
     regular = np.where(xi > -0.5, 1 + xi, np.nan)
     errors = {
-        # For bounded tails, the errors in samples do not fall as those in theory do.
+        # For bounded tails, errors do not fall with xi as theory says.
         "xi": np.maximum(regular, _LEAST_ERROR) / np.sqrt(part.n),
         "scale": scale * np.sqrt(2 * regular / part.n),
     }
@@ -68,15 +69,15 @@ def _estimate(part: Part, *_search: object) -> Estimate:
 
 
 def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
-    """Return xi, scale, convergence and the code of where there is no maximum, shape (4, row)."""
+    """Return xi, scale, convergence, and the code where there is no maximum, shape (4, row)."""
     u = np.expm1(at[0])
     relative, _, _ = _moments(points, _ratio(points), u)
     xi = u * relative
     scale = np.exp(points.log_mean + points.log_top) * relative
-    # Bins hold no sample at their edge: a support that ends there may be likeliest.
+    # No sample of a bin lies at its edge: a support that ends there may be likeliest.
     bounded = np.zeros_like(converged) if points.single else at[0] < _AT_EDGE
     converged = (converged | bounded) & (xi > -1)
-    # A search that meets xi = -1 cannot end: beyond, the likelihood has no bound.
+    # A search that reaches xi = -1 cannot end: beyond it, the likelihood has no bound.
     limit = np.where(~converged & (xi < _LEAST), Reason.AT_LIMIT, Reason.OK)
     return np.stack([xi, scale, converged, limit])
 

@@ -1,7 +1,7 @@
-"""Weibull: an exponential, stretched or squeezed, the light-tailed end of the Burr distributions.
+"""Weibull: an exponential, stretched or squeezed; the light-tailed limit of Burr distributions.
 
-``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)`` with k the shape and s the scale: Newton's method on
-``mean(x^k log x) / mean(x^k) - 1/k = mean(log x)``, ``s = mean(x^k)^(1/k)``.
+``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)``, where k is the shape and s the scale. Newton's method
+solves ``mean(x^k log x) / mean(x^k) - 1/k = mean(log x)``; then ``s = mean(x^k)^(1/k)``.
 
 References
 ----------
@@ -55,7 +55,7 @@ def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
 
 
 def _powers(points: WeightedSamples, k: Floats, top: Floats) -> Floats:
-    """Return (x / largest x)^k: at most 1, whatever k."""
+    """Return (x / largest x)^k, which is at most 1 for any k."""
     power = points.log - top[:, np.newaxis]
     power *= k[:, np.newaxis]
     return np.exp(power, out=power)

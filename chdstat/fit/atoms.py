@@ -1,21 +1,23 @@
-"""Atoms: values that more samples share than a continuous law explains.
+"""Atoms: values that more samples share than a continuous distribution explains.
 
 A lamp that is seen directly, or a clamp, gives many samples one value: a point mass, as nulls are.
-Rounding makes equal samples, too, at every value; a rounded law has about as many at a value as at
-those beside it. So a value is an atom where it holds more samples than its neighbours let expect:
-the logarithm of the expected count comes from the counts of the nearest values on either side, by
-the quadratic through them where they are many, and the count is compared with a negative binomial
-distribution, which is a Poisson one of an estimated mean (Greenwood and Yule, "An inquiry into the
-nature of frequency distributions", 1920, doi:10.2307/2341080). Values without samples are not seen:
-counts are those of a Poisson distribution without its zero (David and Johnson, "The truncated
-Poisson", 1952, doi:10.2307/3001863).
 
-`split` takes the samples of atoms out, and spreads those that rounding made equal over what was
-rounded to their value, never further than to the nearest values. What is left is continuous.
+Rounding also makes samples equal, but at every value: neighbouring values then have about as many
+samples. A value is therefore an atom if it holds more samples than its neighbours let expect. The
+expected count comes from the counts of the nearest values on both sides; where few values hold
+enough samples, from the quadratic through the logarithms of their counts. The p-value is that of a
+negative binomial distribution, a Poisson distribution with an estimated mean (Greenwood and Yule,
+"An inquiry into the nature of frequency distributions", 1920, doi:10.2307/2341080). A value without
+samples is not seen, so that counts follow a Poisson distribution without its zero (David and
+Johnson, "The truncated Poisson", 1952, doi:10.2307/3001863).
 
-Renderers clamp radiance against fireflies. A law that is cut off is no longer of its family: the
-rest looks like several components. So `before_clamps` lets the clamped samples, which are an atom
-at the top of the row, take part in a fit as the tail that the law leaves above the clamp (the EM
+`split` takes the samples of atoms out. It spreads samples that rounding made equal over the
+interval that was rounded to their value, but never beyond the nearest values. The rest is
+continuous.
+
+Renderers clamp radiance against fireflies. A distribution that is cut off no longer belongs to its
+family: it looks like several components. The clamped samples are an atom at the top of the row.
+`before_clamps` replaces them by the tail that the fitted distribution has above the clamp (the EM
 algorithm for censored samples: Dempster, Laird and Rubin, "Maximum likelihood from incomplete data
 via the EM algorithm", 1977, section 4.2, doi:10.1111/j.2517-6161.1977.tb01600.x).
 """
@@ -39,41 +41,41 @@ from chdstat.fit.groups import cumulative
 __all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "distinct_values", "split", "with_rows"]
 
 MOST_ATOMS = 8
-"""Most atoms of a row: one with more has no continuous part to speak of."""
+"""Most atoms of a row: a row with more has no continuous part worth the name."""
 _LEVEL = 0.05
-"""Of rows without atoms in which one may be found."""
+"""Share of the rows without atoms in which an atom may be found."""
 _RINGS = (1, 2, 4, 8, 16)
 _ENOUGH, _MANY = 40, 400
-"""Values on each side whose counts are compared: the fewest that hold so many samples, at most 16,
-and a quarter, for many samples a twelfth, of the values that there are."""
+"""Samples that the compared values should hold: 40 while there are at most a quarter of the row's
+values on each side, 400 while there are at most a twelfth. More than 16 are never compared."""
 _CURVED = 4
-"""Most values on each side over which the logarithms of counts are a parabola."""
+"""Most values on each side whose log counts are described by a parabola."""
 _FEWEST_VALUES = 5
-"""Fewer distinct values are no continuous law."""
+"""Fewer distinct values than this are not a continuous distribution."""
 _HEAVY, _UNEVEN, _IRREGULAR = 10, 2.5, 0.25
-"""Rounded values with 10 samples have neighbours in even steps, one at most 2.5 times as far as the
-other, but for a quarter of them."""
+"""Rounded values with 10 samples or more lie in even steps: for all but a quarter of them, the step
+to one neighbour is at most 2.5 times the step to the other."""
 _LEAST_VARIANCE = 1e-12
 _FEWEST = 3
-"""Least samples of an atom."""
+"""Fewest samples of an atom."""
 
 
 @dataclass(frozen=True)
 class Atoms:
-    """Atoms of rows, the heaviest first, and what they leave.
+    """Atoms of rows, the heaviest first, and the samples that are left without them.
 
     Attributes
     ----------
     values
-        Radiance of each atom, shape (..., atom); NaN beyond those that there are.
+        Radiance of each atom, shape (..., atom); NaN where a row has fewer atoms.
     counts
-        Samples of each atom, same shape; 0 beyond.
+        Samples of each atom, same shape; 0 where a row has fewer atoms.
     rest
-        The continuous rest, of the shape of the part.
+        The continuous rest, with the shape of the part.
     tied
-        Whether any samples of the row were equal, so that the rest is not the part, shape (...).
+        Whether any samples of the row were equal, shape (...). If not, the rest is the part itself.
     discrete
-        Whether the positive samples are a few values, without a continuous rest, shape (...).
+        Whether the positive samples are only a few values, without a continuous rest, shape (...).
     """
 
     values: Floats
@@ -84,19 +86,19 @@ class Atoms:
 
     @classmethod
     def none(cls, part: Part) -> Atoms:
-        """Return that a histogram shows no atoms: its bins are wider than a value."""
+        """Return no atoms, for a histogram: its bins are wider than a value."""
         shape = part.n.shape
         values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
         return cls(values, counts, part, *np.zeros((2, *shape), dtype=bool))
 
     def reason(self, part: Part, minimum: int) -> npt.NDArray[np.int8]:
-        """Say why rows have no continuous rest of at least so many samples, as `Reason` codes."""
+        """Return `Reason` codes of rows without a continuous rest of at least `minimum` samples."""
         whole, rest = part.reason(minimum), self.rest.reason(minimum)
         gone = self.discrete | (rest != Reason.OK) & (self.rest.n < part.n)
         return np.where(whole == Reason.OK, np.where(gone, Reason.TIED, rest), whole)
 
     def log_likelihood(self, n: Counts) -> Floats:
-        """Return that of which of n positive samples are at which atom, or at none, shape (...)."""
+        """Return the log-likelihood of which of n samples are at which atom, or none, (...)."""
         others = n - self.counts.sum(axis=-1)
         parts = np.concatenate([self.counts, others[..., np.newaxis]], axis=-1)
         total = np.maximum(n, 1)[..., np.newaxis]
@@ -106,7 +108,7 @@ class Atoms:
 def split(part: Part) -> Atoms:
     """Split the positive samples into atoms and a continuous rest, row by row.
 
-    Samples in bins have no values of their own, and stay as they are.
+    Samples in bins have no values of their own and stay as they are.
 
     Examples
     --------
@@ -144,9 +146,9 @@ def split(part: Part) -> Atoms:
 
 
 def with_rows(part: PositivePart, rows: Counts, x: Reals, positive: Mask) -> PositivePart:
-    """Return a part with other samples in some rows of the flattened batch, in double precision.
+    """Replace the samples of some rows of the flattened batch, in double precision.
 
-    The sums of the rows that stay are taken over.
+    The sums of the other rows are reused.
     """
 
     def put(old: npt.NDArray[Any], new: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -172,7 +174,7 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     log = np.log(value)
     kept, atoms, counts, many = _without_atoms(count, _widths(log))
     discrete = many | _is_discrete(log, kept)
-    # Where there are few values, each with several samples, they are all atoms.
+    # If there are only a few values, each with several samples, all of them are atoms.
     few = discrete & (np.count_nonzero(count, axis=-1) <= MOST_ATOMS)
     width = min(MOST_ATOMS, count.shape[-1])
     atoms[few, :width] = np.argsort(-count[few], axis=-1, kind="stable")[:, :width]
@@ -195,9 +197,10 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
 
 
 def distinct_values(ascending: npt.NDArray[Any], n: Counts) -> tuple[Floats, Counts, Counts]:
-    """Return distinct values of the first `n` samples, how many have each, and which each has.
+    """Return the distinct values of the first `n` samples, their counts, and each sample's value.
 
-    The last of the values, shape (row, value), is always none: NaN, without samples.
+    The last entry along the axis of values, shape (row, value), is always empty: NaN, without
+    samples.
     """
     valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
     begins = np.ones(ascending.shape, dtype=bool)
@@ -213,11 +216,11 @@ def distinct_values(ascending: npt.NDArray[Any], n: Counts) -> tuple[Floats, Cou
 
 
 def _widths(log: Floats) -> Floats:
-    """Return the width of what lies nearer to a value than to any other, shape of `log`."""
+    """Return the width of the interval that is nearer to each value than to any other."""
     gap = np.full((len(log), log.shape[-1] + 1), np.nan)
     gap[:, 1:-1] = np.diff(log, axis=-1)
     below, above = gap[:, :-1], gap[:, 1:]
-    # The outer ones are as wide on both sides.
+    # The outermost values have the same width on both sides.
     below, above = np.where(np.isnan(below), above, below), np.where(np.isnan(above), below, above)
     return np.nan_to_num(0.5 * (below + above))
 
@@ -225,8 +228,8 @@ def _widths(log: Floats) -> Floats:
 def _without_atoms(count: Counts, width: Floats) -> tuple[Counts, Counts, Counts, Mask]:
     """Take atoms away, the most surprising of each row first.
 
-    Return the counts without them, which values are atoms, shape (row, atom), how many samples each
-    has, and which rows have more than `MOST_ATOMS`.
+    Return the counts without atoms, which values are atoms, shape (row, atom), how many samples
+    each atom has, and which rows have more than `MOST_ATOMS`.
     """
     kept, distinct = count.copy(), np.count_nonzero(count, axis=-1)
     atoms, counts = np.zeros((2, len(count), MOST_ATOMS), dtype=np.int64)
@@ -251,9 +254,9 @@ def _without_atoms(count: Counts, width: Floats) -> tuple[Counts, Counts, Counts
 
 
 def _surprise(count: Counts, width: Floats) -> tuple[Floats, Floats]:
-    """Return log p-values of counts among their neighbours, and what was expected, of their shape.
+    """Return log p-values of counts among their neighbours, and the expected counts, same shapes.
 
-    An atom has three samples or more, and more than the values beside it have on average.
+    An atom has at least three samples, and more than the average of the values beside it.
     """
     log_p, expected = np.zeros(count.shape), np.zeros(count.shape)
     beside = np.zeros_like(count)
@@ -280,9 +283,9 @@ def _surprise(count: Counts, width: Floats) -> tuple[Floats, Floats]:
 
 
 def _expected(sums: Floats, row: Counts, at: Counts, ring: int) -> tuple[Floats, Floats, Floats]:
-    """Return log expected counts, their variance, and how many samples they are from.
+    """Return log expected counts, their variance, and the number of samples behind them.
 
-    They are from the `ring` nearest values on each side, and as many beyond these.
+    They come from the `ring` nearest values on each side, and as many beyond.
     """
     last = sums.shape[-1] - 1
     edges = np.clip(
@@ -296,7 +299,7 @@ def _expected(sums: Floats, row: Counts, at: Counts, ring: int) -> tuple[Floats,
     log_rate = np.where(np.isnan(log_rate), np.log(mean), log_rate)
     rate = np.exp(log_rate)
     if ring <= _CURVED:
-        # Of floats, the steps between values double at powers of two.
+        # For floats, the step between values doubles at powers of two.
         relative = held[2, 2] * values / np.where(width > 0, width, 1)
         log_rate += np.log(np.clip(relative, 0.5, 2))
     error = 1 / ((samples + 0.5) * (1 + rate - mean))
@@ -313,7 +316,7 @@ def _expected(sums: Floats, row: Counts, at: Counts, ring: int) -> tuple[Floats,
 
 
 def _truncated() -> tuple[Floats, Floats]:
-    """Return logarithms of the mean of a Poisson distribution without its zero, and of its rate."""
+    """Return a table of log mean and log rate of a Poisson distribution without its zero."""
     log_rate = np.linspace(np.log(1e-3), np.log(40), 512)
     rate = np.exp(log_rate)
     return np.log(rate / -np.expm1(-rate)), log_rate
@@ -323,10 +326,10 @@ _TRUNCATED = _truncated()
 
 
 def _half_steps(log: Floats, wanted: Mask) -> tuple[Floats, Floats]:
-    """Return how far what was rounded to the wanted values may lie below and above them.
+    """Return how far numbers that were rounded to the wanted values may lie below and above them.
 
-    Half of the median of the gaps to and between three values on each side, but at most half-way to
-    the next value; shape of `log`, 0 where not wanted.
+    That is half of the median gap among three values on each side, but at most half-way to the next
+    value. The result has the shape of `log`, and is 0 where not wanted.
     """
     gap = np.full((len(log), log.shape[-1] + 5), np.inf)
     gap[:, 3:-3] = np.diff(log, axis=-1)
@@ -342,7 +345,7 @@ def _half_steps(log: Floats, wanted: Mask) -> tuple[Floats, Floats]:
 
 
 def _is_discrete(log: Floats, kept: Counts) -> Mask:
-    """Say which rows are a few values, or values of many samples in uneven steps, shape (row,)."""
+    """Return which rows are a few values, or values of many samples in uneven steps, (row,)."""
     used = kept > 0
     order = np.argsort(~used, axis=-1, kind="stable")
     step = np.diff(np.take_along_axis(np.where(used, log, np.nan), order, axis=-1), axis=-1)
@@ -355,15 +358,15 @@ def _is_discrete(log: Floats, kept: Counts) -> Mask:
 
 
 _IMPUTATIONS, _LAMP = 12, 0.1
-"""How often clamped samples are drawn anew; and the share of an atom at the top that one law leaves
-to its tail, below which the atom is a lamp, not a clamp."""
+"""How often clamped samples are drawn anew; and the least share of the atom at the top that the
+fitted tail must explain: below it, the atom is a lamp, not a clamp."""
 
 
 def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
-    """Return the continuous rest with the samples of an atom at its top as they may have been.
+    """Return the continuous rest, with clamped samples replaced by likely values above the clamp.
 
-    They become the quantiles of the tail that one component leaves above the clamp, which is fitted
-    to all of them in turn. Rows without a clamp stay as they are.
+    One component is fitted; clamped samples become the quantiles of its tail above the clamp; the
+    component is fitted again, and so on. Rows without a clamp stay as they are.
     """
     if not isinstance(part, PositivePart) or not isinstance(atoms.rest, PositivePart):
         return atoms.rest

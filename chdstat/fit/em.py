@@ -1,21 +1,24 @@
 """Components of mixtures, and expectation-maximisation: all rows at once, on groups of samples.
 
-The density of y = log x of a component is ``exp(a0 + a1 y + a2 t(y))``, with t(y) = y^2 for a
-log-normal component and t(y) = exp(y) for a gamma one. Its state is (log weight, location, log
-scale): mean and log standard deviation of y for log-normal, log mean of x and log shape for gamma
-components. States and coefficients have shape (3, component, row).
+The density of y = log x of a component is ``exp(a0 + a1 y + a2 t(y))``. t(y) is y^2 for a
+log-normal component and exp(y) for a gamma component. The state of a component is (log weight,
+location, log scale). For log-normal components, location is the mean of y and log scale the log
+standard deviation of y; for gamma components, location is the log mean of x and log scale the log
+shape. States and coefficients have shape (3, component, row).
 
-All samples of a group share their responsibilities, which are those of its mean sufficient
-statistics: no other shared ones give a larger lower bound of the log-likelihood, and every step
-raises it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data sets", 2006,
-doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
-globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
-doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.
+All samples of a group share their responsibilities, computed from the means of the group's
+sufficient statistics. No other shared responsibilities give a larger lower bound of the
+log-likelihood, and every step raises the bound (Verbeek, Nunnink and Vlassis, "Accelerated EM-based
+clustering of large data sets", 2006, doi:10.1007/s10618-005-0033-3). SQUAREM extrapolates the steps
+(Varadhan and Roland, "Simple and globally convergent methods for accelerating the convergence of
+any EM algorithm", 2008, doi:10.1111/j.1467-9469.2007.00585.x, scheme S3); an extrapolation that
+lowers the bound is undone.
 
-The bound is penalised: each of several components counts a part of a sample beside its own, see
-`state_of`: a conjugate prior of its spread (Fraley and Raftery, "Bayesian regularization for normal
-mixture estimation and model-based clustering", 2007, doi:10.1007/s00357-007-0004-5), without which
-two or three samples that happen to lie close are a spike.
+The bound is penalised: each of several components counts a part of a sample beside its own samples,
+see `state_of`. That is a conjugate prior of its spread (Fraley and Raftery, "Bayesian
+regularization for normal mixture estimation and model-based clustering", 2007,
+doi:10.1007/s00357-007-0004-5). Without it, two or three samples that happen to lie close would be a
+spike.
 """
 
 from __future__ import annotations
@@ -57,44 +60,44 @@ _LOG_ROOT_TAU = 0.5 * np.log(2 * np.pi)
 
 @dataclass(frozen=True)
 class ComponentFamily:
-    """An exponential family of components.
+    """A family of components: an exponential family.
 
     Attributes
     ----------
     name
         What users call it.
     statistic
-        Mean of t(y) per group.
+        Returns the mean of t(y) per group.
     transform
-        t(y) itself.
+        t(y) as a function.
     location
-        That of maximum likelihood, from mean y and mean t(y) of each component.
+        Returns the location of maximum likelihood, from mean y and mean t(y) of each component.
     variance
-        About the variance of y, which sets the scale, from the same.
+        Returns about the variance of y, which sets the scale, from the same two means.
     log_scale
-        That of maximum likelihood, from this variance.
+        Returns the log scale of maximum likelihood, from this variance.
     log_density
-        Largest mean log density of y of samples of a given variance, from the log scale and that.
+        Returns the largest mean log density of samples of y, from the log scale and their variance.
     cdf
-        Distribution function of y, from y and a state of shapes that broadcast.
+        Distribution function of y, from y and a state whose shapes broadcast.
     coefficients
-        (a0 + log weight, a1, a2) of a state.
+        Returns (a0 + log weight, a1, a2) of a state.
     power
-        Of the scale, that gives about the standard deviation of y.
+        Power of the scale that is about the standard deviation of y.
     moments
         Mean and standard deviation of y of each component, shape (component, row).
     median
         Median of y of each component, shape (component, row).
     parameters
-        Those of users, in the order of the family's units, of a state and the origin of y, each of
-        shape (component, row).
+        Returns the parameters that users see, in the order of the family's units, from a state and
+        the origin of y; each has shape (component, row).
     scores
-        Derivatives of the log density by these parameters, or their logarithms, at the groups, of a
-        state of shape (3, component, 1, row).
+        Returns the derivatives of the log density by these parameters, or by their logarithms, at
+        the groups, for a state of shape (3, component, 1, row).
     logarithmic
-        Of which parameters the scores take the logarithm.
+        For which parameters the scores are derivatives by the logarithm.
     directions
-        How location and log scale change with each of what the scores are by.
+        How location and log scale change with each parameter of the scores.
     """
 
     name: MixtureFamily
@@ -119,11 +122,11 @@ class ComponentFamily:
         return np.asarray(np.exp(self.power * state[2]))
 
     def narrowed(self, log_scale: Floats, part: float) -> Floats:
-        """Return the log scale of components of a given part of the spread."""
+        """Return the log scale of components whose spread is a given part of what it was."""
         return np.asarray(log_scale + np.log(part) / self.power)
 
     def bounded(self, state: Floats, floor: Floats) -> Floats:
-        """Return the state with its log scale moved to where the spread is at least the floor."""
+        """Return the state with its log scale changed so that the spread is at least the floor."""
         log_spread = np.maximum(self.power * state[2], np.log(floor))
         return np.stack([state[0], state[1], log_spread / self.power])
 
@@ -218,7 +221,7 @@ COMPONENTS = {
             statistic=lambda groups: groups.ratio,
             transform=np.exp,
             location=_gamma_location,
-            # The variance is near 1 / shape, and the gap near 1 / (2 shape), where both are small.
+            # Where both are small, the variance is near 1 / shape and the gap near 1 / (2 shape).
             variance=lambda log, ratio: 2 * (_gamma_location(log, ratio) - log),
             log_scale=lambda variance: _log_shape(0.5 * variance),
             log_density=_gamma_log_density,
@@ -243,31 +246,31 @@ COMPONENTS = {
 
 
 _MORE, _APART = 0.3, 3.5
-"""Samples that each component counts beside its own, and their distance from its centre, in median
-distances of neighbours."""
+"""Samples that each component counts beside its own, and their distance from its centre in median
+distances of neighbouring samples."""
 _LEAST_SIZE = 1e-10
-"""Least share of a component, so that it keeps a place and a width."""
+"""Least share of a component: it keeps a place and a width."""
 _VANISHING = -80.0
-"""Log of a share that is as good as none."""
+"""Log of a share that is as good as 0."""
 _REACH = 64.0
 """Longest extrapolation, in steps."""
 
 
 @dataclass(frozen=True)
 class Solution(RowsLast):
-    """A mixture of each row, of a family and a number of components.
+    """A mixture for each row, with one family and one number of components.
 
     Attributes
     ----------
     family
-        Of the components.
+        Family of the components.
     state
-        Shape (3, component, row).
+        State of the components, shape (3, component, row).
     origin
-        Of y = log x - origin, shape (row,).
+        Origin of y = log x - origin, shape (row,).
     log_likelihood
-        Of log x, shape (row,): without the Jacobian of the logarithm. From `run`, it is the
-        penalised bound.
+        Log-likelihood of log x, without the Jacobian of the logarithm, shape (row,). From `run`, it
+        is the penalised bound.
     converged
         Whether the last cycle gained less than the tolerance, shape (row,).
     """
@@ -284,7 +287,7 @@ def run(
 ) -> Solution:
     """Raise the bound until a cycle of three steps gains less than `tolerance` per sample.
 
-    One component is at its maximum at once.
+    One component is at its maximum from the start.
     """
     if state.shape[1] == 1:
         value, there = bound_at(groups, family, state), np.ones(state.shape[-1], dtype=bool)
@@ -294,13 +297,13 @@ def run(
     converged = np.zeros(state.shape[-1], dtype=bool)
     active, here = np.arange(state.shape[-1]), groups
     for _ in range(cycles):
-        # Extrapolation may leave the numbers; what it reached is then not taken.
+        # An extrapolation may overflow; it is then not taken.
         state[..., active], value = _cycle(here, family, take_last(state, active))
         done = value - bound[active] < tolerance * here.n
         bound[active], converged[active] = value, done
         if done.all():
             break
-        # What is done stays as it is, however long the others take.
+        # A row that is done does not change, however long the others take.
         if done.any():
             active = active[~done]
             here = here.take(~done)
@@ -322,19 +325,19 @@ def bound_at(groups: SampleGroups, family: ComponentFamily, state: Floats) -> Fl
 def refit(
     groups: SampleGroups, solution: Solution, onto: SampleGroups, family: ComponentFamily
 ) -> Floats:
-    """Return the state of maximum likelihood of other groups or components.
+    """Return the state of maximum likelihood for other groups or another family.
 
-    They are given the responsibilities that the groups have under a solution.
+    The components keep the responsibilities that they have for the groups under a solution.
     """
     shares, _ = _expect(groups, solution.family, solution.state)
     return _maximise(onto, family, shares)
 
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
-    """Return the log density of y, from y, t(y), and coefficients (3, component, ...) of them."""
+    """Return the log density of y, from y, t(y) and their coefficients (3, component, ...)."""
     exponent, top = _exponents(log, statistic, coefficients)
     total = np.log(np.exp(exponent, out=exponent).sum(axis=0))
-    # Far beyond every component, all terms are minus infinity, and so is their sum.
+    # Far beyond every component, all terms and their sum are minus infinity.
     return np.where(top == -np.inf, -np.inf, total + top)
 
 
@@ -380,15 +383,15 @@ def _expect(groups: SampleGroups, family: ComponentFamily, state: Floats) -> tup
 
 
 def _exponents(log: Floats, statistic: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return the logs of weight times density of the components less their largest, and that."""
+    """Return log(weight times density) of the components minus the largest, and the largest."""
     constant, slope, curvature = coefficients
-    # In this order, or else sums over components and groups take several times as long.
+    # In any other order, sums over components and groups take several times as long.
     exponent = np.multiply(slope, log, order="C")
     exponent += np.multiply(curvature, statistic, order="C")
     exponent += constant
     top = exponent.max(axis=0)
     exponent -= top
-    # The exponential function is slow where it vanishes.
+    # The exponential function is slow where its result vanishes.
     np.maximum(exponent, _VANISHING, out=exponent)
     return exponent, top
 
@@ -413,11 +416,11 @@ def state_of(
     Parameters
     ----------
     family
-        Of the components.
+        Family of the components.
     sizes, log, statistic
-        Samples, mean y and mean t(y) of each, shape (component, row).
+        Number of samples, mean y and mean t(y) of each component, shape (component, row).
     floor, spacing
-        As of `SampleGroups`.
+        As in `SampleGroups`.
     """
     variance = family.variance(log, statistic)
     if len(sizes) > 1:  # One component has a maximum of its own.
@@ -427,6 +430,6 @@ def state_of(
 
 
 def penalty(family: ComponentFamily, state: Floats, spacing: Floats) -> Floats:
-    """Return the log density of the samples more that each component counts, shape (row,)."""
+    """Return the log density of the samples that components count beside their own, (row,)."""
     each = family.log_density(state[2], (_APART * spacing) ** 2)
     return np.asarray(_MORE * each.sum(axis=0))

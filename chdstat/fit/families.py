@@ -1,11 +1,12 @@
-"""Families: the distributions that the positive part of a CHD can be fitted with, and their fits.
+"""Families: the distributions that can be fitted to the positive part of a CHD, and their fits.
 
-`FAMILIES` is the table. A family is a row of it: how its parameters are estimated from the positive
-part (whose sums are shared between the families), its log-likelihood, SciPy's distribution for
-everything else, and what documentation, reports and tests need. Each has a module of its own.
+`FAMILIES` is the table; a family is a row of it. The row says how to estimate the parameters from
+the positive part, gives the log-likelihood, uses SciPy's distribution for everything else, and
+holds what documentation, reports and tests need. Families share the sums over the positive part.
+Each family has a module of its own.
 
-`fit` fits any of them by maximum likelihood to the samples of a pixel, a batch or an image, or to a
-log histogram of them; `family_fit` makes functions that fit one, as `chdstat.fit.gamma` does.
+`fit` fits any family by maximum likelihood to the samples of a pixel, a batch or an image, or to a
+log histogram. `family_fit` makes functions that fit one family, such as `chdstat.fit.gamma`.
 """
 
 from __future__ import annotations
@@ -67,13 +68,13 @@ __all__ = [
 FAMILIES: Mapping[str, Family] = {
     family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO, INVERSE_GAUSSIAN)
 }
-"""Families by name. A new one is a new row."""
+"""Families by name."""
 SELECTED = tuple(family.name for family in FAMILIES.values() if family.selected)
 """Families that `select` compares by default."""
 
 
 def get_family(family: str | Family) -> Family:
-    """Return a family by its name; a family passes through.
+    """Return a family by its name; a `Family` is returned as it is.
 
     Raises
     ------
@@ -90,8 +91,8 @@ def get_family(family: str | Family) -> Family:
 class Fit(Result):
     """A zero-inflated family: a point mass at 0, and a density on the positive radiances.
 
-    ``P(X = 0) = zero_share``; otherwise X follows the family. Every array has the batch's shape,
-    () for a single pixel; a row that could not be fitted holds NaN and says why in `reason`.
+    ``P(X = 0) = zero_share``; otherwise X follows the family. Every array has the batch's shape, ()
+    for a single pixel. A row that could not be fitted is NaN, and `reason` says why.
 
     Attributes
     ----------
@@ -100,25 +101,26 @@ class Fit(Result):
     parameters, standard_errors
         Estimates and their asymptotic standard errors, by name.
     log_likelihood
-        Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
+        Log-likelihood of all good samples: of the positive ones in linear radiance, plus the
+        Bernoulli part of zeros.
     aic, bic
         Information criteria; the zero share counts as a parameter of every family.
     null_share, null_interval
         Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
     n, n_null, n_zero, n_negative, n_bad
-        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
-        which the model leaves out; bad ones.
+        Numbers of samples: fitted; null; zero in one channel of a sample that is not null;
+        negative, which the model leaves out; bad.
     converged
         Whether the estimate met its tolerance.
     reason
         `Reason` codes.
     error_reason
-        `Reason` codes of why one or more standard errors are NaN: as `reason`; `TOO_FEW` samples
-        for them to hold, fewer than `Family.errors_from`; or `NOT_REGULAR`.
+        `Reason` codes of why standard errors are NaN: as `reason`; `TOO_FEW` if there are fewer
+        samples than `Family.errors_from`, so that errors would not hold; or `NOT_REGULAR`.
     """
 
     name_of: ClassVar[str] = "{}"
-    """What was fitted, of a family."""
+    """Format of the name, from that of the family."""
 
     family: str
     parameters: Parameters
@@ -144,7 +146,7 @@ class Fit(Result):
 
     @property
     def name(self) -> str:
-        """What was fitted: the family, or its mixture."""
+        """Name of the family, or of its mixture."""
         return self.name_of.format(self.family)
 
     @property
@@ -156,17 +158,18 @@ class Fit(Result):
     def pdf(self, x: npt.ArrayLike) -> Floats:
         """Return the density of the positive part alone.
 
-        It integrates to 1, or in a mixture to 1 minus the share of the atoms.
+        It integrates to 1, or in a mixture to 1 minus the share of the atoms. Multiply it by
+        ``1 - zero_share`` for the density of the whole model away from 0.
 
-        Multiply by ``1 - zero_share`` for the density of the whole model away from 0. The result
-        has the shape of the batch followed by that of `x`, which are radiances of any shape.
+        `x` are radiances of any shape; the result has the shape of the batch followed by that of
+        `x`.
         """
         x = np.asarray(x, dtype=np.float64)
         with np.errstate(all="ignore"):
             return np.asarray(self._distribution(x.ndim).pdf(x))
 
     def cdf(self, x: npt.ArrayLike) -> Floats:
-        """Return P(X <= x) of the zero-inflated model, shape of the batch, then that of `x`."""
+        """Return P(X <= x) of the zero-inflated model; shape of the batch, then of `x`."""
         x = np.asarray(x, dtype=np.float64)
         zero = expand(self.zero_share, x.ndim)
         with np.errstate(all="ignore"):
@@ -174,7 +177,7 @@ class Fit(Result):
         return np.where(x < 0, 0 * zero, zero + (1 - zero) * positive)
 
     def ppf(self, q: npt.ArrayLike) -> Floats:
-        """Return quantiles of the zero-inflated model, shape of the batch, then that of `q`."""
+        """Return quantiles of the zero-inflated model; shape of the batch, then of `q`."""
         q = np.asarray(q, dtype=np.float64)
         return self._quantile(q, q.ndim)
 
@@ -185,8 +188,8 @@ class Fit(Result):
     def mean(self) -> Floats:
         """Return the expectation of the zero-inflated model, shape (...).
 
-        It is infinite where the family has none (a tail index of 1 or more), and where that of a
-        very wide log-normal is too large for double precision.
+        It is infinite where the family has no expectation (a tail index of 1 or more), and where a
+        very wide log-normal distribution has one that is too large for double precision.
         """
         own = get_family(self.family).mean
         with np.errstate(all="ignore"):
@@ -221,13 +224,13 @@ class Fit(Result):
         return Card(f"{type(self).__name__} {self.name}", facts)
 
     def _distribution(self, trailing: int) -> Any:
-        """Return that of the positive part, whose arguments have so many axes after the batch's."""
+        """Return the distribution of the positive part, with `trailing` axes after the batch's."""
         expanded = {name: expand(value, trailing) for name, value in self.parameters.items()}
         return get_family(self.family).distribution(expanded)
 
     def _quantile(self, q: Floats, trailing: int) -> Floats:
         zero = expand(self.zero_share, trailing)
-        # Every family puts its quantile 0 at radiance 0: up to the mass at 0, so is that of all.
+        # Every family has its quantile 0 at radiance 0, and so has the model up to its mass at 0.
         with np.errstate(all="ignore"):
             level = np.clip((q - zero) / (1 - zero), 0, 1)
             return np.asarray(self._distribution(trailing).ppf(level))
@@ -249,12 +252,12 @@ Fitted = TypeVar("Fitted", bound=Fit, covariant=True)
 
 
 class ParametricFit(Statistic[Fitted]):
-    """Fits with parameters, each of which is a variable, and so is its standard error."""
+    """Fits with parameters; each parameter and its standard error is a variable."""
 
     binned: ClassVar = True
     prefix: ClassVar = "{}_"
     of_components: ClassVar[bool] = False
-    """Whether parameters are those of components of a mixture."""
+    """Whether the parameters belong to components of a mixture."""
 
     def variables(self, found: Fit) -> Mapped:
         """Return the fields of a fit, its parameters and their errors."""
@@ -265,7 +268,7 @@ class ParametricFit(Statistic[Fitted]):
         return {**own, **super().variables(found)}
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Set names and units, those of parameters included."""
+        """Set names and units of all variables and parameters."""
         labels, of = {}, self.subject
         prefix, units = self.prefix.format(of), get_family(vars(self)["family"]).units
         for name, unit in {**units, "weight": "1"}.items():
@@ -302,7 +305,8 @@ class FamilyFit(ParametricFit[Fit]):
         no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
         few = part.n < max(family.errors_from.values(), default=0)
         why = np.where(few, Reason.TOO_FEW, np.where(no_error, Reason.NOT_REGULAR, Reason.OK))
-        # Nulls hold nothing about the shape: only their share is estimated from all samples.
+        # Nulls say nothing about the shape; they only enter the null share, estimated from all
+        # samples.
         of_shape = len(parameters) * np.log(part.n)
         bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
         return Fit(
@@ -353,46 +357,54 @@ def fit(
 ) -> Fit | xr.Dataset:
     """Fit a zero-inflated family by maximum likelihood.
 
-    The share of nulls is estimated separately; the family is fitted to the samples that are good,
+    The share of nulls is estimated separately. The family is fitted to the good samples that are
     not null and larger than 0.
 
     Parameters
     ----------
     x
-        Radiance of a pixel, shape (sample,), of a batch, shape (..., sample), or all samples of an
-        image. Of an array, exact zeros are nulls and NaN or infinite numbers are bad.
-        Of `Samples`, a sample is null where all channels are 0 and bad where any channel is; a 0 of
-        one channel in another sample cannot enter a positive family: it is left out of the fit of
-        that channel and counted as `n_zero`. Or a `Histogram` of log scale, or the dataset that
-        `chdstat.histogram` makes of an image: see below what is lost.
+        Radiance of a pixel, shape (sample,), or of a batch, shape (..., sample); or all samples of
+        an image. In an array, exact zeros are null, and NaN and infinite numbers are bad. In
+        `Samples`, a sample is null where all channels are 0 and bad where any channel is bad. If
+        only one channel is 0, a positive family cannot describe it: the fit of that channel leaves
+        it out and counts it as `n_zero`.
+
+        `x` may also be a `Histogram` of log scale, or the dataset that `chdstat.histogram` makes of
+        an image; the notes say what is lost.
     family
         A `Family`, or the name of one of `FAMILIES`, such as 'gamma'.
     null
-        Which samples of an array are null, broadcastable to it, where the caller knows better.
+        Mask of the null samples of an array, broadcastable to it; by default, its exact zeros.
     progress
         For `Samples`: show a progress bar; None shows it on a terminal.
 
     Returns
     -------
     Fit or xarray.Dataset
-        `Fit` for an array or a `Histogram`. For an image, its fields as variables over (y, x,
-        channel): named after the family, as ``gamma_shape``, ``gamma_shape_se``, ``gamma_bic``,
-        ``gamma_reason``, except what all families share, as ``null_share``.
+        `Fit` for an array or a `Histogram`. For an image, the same fields as variables over (y, x,
+        channel). Their names begin with the family, such as ``gamma_shape``, ``gamma_shape_se``,
+        ``gamma_bic`` and ``gamma_reason``, except for fields that all families share, such as
+        ``null_share``.
 
     Raises
     ------
     InputError
-        If there is no such family, or `x` or `null` has the wrong shape or goes without the other.
+        If there is no such family, or `x` or `null` has the wrong shape, or `null` comes without an
+        array.
 
     Notes
     -----
-    A fit from a histogram costs the same whatever the spp. It takes the bins for what they are by
-    Sheppard's corrections of the log moments; parameters are those of the samples as long as the
-    log radiance spreads over more than a bin. What is lost: a distribution within one bin (0.1
-    decades by default) is constant; a zero of one channel is the same as radiance below the support
-    (1e-5 by default), both are `n_zero`; radiance above the support counts as the last
-    bin; and the likelihood is that at the centres of the bins. Where most samples lie outside of
-    the support, there is no fit (`OUTSIDE`).
+    A fit from a histogram costs the same for any spp. Sheppard's corrections of the log moments
+    account for the width of the bins: parameters are those of the samples as long as the log
+    radiance spreads over more than one bin. A histogram loses four things:
+
+    - A distribution within one bin (0.1 decades by default) is constant.
+    - A zero of one channel and radiance below the support (1e-5 by default) are the same: both
+      count as `n_zero`.
+    - Radiance above the support counts as the last bin.
+    - The likelihood is that at the centres of the bins.
+
+    Where most samples lie outside of the support, there is no fit (`OUTSIDE`).
 
     Examples
     --------
@@ -429,8 +441,8 @@ def estimate_part(
 ) -> tuple[Estimate, npt.NDArray[np.int8]]:
     """Return parameters and standard errors, NaN where there are none, and `Reason` codes.
 
-    A search begins at `near`, if given, in the rows where that is known, and leaves out the others;
-    it ends at Newton steps of `tolerance`.
+    If `near` is given, the search begins there and leaves out rows where `near` is NaN. It ends
+    when Newton steps are below `tolerance`.
     """
     estimate = family.estimate(part, near, tolerance)
     reason = part.reason(family.minimum)

@@ -1,8 +1,8 @@
-"""Family: what a row of the table of families holds, and the samples that it is fitted to.
+"""Family: a row of the table of families, and the samples that a family is fitted to.
 
-A family that is fitted from sums over the samples sees `WeightedSamples` only: samples have weight
-1, bins of a log histogram the count of their samples. Rows are taken in the order of their number
-of samples, so that a block is as wide as its rows need: null-heavy pixels cost what they hold.
+A family that is fitted from sums over the samples only sees `WeightedSamples`: samples with weight
+1, or bins of a log histogram with their counts. Rows are sorted by their number of samples, so that
+a block is as wide as its rows need and pixels with many nulls cost little.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ Parameters = Mapping[str, Floats]
 LogDensity = Callable[["WeightedSamples", Parameters], Floats]
 
 TIGHT = 3e-5
-"""Newton steps at which a search ends: what they leave is of the order of their squares."""
+"""Newton step at which a search ends; the remaining error is of the order of its square."""
 
 _THIN = 32
 _EDGES = np.sin(np.linspace(0, np.pi / 2, _THIN + 1)) ** 2
-"""Quantiles at which the samples are parted: close at both ends, where single samples count."""
+"""Quantiles that divide the samples: close at both ends, where single samples count."""
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Parameters and standard errors by name, and where the estimate is a maximum.
 
-    `limit` is the `Reason` code of the limit of the family that the likelihood rises towards, where
-    it has no maximum, and 0 elsewhere. `log_likelihood` is that of `Family`, where the maximum has
-    a closed form.
+    Where the likelihood has no maximum but rises towards a limit of the family, `limit` is the
+    `Reason` code of that limit; it is 0 elsewhere. `log_likelihood` is the family's, if the maximum
+    has a closed form.
     """
 
     parameters: Parameters
@@ -63,30 +63,30 @@ class Family:
     units
         Names of its parameters, with their units.
     estimate
-        Maximum likelihood. A search may begin at given parameters; rows where these are NaN are
-        then left out. It ends when a Newton step is below the last argument. Rows that cannot be
+        Maximum likelihood. A search may begin at given parameters; it then leaves out rows where
+        they are NaN. It ends when a Newton step is below the last argument. Rows that cannot be
         fitted may hold anything but must not warn.
     log_likelihood
         Sum over the positive samples of the log density in linear radiance, at given parameters.
     log_density
         Log density of log x at the points of some rows, shape (row, point), given the parameters of
-        these rows, shape (row,). That of x is smaller by log x. A row without a fit has
-        parameters that are NaN, of which it must not warn.
+        these rows, shape (row,). The log density of x is smaller by log x. A row without a fit has
+        NaN parameters, which must not warn.
     distribution
-        SciPy's frozen distribution with given parameters, which may be arrays.
+        SciPy's frozen distribution with the given parameters, which may be arrays.
     mean
-        Expectation at given parameters; None where SciPy's will do.
+        Expectation at given parameters; None to use SciPy's.
     errors_from
-        Positive samples from which on 1.96 standard errors hold the truth in nine of ten cases, by
-        the name of the parameter, where it is more than the fit needs. Simulated.
+        Positive samples, by parameter, from which 1.96 standard errors hold the truth in nine of
+        ten cases, where that takes more samples than the fit. Simulated.
     selected
         Whether `select` compares it by default.
     density, tail_index, error_formula
-        For the table of the documentation: the density as TeX; the tail index and where standard
-        errors come from as reStructuredText.
+        For the table in the documentation: the density as TeX; the tail index and the source of the
+        standard errors as reStructuredText.
     typical
-        Range of each parameter over the CHDs of rendered images at unit scale, from which to draw
-        parameters for simulations.
+        Range of each parameter over the CHDs of rendered images at unit scale. Simulations draw
+        their parameters from it.
     """
 
     name: str
@@ -106,7 +106,7 @@ class Family:
     typical: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __eq__(self, other: object) -> bool:
-        """Compare by name: a family that was sent to a worker of a cluster is still the same."""
+        """Compare by name: a family that was sent to a worker of a cluster stays the same."""
         return isinstance(other, Family) and self.name == other.name
 
     def __hash__(self) -> int:
@@ -147,18 +147,18 @@ class WeightedSamples:
     rows
         Which rows of the flattened part these are, shape (row,).
     log
-        Log radiance relative to its mean in the row, shape (row, point); 0 where there is no point.
+        Log radiance minus its mean in the row, shape (row, point); 0 where there is no point.
     weight
         Samples at each point, same shape; 0 where there is no point.
     n
         Samples of each row: the sum of its weights.
     log_mean
-        Mean of log radiance, by which `log` is shifted: magnitudes drop out.
+        Mean of log radiance, which is subtracted from `log` so that magnitudes drop out.
     log_top
-        The largest of `log`, shape (row,); of bins, the upper edge of the highest that holds any,
-        which no sample exceeds.
+        Largest `log`, shape (row,). For bins, the upper edge of the highest bin with samples, which
+        no sample exceeds.
     single
-        Whether every point is one sample: its weight is 1.
+        Whether every point is one sample, with weight 1.
     """
 
     rows: npt.NDArray[np.intp]
@@ -180,7 +180,7 @@ class WeightedSamples:
         return self.log_weight * self.log
 
     def take(self, rows: npt.NDArray[Any]) -> WeightedSamples:
-        """Select some rows of these."""
+        """Select some of these rows."""
         names = ("rows", "log", "weight", "n", "log_mean", "log_top")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
@@ -189,7 +189,7 @@ class WeightedSamples:
         return np.asarray(np.vecdot(self.weight, values) / self.n)
 
     def moments(self, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return averages of values, and of their products with `log` and with its square."""
+        """Return averages of values, of values times `log`, and of values times `log` squared."""
         zero = np.vecdot(self.weight, values)
         one = np.vecdot(self.log_weight, values)
         two = np.vecdot(self.square_weight, values)
@@ -199,8 +199,8 @@ class WeightedSamples:
 def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[WeightedSamples]:
     """Cut the usable rows of a part into blocks.
 
-    With `thin`, samples are replaced by 32 of them, each with the weight of its neighbours: enough
-    to come close to the maximum of all of them, for a sixteenth of the cost at 512.
+    With `thin`, 32 samples represent all samples of a row; each has the weight of its neighbours.
+    The maximum is then close to that of all samples, at a sixteenth of the cost for 512 samples.
     """
     for rows in rows_by_count(part.n.ravel(), usable, _THIN if thin else width_of(part)):
         yield points_of(part, rows, thin=thin)
@@ -269,7 +269,7 @@ def points_of(part: Part, rows: npt.NDArray[np.intp], *, thin: bool = False) -> 
         log = batch_rows(part.log_sorted, part.n.shape, rows, slice(int(n.max(initial=1))))
         log -= log_mean[:, np.newaxis]
         weight = (np.arange(log.shape[-1]) < n[:, np.newaxis]).astype(np.float64)
-        # In a block of similar rows, few columns hold what is no sample.
+        # In a block of similar rows, few columns hold places without a sample.
         least = int(n.min(initial=log.shape[-1]))
         np.copyto(log[:, least:], 0, where=weight[:, least:] == 0)
     return WeightedSamples(
@@ -284,10 +284,10 @@ def points_of(part: Part, rows: npt.NDArray[np.intp], *, thin: bool = False) -> 
 
 
 def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> WeightedSamples:
-    """Draw the centres together until they have the log variance that the samples had.
+    """Move the bin centres together until they have the log variance of the samples.
 
-    The bins spread the samples by h^2 / 12 (see `PositiveHistogram.log_statistics`); contracting
-    the centres about their mean by one factor takes that back, and leaves the weights alone.
+    Bins add h^2 / 12 to the variance of the samples (see `PositiveHistogram.log_statistics`).
+    Contracting the centres about their mean removes it and keeps the weights.
     """
     some = take_part(part, rows)
     weight, centers = some.counts, some.log_centers
@@ -298,7 +298,7 @@ def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> WeightedSample
     wanted = part.log_statistics.log_variance.ravel()[rows]
     centered *= np.sqrt(wanted / spread)[:, np.newaxis]
     empty = weight == 0
-    # The edge, not the contracted centre: a family of bounded support must hold every sample.
+    # The edge, not the contracted centre: a family of bounded support must cover every sample.
     edge = np.where(empty, -np.inf, centers).max(axis=-1) + some.width / 2 - log_mean
     centered[empty] = 0
     return WeightedSamples(rows, centered, weight, n, log_mean, edge)

@@ -1,16 +1,17 @@
 """Goodness of fit: whether a fitted family describes the samples, and how large the misfit is.
 
-`goodness` gives, for each test, a p-value that allows for the parameters being estimated, and an
-effect size: with thousands of samples every family is rejected, and the effect shows whether it
-matters. Use `chdstat.fit.select` to compare families with each other.
+For each test, `goodness` gives a p-value that accounts for the estimated parameters, and an effect
+size. With thousands of samples, every family is rejected; the effect size shows whether the misfit
+matters. To compare families with each other, use `chdstat.fit.select`.
 
-Anderson-Darling has the most power against tails that differ, which decide noise; Cramer-von Mises
-weighs the body, Kolmogorov-Smirnov takes the largest gap, whose size is the easiest to read;
-chi-square at all cells equally, whatever their order, and is the weakest of the four.
+- Anderson-Darling has the most power against misfits in the tails, which decide noise.
+- Cramer-von Mises weighs the body.
+- Kolmogorov-Smirnov takes the largest gap, whose size is the easiest to read.
+- Chi-square weighs all cells equally, whatever their order; it is the weakest of the four.
 
-The bootstrap draws samples from the fit and fits them again, the replicates of several rows at
-once. The random numbers of a row are made of the seed and of the row's own samples, so that its
-p-value does not depend on which rows are tested with it.
+The bootstrap draws samples from the fit and fits them again, with the replicates of several rows at
+once. The random numbers of a row follow from the seed and the row's own samples, so that its
+p-value does not depend on the other rows.
 """
 
 from __future__ import annotations
@@ -66,17 +67,17 @@ FIT_TESTS: tuple[FitTest, ...] = get_args(FitTest)
 class Goodness(Result):
     """Goodness of fit of a family; arrays of shape (..., test), NaN where `reason` says why.
 
-    With the reasons `UNTESTED` and `FEW_REPLICATES`, there is a statistic and an effect.
+    With the reasons `UNTESTED` and `FEW_REPLICATES`, statistic and effect are still there.
 
     Attributes
     ----------
     family, tests
-        What was tested, and how: the names along the last axis.
+        The family that was tested, and the names of the tests along the last axis.
     statistic
         Kolmogorov's D, Cramer and von Mises' W^2, Anderson and Darling's A^2, Pearson's X^2.
     p_value
-        Of the hypothesis that the samples are of the family; NaN where fewer than half of the
-        replicates could be fitted.
+        P-value of the hypothesis that the samples are of the family; NaN where fewer than half of
+        the replicates could be fitted.
     effect
         D; sqrt(W^2 / n), the mean distance of the distribution functions; sqrt(A^2 / n), the same
         relative to its standard deviation; and Cohen's w, sqrt(X^2 / n).
@@ -104,7 +105,7 @@ class Goodness(Result):
 
 
 Fitted: TypeAlias = Fit | Selection
-"""What was fitted, a mixture included, and can be tested."""
+"""A fit or mixture that can be tested, or a selection of fits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +132,7 @@ class GoodnessOfFit(Statistic[Goodness]):
 
     @property
     def subject(self) -> str:
-        """Name of what was fitted."""
+        """Name of the family that was tested."""
         return "best" if self.fit is None or isinstance(self.fit, Selection) else self.fit.name
 
     def coordinates(self) -> dict[str, tuple[FitTest, ...]]:
@@ -139,10 +140,10 @@ class GoodnessOfFit(Statistic[Goodness]):
         return {"fit_test": self.tests}
 
     def measure(self, part: Part) -> Goodness:
-        """Test each row; a `Family` is fitted to it first, a fit must be its own.
+        """Test each row: against a `Family`, which is fitted to it first, or against its own fit.
 
-        Of a `Selection`, each row is tested for the family that is best there. Its p-value then is
-        a little too large, as replicates are fitted with that family alone.
+        With a `Selection`, each row is tested against its best family. The p-value is then a little
+        too large, since the replicates are fitted with that family alone.
         """
         given = self.fit if isinstance(self.fit, Family) else None
         if self.fit is None:
@@ -183,7 +184,7 @@ class GoodnessOfFit(Statistic[Goodness]):
         )
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Add q-values, and names; without replicates, nothing was tested: no p-values."""
+        """Add names, and q-values; without replicates, there are no p-values."""
         if not self.resamples:
             prefix = self.prefix.format(self.subject)
             dataset = dataset.drop_vars([f"{prefix}p_value", f"{prefix}resamples"])
@@ -192,8 +193,8 @@ class GoodnessOfFit(Statistic[Goodness]):
 
 _MINIMUM = 8
 _SAME = 1e-6
-"""Difference of two log-likelihoods per sample, above which they are of different samples: that of
-other samples is about 1 / sqrt(n), that of the same in single precision below 1e-7."""
+"""Difference of two log-likelihoods per sample above which they belong to different samples. Other
+samples differ by about 1 / sqrt(n); the same samples in single precision by less than 1e-7."""
 
 
 @of_source
@@ -210,27 +211,27 @@ def goodness(
 ) -> Goodness | xr.Dataset:
     """Test whether the positive samples are of a family whose parameters are estimated from them.
 
-    Samples are closer to a family with estimated parameters than to the true one, so that textbook
-    tables do not hold. The parametric bootstrap does: B times, it draws as many samples from the
-    fitted family and fits the family to them. If b of these B are at least as far from their fit as
-    the samples are from theirs, ``p = (b + 1) / (B + 1)``, which is never 0.
+    Samples are closer to a fitted family than to the true one, so that textbook tables do not hold.
+    The parametric bootstrap does. It draws B replicates of as many samples from the fitted family
+    and fits the family to each. If b replicates are at least as far from their fit as the samples
+    are from theirs, ``p = (b + 1) / (B + 1)``, which is never 0.
 
     Parameters
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
     fit
-        Name of a family, a `Family`, or, for an array or a `Histogram`, a `Fit`, a `Mixture` or a
-        `Selection` that was fitted to it. Replicates of a mixture are fitted with as many
-        components as it has, and its atoms are left out; of a selection, the best family of each
+        Name of a family, or a `Family`. For an array or a `Histogram`, also a `Fit`, a `Mixture` or
+        a `Selection` that was fitted to it. With a mixture, replicates are fitted with the same
+        number of components, and atoms are left out. With a selection, the best family of each
         pixel is tested.
     tests
-        Some of 'kolmogorov-smirnov', 'cramer-von-mises', 'anderson-darling', 'chi-square'.
+        Any of 'kolmogorov-smirnov', 'cramer-von-mises', 'anderson-darling', 'chi-square'.
     resamples
         Replicates B; 0 for statistics and effects alone.
     seed
-        Of the replicates. The random numbers of a pixel are made of the seed and of its positive
-        samples: its p-value is the same whichever pixels are tested with it, and equal samples have
+        Seed of the replicates. The random numbers of a pixel follow from the seed and the pixel's
+        positive samples: its p-value does not depend on the other pixels, and equal samples have
         equal p-values.
     alpha
         For an image: false discovery rate of ``rejected``.
@@ -239,22 +240,22 @@ def goodness(
     -------
     Goodness or xarray.Dataset
         `Goodness` for an array or a `Histogram`. For an image, its fields over (y, x, channel,
-        fit_test), as ``gamma_goodness_p_value``; the q-value of Benjamini and Hochberg over the
-        image, for each channel and test separately; and ``gamma_goodness_rejected``: 1 where it is
-        at most `alpha`, 0 where it is not, NaN without a p-value. Without replicates, there is none
-        of these.
+        fit_test), such as ``gamma_goodness_p_value``. Added are q-values (Benjamini and Hochberg)
+        over the image, for each channel and test separately, and ``gamma_goodness_rejected``: 1
+        where the q-value is at most `alpha`, 0 where it is not, NaN without a p-value. Without
+        replicates, there are no p-values, q-values or rejections.
 
     Raises
     ------
     InputError
-        If there is no such family or test, a number is out of range, or a fit is not one to `x`.
+        If there is no such family or test, a number is out of range, or a fit is not a fit to `x`.
 
     Notes
     -----
-    Chi-square counts samples in ``2 n^(2/5)`` equiprobable cells of the fitted family. Of a log
-    histogram, it counts bins, merged until 5 samples are expected in each; the other statistics are
-    sums over bins there, and replicates are histograms. Replicates that cannot be fitted, as the
-    samples could, do not count.
+    Chi-square counts samples in ``2 n^(2/5)`` equiprobable cells of the fitted family. For a log
+    histogram, its cells are bins, merged until each is expected to hold 5 samples; the other
+    statistics are sums over bins, and replicates are histograms. Replicates that cannot be fitted
+    do not count.
 
     References
     ----------
@@ -285,10 +286,11 @@ def goodness(
 
 
 def _check_fit(part: Part, fit: Fitted) -> None:
-    """Raise InputError if a fit is not one to these samples: these have another likelihood.
+    """Raise InputError if a fit is not a fit to these samples, as its likelihood shows.
 
-    That of a mixture in bins spreads the samples within them, and that of one with atoms is of the
-    rest: there, only numbers are compared.
+    The likelihood is not compared for a mixture in bins, which spreads samples within bins, or for
+    a mixture with atoms, which is fitted to the rest. For both, only numbers of samples are
+    compared.
     """
     if fit.reason.shape != part.n.shape:
         message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
@@ -311,7 +313,7 @@ def _check_fit(part: Part, fit: Fitted) -> None:
 def _cases(
     fit: Fitted, given: Family | None = None
 ) -> Iterator[tuple[Family, Parameters, Mask, Fit]]:
-    """Yield each family that there is, its parameters, its rows, and their fit."""
+    """Yield each family, its parameters, its rows, and their fit."""
     if isinstance(fit, Selection):
         for i, name in enumerate(fit.families):
             one = fit.fits[name]
@@ -326,7 +328,7 @@ def _cases(
 
 
 _EQUAL = 1e-9
-"""Relative difference below which two statistics are the same, but for rounding."""
+"""Relative difference below which two statistics differ by rounding only."""
 
 
 def _bootstrap(
@@ -340,13 +342,13 @@ def _bootstrap(
 ) -> Floats:
     """Return statistics, p-values and replicates that could be fitted, shape (3, row, test).
 
-    Rows are those of the flattened batch; what is not usable is NaN. P-values are NaN where fewer
-    than half of the replicates could be fitted.
+    Rows are those of the flattened batch; rows that are not usable are NaN. P-values are NaN where
+    fewer than half of the replicates could be fitted.
     """
     table = np.full((3, part.n.size, len(tests)), np.nan)
     statistic, p_value, fitted = table
     rows = np.flatnonzero(usable)
-    # Rows of as many samples go together: a block is as wide as its rows need.
+    # Rows with similar numbers of samples go together: a block is as wide as its rows need.
     rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
     for block in chunks(len(rows), width_of(part) * max(1, resamples)):
         here = rows[block]
@@ -372,20 +374,20 @@ def _replicates(
     resamples: int,
     seed: int,
 ) -> tuple[Floats, Floats]:
-    """Count replicates at least as far from their fit as the samples, and all that could be fit."""
+    """Count the replicates at least as far from their fit as the samples, and those with a fit."""
     if isinstance(part, PositiveHistogram):
         held = list(part.counts)
     else:
         held = [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
-    # Of the seed and of the row's samples, whatever their order; never the generator of the seed
-    # alone, of which the samples may be draws.
+    # The generator depends on the seed and on the row's samples, in any order. The seed alone would
+    # not do: the samples may have been drawn with it.
     streams = [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
     more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
     least = statistic[:, np.newaxis] * (1 - _EQUAL)
     for piece in chunks(resamples, width_of(part) * len(part.n)):
         times = piece.stop - piece.start
         repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
-        # Where the sum of the samples is close to overflow, that of a replicate may: no fit.
+        # If the sum of the samples is close to overflow, a replicate may overflow: it has no fit.
         drawn = _draw(part, family, parameters, times, streams)
         estimate, _ = estimate_part(drawn, family, repeated)
         found = _distances(drawn, family, estimate.parameters, tests)
@@ -402,7 +404,7 @@ def _draw(
     times: int,
     streams: Sequence[np.random.Generator],
 ) -> Part:
-    """Draw as many samples from the family as a row has, so many times, one row after the other."""
+    """Draw `times` replicates of each row, with as many samples, one row after the other."""
     if isinstance(part, PositiveHistogram):
         probability = _bin_probabilities(part, family, parameters)
         total = np.maximum(probability.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
@@ -426,9 +428,9 @@ def _draw(
 
 
 def _mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
-    """Return mixtures of as many components as a family, for the bootstrap, and those given.
+    """Return the mixtures of k components as a family, for the bootstrap, and their parameters.
 
-    Its parameters are those of each component, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
+    The parameters are those of the components, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
     """
     base = get_family(mixture.family)
     units = {**base.units, "weight": "1"}
@@ -472,18 +474,18 @@ def _mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
 _LEAST = 1e-300
 """Least probability whose logarithm is taken."""
 _FAR = 0.9
-"""Where F is larger, 1 - F is computed separately, so that it does not lose its digits."""
+"""Where F is larger than this, 1 - F is computed separately to keep its digits."""
 _EXPECTED = 5.0
-"""Least number of samples expected in a cell (Cochran 1954, doi:10.2307/3001616)."""
+"""Fewest samples expected in a cell (Cochran 1954, doi:10.2307/3001616)."""
 
 Distances = Mapping[FitTest, Callable[[], Floats]]
-"""What computes the statistic of each test for some rows, shape (row,)."""
+"""Functions that compute the statistic of each test for some rows, shape (row,)."""
 
 
 def _distances(
     part: Part, family: Family, parameters: Parameters, tests: Sequence[FitTest]
 ) -> Floats:
-    """Return statistics, shape (row, test), at parameters of shape (row,); NaN without these."""
+    """Return statistics, shape (row, test), at parameters (row,); NaN where these are NaN."""
     fitted = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
     found = np.full((len(fitted), len(tests)), np.nan)
     rows = np.flatnonzero(fitted)
@@ -495,7 +497,7 @@ def _distances(
         expected = _bin_probabilities(some, family, known) * some.n[:, np.newaxis]
         statistics = _of_bins(some.counts, expected, some.n, free)
     else:
-        # Rows have from few to all samples: distribution functions are dear, so of those alone.
+        # Rows have from few to all samples; distribution functions are slow, so only for those.
         present = some.valid
         below, above = np.ones((2, *present.shape))
         x, each = some.sorted[present].astype(np.float64), take(parameters, np.repeat(rows, some.n))
@@ -509,10 +511,10 @@ def _distances(
 
 
 def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Parameters) -> Floats:
-    """Return the probability of each bin, shape (row, bin), given that it is one of them.
+    """Return the probability of each bin, shape (row, bin), given that a sample is in a bin.
 
-    The last bin has no upper edge, since it counts the samples above the support; samples below the
-    support count as zeros, and are left out.
+    The last bin has no upper edge, since it also counts the samples above the support. Samples
+    below the support count as zeros and are left out.
     """
     edges = np.exp(part.log_centers - part.width[:, np.newaxis] / 2)
     columns = {name: value[:, np.newaxis] for name, value in parameters.items()}
@@ -524,9 +526,9 @@ def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Para
 def _of_samples(
     below: Floats, above: Floats, present: Mask, n: Counts, parameters: int
 ) -> Distances:
-    """Return statistics of samples, ascending, of which F and 1 - F have shape (row, sample).
+    """Return statistics of ascending samples, whose F and 1 - F have shape (row, sample).
 
-    What is not present is 1.
+    Both are 1 where there is no sample.
     """
     rank = np.arange(1.0, below.shape[-1] + 1)
     # From the middle of each step of the empirical distribution function.
@@ -546,7 +548,8 @@ def _of_samples(
 
     def chi_square() -> Floats:
         # There are 2 n^(2/5) equiprobable cells (Moore 1986, in D'Agostino and Stephens,
-        # "Goodness-of-fit techniques", chapter 3), and at most as many as have 5 samples expected.
+        # "Goodness-of-fit techniques", chapter 3), but no more than leaves 5 expected samples in
+        # each.
         cells = np.minimum(2 * n**0.4, n / _EXPECTED).astype(np.int64)
         most, last = int(cells.max(initial=1)), cells[:, np.newaxis] - 1
         cell = np.minimum(below * cells[:, np.newaxis], last).astype(np.int64)
@@ -566,8 +569,8 @@ def _of_samples(
 def _of_bins(counts: Floats, expected: Floats, n: Counts, parameters: int) -> Distances:
     """Return statistics of bins, shape (row, bin).
 
-    Those of Cramer, von Mises, Anderson and Darling weight each bin by the samples expected in it
-    (Choulakian, Lockhart and Stephens 1994, doi:10.2307/3315828).
+    Cramer, von Mises, Anderson and Darling's statistics weight each bin by the samples expected in
+    it (Choulakian, Lockhart and Stephens 1994, doi:10.2307/3315828).
     """
     excess = np.cumsum(counts - expected, axis=-1)
 
@@ -580,18 +583,19 @@ def _of_bins(counts: Floats, expected: Floats, n: Counts, parameters: int) -> Di
     def anderson_darling() -> Floats:
         below = np.cumsum(expected, axis=-1) / n[:, np.newaxis]
         variance = below * (1 - below)
-        # Beyond the first and the last bin that expect a sample, both are 0 but for rounding.
+        # Outside the bins that expect a sample, both are 0 but for rounding.
         weight = np.where(variance > 1e-12, expected / np.maximum(variance, 1e-12), 0)
         return np.asarray(np.vecdot(excess**2, weight) / n**2)
 
     def chi_square() -> Floats:
-        # Bins are merged from the left until a cell expects 5 samples, the rest into the last cell.
+        # Bins are merged from the left until a cell expects 5 samples; the rest joins the last
+        # cell.
         square, cells = np.zeros(len(n)), np.zeros(len(n), dtype=np.int64)
         count, mean = np.zeros(len(n)), np.zeros(len(n))
         left = expected.sum(axis=-1) - np.cumsum(expected, axis=-1).T
         for more, expects, rest in zip(counts.T, expected.T, left, strict=True):
             count, mean = count + more, mean + expects
-            # What is left must fill a cell, too.
+            # The remaining bins must fill a cell, too.
             full = (mean >= _EXPECTED) & (rest >= _EXPECTED)
             square += np.where(full, (count - mean) ** 2 / np.maximum(mean, _EXPECTED), 0)
             cells += full

@@ -1,9 +1,10 @@
-"""Groups of neighbouring samples: mixtures are fitted to these, not to single samples.
+"""Groups of neighbouring samples: mixtures are fitted to groups, not to single samples.
 
-What an exponential family needs of a group is its size and the means of its sufficient statistics.
-With a bounded number of groups per pixel, the cost of a fit does not depend on spp; with groups as
-narrow as the samples are dense, hardly anything is lost. The bins of a log histogram are groups,
-too. Rows come last: there are many more of them than groups, and long loops take half the time.
+An exponential family needs two things of a group: its size and the means of its sufficient
+statistics. The number of groups per pixel is bounded, so that the cost of a fit does not depend on
+spp. Groups are narrow where samples are dense, so that hardly anything is lost. The bins of a log
+histogram are groups, too. Rows come last: there are many more rows than groups, and long loops take
+half the time.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from chdstat._core.arrays import Counts, Floats, chunks
 __all__ = ["RowsLast", "SampleGroups", "groups_of_bins", "groups_of_each", "groups_of_samples"]
 
 SPREAD_FLOOR = 1e-3
-"""Least standard deviation of a component in log x: its square is scikit-learn's `reg_covar`."""
+"""Least standard deviation of a component in log x: the root of scikit-learn's `reg_covar`."""
 _ENDS = 4
-"""Samples at each end of a row that are groups by themselves: tails are sparse."""
+"""Samples at each end of a row that are groups of their own: tails are sparse."""
 _SPIKE_EDGES = 4
-"""Edges of groups that are set where spikes begin and end."""
+"""Most edges of groups that are set where spikes begin and end."""
 
 
 @dataclass(frozen=True)
 class RowsLast:
-    """Arrays whose last axis is rows, and what all rows share."""
+    """Arrays whose last axis is rows, and fields that all rows share."""
 
     def take(self, rows: npt.NDArray[Any]) -> Self:
         """Select some of the rows, by their numbers or by a mask."""
@@ -71,11 +72,11 @@ class SampleGroups(RowsLast):
 
 
 def groups_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> SampleGroups:
-    """Group samples, their logarithms in ascending order, shape (row, sample), `n` of which count.
+    """Group the first `n` samples of each row; their logarithms ascend, shape (row, sample).
 
-    There are up to `most` groups of equally many samples; those at both ends are divided. Edges lie
-    at the widest gap near each quantile, or where a spike begins or ends, so that equal samples, or
-    nearly equal ones, come into groups of their own.
+    There are up to `most` groups of equally many samples; the groups at both ends are divided.
+    Edges lie at the widest gap near each quantile, or where a spike begins or ends. Equal or nearly
+    equal samples thus get groups of their own.
     """
     pieces = []
     for part in chunks(len(n), log_sorted.shape[-1]):
@@ -91,7 +92,7 @@ def groups_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> SampleGr
 
 
 def groups_of_each(log_sorted: Floats, n: Counts) -> SampleGroups:
-    """Make each sample a group, which loses nothing; arguments as of `groups_of_samples`."""
+    """Make each sample a group, without loss; arguments as in `groups_of_samples`."""
     y, origin = _relative(log_sorted, n)
     count = (np.arange(log_sorted.shape[-1])[:, np.newaxis] < n).astype(np.float64)
     floor, spacing, log = np.full(len(n), SPREAD_FLOOR), _spacing(y, n), np.ascontiguousarray(y.T)
@@ -101,22 +102,22 @@ def groups_of_each(log_sorted: Floats, n: Counts) -> SampleGroups:
 def groups_of_bins(
     counts: Floats, log_centers: Floats, width: Floats, most: int
 ) -> tuple[SampleGroups, SampleGroups]:
-    """Take over the bins of log histograms, shape (row, bin), of width h, shape (row,).
+    """Return the bins of log histograms as groups, twice; shape (row, bin), width h (row,).
 
-    They are as many as there are bins, but at most `most`, among which the filled ones are first.
+    There are as many groups as bins, but at most `most`; filled bins come first.
 
-    The first have all samples at the centres of the bins. No component may be denser than the
+    The first result has all samples at the centres of the bins. No component may be denser than the
     samples of one bin, spread over it: its standard deviation is at least h / sqrt(2 pi).
 
-    The second have Sheppard's corrections (see `PositiveHistogram.log_statistics`): h^2 / 12
-    less of mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
+    The second result has Sheppard's corrections (see `PositiveHistogram.log_statistics`): mean
+    squares are less by h^2 / 12, and means of exp(y) are multiplied by (h / 2) / sinh(h / 2).
     """
     filled = counts > 0
     last = np.count_nonzero(filled, axis=-1) - 1
     order = np.argsort(~filled, axis=-1, kind="stable")[:, :most]
     count, centers = (np.take_along_axis(v, order, axis=-1) for v in (counts, log_centers))
     origin = np.take_along_axis(centers, last[:, np.newaxis], axis=-1)
-    # Half of the samples lie in bins that hold as many as this one, or more.
+    # Half of the samples lie in bins that hold at least as many samples as this bin.
     fullest = -np.sort(-count, axis=-1)
     half = 2 * np.cumsum(fullest, axis=-1) < count.sum(axis=-1, keepdims=True)
     typical = np.take_along_axis(fullest, half.sum(axis=-1, keepdims=True), axis=-1)[:, 0]
@@ -138,8 +139,8 @@ def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
 
 
 def _spacing(y: Floats, n: Counts) -> Floats:
-    """Return the median distance of neighbours, shape (row,); 0 for a single sample."""
-    # In single precision, sorting takes a seventh of the time.
+    """Return the median distance of neighbouring samples, shape (row,); 0 for a single sample."""
+    # Sorting in single precision takes a seventh of the time.
     gaps = np.diff(y, axis=-1).astype(np.float32)
     gaps[np.arange(1, y.shape[-1]) >= n[:, np.newaxis]] = np.inf
     gaps.sort(axis=-1)
@@ -167,7 +168,7 @@ def _edges(y: Floats, n: Counts, most: int) -> Counts:
 
 
 def _widest(gaps: Floats, width: int, most: int) -> Counts:
-    """Return 0 and the place of the widest gap in each run of `width`, padded with a last place."""
+    """Return 0, the place of the widest gap in each run of `width`, and the last place, padded."""
     rows, samples = gaps.shape
     edges = np.full((rows, most), samples, dtype=np.int64)
     runs = min(-(-samples // width), most)
@@ -180,7 +181,7 @@ def _widest(gaps: Floats, width: int, most: int) -> Counts:
 
 
 def _spikes(gaps: Floats, n: Counts) -> Counts:
-    """Return where spikes begin or end: the gap before is far wider than four on one side of it."""
+    """Return where spikes begin or end: a gap far wider than the four gaps on one side of it."""
     valid = np.arange(gaps.shape[-1]) < n[:, np.newaxis]
     ends = np.where(valid, gaps, np.inf)
     padded = np.pad(ends, ((0, 0), (4, 4)), constant_values=np.inf)
@@ -189,7 +190,7 @@ def _spikes(gaps: Floats, n: Counts) -> Counts:
     denser = np.minimum(fours[:, :-5], fours[:, 5:])
     contrast = np.where(valid, gaps / (denser + SPREAD_FLOOR), -1.0)
     found = np.empty((len(n), _SPIKE_EDGES), dtype=np.int64)
-    # The largest one by one: a partition of places takes ten times as long.
+    # The largest are found one by one: a partition of places takes ten times as long.
     for edge in found.T:
         edge[:] = contrast.argmax(axis=-1)
         np.put_along_axis(contrast, edge[:, np.newaxis], -1.0, axis=-1)
@@ -206,13 +207,13 @@ def _sums(values: Floats, edges: Counts) -> Floats:
 def take_last(values: npt.NDArray[Any], rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Select rows along the last axis, by their numbers or by a mask.
 
-    They lie next to each other in memory, as before: `values[..., rows]` would put the axis first,
-    and every operation on the result would take up to three times as long.
+    The rows stay next to each other in memory. `values[..., rows]` would put the axis first, and
+    every operation on the result would take up to three times as long.
     """
     return np.take(values, np.flatnonzero(rows) if rows.dtype == bool else rows, axis=-1)
 
 
 def cumulative(values: npt.NDArray[Any], axis: int = -1) -> Floats:
-    """Return sums of the values before each along an axis, and of all of them."""
+    """Return the sums of the values before each place along an axis, and the sum of all."""
     none = np.zeros_like(np.take(values, [0], axis=axis), dtype=np.float64)
     return np.concatenate([none, np.cumsum(values, axis=axis, dtype=np.float64)], axis=axis)

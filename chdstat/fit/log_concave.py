@@ -1,11 +1,12 @@
 """Log-concave densities of maximum likelihood, of many rows at once.
 
-Their logarithm is concave: one mode, any skewness, and a jump at either end if the samples want
-one. Normal, exponential, uniform and triangular distributions are log-concave, and so are their
-truncations. The maximum of the likelihood exists and is piecewise linear (Cule, Samworth and
-Stewart, "Maximum likelihood estimation of a multi-dimensional log-concave density", 2010,
-doi:10.1111/j.1467-9868.2010.00753.x). Here its knots are quantiles of the samples, close at both
-ends, and the maximum is found by a primal-dual interior-point method.
+The logarithm of a log-concave density is concave. The density has one mode, any skewness, and a
+jump at either end if the samples want one. Normal, exponential, uniform and triangular
+distributions are log-concave, and so are their truncations. The maximum of the likelihood exists
+and is piecewise linear (Cule, Samworth and Stewart, "Maximum likelihood estimation of a
+multi-dimensional log-concave density", 2010, doi:10.1111/j.1467-9868.2010.00753.x). Here, the knots
+are quantiles of the samples, close at both ends, and a primal-dual interior-point method finds the
+maximum.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ __all__ = ["log_concave_likelihood"]
 _KNOTS = 33
 _QUANTILES = np.sin(np.linspace(0, np.pi / 2, _KNOTS)) ** 2
 _CLOSEST = 1e-3 / _KNOTS
-"""Least distance of two knots, in units of the range: ties would have none. With a tenth of it, the
-rounding errors of Newton steps decide where the search ends on spikes of equal samples."""
+"""Least distance of two knots, in units of the range, since ties would have none. With a tenth of
+it, rounding errors of Newton steps decide where the search ends on spikes of equal samples."""
 _CYCLES = 20
 _TOLERANCE = 0.02
-"""Least gap of the barrier, or gain, in log-likelihood of a row, that is worth a further step."""
+"""Least gap of the barrier, or gain, in log-likelihood of a row that is worth another step."""
 _CENTERING, _BOUNDARY, _LONGEST = 2, 0.95, 2.0
-"""Of a step: the power of the gap it could leave to which the barrier falls, how near to a wall it
-goes, and how far the density may rise."""
+"""Limits of a step: the barrier falls to this power of the gap that the step could leave; the step
+goes this share of the way to a wall; the density rises at most by this much."""
 _REGULAR = 1e-10
 _SMALL = 0.02
 """Slope below which moments of the exponential function come from their series."""
@@ -38,10 +39,10 @@ _CHUNK = 4096
 
 @dataclass(frozen=True)
 class _Problem(RowsLast):
-    """Knots of some rows: everything has the rows last, since there are many more of them.
+    """Knots of some rows. Rows come last, since there are many more rows than knots.
 
-    The constraints are ``slack = below p[:-2] + center p[1:-1] + above p[2:] >= 0``, which is the
-    concavity at the inner knots, scaled so that `center` is 1.
+    The constraints are ``slack = below p[:-2] + center p[1:-1] + above p[2:] >= 0``: concavity at
+    the inner knots, scaled so that `center` is 1.
     """
 
     step: Floats
@@ -64,15 +65,15 @@ class _Problem(RowsLast):
 def log_concave_likelihood(ascending: Floats, n: Counts) -> Floats:
     """Return the largest log-likelihood of log-concave densities, shape (row,).
 
-    It is that of densities with knots at 33 quantiles, to within 0.05; less where 20 steps
-    do not reach the maximum, as may happen with spikes of equal samples.
+    The densities have knots at 33 quantiles, which costs less than 0.05. The result is smaller
+    where 20 steps do not reach the maximum, as may happen with spikes of equal samples.
 
     Parameters
     ----------
     ascending
         Samples in ascending order, shape (row, sample), not all equal.
     n
-        How many of them count, shape (row,).
+        How many of the samples count, shape (row,).
 
     Examples
     --------
@@ -114,9 +115,9 @@ def _maximum(ascending: Floats, n: Counts) -> Floats:
 
 
 def _problem(place: Floats, n: Counts) -> _Problem:
-    """Share each sample between the knots next to it: all that a piecewise linear density sees."""
+    """Share each sample between the knots beside it: a piecewise linear density sees only that."""
     index = np.rint(_QUANTILES * (n[:, np.newaxis] - 1)).astype(np.int64)
-    # Two knots at one sample would be one.
+    # Two knots at one sample would coincide.
     rank = np.arange(_KNOTS)
     index = np.maximum(index, rank)
     index = np.clip(np.minimum(index, n[:, np.newaxis] - _KNOTS + rank), 0, n[:, np.newaxis] - 1)
@@ -149,7 +150,7 @@ def _normal(problem: _Problem) -> Floats:
 
 def _normalized(problem: _Problem, p: Floats) -> Floats:
     top = p.max(axis=0)
-    # From the upper end of each step, as the steepest would overflow from the lower.
+    # From the upper end of each step: from the lower end, the steepest would overflow.
     zeroth, _, _ = _moments(-np.abs(np.diff(p, axis=0)))
     mass = _sum(problem.step * np.exp(np.maximum(p[:-1], p[1:]) - top) * zeroth)
     return np.asarray(p - top - np.log(mass))
@@ -158,15 +159,15 @@ def _normalized(problem: _Problem, p: Floats) -> Floats:
 def _newton(
     problem: _Problem, p: Floats, force: Floats, slack: Floats, gap: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Take a primal-dual step, of ``integral exp(p) - sum w p``, whose minimum is normalised.
+    """Take a primal-dual step of ``integral exp(p) - sum w p``, whose minimum is normalised.
 
-    A first step without a barrier shows how far the barrier may fall, and what it leaves of each
-    force times slack (Mehrotra, "On the implementation of a primal-dual interior point method",
-    1992, doi:10.1137/0802028).
+    A first step without a barrier shows how far the barrier may fall, and what the step leaves of
+    each force times slack (Mehrotra, "On the implementation of a primal-dual interior point
+    method", 1992, doi:10.1137/0802028).
 
-    Return the density p, the forces on the constraints, their slack, and the decrement: what the
-    step was expected to gain beside the gap. The slack is updated by the step, too: at knots that
-    are close together, it is less than the rounding error of p, of which it is a difference.
+    Return the density p, the forces on the constraints, their slack, and the decrement: the gain
+    that the step was expected to bring beside the gap. The slack is updated by the step rather than
+    computed from p: at knots that are close together, it is smaller than the rounding error of p.
     """
     zeroth, first, second = _moments(np.diff(p, axis=0))
     mass = problem.step * np.exp(p[:-1])
@@ -208,12 +209,12 @@ def _newton(
 
 
 def _sum(values: Floats) -> Floats:
-    """Add up knots one by one: NumPy's order, and with it the last bit, depends on the rows."""
+    """Add up knots one by one: NumPy's order, and thus the last bit, depends on the rows."""
     return np.asarray(np.cumsum(values, axis=0)[-1])
 
 
 def _length(values: Floats, change: Floats, share: float = 1.0) -> Floats:
-    """Return how much of a change is a share of what leaves all values positive; at most all."""
+    """Return how much of a change to take: `share` of what keeps values positive, or all."""
     way = np.where(change < 0, -values / change, np.inf).min(axis=0)
     return np.asarray(np.minimum(1.0, share * way))
 
@@ -235,7 +236,7 @@ def _moments(slope: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _factorise(bands: Floats) -> None:
     """Factorise symmetric matrices of two bands beside the diagonal, shape (band, knot, row)."""
-    # Lists of knots: to take them from an array one by one costs as much as the arithmetic.
+    # Lists of knots: taking them from an array one by one costs as much as the arithmetic.
     pivot, one, two = (list(band) for band in bands)
     for j in range(len(pivot) - 1):
         factor = one[j] / pivot[j]

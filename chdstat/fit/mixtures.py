@@ -1,7 +1,7 @@
 """Mixtures: several kinds of light paths in one pixel, each a log-normal or gamma component.
 
-One search finds the mixtures of all numbers of components; `chdstat.fit.mixture` and
-`chdstat.modality` share it, and choose among them.
+One search finds the mixtures for all numbers of components. `chdstat.fit.mixture` and
+`chdstat.modality` share it and choose among them.
 """
 
 from __future__ import annotations
@@ -44,60 +44,62 @@ MixtureCriterion = Literal["bic", "held_out"]
 
 @result
 class Mixture(Fit):
-    """A zero-inflated mixture: point masses at 0 and at atoms, K or fewer components on the rest.
+    """A zero-inflated mixture: point masses at 0 and at atoms, and up to K components on the rest.
 
-    ``P(X = 0) = zero_share``. A positive X is the i-th of `atoms` with probability
+    ``P(X = 0) = zero_share``. A positive X equals the i-th of `atoms` with probability
     ``atom_weights_i``; otherwise it follows ``sum_j weights_j f(x; parameters_j)``. Arrays have the
-    batch's shape, () for a single pixel, and (..., K) for components: those of a row are sorted by
-    their median, and NaN beyond its `k`. A row that could not be fitted holds NaN, has `k` 0 and
-    says why in `reason`.
+    batch's shape, () for a single pixel; for components, (..., K). The components of a row are
+    sorted by their median, and are NaN beyond its `k`. A row that could not be fitted is NaN with
+    `k` 0, and `reason` says why.
 
     Attributes
     ----------
     family
-        Of the components: 'lognormal' or 'gamma'.
+        Family of the components: 'lognormal' or 'gamma'.
     criterion
-        What the number of components was chosen by: 'bic' or 'held_out'.
+        Criterion that chose the number of components: 'bic' or 'held_out'.
     k
         Number of components, shape (...).
     weights
-        Of the components, shape (..., K); they add up to 1, whatever the atoms hold.
+        Weights of the components, shape (..., K). They add up to 1, whatever the atoms hold.
     atoms, atom_weights
-        Radiances that more samples share than a continuous law explains, such as that of a lamp or
-        of a clamp, and their shares of the positive samples, shape (..., 8), the heaviest first;
-        NaN and 0 beyond those that there are. Histograms show none.
+        Radiances that more samples share than a continuous distribution explains, such as that of a
+        lamp or of a clamp, and their shares of the positive samples; shape (..., 8), the heaviest
+        first; NaN and 0 where there are fewer atoms. Histograms show no atoms.
     parameters
-        By name, shape (..., K): ``mu`` and ``sigma`` of the natural logarithm of radiance, or
-        ``shape`` (1) and ``scale`` (radiance).
+        Parameters by name, shape (..., K): ``mu`` and ``sigma`` of the natural logarithm of
+        radiance, or ``shape`` (1) and ``scale`` (radiance).
     standard_errors
-        By the names of the parameters, and ``weight``, shape (..., K); NaN where `error_reason`
-        says why.
+        Standard errors of the parameters and of ``weight``, by name, shape (..., K); NaN where
+        `error_reason` says why.
     log_likelihood
-        Of all good samples: the continuous ones in linear radiance, and which ones are zeros or
-        atoms. Without atoms, it compares with that of any family.
+        Log-likelihood of all good samples: of the continuous ones in linear radiance, plus that of
+        which ones are zeros or atoms. Without atoms, it compares with the log-likelihood of any
+        family.
     aic, bic
-        Of the chosen mixture. It has 3 k parameters: those of k components, k - 1 weights, and the
-        zero share, as `Fit` counts them. BIC penalises each of those beyond the first component by
-        log(max(n, 160)): it is an approximation for many samples.
+        Criteria of the chosen mixture. It has 3 k parameters: 2 for each of the k components, k - 1
+        weights, and the zero share, as in `Fit`. For each parameter beyond the first component, BIC
+        adds log(max(n, 160)), since BIC is an approximation for many samples.
     bics
-        For 1 to K components, shape (..., K); NaN where there are too few samples for so many.
+        BIC for 1 to K components, shape (..., K); NaN where there are too few samples for that
+        many.
     held_out
-        Log-likelihood per positive sample in linear radiance, each half of the samples under the
-        fit of the other half, shape (..., K); NaN unless it is the criterion.
+        Log-likelihood per positive sample in linear radiance, of each half of the samples under the
+        fit to the other half, shape (..., K); NaN unless it is the criterion.
     null_share, null_interval
         Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
     n, n_null, n_zero, n_negative, n_bad
-        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
-        which the model leaves out; bad ones.
+        Numbers of samples: fitted; null; zero in one channel of a sample that is not null;
+        negative, which the model leaves out; bad.
     converged
         Whether the last cycle of the chosen fit raised its log-likelihood by less than the
-        tolerance; where not, it is the best that was reached.
+        tolerance. If not, the fit is the best that was reached.
     reason
-        `Reason` codes: `TIED` where the positive samples are a few values.
+        `Reason` codes; `TIED` where the positive samples are only a few values.
     error_reason
-        `Reason` codes of why there are no standard errors: as `reason`; `TOO_FEW` samples for them
-        to hold; or `NOT_REGULAR`, where the information is singular or components overlap so much
-        that errors are too small.
+        `Reason` codes of why there are no standard errors: as `reason`; `TOO_FEW` samples for
+        errors to hold; or `NOT_REGULAR`, where the information is singular, or components overlap
+        so much that errors would be too small.
     """
 
     name_of: ClassVar = "{}_mixture"
@@ -144,9 +146,10 @@ class Mixture(Fit):
         return np.asarray(np.where(rng.random(shape) < zero, 0 * drawn, drawn))
 
     def component_pdf(self, x: npt.ArrayLike) -> Floats:
-        """Return the density of each component times its share, which add up to `pdf`.
+        """Return the density of each component times its share; they add up to `pdf`.
 
-        Shape (component, ...), that of the batch, then that of `x`; NaN beyond the components.
+        The result has shape (component, ...), with the batch's shape, then that of `x`; it is NaN
+        beyond the components of a row.
         """
         points = np.asarray(x, np.float64)
         mixed = self._distribution(points.ndim)
@@ -172,22 +175,22 @@ class Mixture(Fit):
 
 
 _HALVINGS = 70
-"""Of the logarithmic interval that a quantile lies in: more than its 64 bits."""
+"""Bisections of the logarithmic interval of a quantile: more than its 64 bits."""
 _DARKEST = 1e-320
 
 
 @dataclass(frozen=True)
 class MixtureDistribution:
-    """What fits need of a distribution of SciPy, of mixtures with atoms.
+    """A distribution of mixtures with atoms, with the methods of SciPy that fits need.
 
     Attributes
     ----------
     components
         Distribution of all components, which lie along the first axis.
     weights
-        Of the components; NaN where there is none.
+        Weights of the components; NaN where there is no component.
     atoms, atom_weights
-        Values and shares of atoms along the first axis; NaN and 0 where there is none.
+        Values and shares of atoms along the first axis; NaN and 0 where there is no atom.
     """
 
     components: Any
@@ -210,7 +213,7 @@ class MixtureDistribution:
 
     def rvs(self, size: tuple[int, ...], random_state: np.random.Generator) -> Floats:
         """Draw samples of the components."""
-        # A sample is of the component in whose share of (0, 1) its number lies.
+        # A sample belongs to the component in whose share of (0, 1) its number lies.
         number, below = random_state.random(size), np.cumsum(self.weights, axis=0)[:-1]
         each = (len(self.weights), *size)
         drawn = self.components.rvs(size=each, random_state=random_state)
@@ -218,8 +221,8 @@ class MixtureDistribution:
         return np.asarray(np.take_along_axis(drawn, which, axis=0)[0])
 
     def ppf(self, q: Floats) -> Floats:
-        """Bisect between the quantiles of the components and the atoms, which it lies between."""
-        # The ends of the range are known; half stands in for them.
+        """Bisect between the lowest and highest quantile of components and atoms."""
+        # The ends of the range are known; 0.5 stands in for them.
         inside = np.where((q > 0) & (q < 1), q, 0.5)
         each = np.concatenate([self.components.ppf(inside), self.atoms + 0 * inside])
         low, high = (
@@ -239,7 +242,7 @@ class MixtureDistribution:
         return np.asarray(self._mixed(self.components.mean()) + at_atoms.sum(axis=0))
 
     def _mixed(self, values: Floats) -> Floats:
-        """Add up the values of the components, weighted; NaN where there are none."""
+        """Return the weighted sum over components; NaN where there is none."""
         used = ~np.isnan(self.weights)
         mixed = np.sum(np.where(used, self.weights * values, 0.0), axis=0)
         return np.where(used.any(axis=0), mixed, np.nan)
@@ -247,20 +250,20 @@ class MixtureDistribution:
 
 @dataclass(eq=False)
 class ChosenMixtures:
-    """Mixtures that a search finds, piece by piece, of the chosen numbers of components.
+    """Chooses among the mixtures that a search finds piece by piece, and collects them.
 
     Parameters
     ----------
     part, atoms
-        The positive samples, and how they split: the search is of the continuous rest.
+        The positive samples and their atoms; the search is over the continuous rest.
     reason
         Why rows are not searched, shape (...).
     largest
         Most components.
     k
-        The number of components, or None for that of the best score.
+        Number of components; None for the best score.
     held_out
-        What the score is, shape (row, component), or None for BIC.
+        Scores, shape (row, component); None for BIC.
     """
 
     part: Part
@@ -278,17 +281,17 @@ class ChosenMixtures:
         if self.held_out is not None:
             self.held_out = np.where(self._allowed, self.held_out, np.nan)
         self._k = np.zeros(size[0], dtype=np.int8)
-        # Estimates and their errors, of weights and of both parameters.
+        # Estimates and errors, of weights and of both parameters.
         self._table = np.full((2, 3, *size), np.nan)
         self._error_reason = self.reason.reshape(-1).copy()
         self._likelihoods = np.full(size, np.nan)
         self._converged = np.zeros(size[0], dtype=bool)
 
     def enter(self, piece: Piece, solutions: list[Solution]) -> None:
-        """Take over what was found of some rows."""
+        """Collect the mixtures that were found for some rows."""
         allowed = self._allowed[piece.rows]
         values = np.stack([s.log_likelihood for s in solutions], axis=-1)
-        # Minus infinity stands for what the search did not try.
+        # Minus infinity marks numbers of components that the search did not try.
         self._likelihoods[piece.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
         log_n = log_samples(piece.corrected.n)
         scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
@@ -313,14 +316,14 @@ class ChosenMixtures:
             self._converged[rows] = solution.converged
 
     def search_rest(self, family: MixtureFamily, effort: Effort) -> None:
-        """Enter the mixtures of rows of which samples are equal: of what atoms leave of them."""
+        """Search rows with equal samples: what is left of them without atoms."""
         tied = np.flatnonzero(self.atoms.tied & (self.reason == Reason.OK))
         rest, every = take_part(self.atoms.rest, tied), np.ones(len(tied), dtype=bool)
         for piece, solutions in search(rest, every, family, self.largest, effort=effort):
             self.enter(replace(piece, rows=tied[piece.rows]), solutions)
 
     def result(self, family: MixtureFamily) -> Mixture:
-        """Return all of it."""
+        """Return the chosen mixtures."""
         part, atoms, largest = self.part, self.atoms, self.largest
         shape, n = part.n.shape, atoms.rest.n
         jacobian = -n * atoms.rest.log_statistics.log_mean
@@ -363,9 +366,9 @@ class ChosenMixtures:
 
 
 def _allowed_components(part: Part, largest: int) -> Mask:
-    """Return which numbers of components have as many samples as parameters, or more.
+    """Return which numbers of components are allowed, shape (..., component).
 
-    Nor may there be more components than bins, shape (..., component).
+    A mixture needs as many samples as parameters, and no more components than bins.
     """
     k = np.arange(1, largest + 1)
     enough = part.n[..., np.newaxis] >= 3 * k - 1
@@ -379,7 +382,7 @@ _LARGEST_K = 8
 
 @dataclass(frozen=True)
 class MixtureFit(ParametricFit[Mixture]):
-    """Mixtures of log-normal or gamma components; options as of `mixture`."""
+    """Mixtures of log-normal or gamma components; options as in `mixture`."""
 
     result: ClassVar = Mixture
     description: ClassVar = "fitting {} mixtures"
@@ -450,45 +453,47 @@ def mixture(
 ) -> Mixture | xr.Dataset:
     """Fit a zero-inflated mixture of log-normal or gamma components by maximum likelihood.
 
-    ``f(x) = sum_j w_j f_j(x)`` on the positive part: expectation-maximisation from starts that are
-    not random, on groups of neighbouring samples (see `chdstat.fit.em`), so that the cost
-    hardly depends on spp. Its log-likelihood is of linear radiance and compares with that of any
-    family.
+    The positive part has the density ``f(x) = sum_j w_j f_j(x)``. Expectation-maximisation starts
+    from fixed, not random, starts and works on groups of neighbouring samples (see
+    `chdstat.fit.em`), so that the cost hardly depends on spp. The log-likelihood is that of linear
+    radiance and compares with that of any family.
 
-    The likelihood of a mixture has no maximum: a component may shrink to one sample. Therefore each
-    of several components is given 0.3 of a further sample, which lies 3.5 times the median distance
-    of neighbouring samples from its centre, and its standard deviation in log x is at least 1e-3.
+    The likelihood of a mixture has no maximum: a component may shrink to one sample. Therefore,
+    each of several components counts 0.3 of a sample more, at 3.5 median distances of neighbouring
+    samples from its centre, and its standard deviation in log x is at least 1e-3.
 
-    Values that more samples share than a continuous law explains are atoms (see
-    `chdstat.fit.atoms`), and the components describe the other samples. Samples that rounding made
-    equal are spread over the interval that was rounded to their value. Samples that a clamp cut
-    count as samples above the clamp: one component gives them the probability of its tail. The
-    number of components is chosen where there are 5 samples or more.
+    Values that more samples share than a continuous distribution explains are atoms (see
+    `chdstat.fit.atoms`). The components describe the rest. Samples that rounding made equal are
+    spread over the interval that was rounded to them. Clamped samples count as the tail that one
+    component has above the clamp. More than one component needs 5 samples or more.
 
     Parameters
     ----------
     x, null, progress
-        As for `chdstat.fit.fit`. A log histogram loses components narrower than a bin: their
+        As for `chdstat.fit.fit`. A log histogram cannot show components narrower than a bin: their
         standard deviation in log x is at least 0.28 of a bin's width h, 0.063 by default. Its
         log-likelihood is that of the bins, per h.
     k
-        Number of components; None to choose it among 1 to `max_k`.
+        Number of components; None to choose from 1 to `max_k`.
     family
-        Of the components: 'lognormal' or 'gamma'.
+        Family of the components: 'lognormal' or 'gamma'.
     criterion
-        What chooses k: 'bic', or 'held_out', the log-likelihood of each half of the samples (even
-        and odd ones) under the fit of the other half. The latter needs samples.
+        Criterion that chooses k: 'bic', or 'held_out', the log-likelihood of each half of the
+        samples (even and odd ones) under the fit to the other half. 'held_out' needs samples, not a
+        histogram.
     max_k
         Largest number of components that is tried, at most 8.
     effort
-        'thorough', or 'fast' for a quarter of the time: fewer starts, a looser tolerance.
+        'thorough', or 'fast', which has fewer starts and a looser tolerance and takes a quarter of
+        the time.
 
     Returns
     -------
     Mixture or xarray.Dataset
         `Mixture` for an array or a `Histogram`. For an image, its fields as variables over (y, x,
-        channel) and (y, x, channel, component), named as ``lognormal_mixture_k``,
-        ``lognormal_mixture_mu``, ``lognormal_mixture_mu_se``, except those that all fits share.
+        channel) and (y, x, channel, component), with names such as ``lognormal_mixture_k``,
+        ``lognormal_mixture_mu`` and ``lognormal_mixture_mu_se``, except for fields that all fits
+        share.
 
     Raises
     ------
@@ -542,13 +547,13 @@ _SMALLEST = 1e-150
 _WORST = 1e-12
 """Reciprocal condition at or below which an information matrix counts as singular."""
 _FEWEST, _TIMES, _CLEAR = 30, 10, 18.0
-"""Least samples of each of several components; how many times those that the family asks for there
-must be of all; and least score by which there are that many components."""
+"""Fewest samples of each of several components; how many times the samples that the family's errors
+need must be there in total; and least score by which several components beat fewer."""
 _FALL, _FLATTER, _STEEPER = 0.5 * 1.96**2, 0.7, 2.0
-"""Fall of the log-likelihood at either end of an interval of 95 %, and how much of it there must be
-at least and at most."""
+"""Expected fall of the log-likelihood at either end of a 95 % interval, and the least and largest
+multiple of it that counts as parabolic."""
 _WIDER = 1.1
-"""Of errors of several components, for what is left of all this."""
+"""Factor of the errors of several components, for the remaining error of all this."""
 
 
 def _standard_errors(
@@ -556,24 +561,24 @@ def _standard_errors(
 ) -> tuple[Floats, npt.NDArray[np.int8]]:
     """Return standard errors of weights and both parameters, and why some are missing.
 
-    They are those of maximum likelihood for many samples, and of the number of components that
-    there are. Few samples in a component, components that overlap, and a number of components that
-    the samples barely ask for make them too small; then there are none. What is asked for was
-    measured: 1.96 errors hold the truth in 90 to 99 % (``tests/fit/test_mixture.py``).
+    They are those of maximum likelihood for many samples, given the number of components. They
+    would be too small if a component has few samples, components overlap, or the samples barely
+    support the number of components; then there are none. The limits were measured: 1.96 errors
+    hold the truth in 90 to 99 % (``tests/fit/test_mixture.py``).
 
-    Inverse of the empirical information, the sum of the outer products of the scores of the samples
-    (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
-    with the mean scores of the groups. Of several components, there are errors where the likelihood
-    falls along every one of them about as a parabola does, as it should for them to mean anything
-    (Meeker and Escobar, "Teaching about approximate confidence regions based on maximum likelihood
-    estimation", 1995, doi:10.1080/00031305.1995.10476112).
+    The errors come from the inverse of the empirical information, the sum of the outer products of
+    the samples' scores (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182,
+    equation 2.62), here with the mean scores of the groups. With several components, the likelihood
+    must also fall about as a parabola does along every parameter (Meeker and Escobar, "Teaching
+    about approximate confidence regions based on maximum likelihood estimation", 1995,
+    doi:10.1080/00031305.1995.10476112).
 
     Parameters
     ----------
     solution, groups
-        The mixtures, and groups of the samples.
+        The mixtures, and the groups of samples.
     gain
-        By how much their score is above those of fewer components, shape (row,).
+        How far their score is above that of fewer components, shape (row,).
 
     Returns
     -------
@@ -615,7 +620,7 @@ def _standard_errors(
 
 
 def _is_parabolic(solution: Solution, groups: SampleGroups, found: Floats) -> Mask:
-    """Say where the log-likelihood falls as errors say, along the profile of each parameter."""
+    """Return where the log-likelihood falls as the errors say, along each parameter's profile."""
     family, k = solution.family, solution.state.shape[1]
     moves = directions(family, k)
     top = em.bound_at(groups, family, solution.state)
@@ -646,8 +651,8 @@ def directions(family: ComponentFamily, k: int) -> Floats:
 def covariance(solution: Solution, groups: SampleGroups) -> Floats:
     """Return the covariance that the information gives, shape (row, parameter, parameter).
 
-    Parameters are all weights but the last; then what the family's scores are by: the first of
-    each component, then the second.
+    The parameters are all weights but the last, then those of the family's scores: the first of
+    each component, then the second of each.
     """
     shares = em.responsibilities(groups, solution.family, solution.state)
     share = shares / np.maximum(groups.count, 1)

@@ -1,8 +1,8 @@
-"""Maximum likelihood: how profile likelihoods of one or two parameters are maximised.
+"""Maximum likelihood: maximises profile likelihoods of one or two parameters.
 
 Newton's method climbs all rows at once. Steps are damped where the function is not concave or a
-step did not climb (Levenberg 1944, doi:10.1090/qam/10666), so that a row converges from afar and
-quadratically in the end; rows that are done leave the block.
+step did not climb (Levenberg 1944, doi:10.1090/qam/10666). A row thus converges from afar, and
+quadratically in the end. Rows that are done leave the block.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from chdstat.fit.family import TIGHT, WeightedSamples, of_rows
 __all__ = ["maximise"]
 
 _ITERATIONS, _FEW_ITERATIONS = 60, 30
-"""Most steps of the search on all points, and of that on a few."""
+"""Most steps of the search on all points, and of the search on a few points."""
 _REACH = 2.0
 _ROUGHLY = 1e-2
-"""Newton steps at which the search on a few points ends."""
+"""Newton step at which the search on a few points ends."""
 _CONCAVE = 1e-3
 _NEXT, _APART = 0.3, 0.05
-"""Distances below which a start leads to the same maximum, and above which two ends are two."""
+"""Distance below which a start leads to the same maximum, and above which two maxima differ."""
 _CLOSE = 0.05
-"""Difference per sample that a few points may get wrong."""
+"""Difference per sample that the few points may get wrong."""
 
 Surface = Callable[[WeightedSamples, Floats], Floats]
-"""A function of two parameters, given for some points, at parameters of shape (2, row).
+"""A function of two parameters, for some points, at parameters of shape (2, row).
 
 It returns six numbers, shape (6, row): the value; the first derivatives by the first and the second
-parameter; the second derivatives by the first, mixed, and by the second. NaN where it has no value.
-One of the first parameter alone returns three: its value and its two derivatives.
+parameter; the second derivatives by the first, mixed, and by the second. They are NaN where there
+is no value. A function of the first parameter alone returns three numbers: the value and its two
+derivatives.
 """
 
 
@@ -50,33 +51,33 @@ def maximise(
     near: tuple[Floats, Floats] | None = None,
     tolerance: float = TIGHT,
 ) -> Floats:
-    """Maximise for all rows of a part, first for a few points of each, then for all of them.
+    """Maximise for all rows of a part, first on a few points of each row, then on all points.
 
     Parameters
     ----------
     part, surface
-        What to maximise, for all rows of a part.
+        The samples, and the function to maximise for each row.
     start
-        First parameters for the points of some rows, shape (2, row); or two, where there may be two
-        maxima, shape (2, 2, row).
+        Returns first parameters for the points of some rows, shape (2, row); or two sets, where
+        there may be two maxima, shape (2, 2, row).
     finish
-        What to return for the points of some rows, with the parameters and where they are a
-        maximum; shape (names, row).
+        Returns the result for the points of some rows, shape (names, row), from the parameters and
+        where they are a maximum.
     names
-        How many numbers that is.
+        Numbers that `finish` returns for a row.
     minimum
-        Samples that a row needs.
+        Fewest samples of a row.
     floor
-        Least value, above 0, of the second parameter, if it has any: a maximum at the floor counts.
+        Least value of the second parameter, above 0, if it has any: a maximum at the floor counts.
     near
-        First parameters, if they are known, each of the batch's shape. They need no search on a few
-        points; rows where they are NaN are left out.
+        First parameters, if they are known, each with the batch's shape. The search on a few points
+        is then skipped, and rows where they are NaN are left out.
     tolerance
-        Steps this small end the search; being Newton's, they leave about their square.
+        Step size that ends the search; after a Newton step, the error is about its square.
 
     Returns
     -------
-    ndarray
+    Results of `finish`, shape (names, ...).
         Shape (names, ...).
     """
     climb = _Climb(surface, floor)
@@ -86,14 +87,15 @@ def maximise(
         one, _ = climb.from_start(points, first, _ROUGHLY, _FEW_ITERATIONS)
         two = np.full_like(one, np.nan)
         for other in others:
-            # From a start next to where the first one ended, the search would end there, too.
+            # A start close to the first maximum would lead to it again.
             rows = np.flatnonzero(~(np.abs(other - one) < _NEXT).all(axis=0))
             if len(rows):
                 some = points.take(rows), other[:, rows], _ROUGHLY, _FEW_ITERATIONS
                 two[:, rows], _ = climb.from_start(*some)
         if not others:
             return np.concatenate([one, two])
-        # The higher end comes first; the other is kept if all points may make it the higher.
+        # The higher maximum comes first. The other is kept if it may be the higher one on all
+        # points.
         of_one, of_two = climb.value(points, one)[0], climb.value(points, two)[0]
         swap = (of_two > of_one) | (np.isnan(of_one) & np.isfinite(of_two))
         undecided = (np.abs(two - one) > _APART).any(axis=0) & (np.abs(of_two - of_one) < _CLOSE)
@@ -104,7 +106,7 @@ def maximise(
         begin, other = rough[:2, points.rows], rough[2:, points.rows]
         lost = np.isnan(begin).any(axis=0)
         if lost.any():
-            # The few points were all equal, while some others are not.
+            # The few points were all equal, but other points are not.
             begin = np.where(lost, start(points).reshape(-1, *begin.shape)[0], begin)
         at, converged = climb.from_start(points, begin, tolerance)
         rows = np.flatnonzero(np.isfinite(other).all(axis=0))
@@ -128,13 +130,13 @@ def maximise(
 
 @dataclass(frozen=True)
 class _Climb:
-    """Newton's method on a surface, whose second parameter has a floor."""
+    """Newton's method on a surface whose second parameter has a floor."""
 
     surface: Surface
     floor: float
 
     def value(self, points: WeightedSamples, at: Floats) -> Floats:
-        """Return the six numbers of a surface; the second parameter, if unused, is at its top."""
+        """Return six numbers; without a second parameter, the surface is at its maximum in it."""
         found = self.surface(points, at)
         if len(found) == 6:
             return found
@@ -145,7 +147,7 @@ class _Climb:
     def from_start(
         self, points: WeightedSamples, start: Floats, tolerance: float, most: int = _ITERATIONS
     ) -> tuple[Floats, Mask]:
-        """Climb from `start`, shape (2, row), to the maximum next to it, and say where it is."""
+        """Climb from `start` to the next maximum, shape (2, row); return it and where it is one."""
         best, (converged, closed) = start.copy(), np.zeros((2, start.shape[1]), dtype=bool)
         rows = np.arange(start.shape[1])
         at, here = start, self.value(points, start)
@@ -154,12 +156,12 @@ class _Climb:
             step = np.clip(self._step(at, here, damping), -_REACH, _REACH)
             small = np.abs(step) < tolerance
             if np.isfinite(self.floor):
-                # Towards the floor, a step goes to a hundredth of what there is.
+                # A step towards the floor leaves at least a hundredth of the parameter.
                 step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], self.floor - at[1]))
                 small[1] = np.abs(step[1]) < tolerance * np.minimum(at[1], 1)
-            # The last step is taken on trust: what it leaves is of the order of its square.
+            # The last step is not checked: the remaining error is of the order of its square.
             done = small.all(axis=0) & (damping == 0)
-            # What is done stays as it is, however long the others take.
+            # A row that is done does not change, however long the others take.
             open_ = ~closed[rows]
             best[:, rows[open_]] = np.where(done, at + step, at)[:, open_]
             converged[rows[open_]] = done[open_]
@@ -184,9 +186,9 @@ class _Climb:
         return best, converged
 
     def _step(self, at: Floats, here: Floats, damping: Floats) -> Floats:
-        """Solve (H - shift) step = -gradient, the shift large enough to make H negative definite.
+        """Solve (H - shift) step = -gradient, with a shift that makes H negative definite.
 
-        Rows that lie on the floor and would fall through move along it.
+        Rows at the floor whose step would cross it move along it.
         """
         _, by_first, by_second, a, b, d = here
         held = (at[1] <= self.floor) & (by_second < 0)

@@ -1,21 +1,23 @@
 """Peaks: the modes of fitted mixtures in log radiance, and how far they are separated.
 
-A component makes a mode of its own where its weight is at least `LEAST_WEIGHT` and, on the way to
-every higher mode, the density falls below `_DEPTH` of its height; otherwise it belongs to the mode
-that it is least separated from. The covariance of the parameters gives the separation's error.
+A component is a mode of its own if its weight is at least `LEAST_WEIGHT` and, on the way to every
+higher mode, the density falls below `_DEPTH` of its height. Otherwise it belongs to the mode from
+which it is least separated. The error of the separation comes from the covariance of the
+parameters.
 
-The peaks of a row are those of the mixture of 2 or more log-normal or gamma components that has the
-smallest BIC, unless a distribution of one mode describes it better. Scores are log-likelihoods of
-log radiance less half of log n for each parameter, n being the positive samples: BIC over -2, of
-what the fits describe. Nulls are no part of a shape, and do not make modes harder to find. The
-share of zeros counts as a parameter of every fit.
+The peaks of a row are those of the mixture with the smallest BIC among the mixtures of 2 or more
+log-normal or gamma components, unless a distribution with one mode describes the row better. The
+score of a fit is the log-likelihood of log radiance minus half of log n for each parameter, with n
+positive samples: BIC over -2, for the positive samples only. Nulls are not part of a shape, and do
+not make modes harder to find. The share of zeros counts as a parameter of every fit.
 
-A hard edge is not a mode: families that begin at zero radiance cannot follow one, and mixtures of
-them imitate it with a narrow component. So the distributions of `_edge_scores` have free ends:
-gamma above a floor, and all that are log-concave in log radiance, or in the logarithm of the
-distance from either end. The likelihood of an end is not a regular one (Cheng and Traylor,
-"Non-regular maximum likelihood problems", 1995, doi:10.1111/j.2517-6161.1995.tb02012.x), and a
-log-concave density has no fixed number of parameters. What they count as here was measured.
+A hard edge is not a mode. Families that begin at zero radiance cannot follow one, and their
+mixtures imitate it with a narrow component. Therefore the distributions of `_edge_scores` have free
+ends: gamma above a floor, and all distributions that are log-concave in log radiance, or in the
+logarithm of the distance from either end. The likelihood of an end is not regular (Cheng and
+Traylor, "Non-regular maximum likelihood problems", 1995, doi:10.1111/j.2517-6161.1995.tb02012.x),
+and a log-concave density has no fixed number of parameters. The number that they count as here was
+measured.
 """
 
 from __future__ import annotations
@@ -41,19 +43,19 @@ from chdstat.summary.runner import measured
 __all__ = ["LEAST_WEIGHT", "best_peaks", "unimodal_scores"]
 
 _DEPTH = 0.98
-"""A valley is a valley where the density falls below this share of the lower peak."""
+"""A valley counts where the density falls below this share of the lower peak."""
 LEAST_WEIGHT = 0.08
-"""Least weight of a component that makes a mode: a few outliers are none."""
+"""Least weight of a component that makes a mode: a few outliers make none."""
 
 _CYCLES, _TOLERANCE = 40, 1e-6
-"""Of the run of EM that goes on where there is more than one mode."""
+"""Cycles and tolerance of EM, which goes on where there is more than one mode."""
 _STEP = 1e-4
-"""Of a parameter, for a derivative."""
+"""Step of a parameter for a derivative."""
 
 _FEW = 70
-"""Among few samples, modes are found where they happen to look separate: errors count as
-``1 + (70/n)^2`` times as large, so that 1.96 of them hold the separation in 90 % of those that are
-found (``tests/inference/test_modes.py``)."""
+"""With few samples, modes are found where they happen to look separate. Errors are therefore
+multiplied by ``1 + (70/n)^2``, so that 1.96 errors hold the separation for 90 % of the modes that
+are found (``tests/inference/test_modes.py``)."""
 
 _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
@@ -62,12 +64,12 @@ _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
 def _fields_of(solution: Solution, owner: Counts, groups: SampleGroups) -> Floats:
     """Return the `_FIELDS` of each mode of mixtures, shape (field, row, component).
 
-    The darkest is the first; NaN beyond those that there are. The last separation is not used.
+    The darkest mode is first; NaN where there are fewer modes. The last separation is not used.
     """
     several = np.flatnonzero(_modes(owner) > 1)
     some = groups.take(several)
     if several.size:
-        # A few steps count modes, but their places and widths would still move.
+        # After a few steps, modes can be counted, but their places and widths would still move.
         state, family = solution.state.copy(), solution.family
         start = take_last(state, several)
         further = em.run(some, family, start, cycles=_CYCLES, tolerance=_TOLERANCE)
@@ -114,7 +116,7 @@ def _valleys(solution: Solution, spread: Floats) -> Floats:
 
 
 def _owners(solution: Solution) -> Counts:
-    """Return to which component's mode each component belongs, shape (component, row)."""
+    """Return the component to whose mode each component belongs, shape (component, row)."""
     weight, spread = np.exp(solution.state[0]), solution.family.moments(solution.state)[1]
     height, valley = _density(solution, solution.state[1]), _valleys(solution, spread)
     small = weight < np.minimum(LEAST_WEIGHT, weight.max(axis=0))
@@ -131,14 +133,14 @@ def _owners(solution: Solution) -> Counts:
 
 
 def _modes(owner: Counts) -> Counts:
-    """Count the modes, of which each component has an owner, shape (row,)."""
+    """Count the components that own a mode, shape (row,)."""
     return np.asarray((owner == np.arange(len(owner))[:, np.newaxis]).sum(axis=0))
 
 
 def _of_modes(
     owner: Counts, share: Floats, mean: Floats, spread: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mean, variance and weight of each component's mode, (component, row); NaN of none."""
+    """Return mean, variance and weight of each component's mode; (component, row), else NaN."""
     member = owner == np.arange(len(owner))[:, np.newaxis, np.newaxis]
     share = np.where(member, share, 0.0)
     weight = share.sum(axis=1)
@@ -157,7 +159,7 @@ def _ashman(mean: Floats, variance: Floats) -> Floats:
 def _errors(solution: Solution, groups: SampleGroups, owner: Counts, order: Counts) -> Floats:
     """Return standard errors of Ashman's D by the delta method, shape (pair, row).
 
-    From the information of the mixture, to which samples that may be of either mode add little.
+    They come from the information of the mixture, to which ambiguous samples add little.
     """
     family, k = solution.family, solution.state.shape[1]
     state = np.stack([np.exp(solution.state[0]), *solution.state[1:]])
@@ -193,21 +195,22 @@ def best_peaks(
 ) -> tuple[npt.NDArray[np.int8], Floats, Floats]:
     """Find the peaks of the usable rows.
 
-    `unimodal` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
-    Where one mode is not out of the question, `doubtful`, a mixture of more has to beat those of
-    `_edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
+    `unimodal` is the best score of distributions with one mode, see `unimodal_scores`, shape (...).
+    In rows that are `doubtful`, where one mode is not out of the question, a mixture must also beat
+    the distributions of `_edge_scores`. `also` is called with the log-normal mixtures as they are
+    found.
 
     Returns
     -------
     ndarray
-        How many there are, shape (...); 0 where the row is not usable.
+        Number of peaks, shape (...); 0 where the row is not usable.
     ndarray
-        Of each, NaN where there is none, shape (field, ..., mode): its top in log radiance; its
-        mass, that of its component and of those that belong to it; its separation from the next one
-        (Ashman's D), and the standard error of that, NaN where the information of the mixture is
-        singular. The last separation is not used.
+        Fields of each peak, shape (field, ..., mode), NaN where there is none: its top in log
+        radiance; its mass, that of all components that belong to it; its separation from the next
+        peak (Ashman's D); and the standard error of the separation, NaN where the information of
+        the mixture is singular. The last separation is not used.
     ndarray
-        Twice what the score of the best mixture is above that of one mode, shape (...).
+        Twice the score of the best mixture minus that of one mode, shape (...).
     """
     shape, size = part.n.shape, part.n.size
     log_n, one_mode = log_samples(part.n).reshape(-1), unimodal.reshape(-1)
@@ -228,10 +231,10 @@ def best_peaks(
 def _of_piece(
     piece: Piece, solutions: list[Solution], unimodal: Floats, log_n: Floats, doubtful: Mask
 ) -> tuple[Counts, Floats, Floats]:
-    """Return modes, the fields of their peaks (4, row, mode), and the gain over one mode.
+    """Return the numbers of modes, the fields of their peaks (4, row, mode), and the gain over one.
 
-    Log-normal components come first. Where they make more than one mode, gamma components get the
-    chance to make fewer, and distributions of one mode with hard edges that to make one.
+    Log-normal components come first. Where they make more than one mode, gamma components may make
+    fewer, and distributions with hard edges may make it one.
     """
     one = np.full((_FIELDS, len(unimodal), len(solutions)), np.nan)
     one[0, :, 0] = solutions[0].state[1, 0] + piece.groups.origin
@@ -242,7 +245,7 @@ def _of_piece(
     last = np.full(len(unimodal), -1)
 
     def enter(solutions: list[Solution], rows: Counts) -> Floats:
-        """Enter the modes of rows whose best mixture is the best so far; return its gain."""
+        """Enter the modes of rows where one of these is the best so far; return its gain."""
         scores = np.stack([score(solution, log_n[rows]) for solution in solutions[1:]])
         which, highest = scores.argmax(axis=0), scores.max(axis=0)
         for i, solution in enumerate(solutions[1:]):
@@ -277,27 +280,28 @@ def _of_piece(
 
 
 _BOUNDED = 5
-"""Of a distribution between two ends: the estimate of an end converges like 1/n, not 1/sqrt(n),
-so that it costs log n in the expansion that BIC is from: as much as two regular parameters."""
+"""Parameters of a distribution between two ends. The estimate of an end converges like 1/n, not
+1/sqrt(n), so that it costs log n in the expansion behind BIC: as much as two regular parameters."""
 _ABOVE_FLOOR, _BELOW_CEILING, _LOG_CONCAVE = 3.5, 5.0, 9.2
-"""Parameters that the distributions of `_edge_scores` count as: with these, more than one mode is
-found in at most 5 % of the samples of hard-edged distributions, and nearly all that are there are
+"""Parameters that the distributions of `_edge_scores` count as. With these numbers, at most 5 % of
+samples of hard-edged distributions show more than one mode, and nearly all true modes are found
 (``tests/benchmarks/test_modes.py``)."""
 _FLOORS = (0.03, 0.12, 0.4, 1.5)
-"""Distances of a floor from the smallest sample, in ranges of the samples."""
+"""Distances of a floor from the smallest sample, in units of the range of the samples."""
 _NEXT = 3
-"""Samples from which the density at an end is estimated."""
+"""Samples that the density at an end is estimated from."""
 _LEAST_ABOVE = 1e-12
 
 
 def unimodal_scores(part: PositivePart, usable: Mask, bounded: Mask) -> Floats:
-    """Return the largest score of distributions of one mode, shape (...); NaN where not usable.
+    """Return the largest score of distributions with one mode, shape (...); NaN where not usable.
 
-    They are those of the families that `select` compares by default; Pareto distributions above a
-    floor, and the like below a ceiling; and, for the rows that may be `bounded`, the uniform and
-    the log-uniform distribution.
+    The distributions are the families that `select` compares by default; Pareto distributions above
+    a floor, and their mirror images in log radiance below a ceiling; and, in rows that may be
+    `bounded`, the uniform and the log-uniform distribution.
     """
-    # What likelihoods of radiance have beside those of log radiance of positive samples.
+    # The difference between log-likelihoods of radiance and of the log radiance of positive
+    # samples.
     rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
     log_n = log_samples(part.n)
     fits = [measured(part, FamilyFit(FAMILIES[name])) for name in SELECTED]
@@ -305,14 +309,14 @@ def unimodal_scores(part: PositivePart, usable: Mask, bounded: Mask) -> Floats:
     low = np.where(usable, part.log_sorted[..., 0], 0.0)
     high = np.where(usable, np.log(part.largest), 1.0)
     mean, n = part.log_statistics.log_mean, part.n.astype(np.float64)
-    # Between the extremes a and b, log-uniform and uniform: -n log(log b - log a), and
-    # sum(log x) - n log(b - a), without b or a, which may be as large as there are numbers.
+    # Between the extremes a and b, the log-likelihood of log-uniform is -n log(log b - log a), that
+    # of uniform sum(log x) - n log(b - a). Neither takes b or a alone, which may be huge.
     log_range = high + np.log(-np.expm1(low - high))
     scores += [
         np.where(bounded, value - 0.5 * _BOUNDED * log_n, -np.inf)
         for value in (-n * np.log(high - low), n * (mean - log_range))
     ]
-    # Exponential above the smallest, or below the largest.
+    # Exponential above the smallest sample, or below the largest.
     scores += [
         -part.n * (np.log(distance) + 1) - 0.5 * (_BOUNDED - 1) * log_n
         for distance in (mean - low, high - mean)
@@ -321,16 +325,16 @@ def unimodal_scores(part: PositivePart, usable: Mask, bounded: Mask) -> Floats:
 
 
 def _edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
-    """Return the largest score of distributions of one mode with free ends, shape (row,).
+    """Return the largest score of distributions with one mode and free ends, shape (row,).
 
-    Where gamma distributions reach the `bar`, the rest is not computed.
+    Where gamma distributions reach the `bar`, the others are not computed.
 
     Parameters
     ----------
     ascending
         Log radiance in ascending order, shape (row, sample), not all equal.
     n
-        How many of them count, shape (row,), at least 20.
+        How many of the values count, shape (row,), at least 20.
     bar
         Score to be beaten, shape (row,).
     """
@@ -345,7 +349,7 @@ def _edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
     rows = np.flatnonzero(best < bar)
     some = n[rows]
     ends = [_above_a_floor(values[rows], some) for values in (ascending, mirrored)]
-    # All at once: of few rows, three searches would take three times as long.
+    # All at once: for few rows, three searches would take three times as long.
     values = np.concatenate([ascending[rows], *(rest for rest, _ in ends)])
     value = log_concave_likelihood(values, np.concatenate([some, some - 1, some - 1]))
     value = value.reshape(3, -1)
@@ -357,8 +361,8 @@ def _edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
 def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:
     """Return the log-likelihood of log x where x less a floor has a gamma distribution.
 
-    Of floors at a few distances below the smallest sample, the nearest at half the mean distance
-    between samples: the likelihood rises without bound towards the sample itself.
+    The floors lie at a few distances below the smallest sample. The nearest is half the mean
+    distance between samples away: the likelihood rises without bound towards the sample itself.
     """
     valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
     last = np.take_along_axis(ascending, n[:, np.newaxis] - 1, axis=-1)
@@ -382,8 +386,8 @@ def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:
 def _above_a_floor(ascending: Floats, n: Counts) -> tuple[Floats, Floats]:
     """Return log(x - a) of all but the smallest sample, a, and the rest of the log-likelihood.
 
-    That of log x is the sum of that of these n - 1 and of the rest, shape (row,): the Jacobian, and
-    the density at a, which follows from the distance to its neighbours.
+    The log-likelihood of log x is that of these n - 1 values plus the rest, shape (row,). The rest
+    is the Jacobian, and the density at a, which follows from the distance to its neighbours.
     """
     valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
     above = np.where(valid, np.maximum(ascending - ascending[:, :1], _LEAST_ABOVE), 1.0)

@@ -1,15 +1,18 @@
 """Search for the best mixtures of 1, 2, ... components that EM finds, for all rows of a part.
 
-`chdstat.fit.mixture` and `chdstat.modality` share `search`. Its objective is the likelihood of
-samples, or of bins. EM works on groups of samples; where samples are at hand, solutions are judged
-by them, and improved on them where the groups have blurred too much. Where only bins are, their
-width is taken out again.
+`chdstat.fit.mixture` and `chdstat.modality` share `search`, which maximises the likelihood of
+samples, or of bins. EM works on groups of samples. If samples are at hand, they judge the
+solutions, and EM goes on with them where the groups have blurred too much. If only bins are at
+hand, their width is removed at the end.
 
 Likelihoods of mixtures have many maxima. Three kinds of start, none of them random, find the best
-one of nearly all pixels: cutting the row into k segments; inserting a component into a fit of k - 1
-(greedy EM: Verbeek, Vlassis and Kröse, "Efficient greedy learning of Gaussian mixture models",
-2003, doi:10.1162/089976603762553004), from narrow windows, for the spikes of renders, to wide ones;
-and splitting the broadest component of that fit, for bodies beside spikes.
+one for nearly all pixels:
+
+- cutting the row into k segments;
+- inserting a component into a fit of k - 1 (greedy EM: Verbeek, Vlassis and Kröse, "Efficient
+  greedy learning of Gaussian mixture models", 2003, doi:10.1162/089976603762553004), from narrow
+  windows, for the spikes of renders, to wide ones;
+- splitting the broadest component of that fit, for bodies beside spikes.
 """
 
 from __future__ import annotations
@@ -52,9 +55,9 @@ __all__ = [
 
 _LEAST_MASS = 1e-300
 _BINS = 16
-"""Histograms are padded to a multiple of so many filled bins."""
+"""Histograms are padded to a multiple of this many filled bins."""
 _SAMPLE_CYCLES, _TOLERANCE = 40, 1e-6
-"""Of a run of EM on the samples themselves."""
+"""Cycles and tolerance of EM on the samples themselves."""
 
 Effort = Literal["fast", "thorough"]
 
@@ -66,17 +69,18 @@ class Plan:
     Attributes
     ----------
     rows
-        Rows worked on at once: many, so that calls are few, but no more than the cache holds.
+        Rows worked on at once: many, so that there are few calls, but no more than the cache holds.
     groups
-        Most equally filled groups of a row.
+        Most groups of a row, equally filled.
     windows
-        SampleGroups of window lengths, in groups, for inserted components.
+        Tuples of window lengths, in groups of samples, for inserted components.
     rounds
-        (cycles, starts kept after them) before the final run of EM.
+        (cycles, starts kept afterwards) before the final run of EM.
     cycles, tolerance
-        Of the final run.
+        Limits of the final run.
     loss
-        Where groups lose more log-likelihood per sample than this, the run ends on the samples.
+        Log-likelihood per sample that groups may lose; where they lose more, the run ends on
+        samples.
     """
 
     rows: int
@@ -108,29 +112,29 @@ EFFORTS: dict[Effort, Plan] = {
         loss=3e-3,
     ),
 }
-"""What `effort` stands for."""
+"""The plans of each `effort`."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Rows of a part, and what a search maximises for them: the likelihood of samples, or of bins.
+    """Rows of a part, and the data whose likelihood a search maximises: samples or bins.
 
     Attributes
     ----------
     rows
-        Which rows of the part, its batch flattened.
+        Which rows of the part, with its batch flattened.
     plan
         How hard to search.
     groups
-        What EM works on: groups of samples, or bins as they are. Their likelihood is one of binned
-        data: with corrected bins, EM would be rewarded for components that hide within one.
+        Data of EM: groups of samples, or bins as they are. The likelihood of binned data is right
+        for bins: with corrected bins, EM would favour components that hide within one bin.
     corrected
-        SampleGroups as close to the samples as there are: bins with Sheppard's corrections.
+        Groups as close to the samples as possible: for bins, with Sheppard's corrections.
     samples, n
-        Logarithms of samples in ascending order, shape (row, sample), of which `n` count; None
-        where only bins are.
+        Logarithms of samples in ascending order, shape (row, sample), of which the first `n` count;
+        None if there are only bins.
     width
-        That of the bins, shape (row,); None where samples are.
+        Width of the bins, shape (row,); None if there are samples.
     """
 
     rows: Counts
@@ -148,7 +152,7 @@ class Piece:
         return Piece(self.rows[at], self.plan, groups, corrected, samples, n, width)
 
     def maximise(self, family: ComponentFamily, state: Floats) -> Solution:
-        """Run EM to the end of the plan; the likelihood is the closest to that of the samples."""
+        """Run EM to the end of the plan; return the likelihood closest to that of the samples."""
         cycles, tolerance = self.plan.cycles, self.plan.tolerance
         solution = em.run(self.groups, family, state, cycles=cycles, tolerance=tolerance)
         if state.shape[1] > 1:
@@ -157,12 +161,12 @@ class Piece:
         if self.width is not None:
             return self._of_bins(solution, self.width)
         if self.samples is None or self.n is None or state.shape[1] == 1:
-            # Sums over groups are those over samples.
+            # Sums over groups are sums over samples.
             return solution
         return self._of_samples(solution, self.samples, self.n)
 
     def refit(self, family: MixtureFamily, solutions: list[Solution]) -> list[Solution]:
-        """Fit another family, from where the solutions of one are."""
+        """Fit another family, starting from the solutions of one."""
         kind, refitted = COMPONENTS[family], []
         for model in solutions:
             solution = self.maximise(kind, em.refit(self.groups, model, self.groups, kind))
@@ -171,9 +175,9 @@ class Piece:
         return refitted
 
     def _of_bins(self, solution: Solution, width: Floats) -> Solution:
-        """Let the last maximisation take Sheppard's corrections into account.
+        """Apply Sheppard's corrections in the last maximisation.
 
-        The likelihood is that of the bins, the mass in each over its width.
+        The likelihood is that of the bins: the mass in each over its width.
         """
         family = solution.family
         state = em.refit(self.groups, solution, self.corrected, family)
@@ -184,7 +188,7 @@ class Piece:
         return replace(solution, state=state, log_likelihood=value)
 
     def _of_samples(self, solution: Solution, samples: Floats, n: Counts) -> Solution:
-        """Go on with the samples where groups lose more than the plan's `loss` per sample."""
+        """Continue on the samples where groups lose more than the plan's `loss` per sample."""
         family, state = solution.family, solution.state.copy()
         converged = solution.converged.copy()
         value = log_likelihood(samples, n, solution)
@@ -211,16 +215,16 @@ def log_likelihood(log_sorted: Floats, n: Counts, solution: Solution) -> Floats:
 
 
 _FEW = 160
-"""BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
+"""BIC is an expansion for many samples: with fewer than these, mixtures would fit chance."""
 
 
 def log_samples(n: Counts | Floats) -> Floats:
-    """Return the log n of a score: at least that of 160 samples."""
+    """Return the log n of a score, but at least that of 160 samples."""
     return np.asarray(np.log(np.maximum(n, _FEW)))
 
 
 def score(solution: Solution, log_n: Floats) -> Floats:
-    """Return log-likelihood less half of log n for each parameter, shape (row,)."""
+    """Return the log-likelihood minus half of log n for each parameter, shape (row,)."""
     return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)
 
 
@@ -235,9 +239,9 @@ def search(
 ) -> Iterator[tuple[Piece, list[Solution]]]:
     """Fit mixtures of 1 to `max_k` components to the usable rows, piece by piece.
 
-    `unimodal`, of the batch's shape, is the `score` of distributions of one mode. With it, rows
-    where k >= 2 components beat neither that nor fewer components are not tried with more; the
-    log-likelihood of what was not tried is minus infinity.
+    `unimodal` is the `score` of distributions with one mode, with the batch's shape. If it is given
+    and k >= 2 components beat neither it nor fewer components, the row is not tried with more.
+    Solutions that were not tried have the log-likelihood minus infinity.
     """
     for piece in _pieces(part, np.flatnonzero(usable.reshape(-1)), EFFORTS[effort]):
         bar = None if unimodal is None else unimodal.reshape(-1)[piece.rows]
@@ -245,7 +249,7 @@ def search(
 
 
 def _pieces(part: Part, rows: Counts, plan: Plan) -> Iterator[Piece]:
-    """Cut rows into pieces of about the same length: little padding, the longest row last."""
+    """Cut rows into pieces of similar length, with little padding; the longest row is last."""
     if not isinstance(part, PositiveHistogram):
         rows = rows[np.argsort(part.n.reshape(-1)[rows], kind="stable")]
         for span in spans(len(rows), plan.rows):
@@ -254,7 +258,7 @@ def _pieces(part: Part, rows: Counts, plan: Plan) -> Iterator[Piece]:
             groups = groups_of_samples(samples, n, plan.groups)
             yield Piece(rows[span], plan, groups, groups, samples, n)
         return
-    # Starts depend on the number of groups, which may not depend on other rows.
+    # Starts depend on the number of groups, which must not depend on other rows.
     filled = np.count_nonzero(part.counts, axis=-1).reshape(-1)[rows]
     most = _BINS * -(-filled // _BINS)
     for width in np.unique(most).tolist():
@@ -268,7 +272,7 @@ def _pieces(part: Part, rows: Counts, plan: Plan) -> Iterator[Piece]:
 def _solutions(
     piece: Piece, family: ComponentFamily, max_k: int, unimodal: Floats | None
 ) -> list[Solution]:
-    """Return the mixtures of 1, 2, ... components; those not tried are infinitely unlikely."""
+    """Return the mixtures of 1, 2, ... components; untried ones are infinitely unlikely."""
     groups, windows, rows = piece.groups, piece.plan.windows, np.arange(len(piece.rows))
     below = sums_below(groups, family)
     # One component is a single segment.
@@ -311,10 +315,10 @@ def _best_start(piece: Piece, family: ComponentFamily, states: list[Floats]) -> 
 
 
 _CHOICES = 150
-"""Most segmentations that are compared."""
+"""Most segmentations to compare."""
 _LEAST = 1e-9
 _APART, _NARROWER = 0.8, 0.6
-"""Of the halves of a split component: their distance from it, and their spread, in spreads."""
+"""Distance of the halves of a split component from it, and their spread, in units of its spread."""
 _LARGEST = 0.9
 """Largest weight of an inserted component."""
 _LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
@@ -326,8 +330,8 @@ def segmentations(
 ) -> Iterator[Floats]:
     """Yield the best cut of each row into k segments, by two criteria, from its `sums_below`.
 
-    The likelihood of a Gaussian for each segment, and the sum of squares within them (k-means):
-    the first favours narrow segments.
+    The criteria are the likelihood of a Gaussian in each segment, which favours narrow segments,
+    and the sum of squares within segments (k-means).
     """
     if len(groups.count) < k:
         return
@@ -347,9 +351,9 @@ def _insertions(
     state: Floats,
     windows: tuple[tuple[int, ...], ...],
 ) -> Iterator[Floats]:
-    """Yield, for each group of window lengths, the state with one component more.
+    """Yield, for each group of window lengths, the state with one more component.
 
-    It is that of the window, in groups, whose samples gain most from a Gaussian of their own.
+    The component comes from the window of groups whose samples gain most from their own Gaussian.
     """
     coefficients = family.coefficients(state)[:, :, np.newaxis]
     old = em.log_density(groups.log, family.statistic(groups), coefficients)
@@ -369,8 +373,8 @@ def _insertions(
 def _split(groups: SampleGroups, family: ComponentFamily, state: Floats) -> Floats:
     """Return the state with its broadest component, by weight times spread, split into two.
 
-    The halves lie 0.8 spreads to either side and have 0.6 of the spread, so that mean and variance
-    of both together stay about the same.
+    The halves lie 0.8 spreads to either side and have 0.6 of the spread, so that the mean and
+    variance of both together stay about the same.
     """
     spread = family.spread(state)
     rows = np.arange(state.shape[-1])
@@ -405,7 +409,7 @@ def _best_window(
 
 
 def _state(groups: SampleGroups, family: ComponentFamily, sums: Floats) -> Floats:
-    """Return the state of components whose counts, sums of y and of t(y) are given."""
+    """Return the state of components from their counts, sums of y and sums of t(y)."""
     n = np.maximum(sums[0], _LEAST)
     return em.state_of(family, n, sums[1] / n, sums[2] / n, groups.floor, groups.spacing)
 
@@ -429,8 +433,8 @@ def _variance(below: Floats, floor: Floats, start: Counts | slice, stop: Counts 
 def _cuts(groups: int, k: int) -> tuple[Counts, Counts, Counts]:
     """Return edges of k segments, on as fine a grid as there is time for, shape (k + 1, choice).
 
-    Then where each of all these segments starts and stops, shape (2, segment), and which of them
-    each choice has, shape (k, choice).
+    Also return the start and stop of each segment that occurs, shape (2, segment), and the segments
+    of each choice, shape (k, choice).
     """
     grid = next(g for g in range(groups - 1, 0, -1) if comb(g, k - 1) <= _CHOICES or g <= k)
     places = np.unique(np.linspace(1, groups - 1, grid).round().astype(np.int64))

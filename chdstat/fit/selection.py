@@ -1,9 +1,11 @@
 """Selection: which family describes the samples best, and by how much.
 
-Use `select` on samples or log histograms, and `family_shares` for how many pixels of an image each
-family describes best. Unlike an information criterion, the held-out likelihood, that of one half of
-the samples under a fit to the other, needs no count of parameters and does not assume that one of
-the families is true; and its differences come with a standard error.
+Use `select` on samples or log histograms. `family_shares` counts how many pixels of an image each
+family describes best.
+
+The held-out likelihood is that of one half of the samples under a fit to the other half. Unlike an
+information criterion, it needs no count of parameters and does not assume that one of the families
+is true. Its differences have a standard error.
 """
 
 from __future__ import annotations
@@ -60,15 +62,15 @@ class HeldOut(Result):
     Attributes
     ----------
     loss
-        Minus the log-likelihood per positive sample, in nats and for linear radiance, shape
-        (..., family); the smaller the better, NaN where the family could not be fitted to all
-        samples and to each of the halves, infinite where it is bounded and a sample of the other
-        half lies beyond.
+        Minus the log-likelihood per positive sample, in nats and for linear radiance, shape (...,
+        family); smaller is better. It is NaN where the family could not be fitted to all samples or
+        to one of the halves, and infinite where the family is bounded and a sample of the other
+        half lies beyond its end.
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin, margin_se
-        Loss of the runner-up minus that of the best, and its standard error from the differences
-        sample by sample, shape (...); NaN with fewer than two fits.
+        Loss of the runner-up minus that of the best family, shape (...), and its standard error
+        from the differences sample by sample; NaN with fewer than two fits.
     """
 
     loss: Floats = variable("held-out loss per positive sample, in nats", "family")
@@ -80,7 +82,7 @@ class HeldOut(Result):
 
     @property
     def decided(self) -> Mask:
-        """Whether the margin is above two standard errors, shape (...): else it is a draw."""
+        """Whether the margin exceeds two standard errors, shape (...); otherwise it is a draw."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.margin > 2 * self.margin_se)
 
@@ -96,17 +98,17 @@ class Selection(Result):
     criterion
         'aic', 'bic' or 'held_out'.
     values
-        The criterion, shape (..., family); the smaller the better. Of 'held_out', it is the loss
-        per positive sample, in nats.
+        The criterion, shape (..., family); smaller is better. For 'held_out', it is the loss per
+        positive sample, in nats.
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin
-        Criterion of the runner-up minus that of the best, shape (...); NaN with fewer than two
-        fits. Above 10, the evidence of BIC is very strong (Kass and Raftery 1995,
+        Criterion of the runner-up minus that of the best family, shape (...); NaN with fewer than
+        two fits. For BIC, evidence above 10 is very strong (Kass and Raftery 1995,
         doi:10.1080/01621459.1995.10476572).
     vuong_z, vuong_p_value
-        Vuong's statistic of gamma against log-normal, positive where gamma is closer to the
-        samples, and its two-sided p-value, shape (...); NaN unless both are among the families.
+        Vuong's statistic of gamma against log-normal and its two-sided p-value, shape (...). The
+        statistic is positive where gamma is closer to the samples. NaN unless both are compared.
     fits
         Every `Fit`, by family.
     held_out
@@ -130,7 +132,7 @@ class Selection(Result):
 
     @property
     def reason(self) -> npt.NDArray[np.int8]:
-        """`Reason` codes, shape (...): OK where there is a best family, else what the first met."""
+        """`Reason` codes, shape (...): OK where there is a best family, else that of the first."""
         first = self.fits[self.families[0]].reason
         return np.asarray(np.where(self.best >= 0, np.int8(Reason.OK), first))
 
@@ -171,7 +173,7 @@ class HeldOutLikelihood(Statistic[HeldOut]):
         shape, n = part.n.shape, part.n.reshape(-1)
         loss, best = np.full((n.size, len(fits)), np.nan), np.full(n.size, -1, dtype=np.int8)
         margins = np.full((2, n.size), np.nan)
-        # Rows with similar numbers of samples, so that those of a piece fill it.
+        # Rows with similar numbers of samples go together, so that they fill a piece.
         order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
         for span in chunks(len(order), part.x.shape[-1] // 2):
             rows = order[span]
@@ -180,7 +182,7 @@ class HeldOutLikelihood(Statistic[HeldOut]):
         return HeldOut(loss.reshape(*shape, len(fits)), best.reshape(shape), margin, error)
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Set names and units, and the names of the families."""
+        """Set names, units, and the names of the families."""
         dataset, names = super().finish(dataset), self.coordinates()["family"]
         dataset["held_out_best_family"].attrs.update(place_attributes(names))
         return dataset
@@ -191,7 +193,7 @@ _BY_DEFAULT = tuple(FAMILIES[name] for name in SELECTED)
 
 @dataclass(frozen=True)
 class FamilySelection(Statistic[Selection]):
-    """Families compared on the same samples; options as of `select`."""
+    """Families compared on the same samples; options as in `select`."""
 
     result: ClassVar = Selection
     description: ClassVar = "selecting families"
@@ -267,44 +269,48 @@ def select(
 ) -> Selection | xr.Dataset:
     """Fit several families and select the one that describes the samples best.
 
-    ``AIC = 2 k - 2 log L`` and ``BIC = (k - 1) log n + log m - 2 log L``. Of the k parameters, one
-    is the mass at 0, estimated from all m good samples; the others are estimated from the n
-    positive ones. All likelihoods are those of linear radiance. The held-out loss is minus
-    the log-likelihood per positive sample when the even samples, in stored order, are scored by a
-    fit to the odd ones, and the other way round. The best of poor families is still poor: the
-    margin compares the families, not the family with the data.
+    ``AIC = 2 k - 2 log L`` and ``BIC = (k - 1) log n + log m - 2 log L``. Here k counts the mass at
+    0 as one parameter of every family, estimated from all m good samples; the other k - 1 are
+    estimated from the n positive samples. All likelihoods are those of linear radiance.
 
-    Prefer BIC where one of the families may be true and its name is what matters: with many samples
-    it finds the smallest that holds the truth. Prefer AIC or the held-out loss where all families
-    are approximations and the likelihood of further samples matters. A split in two is noisy: of
-    512 gamma or Weibull samples, Burr, which has a parameter more and comes close to both, has the
-    smaller held-out loss in up to one pixel in six. Count a pixel only where `HeldOut.decided`, its
-    margin being above two standard errors: there, fewer than one in a hundred of all such pixels
-    have a wrong winner, but most are a draw.
+    The held-out loss is minus the log-likelihood per positive sample: the even samples, in stored
+    order, are scored by a fit to the odd samples, and the other way round.
+
+    The best of poor families is still poor: the margin compares the families with each other, not
+    the family with the data.
+
+    Prefer BIC where one of the families may be true and its name is what matters: with many
+    samples, it finds the smallest family that holds the truth. Prefer AIC or the held-out loss
+    where all families are approximations and the likelihood of further samples matters.
+
+    A split in two is noisy. For 512 gamma or Weibull samples, Burr has the smaller held-out loss in
+    up to one pixel in six, since it has one more parameter and comes close to both. So count only
+    pixels where the margin exceeds two standard errors (`HeldOut.decided`). Fewer than one in a
+    hundred of all such pixels have a wrong winner there, but most pixels are a draw.
 
     Parameters
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
     families
-        What to compare.
+        Names of the families to compare.
     criterion
         'aic', 'bic' or 'held_out'.
     held_out
-        Compare by held-out likelihood, too, whatever the criterion. A histogram cannot be split.
+        Also compare by held-out likelihood, whatever the criterion. A histogram cannot be split.
 
     Returns
     -------
     Selection or xarray.Dataset
-        `Selection` for an array or a `Histogram`. For an image, the variables of every fit,
-        ``best_family``, ``margin``, ``vuong_z`` and ``vuong_p_value`` over (y, x, channel), and if
-        asked for, ``held_out_best_family``, ``held_out_margin``, ``held_out_margin_se`` and, with a
-        further dimension, ``held_out_loss`` over family.
+        `Selection` for an array or a `Histogram`. For an image, the variables of every fit, and
+        ``best_family``, ``margin``, ``vuong_z`` and ``vuong_p_value`` over (y, x, channel). With
+        `held_out`, also ``held_out_best_family``, ``held_out_margin`` and ``held_out_margin_se``,
+        and ``held_out_loss`` with the further dimension family.
 
     Raises
     ------
     InputError
-        If a family or the criterion is unknown, there is no family, or a histogram is to be split.
+        If a family or the criterion is unknown, there is no family, or a histogram would be split.
 
     References
     ----------
@@ -332,22 +338,22 @@ def select(
 def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.Dataset:
     """Return the share of pixels that each family describes best, with Wilson's interval.
 
-    The interval takes the pixels for independent; neighbours are not quite, so it is a little too
-    short.
+    The interval treats pixels as independent. Neighbours are not quite independent, so that the
+    interval is a little too short.
 
     Parameters
     ----------
     dataset
-        Of `select` for an image.
+        Result of `select` for an image.
     variable
         'best_family' or 'held_out_best_family'.
 
     Returns
     -------
     xarray.Dataset
-        ``family_share`` over (channel, family), among the pixels with any family, its
-        ``family_share_interval`` over (channel, family, bound), and ``n_pixels`` over (channel),
-        how many these are.
+        ``family_share`` over (channel, family), among the pixels with a best family;
+        ``family_share_interval`` over (channel, family, bound); and ``n_pixels`` over (channel),
+        the number of these pixels.
 
     Raises
     ------
@@ -387,8 +393,8 @@ def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.D
 
 
 _LOOSE = 1e-2
-"""Newton steps at which the search in a half ends: they leave about 1e-4 of the parameters and less
-than a hundredth of the margin's standard error (99.9 % of the pixels of a render)."""
+"""Newton step that ends the search in a half. The remaining error is about 1e-4 of the parameters,
+and less than a hundredth of the margin's standard error (in 99.9 % of the pixels of a render)."""
 
 
 def _compare(
@@ -402,7 +408,7 @@ def _compare(
     for to, (family, fit) in zip(density, fits, strict=True):
         near = take(fit.parameters, both)
         near = {name: value.reshape(halves.n.shape) for name, value in near.items()}
-        # Where a family cannot be fitted to all samples, it is fitted to no half, and no candidate.
+        # A family that cannot be fitted to all samples is not fitted to halves, and cannot win.
         fitted = estimate_part(halves, family, near, _LOOSE)[0].parameters
         to[:] = family.log_density(points, take(fitted, other))
     np.copyto(density, 0, where=points.weight == 0)
@@ -420,9 +426,9 @@ def _compare(
 
 
 def _ranked(values: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int8], Floats]:
-    """Rank the families, best first, by the smallest value; return order, best and margin.
+    """Rank the families by smallest value; return their order, the best, and its margin.
 
-    `values` has shape (..., family), NaN where there is none; best is -1 where all are NaN.
+    `values` has shape (..., family) and NaN where there is none; best is -1 where all are NaN.
     """
     order = np.argsort(values, axis=-1)
     ascending = np.take_along_axis(values, order[..., :2], axis=-1)
@@ -436,8 +442,9 @@ def _ranked(values: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int8],
 def _vuong(part: Part, one: Fit, other: Fit) -> tuple[Floats, Floats]:
     """Return Vuong's z of one family against another, and its two-sided p-value, shape (...).
 
-    ``z = sum(m) / (sd(m) sqrt(n))`` with m the difference of the log densities, sample by sample:
-    normal where two families, neither of which contains the other, are equally far from the truth.
+    ``z = sum(m) / (sd(m) sqrt(n))``, where m is the difference of the log densities, sample by
+    sample. It is normal if neither family contains the other and both are equally far from the
+    truth.
     """
     z = np.full(part.n.size, np.nan)
     usable = (one.reason == Reason.OK) & (other.reason == Reason.OK)

@@ -1,10 +1,18 @@
 """Tail: how heavy the largest samples of a CHD are.
 
-`tail_index` fits a generalised Pareto distribution to the excesses over a threshold that it chooses
-from the data. Its tail index xi orders the tails: below 0 bounded, 0 exponential (gamma, too), from
-1/4 on the sample variance has an infinite variance of its own, so that its error bar means nothing,
-from 1/2 on the variance is infinite, and from 1 on the mean is. `effective_tail_index` is the index
-to expect of a distribution.
+`tail_index` fits a generalised Pareto distribution to the excesses over a threshold, which it
+chooses from the data. `effective_tail_index` returns the index to expect for a known distribution.
+The tail index xi orders the tails:
+
+=============  =================================================================================
+xi             Tail
+=============  =================================================================================
+below 0        bounded
+0              like an exponential or gamma distribution
+1/4 or more    the variance of the sample variance is infinite: an error bar means nothing
+1/2 or more    the variance is infinite
+1 or more      the mean is infinite
+=============  =================================================================================
 
 An automatic threshold may miss a rare heavy tail. The `FAR` largest samples therefore have an index
 of their own, and the variance of a pixel is trusted only where both indices allow it.
@@ -38,27 +46,27 @@ __all__ = ["FAR", "Tail", "TailIndex", "effective_tail_index", "tail_index"]
 TailShare = float | Literal["auto"]
 
 _STEP = 1e-4
-"""Of log radiance, for a derivative."""
+"""Step of log radiance for a derivative."""
 FAR = 28
 """Excesses of the estimate far in the tail: fewer hardly determine an index."""
 _LIGHT_LEVEL = 0.06
 """Share of exponential samples whose variance is not trusted, for the sake of rare heavy tails."""
 _LEAST_SCORE = -3.0
-"""A bounded tail at one threshold does not make up for more than so much evidence at another."""
+"""Least score of one threshold: a bounded tail there outweighs only this much elsewhere."""
 
 _ROUNDING = 1e-4
-"""Samples that exceed the threshold by this share of it or less count as equal to it. In single
-precision, paths that see one lamp through glass or in a mirror differ by 1e-5, or a few times that;
-the first quartile of the excesses of continuous samples was at least 1.8e-4 of the threshold
+"""Samples count as equal to the threshold if they exceed it by this share or less. In single
+precision, paths that see one lamp through glass or in a mirror differ by 1e-5, or a few times that.
+The first quartile of the excesses of continuous samples was at least 1.8e-4 of the threshold
 (scenes bathroom, caustic, day-room, night-room and gallery)."""
 
 _DOMINATES = 0.5
-"""Share of the sum of all samples above which the largest one dominates them."""
+"""The largest sample dominates if it is more than this share of the sum of all samples."""
 
 _FEW, _WIDEST = 512, 2.5
-"""Of fewer samples, both estimates of the tail use nearly the same ones, so that the scatter of all
-counts, too: of gamma samples of any shape, it is at most this many standardised units in 96 %, as
-simulated for the shapes 0.3 to 5 and 128 to 384 samples."""
+"""With fewer samples than `_FEW`, both estimates of the tail use nearly the same ones, so that the
+scatter of all samples counts, too. For 96 % of gamma pixels of any shape, it is at most `_WIDEST`
+standardised units, as simulated for the shapes 0.3 to 5 and 128 to 384 samples."""
 
 _LOG_SHARES = np.log([0.01, 0.02, 0.05, 0.1, 0.2, 0.3])
 _LOG_VARIANCES = np.log(special.polygamma(1, [1.0, 0.7, 0.5, 0.3, 0.2, 0.15, 0.1]))
@@ -71,8 +79,8 @@ _GAMMA_INDEX = interpolate.RegularGridInterpolator((_LOG_VARIANCES, _LOG_SHARES)
     [0.033, 0.047, 0.083, 0.137, 0.261, 0.424],
     [0.044, 0.065, 0.117, 0.205, 0.423, 0.737],
 ])  # fmt: skip
-"""The index that a generalised Pareto fit gives 4000 evenly spaced quantiles above that of
-1 - share, of gamma distributions with these variances of log x: those of the shapes 1 to 0.1."""
+"""The index of a generalised Pareto fit to the top `share` of gamma distributions, as 4000 evenly
+spaced quantiles. The variances of log x are those of the shapes 1 to 0.1."""
 
 
 @result
@@ -85,37 +93,38 @@ class Tail(Result):
         Tail index and its asymptotic standard error, ``(1 + xi) / sqrt(n)``, but at least
         ``0.9 / sqrt(n)``, as simulations of bounded tails show.
     interval
-        Low and high end for xi, shape (..., 2), with the largest sample and without it; wide where
-        that one carries more than half of the sum.
+        Low and high end for xi, shape (..., 2). It covers the estimates with the largest sample and
+        without it; it is wide where the largest sample is more than half of the sum.
     xi_far, interval_far
-        Tail index of the `FAR` largest samples alone, and its interval: it detects a few samples of
-        a heavier tail than the rest, which `interval` does not account for.
+        Tail index of the `FAR` largest samples alone, and its interval. It detects a few samples
+        from a heavier tail than the rest, which `interval` does not account for.
     p_value
-        One-sided, of the hypothesis that the tail index is at most `tested`.
+        One-sided p-value of the hypothesis that the tail index is at most `tested`.
     p_exponential
-        One-sided, of the hypothesis that the tail is no heavier than that of an exponential, or of
-        a gamma distribution whose logarithms vary as much as the samples' do.
+        One-sided p-value of the hypothesis that the tail is no heavier than that of an exponential
+        distribution, or of a gamma distribution whose logarithms vary as much as the samples' do.
     tested, level
-        That index, and the level of the intervals.
+        The tested index, and the level of the intervals.
     scale, threshold
-        Generalised Pareto scale, and radiance above which the tail begins.
+        Generalised Pareto scale, and the radiance above which the tail begins.
     n, share
-        Excesses that were used, and their share of the positive samples.
+        Number of excesses used, and their share of the positive samples.
     hill, hill_interval, hill_n
-        Hill's estimate, for power laws only, since it is positive for every tail; its interval,
-        shape (..., 2); the excesses that it was made of.
+        Hill's estimate, its interval, shape (..., 2), and the number of excesses behind it. Hill's
+        estimate is positive for every tail; use it for power laws only.
     variance_suspect
-        Where xi >= 1/2: the variance may be infinite, the sample variance is not to be trusted, nor
-        is any error bar made of it.
+        Where xi >= 1/2. The variance may be infinite: do not trust the sample variance, or any
+        error bar made from it.
     variance_trusted
         Where the upper end of the interval is below 1/2, and neither the largest candidate nor the
-        `FAR` largest samples are heavier than those of a gamma distribution; nor do fewer than 512
-        samples vary more than those of one. A heavy tail of which few samples lie beyond the others
-        is not seen: see the notes of `tail_index`.
+        `FAR` largest samples are heavier than a gamma distribution. With fewer than 512 samples,
+        they must also vary no more than a gamma distribution. A heavy tail may still be missed if
+        few of its samples lie beyond the others: see the notes of `tail_index`.
     variance_unidentified
-        Where neither holds: the samples do not determine whether their variance is finite.
+        Where the variance is neither suspect nor trusted: the samples do not determine whether it
+        is finite.
     reason
-        `Reason` codes; where it is not `OK`, none of the three holds.
+        `Reason` codes. Where it is not `OK`, the variance is not suspect, trusted or unidentified.
     """
 
     xi: Floats = variable("generalised Pareto tail index xi", name="tail_index")
@@ -176,7 +185,7 @@ class Tail(Result):
 
 @dataclass(frozen=True)
 class TailIndex(Statistic[Tail]):
-    """The tail index; options as of `tail_index`."""
+    """The tail index; options as in `tail_index`."""
 
     result: ClassVar = Tail
     description: ClassVar = "measuring tails"
@@ -253,28 +262,29 @@ def tail_index(
 ) -> Tail | xr.Dataset:
     """Estimate the tail index from the largest samples.
 
-    The excesses over a high threshold follow the generalised Pareto distribution ``P(excess > y) =
-    (1 + xi y / scale)^(-1/xi)``; its two parameters are estimated by the quasi-Bayesian average
-    over the profile likelihood of Zhang and Stephens, which is close to maximum likelihood, needs
-    no iteration and never fails to converge. The interval is symmetric in log(1 + xi), whose
-    variance does not depend on xi, but for what one sample does to it: see below.
+    The excesses over a high threshold follow the generalised Pareto distribution
+    ``P(excess > y) = (1 + xi y / scale)^(-1/xi)``. Its two parameters are the quasi-Bayesian
+    average over the profile likelihood of Zhang and Stephens. That estimate is close to maximum
+    likelihood, needs no iteration and never fails to converge. The interval is symmetric in log(1 +
+    xi), whose variance does not depend on xi, except that it also covers the effect of the largest
+    sample, see the notes.
 
     Parameters
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
     share
-        Share of the positive samples that make the tail, in (0, 1), or 'auto': see below.
+        Share of the positive samples that make the tail, in (0, 1), or 'auto', see the notes.
     tested
-        Tail index, at least 0, above which a tail counts as heavy.
+        Tail index, at least 0; a tail counts as heavy above it.
     level
-        Of the intervals, in (0, 1).
+        Level of the intervals, in (0, 1).
 
     Returns
     -------
     Tail or xarray.Dataset
-        `Tail` for an array; for `Samples`, its fields over (y, x, channel), with the prefix
-        ``tail_``, and q-values of both p-values over the image, for each channel separately.
+        `Tail` for an array. For `Samples`, its fields over (y, x, channel), with the prefix
+        ``tail_``, and q-values for both p-values over the image, for each channel separately.
 
     Raises
     ------
@@ -283,58 +293,86 @@ def tail_index(
 
     Notes
     -----
-    The automatic threshold follows Bader, Yan and Zhang in that the Anderson-Darling test decides:
-    the tail is the largest of three candidates whose generalised Pareto fit is not rejected at 5 %,
-    or the smallest. The candidates are ``1.1 n^(3/4)`` of n samples (0.23 of 512, 0.12 of 8192),
-    and 0.7 and 0.5 times as many. That bound keeps the bias of what lies below a tail smaller than
-    its standard error: in simulations the error is less than that of larger candidates, of
-    Clauset's minimum of Kolmogorov's distance, and of Lepski's rule. Hill's estimate goes by the
-    same rule, with a test of the power law.
+    **Threshold.** The automatic threshold follows Bader, Yan and Zhang: the Anderson-Darling test
+    decides. The tail is the largest of three candidates whose generalised Pareto fit is not
+    rejected at 5 %, or else the smallest. The candidates have ``1.1 n^(3/4)`` of n samples (0.23 of
+    512, 0.12 of 8192), and 0.7 and 0.5 times as many. The bound on the largest candidate keeps the
+    bias from samples below the tail smaller than the standard error. In simulations, the error is
+    smaller than with larger candidates, with Clauset's minimum of Kolmogorov's distance, and with
+    Lepski's rule. Hill's estimate follows the same rule, with a test of the power law.
 
-    One sample can raise the index to any value. So the interval also holds the one without the
-    largest sample. Where that carries more than half of the sum of the positive samples, nothing is
-    known of what lies between it and the others: the interval then holds those of the 10 largest
-    samples as well, with it and without it, and is wide. Of path-traced pixels with such a sample
-    among 256, at least 95 % of the intervals hold the index that 16384 samples show. Elsewhere,
-    more samples may show another index, since their tail begins farther out, at a larger
-    ``threshold``.
+    **The largest sample.** One sample can raise the index to any value. The interval therefore also
+    covers the interval without the largest sample. If the largest sample is more than half of the
+    sum of the positive samples, nothing is known of what lies between it and the others. The
+    interval then also covers those of the 10 largest samples, with it and without it, and is wide.
+    For path-traced pixels with such a sample among 256, at least 95 % of the intervals hold the
+    index that 16384 samples show. In other pixels, more samples may show another index, since their
+    tail begins farther out, at a larger ``threshold``.
 
-    A 95 % interval covers the index of generalised Pareto samples in 94 to 97 % of cases. If the
-    tail begins somewhere within the samples, it covers the index in 91 % of cases with 512 samples
-    and in 94 % with 8192, on average; in 76 to 80 % if a heavy tail is a tenth of 512 samples,
-    since the body biases xi towards 0. If the tail turns into a power law slowly, the bias stays
-    while the interval narrows: the 1/3 of Student's t with 3 degrees of freedom is covered in 87,
-    82 and 74 % of cases with 512, 4096 and 16384 samples. The interval does **not** cover the index
-    of a tail that is rarer than the threshold: where 1 % of exponential samples have a tail of
-    index 1, xi is 0.3 to 0.4 and the interval hardly ever holds 1. ``xi_far``, of the 28 largest
-    samples, detects such tails; ``variance_trusted`` depends on it and, with fewer than 512
-    samples, on whether they scatter more than gamma ones. It detects a tail only if some of its
-    samples are larger than all others. Where there are five or more of them, the variance is
-    trusted in at most 5 % of pixels if the tail has index 1 or more, in at most 10 % (15 % with
-    fewer than 512 samples) if it has 2/3, and in up to 25 % as the index nears 1/2. A tail that
-    begins among the other samples needs more, since most of its own are lost there: if exactly 20
-    of 1024 exponential samples, of mean 1, are Pareto ones from 1 on, the variance is trusted in 12
-    % for index 1 and in half of the pixels for 2/3; with 40, in 1 % and 28 %. So a trusted variance
-    is no proof of a finite one. 90 % and more of exponential, uniform and gamma pixels are trusted
-    from 512 samples on (of gamma shapes below 0.5 from 2048 on). Log-normal and Weibull samples
-    with tails heavier than a gamma distribution's often are not identified, although their variance
-    is finite. Hill's interval is one for pure power laws only: with an offset, as generalised
-    Pareto samples have, it is too high at any threshold within the samples.
+    **Coverage** of a 95 % interval:
 
-    The index describes only the range that was sampled. A gamma tail gives about 0 for
-    shapes from 1/2 on; below, the density still curves where the tail begins: with 512, 2048 and
-    8192 samples, the index is 0.15, 0.10 and 0.07 for a shape of 0.3, and 0.22, 0.14 and 0.11 for
-    0.2. ``p_exponential`` allows for that: it tests against the gamma distribution with the
-    variance of log x that the samples have, if that is above an exponential's. A log-normal tail
-    has index 0 too, but only far beyond the largest sample: where it was seen, at the 90 % quantile
-    and above, it is that of a power law of index 0.2 to 0.3 with sigma = 1 and about 0.5 with sigma
-    = 1.5. See `effective_tail_index`.
+    ==================================================  ==========
+    Samples                                             Coverage
+    ==================================================  ==========
+    generalised Pareto                                  94 to 97 %
+    tail begins within 8192 samples, on average         94 %
+    tail begins within 512 samples, on average          91 %
+    heavy tail of a tenth of 512 samples                76 to 80 %
+    Student's t, 3 degrees of freedom, 512 samples      87 %
+    the same, 4096 and 16384 samples                    82, 74 %
+    1 % with index 1 among exponential samples          about 0
+    ==================================================  ==========
 
-    Where the largest value occurs twice, samples were clamped or rounded, or are a few atoms: they
-    have no tail index (`TIED`). A lamp behind glass or in a mirror gives many samples that differ
-    by rounding only. Where a quarter of the excesses or more are within 1e-4 of the threshold,
-    relative to it, those are no excesses, and the tail is what lies above them: `TOO_FEW` where
-    that is fewer than 10 samples, `TIED` where it is none.
+    In the fourth case, the body biases xi towards 0. Student's t turns into a power law slowly: the
+    bias stays while the interval narrows. In the last case, the tail is rarer than the threshold:
+    xi is 0.3 to 0.4, and the interval does **not** hold the index of the tail.
+
+    **Trust.** ``xi_far``, the index of the 28 largest samples, detects such rare tails.
+    ``variance_trusted`` depends on it and, with fewer than 512 samples, on whether the samples
+    scatter more than gamma samples. It can only detect samples of the tail beyond all other
+    samples. A tail that begins among the other samples needs more samples, since most of its own
+    are lost there. Share of the pixels with a heavy tail whose variance is trusted:
+
+    ==================================================  ========  =========  =========
+    Tail                                                index 1   index 2/3  near 1/2
+    ==================================================  ========  =========  =========
+    5 or more samples beyond all others                 <= 5 %    <= 10 %    <= 25 %
+    the same, fewer than 512 samples                    <= 5 %    <= 15 %    <= 25 %
+    Pareto from 1 on: 20 of 1024 samples                12 %      50 %
+    Pareto from 1 on: 40 of 1024 samples                1 %       28 %
+    ==================================================  ========  =========  =========
+
+    The other samples of the last two rows are exponential with mean 1. In the first two rows, the
+    first column also holds for larger indices. A trusted variance is no proof of a finite one.
+
+    From 512 samples on, 90 % or more of exponential, uniform and gamma pixels are trusted (from
+    2048 samples on for gamma shapes below 0.5). Log-normal and Weibull samples with heavier tails
+    than a gamma distribution are often not identified, although their variance is finite.
+
+    Hill's interval is valid for pure power laws only. With an offset, as in generalised Pareto
+    samples, it is too high at any threshold within the samples.
+
+    **Finite radiance.** The index describes the range of the samples, not the limit. A gamma tail
+    gives about 0 for shapes from 1/2 on. For smaller shapes, the density still curves where the
+    tail begins:
+
+    ===========  ============  =============  =============
+    Gamma shape  512 samples   2048 samples   8192 samples
+    ===========  ============  =============  =============
+    0.3          0.15          0.10           0.07
+    0.2          0.22          0.14           0.11
+    ===========  ============  =============  =============
+
+    ``p_exponential`` accounts for that. It tests against the gamma distribution with the samples'
+    variance of log x, if that is above an exponential's. A log-normal tail also has index 0, but
+    only far beyond the largest sample. From the 90 % quantile on, it looks like a power law of
+    index 0.2 to 0.3 with sigma = 1, and about 0.5 with sigma = 1.5. See `effective_tail_index`.
+
+    **Ties.** If the largest value occurs twice, samples were clamped or rounded, or are a few
+    atoms: they have no tail index (`TIED`). A lamp behind glass or in a mirror gives many samples
+    that differ by rounding only. If a quarter or more of the excesses are within 1e-4 of the
+    threshold, relative to it, they do not count as excesses, and the tail is what lies above them.
+    The reason is then `TOO_FEW` if fewer than 10 samples are left, `TIED` if none is.
 
     References
     ----------
@@ -360,20 +398,20 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
     """Return the tail index that a distribution seems to have above a quantile.
 
     That is the penultimate index ``d/du [(1 - F(u)) / f(u)]`` at the quantile u of ``1 - share``:
-    that of the generalised Pareto distribution which is closest to the excesses over u. It is xi
-    for a power law, and tends to 0 slowly for a log-normal distribution.
+    the index of the generalised Pareto distribution that is closest to the excesses over u. It is
+    xi for a power law. For a log-normal distribution, it slowly tends to 0.
 
     Parameters
     ----------
     distribution
-        Frozen SciPy distribution, whose parameters may be arrays.
+        Frozen SciPy distribution; its parameters may be arrays.
     share
         Probability of the tail, in (0, 1).
 
     Returns
     -------
     ndarray
-        Shape of the parameters.
+        Index with the shape of the parameters.
 
     Raises
     ------
@@ -401,8 +439,8 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
 def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:
     """Return the tail index that so many excesses of a gamma distribution would show.
 
-    It is the gamma distribution whose logarithms have the variance of the samples' logarithms. If
-    its shape is 1 or more, the index is 0; below 1, its tail above a finite threshold is a little
+    The gamma distribution has logarithms with the variance of the samples' logarithms. If its shape
+    is 1 or more, the index is 0. If it is below 1, the tail above a finite threshold is a little
     heavier than an exponential.
     """
     log_variance = np.log(np.nan_to_num(part.log_statistics.log_variance))
@@ -415,10 +453,10 @@ def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:
 def _is_light(part: PositivePart, *estimates: tuple[Floats, Counts]) -> Mask:
     """Return where tail indices, of k excesses each, are together no higher than gamma ones.
 
-    A rare heavy tail raises the index of many excesses a little, but significantly, and that of few
-    much. Their standardised differences are added with weights k^(1/4), between equal ones and
-    the sqrt(k) of equally good evidence. Of n excesses, the k largest share sqrt(k / n) of their
-    errors with all.
+    A rare heavy tail raises the index of many excesses a little, but significantly, and the index
+    of few excesses a lot. Their standardised differences are added with weights k^(1/4): between
+    equal weights, and the sqrt(k) of equally good evidence. Among n excesses, the error of the k
+    largest has the correlation sqrt(k / n) with the error of all.
     """
     total, variance = np.zeros(part.n.shape), np.zeros(part.n.shape)
     for xi, k in estimates:
@@ -431,11 +469,11 @@ def _is_light(part: PositivePart, *estimates: tuple[Floats, Counts]) -> Mask:
 
 
 def _scatters(part: PositivePart, rows: Mask) -> Mask:
-    """Return which of the rows have few samples that vary more than gamma ones, shape (row,).
+    """Return which of the rows have few samples that vary more than gamma samples, shape (row,).
 
-    The logarithm of their squared coefficient of variation, over that of the likeliest gamma
-    distribution, has nearly the same error for all shapes if it is multiplied by the root of n
-    times the shape.
+    The statistic is the logarithm of the ratio of two squared coefficients of variation: that of
+    the samples, and that of the likeliest gamma distribution. Multiplied by the root of n times the
+    shape, its error is nearly the same for all shapes.
     """
     n, statistics = part.n[rows], part.log_statistics
     mean, gap = (np.asarray(v)[rows] for v in (statistics.mean, statistics.gap))
@@ -453,20 +491,20 @@ def _scatters(part: PositivePart, rows: Mask) -> Mask:
 def _deviation(xi: Floats) -> Floats:
     """Return the standard error times sqrt(n): 1 + xi (Smith 1987), but at least 0.9.
 
-    For bounded tails the errors in samples do not fall as those in theory do: at xi = -0.3, with
-    120 to 330 excesses, they are 1.2 to 1.3 times as large.
+    For bounded tails, errors do not fall with xi as theory says: at xi = -0.3, with 120 to 330
+    excesses, they are 1.2 to 1.3 times as large.
     """
     return np.maximum(1 + xi, 0.9)
 
 
 def _p_value(xi: Floats, tested: float | Floats, root: Floats) -> Floats:
-    """Return the p-value of a tail index at most `tested`, by the Gaussian log(1 + xi)."""
+    """Return the p-value of a tail index of at most `tested`; log(1 + xi) is Gaussian."""
     log = np.log(np.maximum(1 + xi, 0))
     return np.asarray(special.ndtr((np.log1p(tested) - log) * root))
 
 
 def _interval(xi: Floats, root: Floats, level: float) -> Floats:
-    """Return the interval that is symmetric in log(1 + xi), of which 1 / root is the error."""
+    """Return the interval that is symmetric in log(1 + xi), whose standard error is 1 / root."""
     z = special.ndtri(0.5 + level / 2) / root
     return np.stack([xi + _deviation(xi) * np.expm1(sign * z) for sign in (-1, 1)], axis=-1)
 
@@ -474,11 +512,11 @@ def _interval(xi: Floats, root: Floats, level: float) -> Floats:
 def _without_largest(
     interval: Floats, k: Counts, part: PositivePart, usable: Mask, level: float
 ) -> Floats:
-    """Widen the interval of k excesses until it holds that without the largest sample, too.
+    """Widen the interval of k excesses to cover the interval without the largest sample, too.
 
-    One sample can raise the index to any value. Where it dominates, nothing is known of what lies
-    between it and the others, and the tail may begin there: then the intervals of the largest
-    `MINIMUM_EXCESSES` samples count, too, with it and without it.
+    One sample can raise the index to any value. Where the largest sample dominates, nothing is
+    known of what lies between it and the others, and the tail may begin there. The interval then
+    also covers those of the `MINIMUM_EXCESSES` largest samples, with it and without it.
     """
     dominated = usable & (part.largest_share > _DOMINATES)
     fewest = np.minimum(k, MINIMUM_EXCESSES)
@@ -492,7 +530,7 @@ def _without_largest(
         n = part.n[rows] - left_out
         k_other = excesses[rows][:, np.newaxis]
         other = _fits(_generalised_pareto, part.sorted[rows], n, k_other, rows)
-        # Where the other samples are equal, they are a bounded tail.
+        # If the other samples are equal, they count as a bounded tail.
         equal = rows & np.isnan(other.xi) & (left_out == 1)
         ends = _interval(np.where(equal, -1.0, other.xi), np.sqrt(excesses), level)
         low, high = np.fmin(low, ends[..., 0]), np.fmax(high, ends[..., 1])
@@ -517,12 +555,12 @@ def _check(share: TailShare, tested: float, level: float) -> None:
 
 
 MINIMUM_EXCESSES = 10
-"""Fewer samples above the threshold give no tail index."""
+"""With fewer samples above the threshold, there is no tail index."""
 
 _LARGEST_SHARE = 0.5
 _STEPS = 3
 _CELLS, _SINGLES = 32, 8
-"""Groups that excesses are put into where they are averaged; the largest stay alone."""
+"""Groups of excesses for averages; the largest excesses stay alone."""
 _PRIOR_QUARTILE = 3.0
 """Zhang and Stephens' constant: how far their grid reaches beyond the largest excess."""
 _LEAST = 1e-12
@@ -530,18 +568,18 @@ _LEAST = 1e-12
 
 
 class _Fits(NamedTuple):
-    """A fit to the excesses of each row, all of the batch's shape.
+    """Fits to the excesses of each row, all with the batch's shape.
 
     Attributes
     ----------
     xi, scale
-        Tail index, NaN where excesses are equal, and scale in units of the samples.
+        Tail index, NaN where the excesses are equal, and scale in units of the samples.
     threshold
-        Largest sample that is no excess.
+        Largest sample that is not an excess.
     n
-        Excesses.
+        Number of excesses.
     first_xi
-        Tail index of the first candidate, whether the test rejects it or not.
+        Tail index of the first candidate, even if the test rejects it.
     """
 
     xi: Floats
@@ -557,11 +595,11 @@ class _Excesses(NamedTuple):
     Attributes
     ----------
     y
-        Relative to the largest, hence at most 1; 0 in the columns that a row does not need.
+        Excesses relative to the largest, hence at most 1; 0 in unused columns of a row.
     rank
-        1 for the smallest excess; not positive in columns that a row does not need.
+        1 for the smallest excess; not positive in unused columns of a row.
     n, threshold, largest
-        Excesses, the sample below them, and the largest excess, shape (row,).
+        Number of excesses, the sample below them, and the largest excess, shape (row,).
     """
 
     y: Floats
@@ -578,8 +616,8 @@ _Model = Callable[[_Excesses], tuple[Floats, Floats, Mask]]
 def _candidates(n: Counts, share: float | None) -> Counts:
     """Return numbers of excesses to try, largest first, shape (row, candidate).
 
-    A given share is the only one. Otherwise the largest is ``1.1 n^(3/4)``, and at most half of the
-    samples; each further one has a half of the last one's variance more.
+    A given share is the only candidate. Otherwise, the largest is ``1.1 n^(3/4)``, but at most half
+    of the samples; each further candidate is 0.7 times the one before.
     """
     if share is not None:
         return np.asarray(np.floor(share * n), dtype=np.int64)[:, np.newaxis]
@@ -589,10 +627,10 @@ def _candidates(n: Counts, share: float | None) -> Counts:
 
 
 def _above_ties(part: PositivePart, k: Counts) -> Counts:
-    """Return numbers of excesses without those that equal the threshold but for rounding.
+    """Return numbers of excesses, without those that equal the threshold up to rounding.
 
     They are left out where they are a quarter or more, since the first quartile sets the scale of
-    the fit. A candidate that keeps fewer than `MINIMUM_EXCESSES` gives way to the first one.
+    the fit. A candidate that keeps fewer than `MINIMUM_EXCESSES` is replaced by the first one.
     """
     k, threshold, upper = k.copy(), _ranked(part, k), _ranked(part, k - _quartile(k))
     tied = (k > 0) & (upper / (1 + _ROUNDING) <= threshold)
@@ -604,7 +642,7 @@ def _above_ties(part: PositivePart, k: Counts) -> Counts:
 
 
 def _ranked(part: PositivePart, rank: Counts) -> npt.NDArray[Any]:
-    """Return the samples with so many larger ones, shape (..., rank)."""
+    """Return the samples of given ranks, 0 for the largest, shape (..., rank)."""
     at = np.maximum(part.n[..., np.newaxis] - 1 - rank, 0)
     return np.take_along_axis(part.sorted, at, axis=-1)
 
@@ -624,10 +662,10 @@ def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usab
     ascending
         Samples of the usable rows in ascending order, shape (row, sample); the first `n` count.
     n
-        Shape (row,).
+        Number of samples, shape (row,).
     k
         Numbers of excesses to try, shape (row, candidate), the preferred one first.
-    usable
+    Where the rows lie in the batch, shape (...); other rows get NaN and 0.
         Where the rows belong in the batch, shape (...): other rows get NaN and 0.
     """
     values = np.full((5, usable.size), np.nan)
@@ -641,9 +679,9 @@ def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usab
 def _choose(
     model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts
 ) -> Floats:
-    """Take the first candidate whose fit is not rejected, or the last one that can be fitted.
+    """Take the first candidate whose fit is not rejected, or else the last one with a fit.
 
-    Returns xi, scale, threshold, excesses, and xi of the first candidate, shape (5, row).
+    Return xi, scale, threshold, excesses, and xi of the first candidate, shape (5, row).
     """
     found, open_ = np.full((5, len(rows)), np.nan), np.arange(len(rows))
     for tried in range(k.shape[1]):
@@ -704,7 +742,7 @@ def _profile(
     theta[theta == 0] = _LEAST
     xi = np.empty(theta.shape)
     for i in range(len(grid)):
-        # Logarithms of numbers near 1 lose digits only where xi is 0, to all that matters here.
+        # Logarithms of numbers near 1 lose digits only where xi is 0, up to what matters here.
         xi[:, i] = np.vecdot(count, np.log(1 - theta[:, i, np.newaxis] * mean))
     xi /= n[:, np.newaxis]
     log = n[:, np.newaxis] * (np.log(-theta / xi) - xi - 1)
@@ -715,7 +753,7 @@ def _profile(
 def _groups(e: _Excesses) -> tuple[Floats, Floats]:
     """Return counts and means of neighbouring excesses, shape (row, group)."""
     rows, width = e.y.shape
-    # Sums from the smallest on keep the digits of small excesses.
+    # Sums that begin at the smallest keep the digits of small excesses.
     below = np.zeros((rows, width + 1))
     np.cumsum(e.y, axis=-1, out=below[:, 1:])
     single = np.minimum(e.n, _SINGLES)[:, np.newaxis]
@@ -746,7 +784,7 @@ def _anderson_darling(log_survival: Floats, e: _Excesses) -> Floats:
 
 
 def _critical(xi: Floats, n: Counts) -> Floats:
-    """Return the 5 % point of A^2, both parameters fitted, as simulated for 15 to 400 excesses."""
+    """Return the 5 % point of A^2 with both parameters fitted, simulated for 15 to 400 excesses."""
     at_120, growth = np.interp(xi, _XI, _CRITICAL), np.interp(xi, _XI, _GROWTH)
     return np.asarray(at_120 + growth * np.log(n / 120))
 
