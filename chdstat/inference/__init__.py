@@ -1,10 +1,10 @@
-"""Inference: tests of normality, tests of modality, and the distance between two CHDs.
+"""Inference: tests of normality, tests of modality, and comparisons of CHDs and of renders.
 
-`gaussianity` tests the positive samples of a CHD, `gaussianity_of_means` averages of all.
-`modality` looks at the positive samples in the log domain in two ways: Hartigan's dip test, which
-assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
-log-normal or gamma components: the number of modes, their places and their separation.
-`difference` compares two CHDs, `contrast` two renders of a view.
+- `gaussianity` tests the positive samples of a CHD, `gaussianity_of_means` averages of all samples.
+- `modality` looks at the positive samples in the log domain in two ways. Hartigan's dip test
+  assumes nothing but continuity and has calibrated p-values, but little power. Mixtures of
+  log-normal or gamma components give the number of modes, their places and their separation.
+- `difference` compares two CHDs, `contrast` two renders of a view.
 """
 
 from __future__ import annotations

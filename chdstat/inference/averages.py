@@ -1,17 +1,18 @@
-"""Averages of N samples: how many a pixel estimate needs until it behaves like a Gaussian.
+"""Averages of N samples: how many samples a pixel needs until its estimate is like a Gaussian.
 
-`gaussianity_of_means` averages N samples for several N, tests the averages, and returns the N that
-is needed beside the one that the central limit theorem predicts. Error bars and most denoisers
-assume that the averages are Gaussian.
+Error bars and most denoisers assume that averages are Gaussian. `gaussianity_of_means` averages N
+samples for several N, tests the averages, and returns the N that is needed and the N that the
+central limit theorem predicts.
 
-Samples are relative to the largest of their row, so that no power of them overflows or vanishes.
-The prediction: skewness and kurtosis rest on rare bright samples, and those that were seen give a
-lower bound of both. Those that were not seen lie in the tail: beyond its threshold, a generalised
-Pareto distribution of the largest index that the samples allow takes their place. It has a kurtosis
-only if that index is below 1/4; otherwise N is not identified. Where the logarithms may be
-Gaussian, the samples may be log-normal, too, which have a kurtosis that hardly depends on what was
-seen of the tail. A bright part of which no sample was seen leaves no trace at all, so that there
-have to be enough samples, beside nulls, for it to be a small one.
+Samples are divided by the largest of their row, so that their powers neither overflow nor vanish.
+
+The prediction rests on skewness and kurtosis, which rest on rare bright samples. The samples that
+were seen give a lower bound of both. The others lie in the tail. A generalised Pareto distribution,
+with the largest index that the samples allow, therefore replaces the samples beyond the threshold.
+It has a kurtosis only if that index is below 1/4; otherwise, N is not identified. If the logarithms
+may be Gaussian, the samples may also be log-normal, with a kurtosis that hardly depends on the tail
+that was seen. Bright light without a single sample leaves no trace. A prediction therefore needs
+enough samples, beside nulls, for such light to be a small part.
 """
 
 from __future__ import annotations
@@ -51,16 +52,23 @@ __all__ = [
 ]
 
 MORE_THAN_TESTED = -1
-"""As N needed: in averages of the largest N tested, normality is still rejected."""
+"""N needed if normality is still rejected for averages of the largest N tested."""
 UNTESTED = 0
-"""As N needed: no answer, since samples are equal, null, bad or too few for every N."""
+"""N needed if there is no answer: samples are equal, null, bad or too few for every N."""
 
 N_MEANS = 32
 """Averages tested for each N by default: 512 spp then reach N = 16.
 
-Twice as many detect smaller departures, but halve the largest N. Of averages of an exponential CHD
-(skewness 2), at level 0.05, Shapiro-Wilk rejects for N = 1, 2, 4, 8 with 16 averages 72, 41, 22,
-14 %, with 32 98, 79, 46, 25 %, with 128 100, 100, 98, 81 %.
+Twice as many detect smaller departures, but halve the largest N. Rejections by Shapiro-Wilk at
+level 0.05, for averages of N samples of an exponential CHD (skewness 2):
+
+========  =====  =====  =====  =====
+Averages  N = 1  N = 2  N = 4  N = 8
+========  =====  =====  =====  =====
+16        72 %   41 %   22 %   14 %
+32        98 %   79 %   46 %   25 %
+128       100 %  100 %  98 %   81 %
+========  =====  =====  =====  =====
 """
 
 
@@ -71,33 +79,33 @@ class GaussianityOfMeans(Result):
     Attributes
     ----------
     test, n_means, alpha
-        What was tested, on how many averages for every N, and the level of `n_needed`.
+        Name of the test, number of averages tested for every N, and level of `n_needed`.
     sizes
         The N in ascending order, shape (size,).
     statistic, p_value
-        Of the test, shape (..., size); NaN where `reason` says why.
+        Statistic and p-value of the test, shape (..., size); NaN where `reason` says why.
     skewness, kurtosis
-        Of all complete averages, not only of the tested ones, shape (..., size). Few averages bias
-        both towards 0.
+        Shape of all complete averages, not only of those tested, (..., size). With few averages,
+        both are biased towards 0.
     predicted_skewness, predicted_kurtosis
-        What independent samples predict: ``skewness / sqrt(N)`` and ``kurtosis / N`` of all,
-        shape (..., size).
+        Prediction for independent samples: ``skewness / sqrt(N)`` and ``kurtosis / N`` of all
+        samples, shape (..., size).
     skewness_ratio
-        ``skewness / predicted_skewness``, shape (..., size): 1 where the central limit theorem is
-        at work. NaN where the samples' skewness is below two of its standard errors under
-        normality, ``2 sqrt(6 / n)``.
+        ``skewness / predicted_skewness``, shape (..., size); 1 where the central limit theorem is
+        at work. NaN where the samples' skewness is below two standard errors under normality,
+        ``2 sqrt(6 / n)``.
     n_needed
         Smallest N tested from which on no test rejects, shape (...); -1 where the averages of the
-        largest N still are not Gaussian, 0 where there is no answer. Where all averages are
-        Gaussian, it is 1 with a probability of at least 1 - `alpha`: the level of each test is
-        `alpha` over the number of sizes.
+        largest N are still not Gaussian, 0 where there is no answer. The level of each test is
+        `alpha` over the number of sizes: if all averages are Gaussian, `n_needed` is 1 with a
+        probability of at least 1 - `alpha`.
     n_predicted, n_predicted_interval
-        Smallest N, tested or not, at which the predicted skewness and kurtosis fall below two
-        standard errors of those of `n_means` Gaussian averages, ``2 sqrt(6 / n_means)`` and
-        ``2 sqrt(24 / n_means)``, shape (...), and its 95 % interval, shape (..., 2). NaN where
+        Smallest N, tested or not, at which predicted skewness and kurtosis are below two standard
+        errors for `n_means` Gaussian averages, ``2 sqrt(6 / n_means)`` and
+        ``2 sqrt(24 / n_means)``, shape (...); and its 95 % interval, shape (..., 2). NaN where
         there is no answer, or where the samples do not identify their kurtosis.
     n_predicted_reason
-        `Reason` codes of these two, shape (...).
+        `Reason` codes of the prediction, shape (...).
     reason
         `Reason` codes, shape (..., size).
     """
@@ -133,7 +141,7 @@ class GaussianityOfMeans(Result):
 
 @dataclass(frozen=True)
 class NormalityOfMeans(Statistic[GaussianityOfMeans]):
-    """Tests of averages of N samples; options as of `gaussianity_of_means`, all N in `sizes`."""
+    """Tests of averages of N samples; options as in `gaussianity_of_means`, all N in `sizes`."""
 
     result: ClassVar = GaussianityOfMeans
     description: ClassVar = "testing normality of means"
@@ -150,12 +158,12 @@ class NormalityOfMeans(Statistic[GaussianityOfMeans]):
         return {"test": title, "false_discovery_rate": self.alpha, "n_means": self.n_means}
 
     def measure(self, part: PositivePart) -> GaussianityOfMeans:
-        """Test averages of all samples of each row, with the N needed and predicted."""
+        """Test averages of all samples of each row; return the N needed and predicted, too."""
         x, bad, sizes = part.x, is_bad(part.x), np.array(self.sizes)
         n_predicted, interval, reason = _predict(x, bad, measured(part, TailIndex()), self.n_means)
         found, (skewness, kurtosis, n) = _tested(x, bad, sizes, self.n_means, TESTS[self.test])
         predicted = skewness[..., np.newaxis] / np.sqrt(sizes)
-        # Bonferroni over the sizes: else each further one would be a chance to fail.
+        # Bonferroni over the sizes: otherwise each further size would be a chance to fail.
         rejected = found["p_value"] * len(sizes) <= self.alpha
         clear = np.abs(skewness) > 2 * np.sqrt(6 / n)
         ratio = np.where(clear[..., np.newaxis], found["skewness"] / predicted, np.nan)
@@ -175,7 +183,7 @@ class NormalityOfMeans(Statistic[GaussianityOfMeans]):
         )
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Add q-values, and what follows from them: the share of rejections, and the N needed."""
+        """Add q-values, the share of rejections, and the N needed, which follow from them."""
         dataset, pixels = super().finish(dataset), ("y", "x")
         tested, rejected = dataset["p_value"].notnull().sum(pixels), dataset["rejected"]
         share = rejected.sum(pixels) / tested.where(tested > 0)
@@ -214,58 +222,80 @@ def gaussianity_of_means(
 ) -> GaussianityOfMeans | xr.Dataset:
     """Test whether pixel estimates, the averages of N samples, are Gaussian, for N = 1, 2, 4, ...
 
-    The samples are cut into batches of N in stored order, without overlap, and the first `n_means`
-    averages are tested: the same number for every N, so that the test has the same power and a
-    falling share of rejections means that the averages, not the test, have changed. Nulls belong to
-    an estimate and are averaged; bad samples are left out of their batch.
+    The samples are cut into batches of N in stored order, without overlap. The first `n_means`
+    averages are tested. Their number is the same for every N, so that all tests have the same
+    power, and a falling share of rejections means that the averages have changed. Nulls belong to
+    an estimate and are averaged. Bad samples are left out of their batch.
 
-    The N needed is an answer to "can `n_means` of these averages reject normality?",
-    for so many averages; more of them need a larger N. Where the
-    tested averages are all equal although the samples are not, they count as not Gaussian.
-
-    Skewness and kurtosis of the samples assume finite moments. Where the tail index is 1/2 or more
-    (`chdstat.fit.tail_index`), the variance of the CHD is infinite: averages then never turn
-    Gaussian. Skewness is infinite from 1/3 on, kurtosis from 1/4 on. Below, both are mostly too
-    small, for they rest on rare bright samples. So N is predicted only from 1379 samples on that
-    are not null: nearly every pixel then has seen each part of 0.5 % of them; of fewer, the reason
-    is `TOO_FEW`. The reason is `UNIDENTIFIED` unless the variance is trusted, the tail index is
-    below 1/4 by 2.81 standard errors, and no few samples make up all of the fourth moment. The
-    upper end of the interval of N counts the tail as heavy as that largest index allows, and as
-    that of a log-normal distribution if the logarithms may be Gaussian.
-
-    Of exponential pixels, 89 % have a prediction with 2048 samples, of gamma ones with shape 5, 99
-    %, of log-normal ones with sigma = 0.5, 69 %, and of those with sigma = 1, next to none. Of the
-    pixels with a prediction, its interval misses the N of the distribution in 0 to 5 %, with 2048
-    and 4096 samples, for exponential, gamma, log-normal, Weibull and uniform samples, mixtures of
-    two, and those beside nulls. Parts of the light that are rarer than 0.5 %, and power laws of an
-    index close to 1/4, may hide in pixels with a prediction.
+    The N needed answers the question "can `n_means` of these averages reject normality?". For more
+    averages, the N needed is larger. If the tested averages are all equal although the samples are
+    not, they count as not Gaussian.
 
     Parameters
     ----------
     x, progress
         As for `chdstat.fit.fit`.
     sizes
-        The N; by default the powers of 2 up to spp / n_means.
+        The N; by default, the powers of 2 up to spp / n_means.
     n_means
-        Averages to test, for every N the same number. 512 spp reach N = 16 with 32.
+        Number of averages to test for every N. With 32, 512 spp reach N = 16.
     test
-        As for `chdstat.gaussianity`. The default has the greatest power with few averages.
+        As for `chdstat.gaussianity`. The default has the greatest power for few averages.
     alpha
         For an array: level of all tests behind `n_needed` together. For `Samples`: false discovery
-        rate of ``rejected``, on which `n_needed` rests.
+        rate of ``rejected``, from which `n_needed` follows.
 
     Returns
     -------
     GaussianityOfMeans or xarray.Dataset
         `GaussianityOfMeans` for an array. For `Samples`, its fields over (y, x, channel, size),
-        `n_needed` and `n_predicted` over (y, x, channel), q-value and ``rejected`` as of
-        `chdstat.gaussianity` for every channel and N separately, and ``rejected_share`` over
-        (channel, size): the share of rejected pixels among those tested.
+        with `n_needed` and `n_predicted` over (y, x, channel); q-value and ``rejected`` as in
+        `chdstat.gaussianity`, for every channel and N separately; and ``rejected_share`` over
+        (channel, size), the share of the tested pixels that are rejected.
 
     Raises
     ------
     InputError
         If an option is unknown, or some N leaves fewer than `n_means` averages.
+
+    Notes
+    -----
+    Skewness and kurtosis of the samples assume finite moments:
+
+    ===========================================  ==================================================
+    Tail index (see `chdstat.fit.tail_index`)    What is infinite
+    ===========================================  ==================================================
+    1/2 or more                                  the variance: averages never become Gaussian
+    1/3 or more                                  the skewness
+    1/4 or more                                  the kurtosis
+    ===========================================  ==================================================
+
+    For smaller indices, skewness and kurtosis are finite, but mostly too small, since they rest on
+    rare bright samples. So N is predicted only where these samples can be judged:
+
+    - At least 1379 samples are not null (else `TOO_FEW`). Nearly every pixel has then seen each
+      kind of light that makes 0.5 % of these samples.
+    - The variance is trusted, the tail index is below 1/4 by 2.81 standard errors, and the fourth
+      moment does not rest on a few samples (else `UNIDENTIFIED`).
+
+    The upper end of the interval of N takes the tail to be as heavy as that largest index allows,
+    and as that of a log-normal distribution if the logarithms may be Gaussian.
+
+    With 2048 samples, this share of the pixels has a prediction:
+
+    =============================  =========
+    Samples                        Predicted
+    =============================  =========
+    gamma, shape 5                 99 %
+    exponential                    89 %
+    log-normal, sigma = 0.5        69 %
+    log-normal, sigma = 1          about 0
+    =============================  =========
+
+    With 2048 and 4096 samples, the interval misses the N of the distribution in 0 to 5 % of the
+    pixels with a prediction: for exponential, gamma, log-normal, Weibull and uniform samples, for
+    mixtures of two, and for these beside nulls. Light that is rarer than 0.5 %, and power laws with
+    an index close to 1/4, may hide in pixels with a prediction.
 
     References
     ----------
@@ -301,7 +331,7 @@ def sizes_of_means(
     sizes: Sequence[int] | None = None,
     test: TestName = "shapiro-wilk",
 ) -> Counts:
-    """Return the N to test in ascending order, or raise InputError if there is none such."""
+    """Return the N to test in ascending order, or raise InputError if there are none."""
     if n_means < TESTS[test].minimum:
         message = f"n_means must be at least {TESTS[test].minimum} for this test, got {n_means}"
         raise InputError(message)
@@ -319,11 +349,11 @@ def sizes_of_means(
 
 @dataclass(frozen=True)
 class Averages:
-    """Averages of complete batches of `size` samples, shape (row, batch), bad samples left out.
+    """Averages of complete batches of `size` samples, shape (row, batch), without bad samples.
 
-    ``formed`` marks the batches that hold a good sample, and is None where all do; the others
-    average to 0. A row ends at its last good sample, since a pixel that has fewer samples than
-    others is filled up with bad ones.
+    ``formed`` marks the batches with a good sample; the others average to 0. It is None if all
+    batches have one. A row ends at its last good sample, since pixels with fewer samples than
+    others are padded with bad ones.
     """
 
     size: int
@@ -356,19 +386,19 @@ def nested_averages(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[A
 
 
 def _grouped(values: Floats, count: int) -> Floats:
-    """Add up every `count` neighbours; what is left over is dropped."""
+    """Add up every `count` neighbours; drop the rest."""
     if count == 1:
         return values
     groups = values.shape[-1] // count
     if count == 2:
         return np.asarray(values[:, : 2 * groups : 2] + values[:, 1 : 2 * groups : 2])
     batches = values[:, : count * groups].reshape(len(values), groups, count)
-    # A product with ones adds short batches up faster than a sum over a short axis does.
+    # For short batches, a product with ones is faster than a sum over a short axis.
     return np.asarray(batches @ np.ones(count))
 
 
 def shapes(averages: Averages) -> tuple[Floats, Floats]:
-    """Return skewness and excess kurtosis, divisor n, not finite for equal averages."""
+    """Return skewness and excess kurtosis, divisor n; not finite for equal averages."""
     formed, values = averages.formed, averages.values
     n = values.shape[-1] if formed is None else np.count_nonzero(formed, axis=-1)
     deviation = values - (values.sum(axis=-1) / n)[:, np.newaxis]
@@ -381,32 +411,31 @@ def shapes(averages: Averages) -> tuple[Floats, Floats]:
 
 
 _LEAST = 1379
-"""Samples other than 0. Of so many, all but one pixel in 1000 have some of a part of 0.5 %, as
-``0.995^1379 = 0.001``; without them, their skewness and kurtosis are those of the rest."""
+"""Fewest samples other than 0. With so many, 999 of 1000 pixels have samples of a part of 0.5 %, as
+``0.995^1379 = 0.001``; without such samples, skewness and kurtosis are those of the rest."""
 _LARGEST_INDEX = 0.25
-"""From this tail index on, the kurtosis is infinite."""
+"""Tail index from which on the kurtosis is infinite."""
 _CERTAIN = 2.81
-"""Standard errors of an estimate up to its upper end: two-sided, 99.5 %. A pixel has an answer
-because its tail looks light: an end of 97.5 % is too low for up to a quarter of those that do."""
+"""Standard errors between an estimate and its upper end: two-sided, 99.5 %. A pixel has an answer
+because its tail looks light: for up to a quarter of such pixels, an end of 97.5 % is too low."""
 _SHARING = 4.0
-"""Least samples that a fourth moment rests on: one sample alone tells no moment."""
+"""Fewest samples that a fourth moment rests on: a single sample tells no moment."""
 _GAUSSIAN = 4.0
-"""Standard errors within which skewness and kurtosis of logarithms are those of a Gaussian."""
+"""Standard errors within which skewness and kurtosis of logarithms may be a Gaussian's."""
 
 
 def _predict(
     x: npt.NDArray[Any], bad: Mask, tail: Tail, n_means: int
 ) -> tuple[Floats, Floats, npt.NDArray[np.int8]]:
-    """Predict N from samples, shape (..., sample), of which some are bad, and from their tails.
+    """Predict N from samples, shape (..., sample), their bad ones, and their tails.
 
-    Returns N, shape (...), its 95 % interval, shape (..., 2), and `Reason` codes where both are
-    NaN.
+    Return N, shape (...), its 95 % interval, shape (..., 2), and `Reason` codes where both are NaN.
     """
     samples, batch = x.shape[-1], x.shape[:-1]
     rows, good = x.reshape(-1, samples), ~bad.reshape(-1, samples)
     index, threshold = tail.xi + _CERTAIN * tail.standard_error, tail.threshold.reshape(-1)
     few = np.count_nonzero(good & (rows != 0), axis=-1).reshape(batch) < _LEAST
-    # Of clamped samples, or of a lamp's among nulls, nothing larger is missing.
+    # With clamped samples, or those of a lamp among nulls, nothing larger is missing.
     ends = np.isin(tail.reason, [Reason.TIED, Reason.CONSTANT])
     heavy = (tail.reason == Reason.OK) & ~((index < _LARGEST_INDEX) & tail.variance_trusted)
     codes = [Reason.TOO_FEW, Reason.OK, Reason.UNIDENTIFIED]
@@ -429,7 +458,7 @@ def _predict(
 
 
 def _predicted(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
-    """Return the N at which both lie within two standard errors of those of Gaussian averages.
+    """Return the N at which both lie within two standard errors for Gaussian averages.
 
     Under normality, the variances are 6 / n_means and 24 / n_means (Cramer 1946, section 29.3).
     """
@@ -441,7 +470,7 @@ def _predicted(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
 def _relative(x: npt.NDArray[Any], good: Mask) -> tuple[Floats, npt.NDArray[np.int8]]:
     """Return good samples as deviations from their mean, others as 0, and `Reason` codes.
 
-    The deviations are in units of their standard deviation, so that no power of them overflows.
+    Deviations are in units of their standard deviation, so that their powers do not overflow.
     """
     values = np.where(good, x, 0).astype(np.float64)
     n = np.count_nonzero(good, axis=-1)
@@ -463,12 +492,12 @@ def _relative(x: npt.NDArray[Any], good: Mask) -> tuple[Floats, npt.NDArray[np.i
 
 
 def _bounds(z: Floats, good: Mask, excess: Mask, highest: Floats) -> tuple[Floats, Floats]:
-    """Return absolute skewness and excess kurtosis, shape (3, 2, row): least, as they are, most.
+    """Return absolute skewness and excess kurtosis, shape (3, 2, row): lower end, value, upper end.
 
-    The errors are those of the influence functions, on a logarithmic scale towards more: of a
-    bright part that a few samples are of, there may be much less. At most, they are what
-    `_with_tail` makes of the largest tail index. Also returns how many equal samples would give the
-    fourth moment the error that it has, shape (row,).
+    The errors are those of the influence functions. Towards more, they are on a logarithmic scale,
+    since bright light of a few samples may well be less. The upper end is at least that of
+    `_with_tail` for the largest tail index. Also return the number of equal samples with the same
+    relative error of the fourth moment, shape (row,).
     """
     n = np.count_nonzero(good, axis=-1).astype(np.float64)
     square = z * z
@@ -492,7 +521,7 @@ def _with_tail(
 ) -> tuple[Floats, Floats]:
     """Return skewness and excess kurtosis with a generalised Pareto tail of the same mean excess.
 
-    Its moments are ``E Y^j = j! s^j / prod_i (1 - i xi)`` for i = 1 to j.
+    The moments of the tail are ``E Y^j = j! s^j / prod_i (1 - i xi)``, with i from 1 to j.
     """
     k = np.count_nonzero(excess, axis=-1)
     z = powers[0]
@@ -513,9 +542,9 @@ def _with_tail(
 def _of_lognormal(x: npt.NDArray[Any], good: Mask) -> Floats:
     """Return skewness and excess kurtosis of log-normal samples among nulls, shape (2, row).
 
-    The variance of log x is the largest that the samples allow; rows where log x is clearly not
-    Gaussian are NaN. A few thousand samples of a log-normal distribution may look as if its tail
-    were light, since most of its kurtosis lies beyond the largest of them.
+    The variance of log x is the largest that the samples allow. Rows whose log x is clearly not
+    Gaussian are NaN. A few thousand log-normal samples may look as if their tail were light, since
+    most of the kurtosis lies beyond the largest of them.
     """
     positive = good & (x > 0)
     n, of = np.count_nonzero(positive, axis=-1), np.count_nonzero(good, axis=-1)
@@ -545,18 +574,18 @@ def _standardised(
 def _tested(
     x: npt.NDArray[Any], bad: Mask, sizes: Counts, n_means: int, test: NormalityTest
 ) -> tuple[dict[str, npt.NDArray[Any]], Floats]:
-    """Test the first `n_means` averages of each ascending size; `x` has shape (..., sample).
+    """Test the first `n_means` averages for each ascending size; `x` has shape (..., sample).
 
-    Returns statistic, p-value, skewness, kurtosis and reason of the averages by name, each of shape
-    (..., size), NaN where the reason is not OK; and skewness, kurtosis and number of the samples
-    themselves, shape (3, ...), NaN where these are equal or bad.
+    Return statistic, p-value, skewness, kurtosis and reason of the averages by name, each of shape
+    (..., size), NaN where the reason is not OK. Also return skewness, kurtosis and number of the
+    samples themselves, shape (3, ...), NaN where they are equal or bad.
     """
     samples, batch = x.shape[-1], x.shape[:-1]
     rows, masks = x.reshape(-1, samples), bad.reshape(-1, samples)
     found = np.empty((4, len(rows), len(sizes)))
     reason = np.empty((len(rows), len(sizes)), dtype=np.int8)
     whole = np.empty((3, len(rows)))
-    # Rows that have no answer are computed, too, and masked by their reason.
+    # Rows without an answer are computed, too, and masked by their reason.
     for part in chunks(len(rows), samples):
         levels = list(nested_averages(rows[part], masks[part], np.union1d(1, sizes)))
         whole[:, part] = _of_samples(levels[0])
@@ -572,7 +601,7 @@ def _needed(
 ) -> Counts:
     """Return the smallest size tested from which on normality is not rejected, shape (...).
 
-    Averages that are all equal, though the samples are not, count as not Gaussian.
+    Averages that are all equal although the samples are not count as not Gaussian.
     """
     equal = np.isin(reason, [Reason.ALL_NULL, Reason.CONSTANT])
     answered = equal | (reason == Reason.OK)
@@ -606,7 +635,7 @@ def _of_averages(
     )
     usable = reason == Reason.OK
     results = run_tests(tested, n, usable, ("linear",), (test,))
-    # Skewness and kurtosis are those of all averages, of which there are more than the tested ones.
+    # Skewness and kurtosis are those of all averages, of which only some are tested.
     moments = np.array([shapes(level) for level in levels]).transpose(1, 2, 0)
     found = np.stack([results["statistic"][..., 0, 0], results["p_value"][..., 0, 0], *moments])
     found[:, ~usable] = np.nan

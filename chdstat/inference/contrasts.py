@@ -1,7 +1,7 @@
 """Contrasts: whether two renders of a view have the same mean, and which is more efficient.
 
-Use it to test one integrator against another, a change of a renderer against what was before, or a
-render against a converged image: per pixel, and over regions, which show what no pixel does.
+Use it to compare two integrators, a renderer before and after a change, or a render with a
+converged image. It compares pixels, and regions, which show differences that no single pixel shows.
 """
 
 from __future__ import annotations
@@ -37,57 +37,58 @@ __all__ = ["Contrast", "contrast", "contrasting"]
 Outcome = Literal["no difference found", "differ", "cannot tell"]
 
 _LEAST_TERMS = 8
-"""Fewer give no p-value that is small enough."""
+"""With fewer terms, no p-value is small enough."""
 _OF_WINDOWS = 0.8
-"""Share of alpha for windows; the rest is for single pixels."""
+"""Share of alpha for windows; single pixels get the rest."""
 _TENTH = 0.1
 
 
 @dataclass(frozen=True, repr=False)
 class Contrast(Shown):
-    """How two renders of a view, A and B, differ, and how sure that is.
+    """How two renders of a view, A and B, differ, and how certain that is.
 
     Attributes
     ----------
     names
-        What A and B are.
+        Names of A and B.
     maps
-        Over the image, dims (y, x, channel), luminance first where there are R, G and B:
-        ``mean_a``, ``mean_b``, ``difference`` (B - A), its ``standard_error``, ``p_value`` and
-        ``q_value`` (over all pixels and channels together). Of luminance alone, dims (y, x):
+        Maps over the image. With dims (y, x, channel), luminance first if there are R, G and B:
+        ``mean_a``, ``mean_b``, ``difference`` (B - A), its ``standard_error``, ``p_value``, and
+        ``q_value`` (over all pixels and channels together). For luminance, with dims (y, x):
         ``variance_a`` and ``variance_b`` of a sample, ``efficiency`` (of B over that of A), and
-        ``reason``, why a pixel has no p-value; and p- and q-values of equal variances and
-        distributions, ``variance_p_value`` and so on, where they were asked for.
+        ``reason``, why a pixel has no p-value. If asked for, also p- and q-values of equal
+        variances and distributions, ``variance_p_value`` and so on.
     outcome
         "no difference found", "differ" or "cannot tell", at the level `alpha`.
     why
-        Why one cannot tell; "" otherwise.
+        Why the answer is "cannot tell"; "" otherwise.
     spp_needed
-        Samples per pixel that the shorter render needs for a decision: so many that it would miss
-        the light it has not seen with a probability of only 5 %, or the fewest that a test takes.
-        None where one can tell, and where no number is known.
+        Samples per pixel that the shorter render needs for a decision. With so many, it would miss
+        the light that it has not seen with a probability of only 5 %; or it is the fewest that a
+        test takes. None if there is a decision, or if no number is known.
     image_p_value
-        Of the whole test, that the means are equal in all pixels; `p_value` is a map of pixels.
+        P-value of the whole test, that the means are equal in all pixels. (`p_value` is a map.)
     share
-        Pixels whose means differ, with a false discovery rate of `alpha`, as a share of the image.
+        Share of the image in pixels whose means differ, with a false discovery rate of `alpha`.
     loss
-        How much darker B is as a whole, with its interval of 95 %: 1 - mean of B over mean of A.
+        How much darker B is as a whole, 1 - mean of B over mean of A, with its 95 % interval.
     window
-        Where the difference is clearest, if there is one: y, x, height and width in pixels.
+        Window in which the difference is clearest, if there is one: y, x, height and width in
+        pixels.
     window_loss
-        How much darker B is there.
+        How much darker B is in the window.
     detectable
-        Smallest relative difference that would have been found with a probability of 90 %: of the
-        ``image``, and of a window of about a ``tenth`` of it.
+        Smallest relative difference that would have been found with a probability of 90 %: in the
+        whole ``image``, and in a window of about a ``tenth`` of it.
     efficiency_ratio
-        1 / (relative variance x time) of B over that of A, with its interval of 95 %; NaN where a
-        time is unknown or A or B has no variance.
+        1 / (relative variance x time) of B over that of A, with its 95 % interval. NaN if a time is
+        unknown, or A or B has no variance.
     spp
         Samples per pixel of A and B that were compared; None for an exact image.
     seconds
-        Rendering time of a sample of all pixels of A and B; NaN where it is unknown.
+        Rendering time of one sample in every pixel, for A and B; NaN if it is unknown.
     correlation
-        Of the samples of A with those of B, in the median pixel.
+        Correlation of the samples of A and B, in the median pixel.
     paired
         Whether A and B share random numbers.
     alpha
@@ -134,7 +135,7 @@ class Contrast(Shown):
 
     @property
     def conclusion(self) -> str:
-        """What was found, in a sentence."""
+        """What was found, in words."""
         if self.outcome == "cannot tell":
             return f"Cannot tell: {self.why}."
         if self.outcome == "no difference found":
@@ -159,7 +160,7 @@ class Contrast(Shown):
         )
 
     def _reservation(self) -> str:
-        """Return what an image without samples leaves open if A is darker; "" otherwise."""
+        """Return what remains possible if A is darker than an image without samples; or ""."""
         if self.spp[1] is not None or not self.window_loss < 0:
             return ""
         _, _, height, width = self.window
@@ -253,54 +254,55 @@ def contrast(
 ) -> Contrast:
     """Test whether two renders of a view have the same mean, pixel by pixel and over regions.
 
-    Sample i of A and sample i of B make a term, B - A. If both renders have one distribution, each
-    term is positive as often as negative. Random flips of signs then give exact p-values, whatever
-    the tails and nulls. Renders that share random numbers have smaller terms, and smaller
-    differences are found. If the renders agree in their means only, flips of signs are right for
-    many samples; where rare bright paths decide, the neighbours of a pixel show what it may have
-    missed (`chdstat.inference.windows`).
+    **Equal numbers of samples.** Sample i of A and sample i of B make a term, B - A. If both
+    renders have one distribution, both signs of a term are equally likely. Flipping signs then
+    gives exact p-values, with any tails and nulls, whether or not the renders share random numbers.
+    If they do, the terms are smaller, and smaller differences are found. If the renders agree in
+    their means only, flips of signs are right for many samples. Where rare bright paths decide, the
+    neighbours of a pixel show what it may have missed (`chdstat.inference.windows`).
 
-    If one render has more samples, as a reference has, a term is one sample of the shorter render
-    less the average of many, and flips of its sign are not exact. If both have one distribution,
-    any division of all samples into A's and B's is as likely as the real one, and p-values are
-    never smaller than those that all divisions give. The longer render may have light that the
-    shorter one probably missed. If that is more than the differences that would have been found,
-    the outcome is "cannot tell", and `Contrast.spp_needed` says how many samples would tell.
+    **Unequal numbers**, such as with a reference. A term is then a sample of the shorter render
+    minus the average of many, and flips of its sign are not exact. But if both renders have one
+    distribution, any division of all samples into A's and B's is as likely as the real one.
+    P-values are never smaller than those of such divisions. The longer render may have light that
+    the shorter one is likely to have missed. If that is more than the difference that would have
+    been found, the outcome is "cannot tell", and `Contrast.spp_needed` says how many samples would
+    do.
 
-    Small differences show in sums over windows of all sizes up to the whole image, compared with
-    the largest that flips of signs give anywhere. This test has four fifths of `alpha`, and the
-    smallest q-value of a pixel has one fifth; either decides "differ".
+    **Regions.** Small differences show in sums over windows of all sizes up to the whole image. The
+    largest such sum is compared with the largest sums that flips of signs give. This test has four
+    fifths of `alpha`, and the smallest q-value of a pixel has one fifth; either decides "differ".
 
     Parameters
     ----------
     a
         A render: `Samples`, the path of a store, or an array (y, x, channel, sample).
     b
-        Another render of the same view and size; or an image that is taken as exact: the path of
-        an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel). Such an image
-        does not say how rare its light is, so that a conclusion that A is darker names what A may
+        Another render of the same view and size, or an image that is taken as exact: the path of an
+        EXR file, the result of `chdstat.io.read_exr`, or an array (y, x, channel). An exact image
+        does not say how rare its light is. If A is darker, the conclusion therefore says what A may
         have missed.
     alpha
         Level of the outcome and of the share of pixels, between 0 and 1.
     seconds
-        Compare as many samples of each as it renders in this time. None compares all, and as many
-        of both where they share random numbers.
+        Compare as many samples of each render as it makes in this time. By default, compare all
+        samples; if the renders share random numbers, the same number of both.
     distributions
-        Test in each pixel whether the variances and the whole distributions of luminance differ,
-        too, by permutation, which takes twice as long.
+        Also test in each pixel whether the variances and the whole distributions of luminance
+        differ, by permutation. That takes twice as long.
     seed
-        Seed of the flips, which are 499 for the windows; p-values of pixels need none.
+        Seed of the 499 flips for windows; p-values of pixels need no seed.
 
     Returns
     -------
     Contrast
-        A conclusion in words, the numbers, and maps.
+        The conclusion in words, the numbers, and maps.
 
     Raises
     ------
     InputError
-        If sizes or channels differ, `alpha` or `seconds` is out of range, or `seconds` is given
-        for samples of which the rendering time is unknown or which are too few for it.
+        If sizes or channels differ, `alpha` or `seconds` is out of range, or `seconds` is given for
+        samples whose rendering time is unknown or that are too few for it.
     StoreError
         If a file is missing or damaged.
 
@@ -338,7 +340,7 @@ def contrasting(
 ) -> Generator[tuple[str, float], None, Contrast]:
     """Return what `contrast` does, in steps.
 
-    Yields what is being done, and which share of it is done.
+    Yields what is being done, and the share that is done.
     """
     check_probability(alpha=alpha)
     pair, seed = Pair.of(a, b, seconds), seed_number(seed)
@@ -386,7 +388,7 @@ def _why_not(
     *,
     differ: bool,
 ) -> tuple[str, int | None]:
-    """Return why one cannot tell whether means differ, "" where one can, and what spp would."""
+    """Return why there is no decision, "" if there is one, and the spp that would give one."""
     spp = min(pair.spp)
     if not np.isfinite(maps["p_value"]).any():
         if spp < 2:
@@ -419,7 +421,7 @@ def _why_not(
 def _losses(
     cells: Cells, terms: int, scan: WindowTest
 ) -> tuple[Interval[float], float, dict[str, float]]:
-    """Return how much darker B is, as a whole and in the window, and what would have been found."""
+    """Return how much darker B is, overall and in the window, and what would have been found."""
     y, x, rows, columns = scan.window
     here = scan.band, slice(y, y + rows), slice(x, x + columns)
     shift = cells.differences[here].sum(dtype=float)
@@ -442,7 +444,7 @@ def _losses(
 
 
 def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
-    """Return relative differences of windows, and their standard errors, each (y, x)."""
+    """Return relative differences of windows and their standard errors, each (y, x)."""
     sums = window_sums(d, edge)[0]
     mean, terms = sums.mean(axis=-1), sums.shape[-1]
     base = window_sums(level, edge)[0].mean(axis=-1) - mean / 2
@@ -454,7 +456,7 @@ def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
 @np.errstate(all="ignore")
 def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interval[float]:
     """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
-    # Of all samples: a mean of few is as large as their variance, and of many it is not.
+    # The scale is the mean of all samples: the mean of few is as uncertain as their variance.
     mean = maps["radiance"]
     scale = relative_scale(mean, np.nanmean(mean))
     costs = [

@@ -1,7 +1,7 @@
 """Differences: the distance between two CHDs, and whether chance alone explains it.
 
-Use it for two pixels, or for all pixels of two stores: of another integrator, path length or spp.
-`chdstat.compare` is about estimators.
+Use it for two pixels, or for all pixels of two stores that differ in integrator, path length or
+spp. To compare estimators, use `chdstat.compare`.
 """
 
 from __future__ import annotations
@@ -38,34 +38,35 @@ __all__ = ["Difference", "difference"]
 _MOST = 4096
 _REPLICATES = 199
 _AT_ONCE = 2**19
-"""Samples of a block of pixels, which are shuffled together."""
+"""Samples of a block of pixels that are shuffled together."""
 
 
 @dataclass(frozen=True, repr=False)
 class Difference(Shown):
-    """How two sets of samples of the same channels differ; nulls belong to both.
+    """How two sets of samples with the same channels differ; nulls count in both.
 
-    Of two pixels, shapes are (channel,) and (); of two images, (y, x, channel) and (y, x).
+    For two pixels, the shapes are (channel,) and (); for two images, (y, x, channel) and (y, x).
 
     Attributes
     ----------
     distance
-        Kolmogorov-Smirnov's distance of the distribution functions, shape (..., channel).
+        Kolmogorov-Smirnov distance of the distribution functions, shape (..., channel).
     wasserstein
-        Wasserstein's distance, the mean shift of radiance, shape (..., channel), radiance.
+        Wasserstein distance, the mean shift of radiance, shape (..., channel), in radiance.
     p_value
-        Of the hypothesis that both are of one distribution, shape (...): by permutation of whole
-        samples, or of the two of a pair, of the largest distance over the channels. NaN without
-        samples.
+        P-value of the hypothesis that both sets have one distribution, shape (...). The statistic
+        is the largest distance over the channels; whole samples, or the two samples of a pair, are
+        permuted. NaN without samples.
     mean_difference
-        Mean of the second minus that of the first, shape (..., channel), radiance.
+        Mean of the second set minus mean of the first, shape (..., channel), in radiance.
     mean_t
-        That difference over its standard error, shape (..., channel); NaN without scatter.
+        The mean difference over its standard error, shape (..., channel); NaN without scatter.
     mean_p_value
-        Two-sided p-values of the differences, shape (..., channel), each for itself: the larger
-        of Welch's test and of all divisions of the samples into two sets; or Student's of pairs.
+        Two-sided p-value of each mean difference, shape (..., channel), not corrected for the
+        number of channels. Without pairs, it is the larger of two: Welch's test, and all divisions
+        of the samples into two sets. With pairs, it is Student's.
     n
-        Good samples of both that distances look at, each of shape (...).
+        Good samples of both sets that the distances look at, each of shape (...).
     paired
         Whether the samples were compared in pairs.
     """
@@ -88,45 +89,46 @@ def difference(
     replicates: int = _REPLICATES,
     seed: Seed = 0,
 ) -> Difference:
-    """Compare two CHDs, each given by the samples of a pixel, or those of all pixels of two images.
+    """Compare two CHDs: the samples of two pixels, or of all pixels of two images.
 
-    ``D = max |F_a - F_b|``. Ties, such as nulls, make the textbook's p-values of D wrong, so that
-    the samples are shuffled between the two sets: ``p = (b + 1) / (B + 1)`` where b of B shuffles
-    are as far apart. Whole samples are shuffled, so that dependent channels stay together and no
-    correction for their number is needed.
+    **Distance**: ``D = max |F_a - F_b|``. Ties, such as nulls, make textbook p-values of D wrong.
+    Instead, the samples are shuffled between the two sets: ``p = (b + 1) / (B + 1)`` if b of B
+    shuffles are at least as far apart. Whole samples are shuffled, so that dependent channels stay
+    together and their number needs no correction.
 
-    Renders of equal seed share random numbers: sample i of a pixel of one is correlated with
-    sample i of the other, and tests that take both for independent are wrong by far. In pairs,
-    the difference of each pair counts, and the two of a pair change sides: that is right whatever
-    their correlation, and finds smaller differences the higher it is.
+    **Pairs.** Renders with equal seeds share random numbers: sample i of a pixel is correlated with
+    sample i of the other render, and tests that assume independence are badly wrong. In pairs, the
+    difference of each pair counts, and shuffles swap the two samples of a pair. That is right for
+    any correlation, and a higher correlation shows smaller differences.
 
-    Welch's test rejects equal means too often where rare bright samples decide and one set is
-    larger; divisions of the samples between the sets are exact if both are of one distribution, but
-    not if only their means agree. So the larger of the two p-values of a mean counts.
+    **Means.** Welch's test rejects equal means too often if rare bright samples decide and one set
+    is larger. Divisions of the samples between the sets are exact if both sets have one
+    distribution, but not if only their means agree. The p-value of a mean is therefore the larger
+    of the two.
 
     Parameters
     ----------
     a, b
-        Linear radiance, shapes (..., channel, sample), with as many pixels; or two images of
-        one size, as `Samples` or the paths of stores. Bad samples are left out, with the other of
-        their pair; distances look at 4096 samples at most, means at all.
+        Linear radiance, shapes (..., channel, sample), with the same number of pixels; or two
+        images of one size, as `Samples` or the paths of stores. Bad samples are left out, and so
+        are their partners in pairs. Distances look at up to 4096 samples, means at all.
     paired
-        Whether sample i of both was drawn with the same random numbers. None reads the seeds of
-        `Samples` (`Samples.shares_numbers_with`), of which then as many count as both have; arrays
-        do not say their seeds, and are taken for independent.
+        Whether sample i of both was drawn with the same random numbers. By default, the seeds of
+        `Samples` decide (`Samples.shares_numbers_with`); pairs then use as many samples as both
+        have. Arrays do not know their seeds and count as independent.
     replicates, seed
-        Shuffles B, the same in every pixel, and the seed of them.
+        Number of shuffles B, the same in every pixel, and their seed.
 
     Returns
     -------
     Difference
-        Distances and differences of each channel, and one p-value for all of them.
+        Distances and mean differences for each channel, and one p-value for all channels.
 
     Raises
     ------
     InputError
-        If the numbers of channels or of pixels differ, pairs are wanted of unequal numbers of
-        samples, one is an array and the other not, or B is less than 1.
+        If the numbers of channels or pixels differ, pairs are asked for with unequal numbers of
+        samples, only one of the two is an array, or B is less than 1.
     StoreError
         If a store is damaged.
 
@@ -244,9 +246,9 @@ def _of_pixels(a: Floats, b: Floats, paired: bool, replicates: int, seed: int) -
 def _distances(
     a: Floats, b: Floats, good_a: Mask, good_b: Mask, *, paired: bool, replicates: int, seed: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return distances (pixel, channel), twice, and p-values (pixel,) of samples."""
+    """Return both distances (pixel, channel) and p-values (pixel,) of samples."""
     pool, good = np.concatenate([a, b], axis=-1), np.concatenate([good_a, good_b], axis=-1)
-    # Bad samples have no weight; they lie where they make no gap.
+    # Bad samples have no weight, and are placed where they make no gap.
     top = np.where(good[:, np.newaxis], pool, -np.inf).max(axis=-1, keepdims=True)
     pool = np.where(good[:, np.newaxis], pool, top)
     order = np.argsort(pool, axis=-1, kind="stable")
@@ -258,7 +260,7 @@ def _distances(
     one, two = (known / np.maximum(n, 1) for n in (n_a, n_b))
 
     def gaps(weights: Floats) -> Floats:
-        """Return |F_a - F_b| after each of the ordered samples, of each channel."""
+        """Return |F_a - F_b| after each of the ordered samples, for each channel."""
         each = np.broadcast_to(weights[:, np.newaxis], order.shape)
         return np.asarray(np.abs(np.cumsum(np.take_along_axis(each, order, axis=-1), axis=-1)))
 
@@ -292,13 +294,13 @@ def _drawn(keys: Floats, good: Mask, count: Counts) -> Mask:
 def _mean_differences(
     a: Floats, b: Floats, good_a: Mask, good_b: Mask, *, paired: bool
 ) -> tuple[Floats, Floats, Floats]:
-    """Return differences of means with t and p, Welch's or Student's of pairs, (pixel, channel)."""
+    """Return differences of means, t and p, Welch's or Student's for pairs, (pixel, channel)."""
     used_a, used_b = good_a[:, np.newaxis], good_b[:, np.newaxis]
     sizes = [
         np.where(used, np.abs(x), 0).max(axis=-1, initial=0)
         for x, used in ((a, used_a), (b, used_b))
     ]
-    # In units of the largest sample, so that 1e30 to the fourth is a number.
+    # In units of the largest sample, so that the fourth power of 1e30 does not overflow.
     scale = np.max([np.where(size > 0, size, 1.0) for size in sizes], axis=0)
     unit = scale[..., np.newaxis]
     if paired:
@@ -309,7 +311,7 @@ def _mean_differences(
         first, second = Moments.of(a / unit, used_a), Moments.of(b / unit, used_b)
         errors = [x.variance / x.count for x in (first, second)]
         delta, squared = second.mean - first.mean, errors[0] + errors[1]
-        # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
+        # Welch (1947), equation 28: degrees of freedom of the sum of two variances.
         degrees = squared**2 / (
             errors[0] ** 2 / (first.count - 1) + errors[1] ** 2 / (second.count - 1)
         )
@@ -321,5 +323,5 @@ def _mean_differences(
         for channel in range(p.shape[1]):
             of_divisions = p_of_means(a[:, channel], b[:, channel], good_a, good_b)
             p[:, channel] = np.fmax(p[:, channel], of_divisions)
-    # Without scatter, there is nothing to measure a difference by; rounding is none.
+    # Without scatter, there is no measure for a difference; rounding is not scatter.
     return np.where(known, delta * scale, np.nan), *np.where(known & ~constant, [t, p], np.nan)

@@ -1,30 +1,30 @@
 """Modality: whether the samples of a pixel come from one kind of light path or from several.
 
-`modality` looks at the positive samples in the log domain in two ways: Hartigan's dip test, which
-assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
-log-normal or gamma components: the number of modes, their places and their separation.
+`modality` looks at the positive samples in the log domain in two ways. Hartigan's dip test assumes
+nothing but continuity and has calibrated p-values, but little power. Mixtures of log-normal or
+gamma components give the number of modes, their places and their separation.
 
 The dip is the distance of the samples from the closest unimodal distribution. Its p-values are
-interpolated in a table of the null distribution, for any number of samples from 20, and for all
-rows at once.
+interpolated in a table of the null distribution, from 20 samples on, for all rows at once.
 
-Both take samples for continuous ones, so that equal samples are separated first, evenly and in the
-same way whatever is beside them. A few values that many samples share are lights seen from
-everywhere, and move by less than the precision of float32. Samples that lie on many steps have been
-rounded, to integers or to the few bits of a file: a step is no mode, and its samples are spread
-over what was rounded to it, but never across a gap that is wider than the steps beside it.
+Both methods assume continuous samples, so that equal samples are separated first, evenly, and
+independently of other rows. There are two cases. If a few values are shared by many samples, they
+are lights that are seen directly; their samples move by less than the precision of float32. If
+samples lie on many steps, they were rounded, to integers or to the few bits of a file. A step is
+not a mode: its samples are spread over the interval that was rounded to it, but never across a gap
+that is wider than the steps beside it.
 
-`dips` follows Hartigan and Hartigan 1985, section 6. The empirical distribution function F has a
-greatest convex minorant G and a least concave majorant L in an interval, at first that of all
-samples. They are farthest apart at a vertex of one of them; between it and the next vertex of the
-other lies the next interval. Outside of it, G on the left and L on the right are the closest
-distribution of one mode; F deviates from them by twice the dip.
+`dips` follows Hartigan and Hartigan 1985, section 6. In an interval, at first that of all samples,
+the empirical distribution function F has a greatest convex minorant G and a least concave majorant
+L. They are farthest apart at a vertex of one of them. The next interval lies between this vertex
+and the next vertex of the other. Outside the interval, the closest unimodal distribution is G on
+the left and L on the right; F deviates from it by twice the dip.
 
-All rows take each of these steps together. Samples are known by their places in the array of all
-rows, which differ by 1 from one sample to the next, as n F does.
+All rows take each step together. Samples are identified by their places in the array of all rows.
+Places differ by 1 from one sample to the next, as n F does.
 
-P-values (`dip_p`) are interpolated between quantiles of sqrt(n) times the dip of uniform samples,
-from 20 samples on, simulated by tools/make_dip_table.py.
+From 20 samples on, p-values (`dip_p`) are interpolated between quantiles of sqrt(n) times the dip
+of uniform samples, simulated by tools/make_dip_table.py.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ __all__ = [
 
 
 _STEPS = (1, 5)
-"""A sample on or beyond a chord between samples so many places before and behind is no vertex."""
+"""A sample is no vertex if it lies on or beyond a chord between samples this far on each side."""
 _THINNING = 8
 _CHUNK = 2**13
 """Samples worked on at once: they stay in the cache."""
@@ -79,7 +79,7 @@ def dips(ascending: Floats, n: Counts) -> Floats:
     Parameters
     ----------
     ascending
-        Shape (row, sample), ascending; infinite behind the first `n` of a row.
+        Samples, shape (row, sample), ascending; infinite after the first `n` of a row.
     n
         Samples of each row, at least 1, shape (row,).
 
@@ -96,7 +96,7 @@ def dips(ascending: Floats, n: Counts) -> Floats:
     x = ascending.reshape(-1)
     low = np.arange(len(ascending)) * ascending.shape[-1]
     high = low + n - 1
-    # Of n F, which rises by 1 at each sample: G lies below the step, L above it.
+    # n F rises by 1 at each sample: G lies below the step, L above it.
     deviation = np.ones(len(ascending))
     rows = np.flatnonzero(x[high] > x[low])
     low, high = low[rows], high[rows]
@@ -134,10 +134,10 @@ class _Curve:
     x
         Samples of all rows.
     vertices
-        Places of the vertices, ascending: at first that of the first sample of each row for a
-        minorant, of the last for a majorant.
+        Places of the vertices, ascending: at first, the first sample of each row for a minorant,
+        the last for a majorant.
     candidates
-        Places of samples that may be vertices.
+        Places of samples that may become vertices.
     """
 
     def __init__(
@@ -147,13 +147,14 @@ class _Curve:
         self.vertices = vertices
 
     def narrow(self, low: Indices, high: Indices) -> None:
-        """Leave the curve of the samples from `low` to `high` of each row.
+        """Restrict the curve to the samples from `low` to `high` of each row.
 
-        The first of them is a vertex of the minorant so far, and the last of the majorant. So the
-        vertices in between stay; there are new ones at the other end, behind the last that stays.
+        `low` is a vertex of the minorant so far, and `high` of the majorant. The vertices in
+        between therefore stay. New vertices appear at the other end, after the last vertex that
+        stays.
         """
         vertices, candidates = self.vertices, self._candidates
-        # At that end, chords reached beyond it: it takes some samples that are no candidates.
+        # At that end, chords reached beyond it: some samples that are no candidates are needed.
         if self._sign > 0:
             start, stop = vertices[np.searchsorted(vertices, high, "right") - 1], high
             near = _ranges(np.maximum(start, high - _STEPS[-1]), high)
@@ -171,7 +172,7 @@ class _Curve:
         self.vertices = places[_bends(places, self._sign * self._x[places], fixed)]
 
     def above(self, places: Indices) -> Floats:
-        """Return how far the curve is above samples, ascending, in places: at its vertices 0."""
+        """Return how far the curve is above ascending samples, in places; 0 at its vertices."""
         vertices = self.vertices
         x = self._x[vertices]
         run = np.diff(x)
@@ -187,7 +188,7 @@ def _candidates(ascending: Floats) -> tuple[Indices, Indices]:
     convex, concave = np.empty((2, *ascending.shape), dtype=bool)
     for rows in spans(len(ascending), max(1, _CHUNK // ascending.shape[-1])):
         x = ascending[rows]
-        # The least and the largest rise per place from before each sample, and to behind it.
+        # The least and the largest rise per place, before each sample and after it.
         before, behind = np.empty((2, 2, *x.shape))
         before[0], before[1], behind[0], behind[1] = np.inf, -np.inf, np.inf, -np.inf
         for step in _STEPS:
@@ -202,11 +203,12 @@ def _candidates(ascending: Floats) -> tuple[Indices, Indices]:
 
 
 def _bends(places: Indices, x: Floats, fixed: Mask) -> Indices:
-    """Return the indices of those samples that are vertices; `fixed` ones are, whatever they are.
+    """Return the indices of the samples that are vertices; `fixed` ones are always vertices.
 
-    They are those of a minorant, or of a majorant where `x` is negated. Samples on or beyond the
-    chord of their neighbours are left out until there are none. Else a smooth curve would lose its
-    vertices one by one, so samples beyond the curve of every eighth are left out before.
+    They are vertices of a minorant, or of a majorant if `x` is negated. Samples on or beyond the
+    chord of their neighbours are removed until there are none. A smooth curve would lose its
+    vertices one by one; therefore, samples beyond the curve of every eighth sample are removed
+    first.
     """
     kept = np.arange(len(places))
     if len(places) > 2 * _THINNING * np.count_nonzero(fixed):
@@ -236,20 +238,20 @@ def _largest(values: Floats, places: Indices, low: Indices) -> tuple[Floats, Ind
 
 
 def _ranges(start: Indices, stop: Indices) -> Indices:
-    """Return all places from each `start` to before its `stop`, one after the other."""
+    """Return all places from each `start` to before its `stop`, concatenated."""
     count = np.maximum(stop - start, 0)
     return np.repeat(start - np.cumsum(count) + count, count) + np.arange(count.sum())
 
 
 _FLOOR = 1e-5
-"""Smallest p-value: the table ends at 1e-4, where up to a million dips were simulated."""
+"""Smallest p-value: the table ends at 1e-4, simulated with up to a million dips."""
 
 
 def dip_p(dip: Floats, n: Counts) -> Floats:
-    """Return p-values of dips of `n` samples, shape (row,), where uniform samples are the null.
+    """Return p-values of dips of `n` samples under uniform samples, shape (row,), at least 1e-5.
 
-    Of all unimodal distributions, the uniform one has the largest dips, asymptotically (Hartigan
-    and Hartigan 1985, doi:10.1214/aos/1176346577). Values below 1e-5 become 1e-5.
+    Asymptotically, uniform samples have the largest dips of all unimodal distributions (Hartigan
+    and Hartigan 1985, doi:10.1214/aos/1176346577).
 
     Examples
     --------
@@ -303,7 +305,7 @@ DIP_QUANTILES = np.array(
 
 
 MODES = 3
-"""Most modes, and most components of a mixture, that are looked for."""
+"""Most modes, and most components of a mixture."""
 
 
 @result
@@ -313,41 +315,46 @@ class Modality(Result):
     Attributes
     ----------
     dip, dip_p_value
-        Hartigan's dip, in [1/(2n), 1/4], and its p-value under unimodality, at least 1e-5. Where
-        the hypothesis is true, p is uniform for uniform samples and larger for others.
+        Hartigan's dip, in [1/(2n), 1/4], and its p-value under unimodality, at least 1e-5. Under
+        unimodality, p is uniform for uniform samples and larger for others.
     tied_share
-        Share of samples that are equal to another one. Ties are separated by less than float32
-        can tell, as the test is one of continuous samples. Rounded samples, of which 8 % or more
-        tie at other values than the three most frequent ones, lights of at least 8 % and three
-        samples each, are spread half-way to their neighbours first: a step is no mode. A gap three
-        times as wide as both gaps beside it is no step, and no sample is spread into it.
+        Share of the samples that equal another one. Before the test, which assumes continuous
+        samples, ties are separated by less than float32 can tell. Rounded samples are spread
+        half-way to their neighbours first, since a step is not a mode. Samples count as rounded if
+        8 % or more tie at values other than lights: the three most frequent values with at least
+        8 % and three samples each. A gap three times as wide as both gaps beside it is not a step,
+        and no sample is spread into it.
     modes
-        1 to 3: the clearly separated maxima of the best mixture's density of log radiance: a
-        component of at least 8 % of the samples, with a valley of at least 2 % of its height
-        between it and every higher one. The best mixture has the smallest BIC of 1 to 3 log-normal
-        or gamma components; there is one mode where a distribution of one mode has a smaller one
-        still: gamma, log-normal, Weibull, Burr, Pareto above a floor or below a ceiling, and,
-        unless the dip test rejects them at 5 %, uniform or log-uniform; or, unless it rejects all
-        of one mode at 1 %, gamma above a floor or below a ceiling, and any density that is
-        log-concave in log radiance or in the logarithm of the distance from either end. 0 where
-        `reason` says why.
+        Number of modes, 1 to 3; 0 where `reason` says why. A mode is a clearly separated maximum of
+        the best mixture's density of log radiance: a component with at least 8 % of the samples,
+        and a valley of at least 2 % of its height between it and every higher one.
+
+        The best mixture has the smallest BIC of those with 1 to 3 log-normal or gamma components.
+        There is one mode if a distribution with one mode has a smaller BIC still:
+
+        - gamma, log-normal, Weibull, Burr, Pareto above a floor or its mirror image below a
+          ceiling;
+        - unless the dip test rejects it at 5 %: uniform or log-uniform;
+        - unless the dip test rejects one mode at 1 %: gamma above a floor or below a ceiling, and
+          any density that is log-concave in log radiance or in the logarithm of the distance from
+          an end.
     places, weights
         Radiance of the modes as log10, and the mass of each, shape (..., 3), the darkest first; NaN
-        beyond the modes there are. The radiance is that of the sample nearest to the maximum: no
-        mode lies where there are no samples.
+        where there are fewer modes. The radiance is that of the sample nearest to the maximum, so
+        that no mode lies where there are no samples.
     ashman_d, ashman_d_se
-        ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)`` of neighbouring modes, with means and standard
-        deviations of log radiance, shape (..., 2), and its standard error, from the information of
-        the mixture; NaN where a mode is too narrow for one. Above 2, the two are cleanly separated.
-        ``1.96`` errors hold the separation of true mixtures in 90 % and more of those that are
-        found.
+        Ashman's D, ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)``, of neighbouring modes, with means and
+        standard deviations of log radiance, shape (..., 2). Above 2, the modes are cleanly
+        separated. Its standard error comes from the information of the mixture; NaN where a mode is
+        too narrow. ``1.96`` errors hold the separation in 90 % or more of the true mixtures whose
+        modes are found.
     delta_bic
-        BIC of the best distribution of one mode minus that of the best mixture of two or more
-        components: positive where a mixture is better, for tails and skewed shapes, too, which are
-        no modes. The n of its log n are the positive samples, on both sides: nulls are no part of
-        modes. Each end of a uniform distribution counts as two parameters.
+        BIC of the best distribution with one mode minus that of the best mixture with two or more
+        components. It is positive where a mixture is better, which may also be due to tails or
+        skewness rather than modes. The n of log n counts the positive samples for both: nulls are
+        not part of modes. Each end of a uniform distribution counts as two parameters.
     n
-        Positive samples.
+        Number of positive samples.
     reason
         `Reason` codes.
     """
@@ -395,9 +402,9 @@ class Modality(Result):
 
 _MINIMUM = 20
 _LEVEL = 0.05
-"""Level of the dip test at which a uniform distribution is not considered any more."""
+"""Level of the dip test at which uniform distributions are ruled out."""
 _CERTAIN = 0.01
-"""Level at which no distribution of one mode is: the dip test holds its level for all of them."""
+"""Level at which all distributions with one mode are: the test holds its level for each."""
 
 
 @dataclass(frozen=True)
@@ -412,19 +419,19 @@ class Modes(Statistic[Modality]):
         part: PositivePart,
         also: Callable[[Piece, list[Solution]], None] = lambda *_: None,
     ) -> Modality:
-        """Look for modes of each row; `also` gets the mixtures."""
+        """Find the modes of each row; `also` is called with the mixtures."""
         reason = part.reason(_MINIMUM)
         ok = reason == Reason.OK
         tied_share = np.where(ok, _tied_shares(part), np.nan)
         steps = _on_steps(part, tied_share)
         smooth = _spread_steps(part, steps) if steps.any() else part
         dip, p_value = _dips_of_part(smooth, ok, (tied_share > 0) & ~steps)
-        # Uniform samples are what the dip test takes for granted: where it speaks against them, a
-        # few modes side by side are not to be mistaken for them.
+        # The dip test has uniform samples as its null. Where it rejects them, a few modes side by
+        # side must not be mistaken for a uniform distribution.
         bounded = p_value >= _LEVEL
         rival = unimodal_scores(part, ok, bounded)
         if steps.any():
-            # Fits to samples as they were rounded do not compare with those to what was spread.
+            # Fits to rounded samples do not compare with fits to spread samples.
             of_steps = PositivePart.of(smooth.x[steps])
             rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
         count, (place, weight, ashman_d, error), delta_bic = best_peaks(
@@ -447,17 +454,17 @@ class Modes(Statistic[Modality]):
 
 @dataclass(frozen=True)
 class ModalMixture(MixtureFit):
-    """The best log-normal mixtures that the search for modes comes by, at hardly any further cost.
+    """The best log-normal mixtures that the search for modes finds, at hardly any further cost.
 
-    The mixtures are those of `chdstat.fit.mixture` with ``effort='fast'``, with two exceptions:
-    they need 20 positive samples, as modes do; and three components are not tried, and have no BIC,
-    where two are worse than one or than the best distribution of one mode.
+    They are the mixtures of `chdstat.fit.mixture` with ``effort='fast'``, with two exceptions. They
+    need 20 positive samples, as modes do. Three components are not tried, and have no BIC, where
+    two are worse than one, or worse than the best distribution with one mode.
     """
 
     binned: ClassVar = False
 
     def measure(self, part: Any) -> Mixture:
-        """Return the mixtures of each row; its modes are then found, too."""
+        """Return the mixtures of each row; this also finds the modes."""
         atoms = split(part)
         reason = atoms.reason(part, _MINIMUM)
         atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
@@ -479,7 +486,7 @@ def modality(
     """Count the modes of the positive samples in the log domain, and test whether there is one.
 
     The dip is the largest distance between the distribution function of the samples and the closest
-    unimodal one. The modes are those of a fitted mixture: see `Modality` for what counts as one.
+    unimodal one. The modes are those of a fitted mixture; `Modality` says what counts as a mode.
 
     Parameters
     ----------
@@ -513,7 +520,7 @@ def modality(
 def _at_samples(part: PositivePart, place: Floats) -> Floats:
     """Return the log radiance of the sample nearest to each ascending place, shape (..., mode).
 
-    Each mode has samples of its own, those nearer to it than to another mode.
+    Each mode has its own samples: those nearer to it than to another mode.
     """
     n = part.n[..., np.newaxis]
 
@@ -539,7 +546,7 @@ def _at_samples(part: PositivePart, place: Floats) -> Floats:
 
 
 _LIGHTS, _LEAST_OF_LIGHT = 3, 3
-"""Values, at most, that samples share for another reason than rounding, and samples of each."""
+"""Most values that samples share for another reason than rounding, and fewest samples of each."""
 
 
 def _tied_shares(part: PositivePart) -> Floats:
@@ -557,10 +564,10 @@ def _tied_shares(part: PositivePart) -> Floats:
 
 
 def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
-    """Say which rows hold rounded samples, shape (...).
+    """Return which rows hold rounded samples, shape (...).
 
-    They are those of which 8 % or more, the smallest mode that is counted, tie at other values than
-    lights: the three most frequent ones, if they hold 8 % and three samples each.
+    In these rows, at least 8 % of the samples, the smallest mode that counts, tie at values other
+    than lights. Lights are the three most frequent values, if they hold 8 % and three samples each.
     """
     samples = part.x.shape[-1]
     steps = np.zeros(part.n.size, dtype=bool)
@@ -578,17 +585,17 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
 
 
 def _spread_steps(part: PositivePart, steps: Mask) -> PositivePart:
-    """Return the part with the samples of the rows on `steps` spread over them."""
+    """Return the part with the samples of the rows on `steps` spread over their steps."""
     moved = _without_ties(part.sorted[steps], part.n[steps], rounded=True)
     valid = part.valid[steps]
     return with_rows(part, np.flatnonzero(steps), np.where(valid, moved, 0), valid)
 
 
 def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = False) -> Floats:
-    """Return samples, ascending and padded with infinity, without ties.
+    """Separate ties in ascending samples, which are padded with infinity.
 
-    Those of a tie are spread evenly over half a float32 spacing to either side, or, where they were
-    `rounded`, half-way to the next values, as far as these are a step away.
+    Tied samples are spread evenly over half a float32 spacing to either side. If they were
+    `rounded`, they are spread half-way to the next values, as far as these are a step away.
     """
     exact = ascending.astype(np.float64)
     value, count, run = distinct_values(exact, n)
@@ -597,7 +604,7 @@ def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = Fal
     if rounded:
         steps = _steps(value)
         below, above = steps[:, :-1], steps[:, 1:]
-        # The outer steps are as wide on both sides, within positive numbers.
+        # The outermost steps have the same width on both sides, within positive numbers.
         down = np.where(below > 0, below, np.maximum(down, np.minimum(above, value)))
         up = np.where(above > 0, above, np.maximum(up, below))
     of_value = (count.cumsum(axis=-1) - count, count, value - down / 2, (down + up) / 2)
@@ -607,14 +614,14 @@ def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = Fal
 
 
 _WIDER = 3.0
-"""A gap so many times as wide as both gaps beside it is no step, but lies between two clusters."""
+"""A gap this many times as wide as both gaps beside it is no step: it separates two clusters."""
 
 
 def _steps(value: Floats) -> Floats:
-    """Return the steps between ascending values, and 0 where a gap is none, as before the first.
+    """Return the steps between ascending values; 0 before the first, and for gaps that are no step.
 
     The values, shape (row, value), are padded with NaN; the result has one column more. Gaps are
-    compared as they are, and as ratios: rounded floats, and powers, have steps that grow.
+    compared as they are, and as ratios, since the steps of rounded floats and of powers grow.
     """
     gaps = np.zeros((2, len(value), value.shape[-1] + 1))
     for gap, x in zip(gaps, (value, np.log(value)), strict=True):
@@ -628,7 +635,7 @@ def _steps(value: Floats) -> Floats:
 def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, Floats]:
     """Return dips of log radiance and p-values; NaN where not usable.
 
-    Samples of `tied` rows are separated: the test is one of continuous samples.
+    Samples of `tied` rows are separated: the test assumes continuous samples.
     """
     dip, p = np.full((2, part.n.size), np.nan)
     samples, n, tied = part.x.shape[-1], part.n.reshape(-1), tied.reshape(-1)
