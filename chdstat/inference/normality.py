@@ -1,24 +1,28 @@
 """Normality: how far samples and their logarithms are from Gaussian.
 
-Use `gaussianity` on the positive samples of a CHD, `gaussianity_of_means` on pixel estimates. At
-2048 spp nearly every p-value is tiny: read skewness and kurtosis beside it.
+Use `gaussianity` on the positive samples of a CHD, and `gaussianity_of_means` on pixel estimates.
+At 2048 spp, nearly every p-value is tiny: also read skewness and kurtosis.
 
-Which test? Shapiro-Wilk is among the most powerful against every shape that CHDs have, and best
-with few samples. Anderson-Darling looks at the whole distribution function, which suits modes.
-D'Agostino's K^2 looks at skewness and kurtosis alone. The gallery has the power curves.
+Which test? Shapiro-Wilk is among the most powerful tests against every shape that CHDs have, and
+the best one with few samples. Anderson-Darling looks at the whole distribution function, which
+suits modes. D'Agostino's K^2 looks at skewness and kurtosis alone. The gallery has the power
+curves.
 
-`TESTS` is the table of tests; `run_tests` runs them on many rows at once, each with its own number
-of samples, and transforms and standardises sorted rows once for each transform.
+`TESTS` is the table of tests. `run_tests` runs them on many rows at once, each with its own number
+of samples. It transforms and standardises sorted rows once per transform.
 
 P-values hold for estimated mean and variance. They are interpolated between simulated quantiles,
-since the published approximations are not uniform under the null: of 100 samples, p = 0.001 by
-chi-square happens in 0.004 of the cases for D'Agostino and Pearson; Stephens' formulas for
-Anderson-Darling are off by 0.03 near p = 0.6. Those of Royston for Shapiro-Wilk are within 0.013 of
-p, and 7 % of it down to 0.01, for 30 to 2000 samples, and used there.
+since the published approximations are not uniform under the null:
 
-A table of quantiles has a row for each of `LEVELS`, the probability above the quantile, with the
-coefficients of the quantile as a polynomial in 1 / sqrt(n): smooth in n, it holds for any number of
-samples. Those of `TESTS` are simulated by tools/make_normality_tables.py.
+- D'Agostino and Pearson: for 100 samples, the chi-square approximation gives p = 0.001 in 0.004 of
+  the cases.
+- Anderson-Darling: Stephens' formulas are off by 0.03 near p = 0.6.
+- Shapiro-Wilk: Royston's formulas are used for 30 to 2000 samples. They are within 0.013 of p, and
+  within 7 % of it down to p = 0.01.
+
+A table of quantiles has a row for each of `LEVELS`, the probability above the quantile. The row
+holds the coefficients of the quantile as a polynomial in 1 / sqrt(n), so that it holds for any
+number of samples. The tables of `TESTS` are simulated by tools/make_normality_tables.py.
 """
 
 from __future__ import annotations
@@ -65,16 +69,16 @@ TestName = Literal["anderson-darling", "shapiro-wilk", "dagostino"]
 Transform = Literal["log", "linear", "sqrt"]
 
 _ROWS = 2**11
-"""Rows whose p-values are computed at once."""
+"""Rows whose p-values are computed together."""
 
 
 @dataclass(frozen=True)
 class Standardised:
     """Samples in ascending order, shape (row, sample), of which the first `n` of each row count.
 
-    ``z`` are the standardised samples (divisor n - 1), 0 behind the last; skewness and kurtosis are
-    those of the sample (divisor n), the kurtosis excess. ``left_out`` marks what stands behind the
-    last sample, None where nothing does.
+    ``z`` are the standardised samples (divisor n - 1), 0 after the last. Skewness and excess
+    kurtosis are those of the sample (divisor n). ``left_out`` marks the places after the last
+    sample; it is None if there are none.
     """
 
     z: Floats
@@ -85,13 +89,13 @@ class Standardised:
 
 
 def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Standardised:
-    """Standardise ascending rows in place; what stands behind the samples must be finite."""
+    """Standardise ascending rows in place; values after the samples must be finite."""
     if left_out is not None:
         np.copyto(y, 0, where=left_out)
     y -= (y.sum(axis=-1) / n)[:, np.newaxis]
     if left_out is not None:
         np.copyto(y, 0, where=left_out)
-    # Multiplying takes a fraction of the time of dividing.
+    # Multiplication takes a fraction of the time of division.
     y *= (1 / np.sqrt(np.vecdot(y, y) / (n - 1)))[:, np.newaxis]
     square = y * y
     variance = (n - 1) / n
@@ -107,10 +111,10 @@ def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Standardised:
 def anderson_darling(rows: Standardised) -> Floats:
     """Return A^2 (Anderson and Darling 1954, doi:10.1080/01621459.1954.10501232)."""
     n = rows.n[:, np.newaxis].astype(np.float64)
-    # Of Phi(z) and 1 - Phi(z), the smaller carries the digits.
+    # The smaller of Phi(z) and 1 - Phi(z) carries the digits.
     smaller = np.maximum(special.ndtr(-np.abs(rows.z)), np.finfo(np.float64).tiny)
     near, far = np.log(smaller), np.log1p(-smaller)
-    # Log Phi has the weight 2 i - 1, log(1 - Phi) what is missing to 2 n.
+    # Log Phi has the weight 2 i - 1, log(1 - Phi) the rest of 2 n.
     near -= far
     weight = (rows.z >= 0) * (2 * n)
     weight -= 2 * np.arange(rows.z.shape[-1]) + 1
@@ -130,7 +134,7 @@ def dagostino(rows: Standardised) -> Floats:
 
 
 def shapiro_wilk(rows: Standardised) -> Floats:
-    """Return W with the weights of Royston 1995, of rows in ascending order of `n`."""
+    """Return W with the weights of Royston 1995, for rows in ascending order of `n`."""
     starts = np.flatnonzero(np.diff(rows.n, prepend=-1))
     statistic = np.empty(len(rows.n))
     for start, stop in zip(starts, [*starts[1:], len(rows.n)], strict=True):
@@ -179,22 +183,22 @@ def _kurtosis_score(b2: Floats, n: Floats) -> Floats:
 
 
 _FLOOR = 1e-16
-"""Smallest p-value: a bound."""
+"""Smallest p-value that is returned."""
 
 
 def interpolated_p(scaled: Floats, n: Counts, coefficients: Floats, floor: float) -> Floats:
-    """Return P(larger statistic), at least `floor`: a bound there.
+    """Return P(larger statistic), but at least `floor`.
 
-    Log odds of p are linear in the statistic between quantiles, and beyond the table.
+    The log odds of p are linear in the statistic between quantiles and beyond the table.
 
     Parameters
     ----------
     scaled
-        Statistics, as they were scaled for the table, shape (row,).
+        Statistics, scaled as for the table, shape (row,).
     n
-        Samples, shape (row,).
+        Number of samples, shape (row,).
     coefficients
-        Of the quantiles, shape (level, power of 1 / sqrt(n)).
+        Coefficients of the quantiles, shape (level, power of 1 / sqrt(n)).
     """
     powers = n[:, np.newaxis] ** (-0.5 * np.arange(coefficients.shape[-1]))
     quantiles = np.maximum.accumulate(powers @ coefficients.T, axis=-1)
@@ -215,11 +219,11 @@ class NormalityTest:
     Attributes
     ----------
     name, minimum
-        What users call it, and the samples that it needs.
+        Name for users, and fewest samples.
     statistic
-        Of standardised rows.
+        Returns the statistic of standardised rows.
     scaled
-        What the simulated quantiles are of, from the statistic and n: the larger, the less
+        Returns the number whose quantiles were simulated, from the statistic and n; larger is less
         Gaussian.
     quantiles
         Coefficients of the scaled quantiles, shape (level, power of 1 / sqrt(n)).
@@ -234,20 +238,20 @@ class NormalityTest:
     def p_value(self, statistic: Floats, n: Counts) -> Floats:
         """Return p-values by simulation.
 
-        For Anderson-Darling, they are those of A*^2 (D'Agostino and Stephens 1986, chapter 4); of
-        K^2, the two normal scores are uncorrelated, not independent.
+        For Anderson-Darling, the statistic is A*^2 (D'Agostino and Stephens 1986, chapter 4). For
+        K^2, the two normal scores are uncorrelated but not independent.
         """
         scaled = self.scaled(statistic, n.astype(np.float64))
         return interpolated_p(scaled, n, self.quantiles, _FLOOR)
 
 
 class ShapiroWilk(NormalityTest):
-    """The row of W, of which there is a formula for p-values."""
+    """The row of W, which has a formula for p-values."""
 
     def p_value(self, statistic: Floats, n: Counts) -> Floats:
-        """Return p-values of W (Royston 1995, AS R94), by simulation where his formulas are worse.
+        """Return p-values of W (Royston 1995, AS R94), simulated where his formulas are worse.
 
-        At 5000 samples, their 0.05 happens in 0.044.
+        At 5000 samples, his p is below 0.05 in 0.044 of the cases.
         """
         log_n = np.log(n)
         mean = np.polyval([0.0038915, -0.083751, -0.31082, -1.5861], log_n)
@@ -261,13 +265,13 @@ class ShapiroWilk(NormalityTest):
 
 
 TRANSFORMS: Mapping[Transform, Callable[[Floats, Floats], Floats]] = {
-    # Tests of location and scale do not see the unit: relative to the largest of a row, shape
-    # (row, 1), no power of a sample overflows and no row vanishes.
+    # Tests of location and scale do not see the unit. Relative to the largest of a row, shape (row,
+    # 1), no power of a sample overflows and no row vanishes.
     "log": lambda x, _largest: np.log(x),
     "linear": lambda x, largest: np.divide(x, largest),
     "sqrt": lambda x, largest: np.sqrt(x / largest),
 }
-"""What the samples may be turned into before a test; increasing, on positive numbers."""
+"""Transforms of the samples before a test; they increase on positive numbers."""
 
 
 def run_tests(
@@ -279,9 +283,9 @@ def run_tests(
 ) -> dict[str, Floats]:
     """Test rows of shape (..., sample) in ascending order, of which the first `n` of each count.
 
-    What stands behind them does not matter. Rows that are not `usable`, or have too few samples for
-    a test, get NaN. Returns statistic and p_value, shape (..., transform, test), and skewness and
-    kurtosis, shape (..., transform), by name.
+    Values after them do not matter. Rows that are not `usable`, or have too few samples for a test,
+    are NaN. Return statistic and p_value, shape (..., transform, test), and skewness and kurtosis,
+    shape (..., transform), by name.
     """
     rows, counts = ascending.reshape(-1, ascending.shape[-1]), n.reshape(-1)
     shape = (len(transforms), len(tests))
@@ -297,7 +301,7 @@ def run_tests(
             for j, test in enumerate(tests):
                 enough = standard.n >= test.minimum
                 statistic[part, i, j] = np.where(enough, test.statistic(standard), np.nan)
-    # Of many rows at once: a p-value takes many operations on few numbers.
+    # For many rows at once: a p-value takes many operations on few numbers.
     for span in spans(len(rows), _ROWS):
         for i, j in np.ndindex(shape):
             p_value[span, i, j] = tests[j].p_value(statistic[span, i, j], counts[span])
@@ -309,7 +313,7 @@ def run_tests(
 def _copied(
     rows: npt.NDArray[Any], n: Counts, part: npt.NDArray[np.intp]
 ) -> tuple[Floats, Mask | None, Floats]:
-    """Return the samples, 1 behind the last; what stands there; and the largest, shape (row, 1)."""
+    """Return the samples, 1 after the last; the places after it; and the largest, (row, 1)."""
     count = n[part]
     x = rows[part, : count[-1]].astype(np.float64)
     largest = x[np.arange(len(x)), count - 1][:, np.newaxis]
@@ -324,20 +328,22 @@ def _copied(
 class Gaussianity(Result):
     """Tests of normality with their effect sizes; arrays of the batch's shape, (...).
 
-    Where several transforms or tests were asked for, they are further axes, in this order.
+    Several transforms or tests are further axes, in this order.
 
     Attributes
     ----------
     test, transform
-        What was tested, and on what: a name, or the names along the axis.
+        Name of the test and of the transform, or the names along their axis.
     statistic, p_value
-        Of the test, shape (... [, transform] [, test]); NaN where `reason` says why.
+        Statistic and p-value of the test, shape (... [, transform] [, test]); NaN where `reason`
+        says why.
     skewness, kurtosis
-        Of the transformed samples, the kurtosis excess: both 0 for a Gaussian; (... [, transform]).
+        Skewness and excess kurtosis of the transformed samples, both 0 for a Gaussian; shape (...
+        [, transform]).
     n
-        Samples that were tested, shape (...).
+        Number of samples tested, shape (...).
     reason
-        `Reason` codes, shape (... [, test]), since the tests need different numbers of samples.
+        `Reason` codes, shape (... [, test]): the tests need different numbers of samples.
     """
 
     test: TestName | tuple[TestName, ...]
@@ -358,7 +364,7 @@ class Gaussianity(Result):
 
 @dataclass(frozen=True)
 class Normality(Statistic[Gaussianity]):
-    """Tests of normality of the positive samples; options as of `gaussianity`."""
+    """Tests of normality of the positive samples; options as in `gaussianity`."""
 
     result: ClassVar = Gaussianity
     description: ClassVar = "testing normality"
@@ -380,7 +386,7 @@ class Normality(Statistic[Gaussianity]):
         check_probability(alpha=self.alpha)
 
     def coordinates(self) -> dict[str, tuple[str, ...] | None]:
-        """Return the transforms and the tests, where there are several of them."""
+        """Return the transforms and the tests, if there are several of them."""
         choices = {"transform": self.transform, "test": self.test}
         return {n: None if isinstance(choice, str) else choice for n, choice in choices.items()}
 
@@ -393,7 +399,7 @@ class Normality(Statistic[Gaussianity]):
         return {"test": f"{tests} on {transforms} samples", "false_discovery_rate": self.alpha}
 
     def measure(self, part: PositivePart) -> Gaussianity:
-        """Test each row; an option of which there is only a name has no axis."""
+        """Test each row; an option that is a single name has no axis."""
         transforms = (self.transform,) if isinstance(self.transform, str) else self.transform
         names = (self.test,) if isinstance(self.test, str) else self.test
         tests = [TESTS[name] for name in names]
@@ -423,26 +429,26 @@ def gaussianity(
     alpha: float = 0.05,
     progress: bool | None = None,
 ) -> Gaussianity | xr.Dataset:
-    """Test whether the positive samples, transformed, are Gaussian, mean and variance unknown.
+    """Test whether the transformed positive samples are Gaussian, with unknown mean and variance.
 
     Parameters
     ----------
     x, null, progress
-        As for `chdstat.fit.fit`. Nulls, zeros and bad samples take no part, whatever the transform.
+        As for `chdstat.fit.fit`. Nulls, zeros and bad samples are left out for every transform.
     transform
-        'log' asks whether the CHD is log-normal; 'sqrt', 'linear'; or several of them.
+        'log', which asks whether the CHD is log-normal, 'sqrt' or 'linear'; or several of them.
     test
-        One of the tests below, or several: they share most of the work.
+        One of the tests below, or several, which share most of the work.
     alpha
         For `Samples`: false discovery rate of ``rejected``.
 
     Returns
     -------
     Gaussianity or xarray.Dataset
-        `Gaussianity` for an array. For `Samples`, its fields over (y, x, channel [, transform]
-        [, test]), the q-value of Benjamini and Hochberg over the image for every channel, transform
-        and test separately, and ``rejected``: 1 where it is at most `alpha`, 0 where it is not, NaN
-        where nothing was tested.
+        `Gaussianity` for an array. For `Samples`, its fields over (y, x, channel [, transform] [,
+        test]). Added are q-values (Benjamini and Hochberg) over the image, for every channel,
+        transform and test separately, and ``rejected``: 1 where the q-value is at most `alpha`, 0
+        where it is not, NaN where nothing was tested.
 
     Raises
     ------
@@ -460,10 +466,10 @@ def gaussianity(
     dagostino         K^2: sum of the squared normal scores of skewness, kurtosis   20
     ================  ============================================================  =======
 
-    All p-values are those of estimated mean and variance and of the number of samples at hand:
-    uniform under the null, within 0.015. They are interpolated between quantiles simulated for 8 to
-    5000 samples (Shapiro-Wilk: up to 32 000; from 30 to 2000 samples, Royston's formulas serve).
-    Below 1e-4 they are extrapolated, on the side of too large a p, and none is below 1e-16.
+    P-values account for the estimated mean and variance and for the number of samples: under the
+    null, they are uniform within 0.015. They are interpolated between quantiles simulated for 8 to
+    5000 samples (Shapiro-Wilk: up to 32 000, with Royston's formulas from 30 to 2000 samples).
+    Below 1e-4 they are extrapolated, and rather too large. None is below 1e-16.
 
     References
     ----------
@@ -501,7 +507,7 @@ TESTS: Mapping[TestName, NormalityTest] = {
             "anderson-darling",
             8,
             anderson_darling,
-            # Stephens 1974, doi:10.1080/01621459.1974.10480196: it hardly depends on n.
+            # Stephens 1974, doi:10.1080/01621459.1974.10480196: hardly depends on n.
             scaled=lambda a, n: a * (1 + 0.75 / n + 2.25 / n**2),
             quantiles=np.array([
             [0.0817946, 0.00322623, -0.034499, 0.740138, -1.05358, 3.25275],
@@ -543,7 +549,7 @@ TESTS: Mapping[TestName, NormalityTest] = {
             "shapiro-wilk",
             8,
             shapiro_wilk,
-            # The smaller W, the less Gaussian; n (1 - W) grows but slowly.
+            # A smaller W is less Gaussian; n (1 - W) grows slowly.
             scaled=lambda w, n: np.log(n * (1 - w)),
             quantiles=np.array([
             [-0.430591, -20.2782, 226.729, -1839.76, 7692, -15963.9, 12640],
@@ -624,5 +630,4 @@ TESTS: Mapping[TestName, NormalityTest] = {
         ),
     )
 }
-"""Tests of normality by name. A new one is a new row; `tools/make_normality_tables.py` makes its
-quantiles."""
+"""Tests of normality by name. `tools/make_normality_tables.py` makes the quantiles of a new row."""

@@ -1,11 +1,12 @@
-"""Pairs of renders: the terms by which they are compared, and what is counted beside them.
+"""Pairs of renders: the terms by which they are compared, and the sums over their samples.
 
-Term k of a pixel is the mean of the samples k, k + K, k + 2 K ... of B, minus that of A. So sample
-i of both lies in one term, which pairs renders that share random numbers, however many samples
-each has.
+Term k of a pixel is the mean of the samples k, k + K, k + 2 K ... of B, minus that of A. Sample i
+of both renders thus lies in the same term. That pairs renders that share random numbers, for any
+numbers of samples.
 
-Renders of unequal numbers of samples are also compared by units, which are averages of as many
-samples in both: if both renders are of one distribution, any of all units may as well be A's.
+Renders with unequal numbers of samples are also compared by units. A unit is an average of the same
+number of samples in both renders. If both renders have one distribution, any of the units may be
+A's.
 """
 
 from __future__ import annotations
@@ -41,36 +42,36 @@ from chdstat.samples.dependence import sequence_of
 __all__ = ["Pair"]
 
 _TERMS = 256
-"""Terms of a pixel at most: of more samples, batches are averaged."""
+"""Most terms of a pixel; of more samples, batches are averaged."""
 _UNITS, _TIMES = 1024, 16
-"""Units of the longer render at most: so many, or so many times as many as the other has; more
+"""Most units of the longer render: this number, or this many times the units of the other. More
 change the standard error of the difference by less than 3 %."""
 _DOUBTED = 0.1
-"""Pixels with p-values up to this are compared by units, too."""
+"""Pixels with p-values up to this are also compared by units."""
 _AT_ONCE = 2**22
 _ROUNDING = 1e-3
 """Relative precision of half floats."""
 _CELLS, _LEAST_CELL = 32, 4
-"""Cells along the longer edge of the image, and pixels along theirs, the latter at least."""
+"""Cells along the longer edge of the image, and least edge of a cell in pixels."""
 _OF_CELLS = ("differences", "levels", "units", "unit_level")
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two renders, or one and an exact image (y, x, channel), and how they are compared.
+    """Two renders, or a render and an exact image (y, x, channel), and how to compare them.
 
     Attributes
     ----------
     a, b
         The renders.
     names
-        What they are.
+        Names of the renders.
     spp
-        How many samples of each are compared.
+        Samples of each that are compared.
     seconds
-        Rendering time of a sample of all pixels of each; NaN where it is unknown.
+        Rendering time of one sample in every pixel, for each; NaN if it is unknown.
     paired
-        Whether they share random numbers.
+        Whether the renders share random numbers.
     """
 
     a: Samples
@@ -82,7 +83,7 @@ class Pair:
 
     @classmethod
     def of(cls, one: Any, two: Any, seconds: float | None) -> Pair:
-        """Return a pair with as many samples as each renders in some seconds, or has."""
+        """Return a pair, with all samples, or those that each renders in the given seconds."""
         a, b = _independent(one), _other(two)
         if a.shape[:2] != b.shape[:2]:
             (height, width), (rows, columns) = a.shape[:2], b.shape[:2]
@@ -136,7 +137,7 @@ class Pair:
 
     @property
     def units(self) -> tuple[int, int]:
-        """Numbers of units of A and B that are compared; 0 where their numbers of samples agree."""
+        """Units of A and B that are compared; 0 if both have the same number of samples."""
         if self.spp[0] == self.spp[1] or _averaged(self.a) != _averaged(self.b):
             return 0, 0
         most = max(_UNITS, _TIMES * self.terms)
@@ -144,9 +145,10 @@ class Pair:
         return one, other
 
     def unit_numbers(self, i: int) -> Counts:
-        """Return to which unit of A (0) or B (1) each of its first samples belongs.
+        """Return the unit of each of the first samples of A (0) or B (1).
 
-        Sample k of both is in term k and so in the first units, as far as these go.
+        Sample k of both is in term k, and thus in the same one of the first units, as far as they
+        go.
         """
         block, within = np.divmod(
             np.arange(self.units[i] * self.unit_size), self.terms * self.unit_size
@@ -157,12 +159,12 @@ class Pair:
     def compare(self) -> Generator[tuple[str, float], None, tuple[dict[str, Any], Cells, int]]:
         """Read the samples once; yield what is being done, and the share that is done.
 
-        Returns maps, sums over cells, and the edge of a cell.
+        Return maps, sums over cells, and the edge of a cell.
 
-        Maps are ``mean_a``, ``mean_b``, ``p_value`` and ``standard_error`` of the difference, shape
-        (y, x, band), luminance first where there are R, G and B; ``variance_a`` and ``variance_b``
-        of a sample's luminance, NaN where it is unknown, the ``correlation`` of the terms, and the
-        ``reason`` why there is no p-value, shape (y, x).
+        Maps of shape (y, x, band), luminance first if there are R, G and B, are ``mean_a``,
+        ``mean_b``, and ``p_value`` and ``standard_error`` of the difference. Maps of shape (y, x)
+        are ``variance_a`` and ``variance_b`` of a sample's luminance, NaN where unknown, the
+        ``correlation`` of the terms, and the ``reason`` why there is no p-value.
         """
         height, width, channels, _ = self.a.shape
         bands = channels + (channels == 3)
@@ -190,7 +192,7 @@ class Pair:
     def shapes(self, seed: int) -> dict[str, Any]:
         """Return maps of p- and q-values of equal variances and equal distributions of luminance.
 
-        NaN where a sample is missing, or B is exact.
+        They are NaN where a sample is missing or B is exact.
         """
         size = self.a.shape[:2]
         found = {name: np.full(size, np.nan) for name in ("variance", "distribution")}
@@ -226,7 +228,7 @@ class Pair:
 
     @np.errstate(all="ignore")
     def _tile(self, ys: slice, cell: int, left_out: LeftOut) -> dict[str, Any]:
-        """Return what was measured in some rows."""
+        """Return the maps and sums of some rows."""
         sums = self._read(ys, left_out)
         missing = ((sums[0].number == 0) | (sums[1].number == 0))[:, :, np.newaxis]
         of_terms = [render.of_terms() for render in sums]
@@ -238,7 +240,7 @@ class Pair:
         means = sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b[ys]
         mean_a, mean_b = (_with_luminance(m[..., np.newaxis])[..., 0] for m in means)
         exact = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
-        # Of lamps, which are constant, files and sums keep so many digits only.
+        # For constant renders, such as lamps, only so many digits of files and sums count.
         d[exact & (np.abs(d[..., 0]) <= _ROUNDING * np.abs(one[..., 0]))] = 0
         bands = [d[:, :, i] for i in range(d.shape[2])]
         level = np.nan_to_num((mean_a + mean_b) / 2)
@@ -303,7 +305,7 @@ class Pair:
         return sums
 
     def _of_units(self, sums: list[_Sums], p: Floats, cell: int) -> dict[str, Any]:
-        """Return sums of units over cells; p-values (y, x, band) that they doubt are replaced."""
+        """Return sums of units over cells; raise p-values (y, x, band) where units doubt them."""
         short = min(self.units)
         ordered = sums if self.units[0] == short else sums[::-1]
         total = np.concatenate([render.unit_total for render in ordered], axis=-1)
@@ -321,7 +323,7 @@ class Pair:
 
 
 class _Sums:
-    """Sums over the samples of a render in some rows, by term and by unit, and of luminance.
+    """Sums over the samples of a render in some rows, by term and by unit, and for luminance.
 
     Parameters
     ----------
@@ -332,11 +334,9 @@ class _Sums:
 
     Attributes
     ----------
-    total, number
-        Sums of the good samples of each term, of that shape, and how many these are, shape (y, x,
-        term).
+    Sums of the good samples of each term, with that shape, and their number, shape (y, x, term).
     unit_total, unit_number
-        The same of units.
+        The same for units.
     first, second
         Sums of luminance and of its squares, shape (y, x).
     """
@@ -360,9 +360,9 @@ class _Sums:
         return found
 
     def add(self, x: Array, good: Mask | None, units: Counts) -> None:
-        """Add samples (y, x, channel, sample), one a term, that are of these units.
+        """Add samples (y, x, channel, sample), one per term, which belong to these units.
 
-        `good` marks those that count, shape (y, x, sample); None counts all.
+        `good` marks the samples that count, shape (y, x, sample); None counts all.
         """
         if good is None:
             good = np.ones((1, 1, x.shape[-1]), bool)
@@ -378,7 +378,7 @@ class _Sums:
         self.second += np.einsum("yxs,yxs->yx", bright, bright, dtype=float)
 
     def of_terms(self) -> Image:
-        """Return means of the samples of each term, shape (y, x, channel, term)."""
+        """Return means over the samples of each term, shape (y, x, channel, term)."""
         found = self.total / np.maximum(self.number, 1)[:, :, np.newaxis]
         return found.astype(np.float32)
 
@@ -389,23 +389,23 @@ class _Sums:
         )
 
     def variance(self, averaged: int) -> Floats:
-        """Return the variance of single samples' luminance, of averages of some, shape (y, x)."""
+        """Return the variance of a sample's luminance, from averages of samples, shape (y, x)."""
         count = self.number.sum(axis=-1)
         spread = (self.second - self.first**2 / count) / (count - 1) * averaged
-        # What is left of equal samples is rounding.
+        # The rest for equal samples is rounding.
         rounding = spread <= 1e-12 * self.second / np.maximum(count, 1)
         return np.where(count > 1, np.where(rounding, 0, spread), np.nan)
 
 
 def _runs(numbers: Counts) -> Iterator[tuple[slice, slice]]:
-    """Return where consecutive numbers stand, and which they are."""
+    """Return where consecutive numbers stand, and their range."""
     ends = np.flatnonzero(np.diff(numbers, append=-2) != 1) + 1
     for start, stop in zip([0, *ends], ends, strict=False):
         yield slice(start, stop), slice(numbers[start], numbers[stop - 1] + 1)
 
 
 def _luminance(x: Array) -> Array:
-    """Return luminance of channels (y, x, channel, sample), their mean if they are not R, G, B."""
+    """Return luminance of (y, x, channel, sample), or the mean of channels other than R, G, B."""
     weights = LUMINANCE if x.shape[2] == 3 else np.full(x.shape[2], 1 / x.shape[2], np.float32)
     return np.asarray(np.einsum("yxcs,c->yxs", x, weights.astype(x.dtype), optimize=True))
 
@@ -444,7 +444,7 @@ def _other(b: Any) -> Samples | Floats:
 
 
 def _independent(source: Any) -> Samples:
-    """Return samples or averages; of samples that depend on each other, averages that do not."""
+    """Return samples, or averages that are independent if the samples are not."""
     found = samples_of(source, averages=True, dependent=True)
     return found.sequence_means() if sequence_of(found.attrs) > 1 else found
 
@@ -462,7 +462,7 @@ def _name(source: Any, samples: Samples | Floats) -> str:
 
 
 def _count_in(seconds: float, each: float, most: int, name: str) -> int:
-    """Return how many samples a render makes in some seconds."""
+    """Return how many samples a render makes in the given seconds."""
     if not (seconds > 0 and np.isfinite(seconds)):
         message = f"seconds must be above 0, got {seconds}"
         raise InputError(message)

@@ -1,14 +1,15 @@
-"""Windows: whether sums of differences over windows of an image are more than chance.
+"""Windows: whether sums of differences over windows of an image are larger than chance explains.
 
 If two renders have one distribution, or if pairs of their samples differ symmetrically, the
-difference of sample i has either sign with equal probability, whatever the tails and however many
-nulls: flips of signs are exact. Integrators that agree in the mean only, such as with and without
-Russian roulette, differ in skewness, and a pixel whose rare bright paths were all missed seems to
-be too dark beyond doubt. Its neighbours have seen such paths: their standard error counts, too
-(`guarded`).
+difference of sample i has either sign with equal probability. That holds for any tails and any
+number of nulls: flips of signs are exact.
 
-Of renders of unequal numbers of samples, a term is the average of many samples less one: flips of
-its sign are not exact. Then all divisions of the samples of both are compared, too.
+Integrators that agree in the mean only, such as with and without Russian roulette, differ in
+skewness. A pixel that missed all its rare bright paths then seems to be too dark beyond doubt. Its
+neighbours have seen such paths, so their standard error counts, too (`guarded`).
+
+With unequal numbers of samples, a term is the average of many samples minus one sample, and flips
+of its sign are not exact. Then divisions of the samples of both renders are compared, too.
 """
 
 from __future__ import annotations
@@ -33,22 +34,22 @@ __all__ = [
 ]
 
 CHANCE_TO_MISS = 0.05
-"""Probability with which samples may have missed light that `Contrast.spp_needed` counts."""
+"""Probability of missing the light that `Contrast.spp_needed` is about."""
 
 _NEAR = (5, 11)
-"""Edges of neighbourhoods whose standard errors count where skewness is against a pixel."""
+"""Edges of neighbourhoods whose standard errors count where skewness opposes a pixel."""
 _WIDE = (5, 15)
-"""Edges of those whose standard errors count for p-values below `_EXTREME`."""
+"""Edges of neighbourhoods whose standard errors count for p-values below `_EXTREME`."""
 _EXTREME = 3e-3
 _SKEWED = 1.2
-"""Sum of cubes over the root of that of sixth powers: 1 with a single outlier, N(0, 1) if there is
-no skewness."""
+"""Limit for the sum of cubes over the root of the sum of sixth powers. That ratio is 1 for a single
+outlier, and N(0, 1) without skewness."""
 _ONE_SIDED = 0.02
-"""Ratio of the sums of both signs below which the rarer sign may have been missed."""
+"""If the sums of both signs have a smaller ratio, the rarer sign may have been missed."""
 _DARK = 1e-3
-"""Of the mean radiance of the image: what is darker has no scale of its own."""
+"""Share of the image's mean radiance below which a pixel has no scale of its own."""
 _LEAST_LIGHT = 1e-3
-"""Of the light of the image: less is not worth more samples."""
+"""Share of the image's light below which light is not worth more samples."""
 _FLIPS = 499
 _OF_WINDOWS = 7
 """Edge of the neighbourhood of a window, in windows, which overlap by two thirds."""
@@ -58,22 +59,22 @@ _TINY = 1e-300
 
 @dataclass(frozen=True)
 class FlipMoments:
-    """Sums over the terms of each place of a map, all of shape (y, x).
+    """Sums over the terms of each place of a map, all with shape (y, x).
 
     Attributes
     ----------
     n
         Number of terms.
     scale
-        Largest size of a term, 1 where there is none but 0; what follows is of terms over it.
+        Largest size of a term, 1 if all are 0; the sums below are of terms divided by it.
     total, square
         Sums of terms and of their squares.
     central2, central3, central6
-        Sums of the powers of what they differ from their mean by.
+        Sums of powers of the deviations from the mean.
     rarer
-        Sum of the sizes of the sign that has less of it, over that of the other.
+        Sum of the sizes for the sign with the smaller sum, over that for the other sign.
     mean
-        Mean radiance of both renders, for relative differences; not over `scale`.
+        Mean radiance of both renders, for relative differences; not divided by `scale`.
     """
 
     n: int
@@ -88,7 +89,7 @@ class FlipMoments:
 
     @classmethod
     def of(cls, d: Reals, mean: Floats) -> FlipMoments:
-        """Return those of terms (y, x, term)."""
+        """Return the sums for terms (y, x, term)."""
         largest = np.abs(d).max(axis=-1, initial=0)
         scale = np.where(largest > 0, largest, 1).astype(float)
         x = d / scale[..., np.newaxis].astype(d.dtype)
@@ -114,12 +115,11 @@ class FlipMoments:
         return cls(n=parts[0].n, **maps)
 
     def nearby(self, edge: int, *, relative: bool, against: bool) -> Floats:
-        """Return the mean square of a term that counts for each place, of terms over `scale`.
+        """Return the mean square of terms, over `scale`, in the neighbourhood of each place.
 
-        It is the mean over a neighbourhood. With `against`, the neighbourhood counts only where its
-        skewness is against the sum of the place, and so explains it, or where nearly all terms of
-        the place have one sign; it is 0 elsewhere. With `relative`, terms are over the mean
-        radiance, as bright pixels vary more.
+        With `against`, it is 0 unless the neighbourhood may explain the sum of the place: its
+        skewness is against the sum, or nearly all terms of the place have one sign. With
+        `relative`, terms are divided by the mean radiance, since bright pixels vary more.
         """
         unit = np.ones_like(self.scale)
         if relative:
@@ -144,7 +144,7 @@ class FlipMoments:
     def p_value(self, edges: tuple[int, ...], *, against: bool) -> Floats:
         """Return two-sided normal p-values of the sums, by the terms of neighbours; see `nearby`.
 
-        The largest mean square counts, of all edges, in radiance and relative to the mean.
+        The largest mean square counts, over all edges, in radiance and relative to the mean.
         """
         kinds = (False, True)
         square = np.max(
@@ -158,10 +158,10 @@ class FlipMoments:
 def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
     """Raise the p-values of a map (y, x) where a pixel may have missed rare samples.
 
-    The standard error of a pixel is at least that of its neighbours where their differences are
-    skewed against its own, or where nearly all its terms have one sign. So it is for any pixel
-    before p falls below 3/1000. Neighbours are compared in radiance and relative to their means.
-    Where both renders are constant, as lamps are (`exact`), p-values stay as they are.
+    The standard error of a pixel is at least that of its neighbours if their differences are skewed
+    against its own, or if nearly all its terms have one sign. For other pixels, the neighbours can
+    raise p to at most 3/1000. Neighbours are compared in radiance and relative to their means.
+    Where both renders are constant (`exact`), as lamps are, p-values stay as they are.
     """
     by_neighbours = np.maximum(
         moments.p_value(_NEAR, against=True),
@@ -177,11 +177,11 @@ class Cells:
     Attributes
     ----------
     differences, levels
-        Of terms, and of the mean of both renders that goes with each, shape (band, y, x, term).
+        Sums of terms, and of the mean of both renders for each term, shape (band, y, x, term).
     units, unit_level
-        Of renders that differ in their numbers of samples: what averages of as many samples differ
-        by from the mean of all, shape (band, y, x, unit), the first units those of the render with
-        fewer samples; and that mean, shape (band, y, x, 1).
+        For renders with different numbers of samples: units, which are averages of the same number
+        of samples, minus the mean of all, shape (band, y, x, unit); and that mean, shape (band, y,
+        x, 1). The units of the render with fewer samples come first.
     short
         Number of units of the render with fewer samples.
     unit_size
@@ -198,23 +198,23 @@ class Cells:
 
 @dataclass(frozen=True)
 class WindowTest:
-    """Result of `scan_windows`: whether a square window has a sum of terms beyond chance.
+    """Result of `scan_windows`: whether the sum over a square window is beyond chance.
 
     Attributes
     ----------
     p_value
-        Of all windows together, of all sizes, bands and both weightings.
+        P-value of all windows together: all sizes, bands and both weightings.
     window
-        That with the largest sum over its standard error, in cells: y, x, height and width.
+        Window with the largest sum over its standard error, in cells: y, x, height and width.
     band
-        The band in which it is.
+        Band of this window.
     detectable
         Sum of terms in a window over its standard error that is found with a probability of 90 %,
-        by the edge of windows in cells.
+        by the edge of the windows in cells.
     unseen
-        Light of the longer render that the shorter one may have missed, if that is more than would
-        have been found by what the shorter one has seen: its share of the light of the image, and
-        the samples per pixel that miss it with a probability of 5 %.
+        Light of the longer render that the shorter one may have missed, if it is more than the loss
+        that the shorter one would have shown: its share of the light of the image, and the samples
+        per pixel that miss it with a probability of 5 %.
     """
 
     p_value: float
@@ -227,17 +227,21 @@ class WindowTest:
 def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float], None, WindowTest]:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
-    Every window's sum over the root of its sum of squares is compared, as the largest of its size,
-    with those that flips of signs give, the same flips for all windows, so that it counts how much
-    they overlap. The smallest p-value over sizes, bands and weightings is again compared with
-    those of the flips. A second weighting, by mean over variance, finds losses that are in
-    proportion to the radiance where a few pixels are much noisier than others; each half of the
-    terms is weighted by what the other half knows, so that no sum is shifted.
+    The statistic of a window is its sum over the root of its sum of squares. The largest statistic
+    of each size is compared with those that flips of signs give. All windows share the flips, which
+    accounts for their overlap. The smallest p-value over sizes, bands and weightings is again
+    compared with those of the flips.
 
-    With units, random divisions of the units of both renders are compared, too, which is exact
-    for renders of one distribution; flips are right for many samples where only the means agree.
-    The larger p-value counts. `seed` is that of flips and divisions. Yields what is being done, and
-    the share that is done.
+    A second weighting, by mean over variance, finds losses in proportion to the radiance where a
+    few pixels are much noisier than others. Each half of the terms is weighted by what the other
+    half knows, so that no sum is shifted.
+
+    With units, random divisions of the units of both renders are compared, too. Divisions are exact
+    for renders of one distribution; flips are right for many samples if only the means agree. The
+    larger p-value counts.
+
+    `seed` is the seed of flips and divisions. Yields what is being done, and the share that is
+    done.
 
     References
     ----------
@@ -291,7 +295,7 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float]
 
 
 def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
-    """Return sums of cells (y, x, term) over overlapping windows, and where those begin."""
+    """Return sums of cells (y, x, term) over overlapping windows, and where the windows begin."""
     total = np.zeros((x.shape[0] + 1, x.shape[1] + 1, *x.shape[2:]))
     total[1:, 1:] = x.cumsum(axis=0, dtype=float).cumsum(axis=1)
     step, starts, ends = max(1, edge // 3), [], []
@@ -305,13 +309,13 @@ def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
 
 @np.errstate(all="ignore")
 def _largest(d: Array, mean: Array, edge: int, flips: Image) -> tuple[Any, tuple[int, int]]:
-    """Return the largest standardised sum over windows of each flip, None without any term."""
+    """Return the largest standardised sum over windows for each flip, None without any term."""
     sums, starts = window_sums(d, edge)
     moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
     known = moments.square > 0
     if not known.any():
         return None, (0, 0)
-    # What neighbours have seen counts, too, as of pixels; of the whole image there are none.
+    # As for pixels, the terms of neighbours count, too; the whole image has none.
     square = moments.square
     if known.size > 1:
         near = np.maximum(
@@ -331,10 +335,10 @@ def _largest(d: Array, mean: Array, edge: int, flips: Image) -> tuple[Any, tuple
 def _missed(d: Array, edge: int, starts: list[Any], up: Mask) -> Floats:
     """Return how much of the sign against the sum of each window may have been missed.
 
-    Of rare events, one more as large as the largest may as well have been seen, as in bounds of
-    weighted sums of Poisson counts. They are rare where the terms that oppose the sum are worth
-    half as many terms of one size, or fewer, as those that make it; where both are worth as many,
-    as of one distribution, nothing is missing.
+    Events that are rare may as well have included one more of the largest size, as in bounds of
+    weighted sums of Poisson counts. The terms against the sum are rare if they are worth at most
+    half as many terms of one size as those of its own sign. If both are worth as many, as for
+    renders of one distribution, nothing is missing.
 
     References
     ----------
@@ -352,13 +356,13 @@ def _missed(d: Array, edge: int, starts: list[Any], up: Mask) -> Floats:
         highest = np.lib.stride_tricks.sliding_window_view(x.max(axis=-1), shape)
         largest.append(highest[np.ix_(*starts)].max(axis=(2, 3)) * scale)
     with_it, against = np.where(up, worth, worth[::-1])
-    # Where terms are 0, both are worth what rounding left of sums over the image.
+    # Where terms are 0, both are rounding errors of sums over the image.
     share = np.clip(2 - 2 * against / np.maximum(np.maximum(with_it, against / 2), _TINY), 0, 1)
     return np.asarray(share * np.where(up, largest[1], largest[0]))
 
 
 def _divisions(cells: Cells, seed: Seed) -> sparse.csr_matrix:
-    """Return which units are the shorter render's: in fact, and in random divisions."""
+    """Return which units belong to the shorter render: in fact, and in random divisions."""
     assert cells.units is not None
     count, short = cells.units.shape[-1], cells.short
     drawn = generator(seed).random((_FLIPS, count), dtype=np.float32)
@@ -371,11 +375,11 @@ def _divisions(cells: Cells, seed: Seed) -> sparse.csr_matrix:
 
 
 def _divided(divisions: sparse.csr_matrix, sums: Array) -> Array:
-    """Return sizes of differences between both groups of units (y, x, unit), of each division.
+    """Return sizes of differences between both groups of units (y, x, unit), for each division.
 
-    They are over a standard error of which a third, in logarithms, is Welch's and the rest that of
-    all units: of skewed samples, the former gives the ratio twice the skewness that the latter
-    gives it, of the other sign.
+    They are divided by a standard error: the geometric mean of Welch's, with weight 1/3, and that
+    of all units. For skewed samples, Welch's gives the ratio twice the skewness that the other
+    gives it, with the opposite sign.
     """
     x = sums.reshape(-1, sums.shape[-1])
     x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), _TINY)).astype(np.float32)
@@ -398,10 +402,10 @@ def _divided(divisions: sparse.csr_matrix, sums: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
-    """Return what the shorter render may have missed of the image, if it matters.
+    """Return the light of the image that the shorter render may have missed, if it matters.
 
-    It matters if it is more than the loss that the standard error of the shorter render alone
-    would have shown.
+    It matters if it is more than the loss that the standard error of the shorter render alone would
+    have shown.
     """
     if cells.units is None or cells.unit_level is None:
         return None
@@ -411,7 +415,7 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     least = _LEAST_LIGHT * np.abs(level)
     if cells.short > 1:
         error = short.std(axis=-1, ddof=1) / np.sqrt(cells.short)
-        # No error, of which no multiple is detectable.
+        # Without an error, no multiple of it is detectable.
         least = np.fmax(detectable * error, least)
     found = None
     for outside in (
@@ -420,7 +424,7 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     ):
         outside = np.maximum(outside, 0)
         light = outside.mean(axis=-1)
-        # Units that are hardly outside count for hardly any of those that carry the light.
+        # Units that are hardly outside hardly count among those that carry the light.
         square = np.square(outside).mean(axis=-1)
         rate = light**2 / np.where(square > 0, square, 1)
         needed = np.log(CHANCE_TO_MISS) / np.log1p(-rate)
@@ -433,21 +437,21 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
 
 
 def _independent(largest: Floats) -> float:
-    """Return how many independent normal numbers have a largest size with this median."""
+    """Return the number of independent normal numbers whose largest size has this median."""
     middle = max(float(np.median(largest)), _ROUNDING)
     return float(np.log(0.5) / np.log1p(-2 * special.ndtr(-middle)))
 
 
 @np.errstate(all="ignore")
 def _log_p(largest: Floats, windows: float) -> Floats:
-    """Return the logarithm of the probability of a largest of so many, or of a larger one."""
+    """Return the log probability that the largest of so many normal numbers is at least this."""
     below = np.log1p(-2 * special.ndtr(-np.maximum(largest, _ROUNDING)))
-    # Of one too small for a float, that of 0.
+    # A probability that is too small for a float becomes 0.
     return np.asarray(np.log(-np.expm1(windows * below)))
 
 
 def _detectable(log_p: float, windows: float, terms: int) -> float:
-    """Return the mean over its standard error whose sum crosses a critical value in 90 %."""
+    """Return the mean, in standard errors, whose sum crosses a critical value in 90 %."""
     tail = -np.expm1(np.log1p(-np.exp(log_p)) / windows) / 2
     z = float(-special.ndtri(tail))
     t = z * np.sqrt((terms - 1) / (terms - z * z)) if z * z < terms else np.inf
@@ -455,14 +459,14 @@ def _detectable(log_p: float, windows: float, terms: int) -> float:
 
 
 def _weighted(d: Array, mean: Array) -> Array:
-    """Return terms (y, x, term) times mean over variance, which the other half of them knows."""
+    """Return terms (y, x, term) times mean over variance, as known from the other half of them."""
     found = np.zeros(d.shape)
     mean = np.broadcast_to(mean, d.shape)
     for half in (slice(0, None, 2), slice(1, None, 2)):
         other = slice(1 - (half.start or 0), None, 2)
         level = np.maximum(mean[..., other].sum(axis=-1, dtype=float), 0)
         square = np.einsum("...i,...i->...", d[..., other], d[..., other], dtype=float)
-        # No cell counts as much less noisy than the image is on average: it may have missed much.
+        # No cell counts as much less noisy than the average of the image: it may have missed much.
         usual = square.sum() / max(float((level**2).sum()), _TINY)
         near = cast("Floats", ndimage.uniform_filter(level, 3, mode="constant"))
         noise = np.maximum(ndimage.uniform_filter(square, 3, mode="constant"), 0) + near**2 * usual

@@ -1,15 +1,16 @@
-"""Patterns: which pixels are null-heavy, long-tailed, bimodal, constant, and what the rest is.
+"""Patterns: which pixels are null-heavy, long-tailed, bimodal or constant, and how the rest looks.
 
 `PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
-at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
-each other, but for those that describe a plain body; `Label` says which comes first. `atlas` finds
-the shapes that an image has, without labels: pixels that differ only in brightness have the same.
+at a threshold. `classify` applies all rules to the luminance of each pixel. A pixel may have
+several flags, except those that describe a plain body; `Label` says which one comes first. `atlas`
+finds the shapes that an image has, without labels: pixels that differ only in brightness have the
+same shape.
 
-CHDs with known labels measure how well patterns are found: use `CHD` for one of your own,
-`simulate` for an image whose regions have given CHDs, `truth_of` for what is true of that image,
-and `random_chds` for a population. A label is true or false only outside of an indifference zone
-around the threshold that decides it: `truth` lists the zones and gives None inside, and
-`random_chds` draws nothing there.
+CHDs with known labels measure how well patterns are found. Use `CHD` for your own, `simulate` for
+an image whose regions have given CHDs, `truth_of` for the truth of that image, and `random_chds`
+for a population. Around the threshold of a label lies an indifference zone, where the label is
+neither true nor false. `truth` lists the zones and gives None inside; `random_chds` draws nothing
+there.
 """
 
 from __future__ import annotations

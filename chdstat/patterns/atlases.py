@@ -1,9 +1,9 @@
 """Atlas: the shapes that recur over a scene, found without labels.
 
-`chdstat.classify` looks for patterns that are known beforehand; `atlas` finds the distributions
-that an image has. The shape of a pixel is the distribution of its log radiance, moved so that its
-mean is 0: pixels that differ only in brightness have the same shape. Shapes are found in samples,
-read twice in constant memory, for means and for counts around them; or in log histograms.
+`chdstat.classify` looks for known patterns; `atlas` finds the distributions that an image has. The
+shape of a pixel is the distribution of its log radiance, shifted so that its mean is 0: pixels that
+differ only in brightness have the same shape. Shapes come from samples, which are read twice in
+constant memory, for means and for counts around them; or from log histograms.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ if TYPE_CHECKING:
 __all__ = ["WIDTH", "Atlas", "atlas", "of_histograms"]
 
 _BINS = 81
-"""Bins of a shape; the middle one has the mean in its centre."""
+"""Bins of a shape; the mean lies at the centre of the middle one."""
 WIDTH = 0.1
 """Width of a bin in decades."""
 _EDGES = WIDTH * (np.arange(1, _BINS) - _BINS / 2)
-"""Edges between bins in decades from the mean; the two outer bins are open."""
+"""Edges between bins in decades from the mean; the two outermost bins are open."""
 _MINIMUM = 32
 """Positive samples that a shape needs."""
 _FINE = 4
-"""Bins counted per bin of a shape, so that halves of the samples can be moved separately."""
+"""Bins counted per bin of a shape, so that halves of the samples can be shifted separately."""
 _BATCH = 64
 
 
@@ -65,14 +65,14 @@ class Atlas(Shown):
     ----------
     positions
         Centres of the bins in decades from the scale of a pixel, log10(x / scale), shape (bin,).
-        The outer two bins hold what lies beyond them.
+        The two outermost bins also hold everything beyond them.
     density, density_band
-        Mean density per decade over the pixels of each cluster, shape (cluster, bin), and the
-        lower and upper quartile over them, shape (cluster, bin, 2).
+        Mean density per decade over the pixels of each cluster, shape (cluster, bin), and the lower
+        and upper quartile over these pixels, shape (cluster, bin, 2).
     labels
         Cluster of each pixel, shape (y, x); -1 where there is no shape.
     reason
-        `Reason` codes: why there is none.
+        `Reason` codes of why a pixel has no shape.
     distance
         Cramér distance of each pixel to its typical shape, shape (y, x), in square roots of
         decades.
@@ -88,16 +88,17 @@ class Atlas(Shown):
     candidates
         Numbers of clusters tried, shape (candidate,).
     explained
-        Share of the repeatable variation that each number explains, shape (candidate,); NaN where
-        nothing repeats.
+        Share of the repeatable variation that each number of clusters explains, shape (candidate,);
+        NaN if nothing is repeatable.
     silhouettes
-        Mean silhouette of each number, shape (candidate,), in [-1, 1]; NaN for one cluster.
+        Mean silhouette for each number of clusters, shape (candidate,), in [-1, 1]; NaN for one
+        cluster.
     repeatable
-        Share of the variation between the shapes of half the samples that the other half repeats;
-        the rest is noise.
+        Share of the variation between shapes from half the samples that the other half repeats; the
+        rest is noise.
     stability
-        Adjusted Rand index between the labels that the two halves of the samples give: 1 if every
-        pixel keeps its company, 0 as by chance.
+        Adjusted Rand index between the labels from the two halves of the samples: 1 if all pixels
+        stay together, 0 as by chance.
     """
 
     positions: Floats
@@ -138,44 +139,49 @@ def atlas(
 ) -> Atlas:
     """Find the shapes of distributions that recur over an image.
 
-    The shape of a pixel is the distribution of ``log10(x / scale)`` of its positive samples x, with
-    their geometric mean as the scale. Shapes with distribution functions F and G are
-    at the distance ``sqrt(integral (F - G)^2)``, Cramér's, and are grouped by k-means.
+    The shape of a pixel is the distribution of ``log10(x / scale)`` of its positive samples x,
+    where the scale is their geometric mean. The distance of two shapes with distribution functions
+    F and G is Cramér's, ``sqrt(integral (F - G)^2)``. K-means groups the shapes.
 
-    How many groups there are is decided by prediction. The samples of each pixel are halved at
-    random; the typical shapes found in one half predict the other half. k clusters
-    explain ``(E1 - Ek) / (E1 - E)`` of the repeatable variation, where Ek is the mean squared error
-    of k clusters, and E that of the true shape of each pixel, which is half the squared distance
-    between its halves. One more cluster is worth it if it explains a tenth or more of what is still
-    unexplained, and gains three standard errors or more. Clusters that follow noise predict worse
-    than none. Where shapes pass into each other, as on real surfaces, the number is a resolution,
-    not a count of kinds, and grows with the number of samples; `silhouettes` show it.
+    Prediction decides the number of groups. The samples of each pixel are halved at random, and the
+    typical shapes found in one half predict the other half. A number k of clusters explains
+    ``(E1 - Ek) / (E1 - E)`` of the repeatable variation. Ek is the mean squared error of k
+    clusters. E is the error of the true shape of each pixel: half the squared distance between its
+    halves. One more cluster is worth it if it explains at least a tenth of what is still
+    unexplained, and gains at least three standard errors. Clusters that follow noise predict worse
+    than none.
+
+    Shapes may pass into each other, as on real surfaces. The number of clusters is then a
+    resolution rather than a count of kinds, and grows with the number of samples; `silhouettes`
+    show it.
 
     Parameters
     ----------
     samples
-        An image, of which the luminance is taken: `Samples`, an array (y, x, channel, sample), or
-        the path of a store; or its log histograms, as
-        `chdstat.histogram` returns them, of which the channel in the middle is taken: green.
-        Histograms lose where a sample lies within its bin, and what is outside their support.
+        An image, whose luminance is used: `Samples`, an array (y, x, channel, sample), or the path
+        of a store. Or its log histograms, as `chdstat.histogram` returns them, whose middle
+        channel, green, is used. Histograms lose the place of a sample within its bin, and
+        everything outside their support.
     clusters
-        How many; None decides as above.
+        Number of clusters; None decides as above.
     max_clusters
-        Largest number that is tried.
+        Largest number of clusters to try.
     min_share
         Smallest share of the pixels that a cluster may have in a number that is chosen.
     nulls
-        Whether the share of nulls is part of the shape. A share that differs by d counts as a
-        distribution function that differs by d over one decade.
+        Whether the share of nulls is part of the shape. A difference d of the shares counts as much
+        as a difference d of the distribution functions over one decade.
     seed
-        Of the halves, of the start of k-means, and of the 4096 pixels at most that it learns from.
+        Seed of the halves, of the start of k-means, and of the up to 4096 pixels that it learns
+        from.
     progress
         For `Samples`: show a progress bar; None shows it on a terminal.
 
     Returns
     -------
     Atlas
-        Pixels with fewer than 32 positive samples, or equal ones, have no shape but a reason.
+        The shapes. Pixels with fewer than 32 positive samples, or equal ones, have a reason
+        instead.
 
     Raises
     ------
@@ -213,7 +219,7 @@ def atlas(
     else:
         shapes = _of_samples(samples_of(cast("npt.ArrayLike", samples)), rng, progress=progress)
     ok = shapes.reason == Reason.OK
-    # Vectors, shape (pixel, part, feature), that are as far apart as their shapes.
+    # Vectors, shape (pixel, part, feature), with the distances of their shapes.
     rows = np.sqrt(WIDTH) * shapes.cumulative[ok]
     if nulls:
         rows = np.concatenate([rows, shapes.null_share[ok][..., np.newaxis]], axis=-1)
@@ -248,19 +254,20 @@ def atlas(
 
 @dataclass(frozen=True)
 class Shapes:
-    """Distributions of log10 radiance around their means, of an image.
+    """Distributions of log10 radiance around their means, for an image.
 
     Attributes
     ----------
     cumulative
-        Share of the positive samples below each edge, shape (y, x, part, edge): of all samples, and
-        of two random halves of them, each moved by its own mean; NaN where there is no shape.
+        Share of the positive samples below each edge, shape (y, x, part, edge). The parts are all
+        samples, and two random halves of them; each is shifted by its own mean. NaN where there is
+        no shape.
     null_share
-        Share of nulls among all of them, shape (y, x, part).
+        Share of nulls in each part, shape (y, x, part).
     log_scale
         Mean of log10 radiance, shape (y, x).
     reason
-        `Reason` codes: where there is no shape, and why.
+        `Reason` codes of why there is no shape.
     """
 
     cumulative: npt.NDArray[np.float32]
@@ -280,7 +287,7 @@ def _of_samples(
         counts = _count((tile.read(ss=ss) for ss in spans(tile.spp, _BATCH)), center)
         log_variance = log.m2 / np.maximum(log.count, 1) * np.log(10) ** 2
         reason = _reason(log.count, n_good, n_null, log_variance)
-        # Counts are around the centre already.
+        # The counts are already around the centre.
         grid = _Grid(
             np.full(center.shape, -WIDTH * _BINS / 2), np.full(center.shape, WIDTH / _FINE)
         )
@@ -298,14 +305,15 @@ def _of_samples(
 
 
 def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
-    """Return the shapes of the log histograms of an image, of the channel in the middle.
+    """Return the shapes in the log histograms of an image, for the channel in the middle.
 
-    That is green, the most of luminance, or the only channel. Bins move by fractions of a bin.
+    That is green, the largest part of luminance, or the only channel. Bins are shifted by fractions
+    of a bin.
 
     Raises
     ------
     InputError
-        If the dataset lacks a variable of a log histogram.
+        If the dataset lacks a variable of its log histogram.
     """
     middle = slice(dataset.sizes.get("channel", 0) // 2, None)
     part = Histogram.of_dataset(dataset.isel(channel=middle, missing_dims="ignore")).positive
@@ -319,13 +327,13 @@ def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Where bins of log10 radiance are: the first edge and the width, each of shape (...)."""
+    """Bins of log10 radiance: the first edge and the width, each with shape (...)."""
 
     low: Floats
     width: Floats
 
     def mean(self, counts: npt.NDArray[Any]) -> Floats:
-        """Return the mean of what was counted, shape (...); NaN of nothing."""
+        """Return the mean of the counted values, shape (...); NaN without any."""
         places = np.vecdot(counts, np.arange(counts.shape[-1]) + 0.5)
         return np.asarray(self.low + self.width * ratio(places, counts.sum(axis=-1)))
 
@@ -335,7 +343,7 @@ class _Grid:
         total = np.concatenate([np.zeros((*total.shape[:-1], 1)), total], axis=-1)
         total /= np.maximum(total[..., -1:], 1)
         offset = (center - self.low)[..., np.newaxis]
-        # Rounded, so that an edge that is an edge of the bins stays one.
+        # Rounded, so that an edge of the bins stays exactly an edge.
         place = np.round((_EDGES + offset) / self.width[..., np.newaxis], 9)
         place = np.clip(np.nan_to_num(place), 0, counts.shape[-1])
         left = np.minimum(place.astype(np.intp), counts.shape[-1] - 1)
@@ -344,7 +352,7 @@ class _Grid:
 
 
 def _log_moments(blocks: SampleBlocks) -> tuple[Moments, Counts, Counts]:
-    """Return the moments of log10 of positive luminance, and how many are good, and how many 0."""
+    """Return moments of log10 of positive luminance, and the numbers of good and of 0 samples."""
 
     def of_block(block: npt.NDArray[np.float32]) -> tuple[Moments, Counts]:
         light, good = _luminance(block)
@@ -360,7 +368,7 @@ def _log_moments(blocks: SampleBlocks) -> tuple[Moments, Counts, Counts]:
 
 
 def _luminance(block: npt.NDArray[np.float32]) -> tuple[Floats, Mask]:
-    """Return the luminance of samples, 0 for bad ones, and which are good."""
+    """Return the luminance of samples, 0 for bad ones, and which samples are good."""
     good = np.asarray(~is_bad(block).any(axis=-2))
     return np.where(good, luminance(block), 0).astype(np.float64), good
 
@@ -387,8 +395,8 @@ def _moved(
     reason: npt.NDArray[np.int8],
     rng: np.random.Generator,
 ) -> Shapes:
-    """Return shapes around `center`, and of random halves of the samples around their means."""
-    # Samples are exchangeable: halving the counts at random is halving the samples at random.
+    """Return shapes around `center`, and shapes of random halves around their own means."""
+    # Samples are exchangeable: halving the counts at random halves the samples at random.
     half, null = rng.binomial(counts.astype(np.int64), 0.5), rng.binomial(n_null, 0.5)
     rest = counts - half
     parts = (
@@ -418,25 +426,25 @@ def _reason(
 
 
 _LEARNT = 4096
-"""Points that k-means learns from: the error of a mean of so many is far below that of a point."""
+"""Points that k-means learns from: the error of their mean is far below that of a point."""
 _NEGLIGIBLE = 1e-3
 _SILHOUETTE = 1500
-"""Points whose silhouettes are averaged; their cost grows with the square of this."""
+"""Points whose silhouettes are averaged; the cost grows with the square of this number."""
 _STARTS = 8
-"""Runs of k-means. In half the samples, the closest groups may be those that split noise."""
+"""Runs of k-means. With half the samples, the closest groups may be those that split noise."""
 _WORTH = 0.1
-"""Share of what is unexplained that one more group must explain."""
+"""Share of the unexplained variation that one more group must explain."""
 _SURE = 3.0
-"""Standard errors by which it must do so."""
+"""Standard errors that one more group must gain."""
 
 Points = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.intp]
 
 
 class _Candidate(NamedTuple):
-    """One number of groups: labels from all samples, and what the halves predict.
+    """One number of groups: labels from all samples, and predictions between the halves.
 
-    `errors` are the squared errors, by point, of predicting a half from the other half's centres.
+    `errors` are the squared errors of predicting one half from the centres of the other, by point.
     """
 
     number: int
@@ -455,25 +463,25 @@ def find_groups(
     min_share: float,
     rng: np.random.Generator,
 ) -> tuple[Labels, Floats, Labels, dict[str, Any]]:
-    """Group points by k-means, as many groups as one half of the samples predicts in the other.
+    """Group points by k-means; the halves of the samples decide the number of groups.
 
     Parameters
     ----------
     whole, halves
-        Points from all samples and from two halves of them, each of shape (point, feature).
+        Points from all samples and from two halves of them, each with shape (point, feature).
     numbers
         Numbers of groups to choose from, ascending.
     min_share
-        Smallest share of the points in a group of a number that is chosen.
+        Smallest share of the points in a group, for a number of groups to be chosen.
     rng
-        Of which points k-means learns from, and where it starts.
+        Chooses the points that k-means learns from, and its start.
 
     Returns
     -------
     ndarray
         Group of each point, the largest first, shape (point,).
     ndarray
-        Its distance to the centre of the group, shape (point,).
+        Distance of each point to the centre of its group, shape (point,).
     ndarray
         Index of the point that is nearest to each centre, shape (group,).
     dict
@@ -482,7 +490,7 @@ def find_groups(
     Raises
     ------
     InputError
-        If only one number is given, and it is larger than the number of different points.
+        If only one number is given and it is larger than the number of different points.
     """
     import sklearn.cluster  # noqa: F401 - its threads can be limited once it is there
 
@@ -525,10 +533,10 @@ def find_groups(
 
 
 def _rotated(*parts: Points) -> list[Points]:
-    """Rotate points to their principal axes, and leave out axes of hardly any variation.
+    """Rotate points to their principal axes, and drop axes with hardly any variation.
 
-    Distances stay what they are, within a thousandth of the variance; k-means takes a third of the
-    time on distribution functions, whose values at neighbouring edges are nearly the same.
+    Distances stay the same within a thousandth of the variance. K-means takes a third of the time,
+    since distribution functions are nearly the same at neighbouring edges.
     """
     if not len(parts[0]):
         return list(parts)
@@ -543,7 +551,7 @@ def _try(points: Points, one: Points, two: Points, number: int, seed: int) -> _C
     from sklearn.metrics import adjusted_rand_score, silhouette_score
 
     labels = _k_means(points, number, seed, starts=_STARTS)
-    # To choose from a few starts by what they predict favours no number of groups by as much as
+    # Choosing the best of a few starts by its prediction favours no number of groups by as much as
     # groups of noise lose.
     predicted = []
     for here, there in ((one, two), (two, one)):
@@ -570,14 +578,14 @@ def _k_means(points: Points, number: int, seed: int, *, starts: int) -> Labels:
     from sklearn.exceptions import ConvergenceWarning
 
     with warnings.catch_warnings():
-        # Points that differ by rounding alone: empty groups are left out further down.
+        # Points that differ by rounding only: empty groups are dropped below.
         warnings.simplefilter("ignore", ConvergenceWarning)
         model = KMeans(number, n_init=starts, random_state=seed)
         return np.asarray(model.fit_predict(points), dtype=np.intp)
 
 
 def _prediction_errors(here: Points, there: Points, labels: Labels) -> Floats:
-    """Return how wrong the centres of one half are about the other half of each point."""
+    """Return the squared error of predicting the other half of each point by one half's centres."""
     _, places = np.unique(labels, return_inverse=True)
     error = there - _means(here, labels)[places]
     return np.asarray(np.vecdot(error, error), dtype=np.float64)
@@ -590,7 +598,7 @@ def _means(points: Points, labels: Labels) -> Points:
 
 
 def _choose(tried: list[_Candidate], noise: Floats, min_share: float) -> _Candidate | None:
-    """Return the largest number of groups that are worth it, the first if no other is."""
+    """Return the largest number of groups that is worth it, or else the first number."""
     if not tried:
         return None
     chosen = tried[0]
@@ -609,6 +617,6 @@ def _standard_error(values: Floats) -> float:
 
 
 def ratio(part: npt.ArrayLike, whole: npt.ArrayLike) -> Floats:
-    """Return a part over the whole; NaN where there is nothing."""
+    """Return a part over the whole; NaN where the whole is 0."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(np.asarray(whole) > 0, np.divide(part, whole), np.nan)

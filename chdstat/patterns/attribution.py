@@ -1,8 +1,8 @@
 """Attribution: which paths, or lights, make the mean, the variance, a mode or the tail of a CHD.
 
-Samples rendered with ``by_depth`` are known with their paths cut after 2, 3, ... segments: the same
-paths, so that the differences are the light of each sample by the length of its path. Those
-rendered with ``by_light`` are known by some lights alone, and by all others as what remains.
+With ``by_depth``, the same paths are also kept cut after 2, 3, ... segments. The differences are
+the light of each sample by the length of its path. With ``by_light``, samples are kept for some
+lights alone; the light of all others is the remainder.
 """
 
 from __future__ import annotations
@@ -42,36 +42,35 @@ By = Literal["depth", "light"]
 def attribute(
     samples: ImageLike | npt.ArrayLike, *, by: By = "depth", progress: bool | None = None
 ) -> xr.Dataset:
-    """Say which lengths of paths, or lights, make the luminance of each pixel, and its variance.
+    """Return the shares of path lengths, or of lights, in each pixel's luminance and variance.
 
-    The share of the variance is the covariance of the light of one kind with all light, over the
-    variance: shares add up to 1, and one is negative where that light is bright when the rest is
-    dark. Shares of the variance and of the brightest samples rest on few of them where the tail is
-    heavy.
+    The share of a part in the variance is its covariance with all light, over the variance. Shares
+    add up to 1. A share is negative if that light is bright where the rest is dark. With a heavy
+    tail, shares of the variance and of the brightest samples rest on few samples.
 
     Parameters
     ----------
     samples
-        Samples that were rendered with ``by_depth=``, or with ``direct=True`` for two lengths; or
-        with ``by_light=``.
+        Samples rendered with ``by_depth=``, with ``direct=True`` for two lengths, or with
+        ``by_light=``.
     by
-        "depth" for lengths of paths, "light" for lights.
+        "depth" for path lengths, "light" for lights.
     progress
         Show a progress bar; None shows it on a terminal.
 
     Returns
     -------
     xarray.Dataset
-        ``mean_share``, ``variance_share`` and ``brightest_share`` of dims (y, x, segments) or (y,
-        x, light), the last one of the light in the brightest hundredth of the samples; NaN where
-        ``reason`` (y, x) says why. ``segments`` is the longest path of each group, infinite for the
-        rest, and ``paths`` says it in words; ``light`` are the names that were asked for, and
-        "other lights".
+        ``mean_share``, ``variance_share`` and ``brightest_share`` with dims (y, x, segments) or (y,
+        x, light). The last is the share of the light in the brightest hundredth of the samples.
+        They are NaN where ``reason`` (y, x) says why. ``segments`` is the longest path of each
+        group, infinite for the rest, and ``paths`` says it in words. ``light`` are the names that
+        were asked for, and "other lights".
 
     Raises
     ------
     InputError
-        If the samples are not known so, or have neither 1 nor 3 channels.
+        If the samples were not rendered so, or have neither 1 nor 3 channels.
 
     References
     ----------
@@ -136,8 +135,8 @@ def attribute(
 class LargestPart(NamedTuple):
     """The part of the light that makes most of the variance, over the pixels where that is known.
 
-    ``share`` of the variance with its interval, ``mean`` of the light; ``place`` among the parts,
-    -1 for the last.
+    ``share`` is its share of the variance with an interval, ``mean`` its share of the light, and
+    ``place`` its place among the parts, -1 for the last.
     """
 
     name: str
@@ -147,7 +146,7 @@ class LargestPart(NamedTuple):
 
 
 def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> LargestPart | None:
-    """Return which lengths of paths, or light, makes most of the variance; None where unknown."""
+    """Return the path lengths, or the light, that make most of the variance; None if unknown."""
     light = attribute(samples, by=by, progress=False)
     held, mean = (light[f"{of}_share"].to_numpy() for of in ("variance", "mean"))
     held, mean = (shares.reshape(-1, shares.shape[-1]) for shares in (held, mean))
@@ -162,7 +161,7 @@ def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> LargestPart | N
 
 
 def part_names(parts: Sequence[LightPart]) -> list[str]:
-    """Return what the light of each part, and the rest of it, is called.
+    """Return the names of the light of each part, and of the rest.
 
     Examples
     --------
@@ -187,12 +186,13 @@ def shares(light: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...
     Parameters
     ----------
     light
-        Luminance of each sample by part, shape (part, ..., sample); NaN in all for bad samples.
+        Luminance of each sample by part, shape (part, ..., sample); bad samples are NaN in all
+        parts.
 
     Returns
     -------
     mean, variance, brightest : ndarray
-        Of shape (..., part), summing to 1; not finite where there is nothing to share.
+        Shares, shape (..., part), which add up to 1; not finite where there is nothing to share.
 
     Examples
     --------
@@ -228,11 +228,12 @@ def groups_of(
     total
         Luminance of the samples, shape (sample,).
     null
-        Which are null, shape (sample,).
+        Which samples are null, shape (sample,).
     places
-        Its modes, log10 of luminance, the darkest first. A sample belongs to the nearest of them.
+        Places of the modes, log10 of luminance, the darkest first. A sample belongs to the nearest
+        mode.
     threshold
-        Where its tail begins; NaN without a tail.
+        Luminance where the tail begins; NaN without a tail.
 
     Examples
     --------
@@ -253,8 +254,8 @@ def by_part(
 ) -> npt.NDArray[np.float64]:
     """Return the luminance of each part, and of the rest, shape (part, ..., sample).
 
-    `parts` are samples (..., channel, sample), those of all light last. Of rising depth, each holds
-    those before it. A bad sample is NaN in all.
+    `parts` are samples (..., channel, sample), ending with those of all light. Parts of rising
+    depth each include the ones before. A bad sample is NaN in all parts.
     """
     bad = np.any([is_bad(part).any(axis=-2) for part in parts], axis=0)
     found = np.stack([luminance(part.astype(np.float64)) for part in parts])
@@ -262,6 +263,6 @@ def by_part(
         found = np.diff(found, axis=0, prepend=0)
     else:
         rest = found[-1] - found[:-1].sum(axis=0)
-        # Less than rounding leaves is none: where all lights are named, nothing remains.
+        # A remainder within rounding is none: if all lights are named, nothing remains.
         found[-1] = np.where(np.abs(rest) > _ROUNDING * np.abs(found[-1]), rest, 0)
     return np.where(bad, np.nan, found)

@@ -1,10 +1,10 @@
-"""Patterns: which pixels are null-heavy, long-tailed, bimodal, constant, and what the rest is.
+"""Patterns: which pixels are null-heavy, long-tailed, bimodal or constant, and how the rest looks.
 
 `chdstat.patterns.definitions` says what a pattern means, its statistic, and the rule that turns it
-into a flag at a threshold. `classify` applies all rules to the luminance of each pixel. Flags do
-not exclude each other, but for those that describe a plain body; `Label` says which comes first.
-`agreement` compares labels with those of the neighbours: labels that mean something form regions;
-labels that are noise look like the same labels shuffled.
+into a flag at a threshold. `classify` applies all rules to the luminance of each pixel. A pixel may
+have several flags, except those that describe a plain body; `Label` says which one comes first.
+`agreement` compares labels with those of the neighbours: meaningful labels form regions; labels
+that are noise look like the same labels shuffled.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ __all__ = [
 
 
 class Label(enum.IntEnum):
-    """The first of these that holds for a pixel; UNDETERMINED where none does."""
+    """The first of these labels that holds for a pixel; UNDETERMINED if none does."""
 
     UNDETERMINED = 0
     """Too few usable samples for a label."""
@@ -68,11 +68,11 @@ class Label(enum.IntEnum):
     GAMMA_LIKE = 8
     LOGNORMAL_LIKE = 9
     OTHER = 10
-    """None of these: one mode without a long tail that neither family describes."""
+    """None of these: one mode without a long tail, which neither family describes."""
 
     @property
     def meaning(self) -> str:
-        """What causes it."""
+        """The cause of the pattern."""
         return _EXPLAINED[self][0]
 
     @property
@@ -82,12 +82,12 @@ class Label(enum.IntEnum):
 
     @property
     def typical(self) -> str:
-        """A typical pixel: where it lies in a built-in scene, and what its samples look like."""
+        """A typical pixel: where it lies in a built-in scene, and how its samples look."""
         return _EXPLAINED[self][2]
 
     @property
     def words(self) -> str:
-        """Its name in running text."""
+        """The name in running text."""
         return self.name.lower().replace("_", "-")
 
 
@@ -113,35 +113,34 @@ _FLAGGED = {label: label.name.lower() for label in Label if label not in (0, 1, 
 
 @result
 class Patterns(Result):
-    """Patterns of pixels; arrays of the batch's shape, dimensionless.
+    """Patterns of pixels; arrays with the batch's shape, dimensionless.
 
     Attributes
     ----------
     flags
-        By the name of the pattern: whether it holds.
+        Whether the pixel has the pattern, by the name of the pattern.
     large_enough
-        By the name of the pattern: whether its effect counts, significant or not, and whatever
-        excludes it.
+        Whether the effect is large enough, by the name of the pattern, significant or not, excluded
+        or not.
     statistics
-        By the name of the pattern: its statistic; NaN where there is nothing to measure.
+        Statistic of the pattern, by its name; NaN where there is nothing to measure.
     p_values
-        By the name of the pattern, where it has a test: of the hypothesis that it is absent.
+        P-value of the hypothesis that the pattern is absent, by the name of patterns with a test.
     intervals
-        By the name of the pattern, where it has one: 95 % interval of the statistic, shape
-        (..., 2).
+        95 % interval of the statistic, by the name of patterns that have one, shape (..., 2).
     dip
         Hartigan's dip of log luminance.
     luminance_family
         Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
     misfit
-        Kolmogorov's distance between the samples and the better of gamma and log-normal.
+        Kolmogorov-Smirnov distance between the samples and the better of gamma and log-normal.
     long_tail_se
         Standard error of the tail index.
     variance_unidentified
-        Where the samples do not identify whether their variance is finite: no long tail is then no
-        promise of a short one.
+        Where the samples do not identify whether their variance is finite: the absence of a long
+        tail is then no promise of a short one.
     body_tail_index
-        Tail index that excesses over the quantile 0.9 of the better of gamma and log-normal show.
+        Tail index of the excesses over the 0.9 quantile of the better of gamma and log-normal.
     label
         `Label` codes.
     reason
@@ -172,7 +171,7 @@ _DEFAULT = Thresholds()
 
 @dataclass(frozen=True)
 class Classification(Statistic[Patterns]):
-    """The patterns of luminance, as `PATTERNS` lists them, at some thresholds."""
+    """The patterns of luminance in `PATTERNS`, at given thresholds."""
 
     result: ClassVar = Patterns
     description: ClassVar = "classifying"
@@ -181,10 +180,10 @@ class Classification(Statistic[Patterns]):
     thresholds: Thresholds = _DEFAULT
 
     def measure(self, part: PositivePart) -> Patterns:
-        """Classify each row, tested for itself."""
+        """Classify each row, with tests of its own."""
         thresholds = self.thresholds
         found = gather(part, thresholds)
-        # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
+        # For a single pixel, arithmetic returns numbers: results are arrays of shape ().
         p_values = {p.name: np.asarray(p.test(found, thresholds)) for p in PATTERNS if p.test}
         large_enough = {p.name: np.asarray(p.large_enough(found, thresholds)) for p in PATTERNS}
         flags = self._decide(large_enough, p_values)
@@ -206,7 +205,7 @@ class Classification(Statistic[Patterns]):
         )
 
     def variables(self, found: Patterns) -> Mapped:
-        """Return patterns as variables; flags are those of large effects, not yet decided."""
+        """Return patterns as variables; flags only say that effects are large enough, so far."""
         single: dict[str, npt.NDArray[Any]] = {
             **found.large_enough,
             **{f"{name}_statistic": value for name, value in found.statistics.items()},
@@ -246,7 +245,7 @@ class Classification(Statistic[Patterns]):
     def _decide(
         self, large_enough: Mapping[str, Mask], significance: Mapping[str, Floats]
     ) -> dict[str, Mask]:
-        """Keep the flags that are significant where they must be, and that nothing excludes."""
+        """Keep the flags that are significant, if their rule asks for it, and not excluded."""
         flags = {name: np.array(large) for name, large in large_enough.items()}
         for pattern in PATTERNS:
             if pattern.decisive:
@@ -272,11 +271,11 @@ def _label(
 def classify(
     x: Source, *, thresholds: Thresholds | None = None, progress: bool | None = None
 ) -> Patterns | xr.Dataset:
-    """Say which patterns the sample distribution of each pixel shows.
+    """Return the patterns that the sample distribution of each pixel shows.
 
-    Each flag is a row of `PATTERNS`: a statistic, an effect that is large enough and, where the
-    rule says so, a p-value. Of an image, the p-values of a pattern are corrected for the number of
-    pixels (Benjamini and Hochberg); of an array, they are not: each pixel is tested at level
+    Each flag is a row of `PATTERNS`: a statistic, an effect that is large enough and, if the rule
+    asks for it, a p-value. For an image, the p-values of a pattern are corrected for the number of
+    pixels (Benjamini and Hochberg). For an array, they are not: each pixel is tested at level
     `Thresholds.alpha`. `label` is the first entry of `Label` that holds.
 
     Parameters
@@ -286,18 +285,18 @@ def classify(
         sample), with 1 or 3 channels. A sample is null if all its channels are 0, bad if any is
         bad.
     thresholds
-        When a pattern counts; None for the defaults.
+        Thresholds of the patterns; None for the defaults.
     progress
         For `Samples`: show a progress bar; None shows it on a terminal.
 
     Returns
     -------
     Patterns or xarray.Dataset
-        `Patterns` for an array. For `Samples`, over (y, x): for each pattern, the flag by its name,
-        and with suffix its ``_statistic``, ``_p_value``, ``_q_value`` and ``_interval`` where it
-        has them; the other fields of `Patterns`; and ``label_agreement``, the share of the
-        neighbours with the same label, whose attributes ``kappa`` and ``z`` compare the image with
-        shuffled labels (see `agreement`).
+        `Patterns` for an array. For `Samples`, a dataset over (y, x): for each pattern, the flag by
+        its name, and ``_statistic``, ``_p_value``, ``_q_value`` and ``_interval`` with the name as
+        prefix, if the pattern has them; the other fields of `Patterns`; and ``label_agreement``,
+        the share of the neighbours with the same label. Its attributes ``kappa`` and ``z`` compare
+        the image with shuffled labels (see `agreement`).
 
     Raises
     ------
@@ -327,15 +326,15 @@ class Agreement(Shown):
     Attributes
     ----------
     share
-        Share of the up to 8 neighbours that have the label of the pixel, shape (y, x); NaN where
-        the pixel or all of its neighbours have no label.
+        Share of the up to 8 neighbours that have the pixel's label, shape (y, x); NaN where the
+        pixel or all of its neighbours have no label.
     observed, expected
-        Shares of all pairs of neighbours that have equal labels: there are, and shuffled.
+        Share of all pairs of neighbours with equal labels, as observed and for shuffled labels.
     kappa
         ``(observed - expected) / (1 - expected)``: 0 for shuffled labels, 1 for complete agreement;
         NaN where all labels are equal.
     z
-        Observed minus expected, in standard deviations over all ways to shuffle the labels.
+        Observed minus expected share, in standard deviations over all ways to shuffle the labels.
     """
 
     share: Floats
@@ -348,16 +347,16 @@ class Agreement(Shown):
 def agreement(labels: npt.NDArray[np.integer], known: Mask | None = None) -> Agreement:
     """Compare the labels of an image with those of their neighbours, and with shuffled labels.
 
-    The pairs of equal neighbours are Moran's join count, for all labels at once; its mean and
-    variance over all permutations are those of Mantel, exact and without a permutation. `kappa`
-    corrects for agreement by chance as Cohen's does.
+    The number of equal pairs of neighbours is Moran's join count, for all labels at once. Its mean
+    and variance over all permutations are Mantel's exact ones, without permuting. `kappa` corrects
+    for agreement by chance, as Cohen's does.
 
     Parameters
     ----------
     labels
-        Shape (y, x).
+        Labels, shape (y, x).
     known
-        Which pixels have a label, same shape; None for all. Pixels without a label are ignored.
+        Which pixels have a label, same shape; None for all. Other pixels are ignored.
 
     Raises
     ------
@@ -407,12 +406,12 @@ def agreement(labels: npt.NDArray[np.integer], known: Mask | None = None) -> Agr
 def _joins(
     neighbours: npt.NDArray[np.int64], equal: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
 ) -> tuple[float, float, float]:
-    """Return the share of equal pairs, its mean and its standard deviation over permutations."""
+    """Return the share of equal pairs, and its mean and standard deviation over permutations."""
     n = float(len(sizes))
     pairs = float(neighbours.sum())
     if n < 4 or pairs == 0:
         return math.nan, math.nan, math.nan
-    # Mantel's sums of two symmetric 0/1 matrices: of being neighbours, and of having equal labels.
+    # Mantel's sums of two symmetric 0/1 matrices: being neighbours, and having equal labels.
     s0, s1, s2 = pairs, 2 * pairs, 4 * float(np.sum(neighbours**2))
     others = (sizes - 1).astype(np.float64)
     t0, t1, t2 = others.sum(), 2 * others.sum(), 4 * np.sum(others**2)
@@ -429,18 +428,18 @@ def _joins(
 def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tuple[Region, ...]:
     """Choose one region for every pattern of an image, where the pattern is purest.
 
-    That is the window of `edge` x `edge` pixels with the most pixels of the label, around a pixel
-    that has it; of equal ones, the one deepest inside its patch, so that marks do not sit on
-    borders. At the border of the image it is smaller.
+    The region is the window of `edge` x `edge` pixels around a pixel of the label that has the most
+    pixels of the label. Among equal windows, it is the one deepest inside its patch, so that marks
+    do not lie on borders. At the border of the image, it is smaller.
 
     Parameters
     ----------
     patterns
-        What `chdstat.classify` returns: `label` (y, x) with its flag meanings.
+        Result of `chdstat.classify`: `label` (y, x) with its flag meanings.
     edge
-        Edge of a region in pixels; less in smaller images.
+        Edge of a region in pixels; smaller in smaller images.
     most
-        Regions at most; the most frequent labels come first.
+        Most regions; the most frequent labels come first.
     """
     label = patterns["label"]
     codes = np.asarray(label.values)

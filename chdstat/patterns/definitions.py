@@ -1,8 +1,8 @@
 """The table of patterns: what each means, how it is measured, and when it counts.
 
 `PATTERNS` is the table; a new pattern is a new row. `PixelStatistics` are the scores that its rules
-compare with `Thresholds`. A firefly must not decide what the rest of a pixel looks like: where one
-sample carries too much of the mean, tail, modes and families are measured without it.
+compare with `Thresholds`. A firefly must not decide how the rest of a pixel looks. If one sample
+carries too much of the mean, tail, modes and families are therefore measured without it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from chdstat.summary.runner import measured
 __all__ = ["PATTERNS", "Pattern", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
 
 _POINTS = 32
-"""Quantiles at which a family is compared with the samples: at 512, the distance is 1/64 off."""
+"""Quantiles at which a family is compared with the samples; at 512 samples, the error is 1/64."""
 _BODIES = ("gamma", "lognormal")
 _TOP = 0.1
 """Share of the samples whose excesses define the tail index of a body."""
@@ -36,27 +36,28 @@ _TOP = 0.1
 
 @dataclass(frozen=True)
 class Thresholds:
-    """When a pattern counts as one.
+    """Limits from which a pattern counts.
 
     Attributes
     ----------
     alpha
-        False discovery rate of every tested flag over an image; level of the test of one pixel.
+        False discovery rate of every tested flag over an image; for a single pixel, level of the
+        test.
     null_share
-        A pixel is null-heavy where more than this share of its samples is null.
+        A pixel is null-heavy if more than this share of its samples is null.
     tail_index
-        A tail is long where its index is at least this, and significantly above 0.
+        A tail is long if its index is at least this, and significantly above 0.
     ashman_d
         Neighbouring modes count as two from this separation on.
     firefly_share, firefly_samples
-        A sample is a firefly where it carries more than this share of the sum of all, and more than
-        this many average samples do.
+        A sample is a firefly if it carries more than this share of the sum of all samples, and more
+        than this many average samples do.
     misfit
-        A family describes a pixel where Kolmogorov's distance to the samples is at most this, or no
-        larger than chance makes it in 95 % of all cases.
+        A family describes a pixel if the Kolmogorov-Smirnov distance to the samples is at most
+        this, or no larger than chance makes it in 95 % of all cases.
     constant
-        A pixel is constant where the standard deviation of the natural logarithm of its luminance
-        is at most this: float32 leaves 1e-7 for each of the products along a path.
+        A pixel is constant if the standard deviation of the natural logarithm of its luminance is
+        at most this: float32 leaves 1e-7 for each product along a path.
 
     Raises
     ------
@@ -86,25 +87,25 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class PixelStatistics:
-    """Scores per pixel; arrays of the batch's shape, NaN where there is nothing to measure.
+    """Scores per pixel; arrays with the batch's shape, NaN where there is nothing to measure.
 
     Attributes
     ----------
     part
         All positive samples.
     largest_share
-        Share of the sum that the largest sample carries.
+        Share of the sum in the largest sample.
     tail, modes
-        Without a sample that dominates, as all that follows.
+        Tail and modes without a sample that dominates; all fields below are without it, too.
     vuong_z
-        Gamma against log-normal, positive for gamma.
+        Vuong's statistic of gamma against log-normal, positive for gamma.
     family
         Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
     misfit
-        Kolmogorov's distance between the samples and the better of the two.
+        Kolmogorov-Smirnov distance between the samples and the better of the two.
     body_index, body_index_se
-        Tail index that excesses over the quantile 0.9 of the better of the two would show (its
-        penultimate one: Smith 1987, doi:10.1214/aos/1176350499), and its standard error.
+        Tail index that excesses over the 0.9 quantile of the better of the two would show (the
+        penultimate index: Smith 1987, doi:10.1214/aos/1176350499), and its standard error.
     """
 
     part: PositivePart
@@ -126,7 +127,7 @@ class PixelStatistics:
 
 
 def gather(part: PositivePart, thresholds: Thresholds) -> PixelStatistics:
-    """Measure every pixel, without a sample that dominates it but for the share of that one."""
+    """Measure every pixel, without a sample that dominates it, except for that sample's share."""
     found = _measure(part)
     rows = np.asarray(found.largest_share > firefly_limit(part.n, thresholds))
     if not rows.any():
@@ -137,7 +138,7 @@ def gather(part: PositivePart, thresholds: Thresholds) -> PixelStatistics:
 
 
 def _put(found: Any, rest: Any, rows: Mask) -> Any:
-    """Return a result, an array or a dataclass of them, with that of the `rest` in some rows."""
+    """Return a result, array or dataclass of arrays, with the `rest` in some rows."""
     if is_dataclass(found) and not isinstance(found, type):
         names = [f.name for f in fields(found)]
         return replace(found, **{n: _put(getattr(found, n), getattr(rest, n), rows) for n in names})
@@ -179,7 +180,7 @@ def _measure(part: PositivePart) -> PixelStatistics:
 
 
 def _misfit(part: PositivePart, families: Selection) -> Floats:
-    """Return the largest distance of distribution functions, at some of the samples."""
+    """Return the largest distance of the distribution functions, at some of the samples."""
     misfit, z = np.full(part.n.shape, np.nan), families.vuong_z
     gamma, lognormal = (families.fits[name].parameters for name in _BODIES)
     for rows, one in ((z > 0, "gamma"), (z <= 0, "lognormal")):
@@ -199,7 +200,7 @@ def _misfit(part: PositivePart, families: Selection) -> Floats:
 def _body_index(families: Selection) -> tuple[Floats, Floats]:
     """Return the penultimate tail index of the better family, and its standard error.
 
-    ``-1 - (1 - F) f' / f^2`` at the quantile 0.9 depends on the shape alone, so that the error
+    The index ``-1 - (1 - F) f' / f^2`` at the 0.9 quantile depends on the shape alone. Its error
     follows from that of the shape (delta method).
     """
     gamma, lognormal = (families.fits[name] for name in _BODIES)
@@ -210,7 +211,7 @@ def _body_index(families: Selection) -> tuple[Floats, Floats]:
     index[is_gamma] = np.interp(np.log(shape), log_shapes, indices)
     slope = np.interp(np.log(shape), log_shapes, slopes) / shape
     error[is_gamma] = np.abs(slope) * gamma.standard_errors["shape"][is_gamma]
-    # Of a log-normal: z M - 1 + sigma M, with M the ratio of Mills at the Gaussian quantile z.
+    # For a log-normal: z M - 1 + sigma M, where M is the Mills ratio at the Gaussian quantile z.
     z = special.ndtri(1 - _TOP)
     mills = _TOP * np.sqrt(2 * np.pi) * np.exp(z**2 / 2)
     other = ~is_gamma
@@ -223,8 +224,8 @@ def _body_index(families: Selection) -> tuple[Floats, Floats]:
 def _gamma_table() -> tuple[Floats, Floats, Floats]:
     """Return log shapes, the index of gamma distributions, and its slope over the log shape.
 
-    The quantile of a gamma distribution costs as much as a whole fit; between the points, the index
-    is right to 1e-4.
+    The quantile of a gamma distribution costs as much as a whole fit. Between the points of this
+    table, the index is right to 1e-4.
     """
     log_shapes = np.linspace(np.log(0.02), np.log(1e4), 800)
     indices = effective_tail_index(stats.gamma(np.exp(log_shapes)), _TOP)
@@ -232,7 +233,7 @@ def _gamma_table() -> tuple[Floats, Floats, Floats]:
 
 
 _CHANCE = 0.895
-"""Kolmogorov's distance times sqrt(n) that 5 % of Gaussian samples exceed (Stephens 1974)."""
+"""Kolmogorov-Smirnov distance times sqrt(n) that 5 % of Gaussian samples exceed (Stephens 1974)."""
 
 
 @dataclass(frozen=True)
@@ -242,33 +243,33 @@ class Pattern:
     Attributes
     ----------
     name
-        Of the flag.
+        Name of the flag.
     meaning
         What it means for light transport.
     cure
-        What helps.
+        What helps against it.
     typical
         A typical pixel: where it lies in a built-in scene, and what its samples look like.
     statistic
-        What is measured, and on which scale; computed by `measure`.
+        The measured quantity and its scale; computed by `measure`.
     rule
-        When the flag is set, in words.
+        Rule for the flag, in words.
     limit
-        The threshold in short, to be formatted with the fields of `Thresholds`.
+        The threshold in short, formatted with the fields of `Thresholds`.
     source
         Where the pattern or its threshold comes from.
     measure
-        Statistic of every pixel.
+        Returns the statistic of every pixel.
     large_enough
-        Whether the effect counts, however significant it is.
+        Returns whether the effect counts, however significant it is.
     test
-        p-value of the hypothesis that the pattern is absent, or None where there is none.
+        Returns the p-value of the hypothesis that the pattern is absent; None if there is no test.
     decisive
-        Whether the flag needs that p-value to be significant; otherwise it stands beside.
+        Whether the flag needs a significant p-value; otherwise, the p-value is only reported.
     interval
-        95 % interval of the statistic, shape (..., 2), or None where there is none.
+        Returns the 95 % interval of the statistic, shape (..., 2); None if there is none.
     excluded_by
-        Flags that rule this one out.
+        Flags that exclude this one.
     """
 
     name: str
@@ -297,14 +298,14 @@ def _null_share(e: PixelStatistics) -> Floats:
 
 
 def _null_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
-    """Return P(as many nulls or more) were their share the threshold: the exact binomial test."""
+    """Return P(as many nulls or more) if their share is the threshold: the exact binomial test."""
     n, nulls = e.part.n_good, e.part.n_null
     p = special.betainc(np.maximum(nulls, 1), n - nulls + 1, t.null_share)
     return np.where(n == 0, np.nan, np.where(nulls == 0, 1.0, p))
 
 
 def _clear_modes(e: PixelStatistics, t: Thresholds) -> Counts:
-    """Count modes that are far enough from their neighbour; 0 where modes are not known."""
+    """Count modes that are far enough from their neighbours; 0 where modes are not known."""
     clear = 1 + np.count_nonzero(e.widest[0] >= t.ashman_d, axis=-1)
     return np.where(e.modes.modes > 0, clear, 0)
 
@@ -316,15 +317,15 @@ def _separation_interval(e: PixelStatistics, widest: int) -> Floats:
 
 
 def _is_described(e: PixelStatistics, t: Thresholds) -> Mask:
-    """Say where there is one mode that gamma or log-normal describes."""
+    """Return where there is one mode that gamma or log-normal describes."""
     by_chance = _CHANCE / np.sqrt(np.maximum(e.part.n, 1))
     return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
 
 
 def _body_is_long(e: PixelStatistics, t: Thresholds) -> Mask:
-    """Say where a pixel is log-normal with a long tail, and its largest samples do not object.
+    """Return where a pixel is log-normal with a long tail, unless its largest samples object.
 
-    The tail of a gamma distribution is exponential, however heavy it seems above its quantile 0.9.
+    The tail of a gamma distribution is exponential, however heavy it seems above its 0.9 quantile.
     """
     is_lognormal = e.vuong_z <= 0
     objects = e.tail.interval[..., 1] < t.tail_index
@@ -333,11 +334,11 @@ def _body_is_long(e: PixelStatistics, t: Thresholds) -> Mask:
 
 
 def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
-    """Return the p-value of the tail, or of tail and body where it is the body's that is long.
+    """Return the p-value of the tail, or of tail and body if the body's tail is long.
 
-    Every log-normal distribution has a long body, so that this one needs log-normal to be
-    significantly better than gamma, too: of 32 exponential samples, it often is a little better. Of
-    two tests, the smaller p-value counts twice (Bonferroni).
+    Every log-normal distribution has a long body. A long body therefore also needs log-normal to be
+    significantly better than gamma: for 32 exponential samples, log-normal is often a little better
+    by chance. The smaller of the two p-values is doubled (Bonferroni).
     """
     of_body = np.fmax(special.ndtr(-e.body_index / e.body_index_se), special.ndtr(e.vuong_z))
     both = np.minimum(2 * np.fmin(of_body, e.tail.p_exponential), 1.0)
@@ -345,7 +346,7 @@ def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
 
 
 def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
-    """Say where gamma (1) or log-normal (-1) is the better one, of one mode with a short tail."""
+    """Return where gamma (1) or log-normal (-1) is better, with one mode and a short tail."""
 
     def large_enough(e: PixelStatistics, t: Thresholds) -> Mask:
         short = (sign > 0) | (e.body_index < t.tail_index)

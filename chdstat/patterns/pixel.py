@@ -1,8 +1,8 @@
-"""Pixels: the characteristic distribution (CHD) of one or several, with all that is known of it.
+"""Pixels: the characteristic distributions (CHDs) of pixels, and everything known about them.
 
-`Samples.pixel` makes a `Pixel`, whose parts are computed when they are asked for. `Samples.regions`
-makes `Regions`: pixels of several parts of an image, side by side as Elek, Thomas and Forbes 2019
-show the scenes of their case study.
+`Samples.pixel` makes a `Pixel`, which computes everything on demand. `Samples.regions` makes
+`Regions`: pixels of several parts of an image, side by side as Elek, Thomas and Forbes 2019 show
+the scenes of their case study.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ class Pixel(Shown):
     scene
         Name of the scene.
     parts
-        Radiance of the same samples with a part of their light: by segments, where they were
-        rendered ``by_depth=``, and by names of lights, where ``by_light=``.
+        Radiance of the same samples with a part of their light: by segments if they were rendered
+        with ``by_depth=``, by names of lights if with ``by_light=``.
     sequence
-        Samples that depend on each other, 1 where they are independent.
+        Number of samples that depend on each other; 1 if they are independent.
 
     Examples
     --------
@@ -107,7 +107,7 @@ class Pixel(Shown):
 
     @property
     def bad(self) -> npt.NDArray[np.bool_]:
-        """Samples of which a channel is NaN or infinite, shape (sample,)."""
+        """Samples with a channel that is NaN or infinite, shape (sample,)."""
         return np.asarray(is_bad(self.radiance).any(axis=0))
 
     @property
@@ -118,23 +118,23 @@ class Pixel(Shown):
 
     @cached_property
     def statistics(self) -> xr.Dataset:
-        """What `chdstat.summarize` says of it: means, moments, counts, by channel."""
+        """Result of `chdstat.summarize` for the pixel: means, moments, counts, by channel."""
         image = Samples(self.radiance[np.newaxis, np.newaxis], attrs={"sequence": self.sequence})
         dataset = summarize(image, progress=False)
         return dataset.assign_coords(channel=np.array(self.channels, object)).isel(y=0, x=0)
 
     def histogram(self, scale: Scale = "log") -> Histogram:
-        """Return its histogram of each channel, as `chdstat.histogram` counts it."""
+        """Return the histogram of each channel, see `chdstat.histogram`."""
         return histogram(self.radiance, scale=scale, null=self.null, bad=self.bad)
 
     @cached_property
     def selection(self) -> Selection:
-        """The families that were fitted to each channel, and which is the best by BIC."""
+        """Families fitted to each channel, and the best one by BIC."""
         return select(self._good, null=self.null)
 
     @property
     def families(self) -> dict[str, str]:
-        """Name of the best family of each channel, by its name; "" where none could be fitted."""
+        """Name of the best family, by the name of the channel; "" where none could be fitted."""
         return dict(zip(self.channels, map(str, self.selection.names), strict=True))
 
     @cached_property
@@ -149,39 +149,39 @@ class Pixel(Shown):
 
     @cached_property
     def patterns(self) -> Patterns:
-        """Patterns of its luminance, tested on their own and not for an image; 1 or 3 channels."""
+        """Patterns of the luminance, tested for this pixel, not for an image; 1 or 3 channels."""
         return classify(self.radiance)
 
     @property
     def label(self) -> str:
-        """What it is first of all, in words; "" where there are neither 1 nor 3 channels."""
+        """Label in words; "" if there are neither 1 nor 3 channels."""
         return Label(int(self.patterns.label)).words if len(self.channels) in (1, 3) else ""
 
     @property
     def best_families(self) -> str:
-        """Which families describe its channels best, in words; "" where none could be fitted."""
+        """Families that describe the channels best, in words; "" where none could be fitted."""
         named = dict.fromkeys(FAMILIES[name].label for name in self.families.values() if name)
         return " / ".join(named)
 
     @property
     def patterns_shown(self) -> tuple[str, ...]:
-        """Names of the patterns that it shows."""
+        """Names of the patterns that the pixel shows."""
         return tuple(p.name for p in PATTERNS if bool(self.patterns.flags[p.name]))
 
     @cached_property
     def light(self) -> list[dict[str, str | float]]:
-        """Which lengths of paths make its mean, its variance, each of its modes and its tail.
+        """Path lengths that make the mean, the variance, each mode and the tail.
 
-        A row for each of these, with its share of the samples and, by name, the share of each
-        length in its luminance (of the variance, in that); empty where the samples were not
-        rendered by depth. A sample belongs to the mode that is nearest in log radiance; the tail
+        Each of these has a row with its share of the samples and, by name, the share of each path
+        length in its luminance, or in the variance. The list is empty if the samples were not
+        rendered by depth. A sample belongs to the mode that is nearest in log radiance. The tail
         begins where its fit does.
         """
         return self._shares("depth")
 
     @cached_property
     def lights(self) -> list[dict[str, str | float]]:
-        """Which lights make them, as `light`; empty where samples were not rendered by light."""
+        """Lights that make them, as `light`; empty if samples were not rendered by light."""
         return self._shares("light")
 
     def _shares(self, by: By) -> list[dict[str, str | float]]:
@@ -207,7 +207,7 @@ class Pixel(Shown):
 
     @property
     def _good(self) -> npt.NDArray[np.float32]:
-        """The samples; NaN in all channels where one is bad."""
+        """The samples; a bad sample is NaN in all channels."""
         return np.where(self.bad, np.float32(np.nan), self.radiance)
 
     @cached_property
@@ -234,18 +234,19 @@ class Pixel(Shown):
         width: Width = "page",
         fig: Figure | None = None,
     ) -> Figure:
-        """Draw linear and log10 histograms of its channels, their best fits and their means.
+        """Draw linear and log10 histograms of the channels, their best fits and their means.
 
         Parameters
         ----------
         channels
-            Those to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
+            Channels to draw: names, "red", "green", "blue" or "luminance"; None for all but
+            luminance.
         scales
             "linear", "log" or both.
         width
-            Of the figure: "column", "page" or inches.
+            Width of the figure: "column", "page" or inches.
         fig
-            Where to draw; None makes a figure, which a notebook shows.
+            Figure to draw into; None makes one, which a notebook shows.
 
         Raises
         ------
@@ -258,7 +259,7 @@ class Pixel(Shown):
         return viz.chd_pair(panel, channels=channels, scales=scales, width=width, fig=fig)
 
     def panel(self, title: str) -> Panel:
-        """Return what `chdstat.viz.chd_grid` draws of it: histograms, best fits and means."""
+        """Return what `chdstat.viz.chd_grid` draws: histograms, best fits and means."""
         from chdstat import viz
         from chdstat.viz.styling import called
 
@@ -306,7 +307,7 @@ class Pixel(Shown):
 
 
 _HALF = 2
-"""Pixels around that of a region which are marked with it."""
+"""Pixels around that of a region that are marked with it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -340,7 +341,7 @@ class Regions(Shown):
         Raises
         ------
         InputError
-            If there is no place.
+            If there are no places.
         """
         if places is None:
             shape = samples.shape[:2]
@@ -364,7 +365,7 @@ class Regions(Shown):
         Parameters
         ----------
         channels, scales, width, fig
-            As for `Pixel.plot`; None takes luminance where it is known.
+            As for `Pixel.plot`; None for luminance if it is known.
         """
         from chdstat import viz
 

@@ -1,10 +1,10 @@
 """Simulation: CHDs that are known exactly, images and populations of them, and scores of flags.
 
 A `CHD` is a mixture of `Component` distributions of radiance, one for each kind of light path, with
-nulls, a tail and fireflies; `CHDS` are clear cases, and `random_chd` draws one. `truth` says which
-patterns a CHD has, and None within the indifference zone of a pattern. `simulate` draws an image
-whose regions have given CHDs, `random_chds` CHDs with every pattern and combination, outside of
-these zones; `flag_scores` counts how often `classify` is right about them.
+nulls, a tail and fireflies. `CHDS` are clear cases, and `random_chd` draws one. `truth` says which
+patterns a CHD has, with None within the indifference zone of a pattern. `simulate` draws an image
+whose regions have given CHDs. `random_chds` draws CHDs with every pattern and combination, outside
+these zones. `flag_scores` counts how often `classify` is right about them.
 """
 
 from __future__ import annotations
@@ -67,12 +67,12 @@ class Component:
     family
         'gamma', 'lognormal' or 'constant'.
     shape
-        Shape of a gamma distribution, or standard deviation of the logarithm of a log-normal one;
-        of no meaning for a constant.
+        Shape of a gamma distribution, or standard deviation of the logarithm for a log-normal one;
+        without meaning for a constant.
     median
-        Its median, in W sr-1 m-2.
+        Median, in W sr-1 m-2.
     weight
-        Share of the component among all of a CHD; they need not add up to 1.
+        Share of the component in the CHD; the weights need not add up to 1.
     """
 
     family: Kind
@@ -117,7 +117,7 @@ class Component:
         return np.asarray(x >= self.median, dtype=np.float64)
 
     def pdf(self, x: Floats) -> Floats:
-        """Return the density, infinite at a constant."""
+        """Return the density; infinite at a constant."""
         if self.family == "gamma":
             z = x / self.scale
             log = special.xlogy(self.shape - 1, z) - z - special.gammaln(self.shape)
@@ -134,7 +134,7 @@ class Component:
         return np.asarray(-self.pdf(x) * (1 + self._z(x) / self.shape) / x)
 
     def mean_below(self, x: float) -> float:
-        """Return E[X; X <= x]: the part of the expectation that lies up to `x`."""
+        """Return E[X; X <= x]: the part of the expectation up to `x`."""
         if self.family == "gamma":
             # x f(x; k) is the density of shape k + 1, times the mean.
             share = special.gammainc(self.shape + 1, x / self.scale)
@@ -158,9 +158,9 @@ class Component:
 
 
 _HALVINGS = 60
-"""Steps of a bisection over the logarithm of radiance: the bracket shrinks to rounding."""
+"""Steps of a bisection over the logarithm of radiance; they shrink the bracket to rounding."""
 _REACH = 300.0
-"""Natural logarithm of the radiance that the bisection starts from, both ways."""
+"""Natural logarithm of the radiance from which the bisection starts, in both directions."""
 _GRID = 1000
 """Points at which maxima of the density are counted, up to so many standard deviations away:"""
 _WIDE = 5.0
@@ -171,30 +171,30 @@ class CHD:
     """A characteristic distribution of one pixel: nulls, a body, a tail, and a planted firefly.
 
     Samples are null with probability `null_share`. The others follow the mixture of the components
-    up to its quantile ``1 - tail_share``, and from there on, if there is a `tail_index`, a
-    generalised Pareto distribution whose scale makes the density continuous:
+    up to its quantile ``1 - tail_share``. If there is a `tail_index`, a generalised Pareto
+    distribution takes over from there, with the scale that makes the density continuous:
     ``sigma = (1 - F(u)) / f(u)``.
 
     Attributes
     ----------
     body
-        One component or more.
+        The components, at least one.
     tail_index
-        Tail index xi of the grafted tail; None for none.
+        Tail index xi of the grafted tail; None for no tail.
     tail_share
-        Share of the samples that are not null in it.
+        Share of the non-null samples in the tail.
     null_share
         Probability of a null sample.
     firefly_share
-        If above 0, one sample of each pixel is replaced by one that carries this share of the sum
-        of all. It is planted in what is drawn, and no part of the distribution.
+        If above 0, one sample of each pixel is replaced by one with this share of the sum of all.
+        It is planted in drawn samples and is not part of the distribution.
     color
-        Colour of all samples; only ratios count, as `chdstat.simulate` scales luminance to 1.
+        Colour of all samples. Only ratios count, as `chdstat.simulate` scales luminance to 1.
 
     Raises
     ------
     InputError
-        If a number is out of range, or a constant is not alone.
+        If a number is out of range, or a constant has other components beside it.
 
     References
     ----------
@@ -236,7 +236,7 @@ class CHD:
 
     @property
     def is_constant(self) -> bool:
-        """Whether every sample that is not null has the same radiance."""
+        """Whether every non-null sample has the same radiance."""
         return self.body[0].family == "constant"
 
     @cached_property
@@ -246,20 +246,20 @@ class CHD:
 
     @cached_property
     def threshold(self) -> float:
-        """Radiance above which the tail is grafted, infinite without one."""
+        """Radiance above which the tail is grafted; infinite without a tail."""
         if self.tail_index is None:
             return np.inf
         return float(_quantile(partial(self._of_body, "cdf"), np.asarray(1 - self.tail_share)))
 
     @cached_property
     def tail_scale(self) -> float:
-        """Scale of the generalised Pareto tail, NaN without one."""
+        """Scale of the generalised Pareto tail; NaN without a tail."""
         if self.tail_index is None:
             return np.nan
         return float(self.tail_share / self._of_body("pdf", np.asarray(self.threshold)))
 
     def pdf(self, x: npt.ArrayLike) -> Floats:
-        """Return the density of what is not null: it integrates to 1."""
+        """Return the density of non-null samples, which integrates to 1."""
         x = np.asarray(x, dtype=np.float64)
         inside = np.maximum(x, np.finfo(np.float64).tiny)
         density = self._of_body("pdf", np.minimum(inside, self.threshold))
@@ -282,7 +282,7 @@ class CHD:
         return np.where(level <= 0, 0.0, quantile)
 
     def mean(self) -> float:
-        """Return the expectation, nulls included and a planted firefly left out."""
+        """Return the expectation, with nulls and without a planted firefly."""
         parts = [component.mean_below(self.threshold) for component in self.body]
         mean = float(np.dot(self._weights, parts))
         if self.tail_index is not None:
@@ -291,7 +291,7 @@ class CHD:
         return float((1 - self.null_share) * mean)
 
     def draw(self, shape: int | tuple[int, ...] = (), *, samples: int, seed: Seed = None) -> Floats:
-        """Draw radiance, shape ``(*shape, samples)``, nulls among them."""
+        """Draw radiance, shape ``(*shape, samples)``, including nulls."""
         rng = generator(seed)
         x = np.empty((*(shape if isinstance(shape, tuple) else (shape,)), samples))
         which = np.searchsorted(np.cumsum(self._weights)[:-1], rng.random(x.shape))
@@ -315,7 +315,7 @@ class CHD:
         return x
 
     def separations(self) -> Floats:
-        """Return Ashman's D of neighbouring components in the domain of logarithms."""
+        """Return Ashman's D of neighbouring components, for logarithms."""
         ordered = sorted(self.body, key=lambda component: component.log_mean)
         distance = np.diff([component.log_mean for component in ordered])
         square = np.array([component.log_deviation**2 for component in ordered])
@@ -334,9 +334,9 @@ class CHD:
     def penultimate_index(self, share: float = 0.1) -> float:
         """Return the tail index that excesses over the quantile ``1 - share`` show.
 
-        ``xi(u) = d/du (1 - F(u)) / f(u) = -1 - (1 - F(u)) f'(u) / f(u)^2``, the index of the
-        generalised Pareto distribution that comes closest at a finite threshold; within a grafted
-        tail, it is the tail index itself.
+        ``xi(u) = d/du (1 - F(u)) / f(u) = -1 - (1 - F(u)) f'(u) / f(u)^2`` is the index of the
+        closest generalised Pareto distribution at a finite threshold. Within a grafted tail, it is
+        the tail index itself.
 
         References
         ----------
@@ -393,7 +393,7 @@ CHDS: Mapping[str, CHD] = {
 
 
 def random_chd(rng: np.random.Generator) -> CHD:
-    """Draw a CHD; `chdstat.patterns.random_chds` has the table, and tells what is undecided."""
+    """Draw a CHD; see `chdstat.patterns.random_chds` for the table and indifference zones."""
     number = rng.choice(4, p=[0.1, 0.56, 0.17, 0.17])
     null_share = rng.choice([0.0, rng.uniform(0, 0.5), rng.uniform(0.5, 0.95)], p=[0.4, 0.3, 0.3])
     brightness = 10 ** rng.uniform(-3, 1)
@@ -412,7 +412,7 @@ def random_chd(rng: np.random.Generator) -> CHD:
 
 
 def _random_body(number: int, brightness: float, rng: np.random.Generator) -> tuple[Component, ...]:
-    """Draw components, the darkest first, whose neighbours have a drawn separation."""
+    """Draw components, the darkest first, with a drawn separation of neighbours."""
     family: Kind = "gamma" if rng.random() < 0.5 else "lognormal"
     weights = np.ones(1)
     if number > 1:
@@ -455,16 +455,16 @@ class Truth(Shown):
     Attributes
     ----------
     flags
-        By the name of each flag of `chdstat.patterns`: whether it holds, None where the CHD lies in
-        the indifference zone of the flag.
+        Whether the CHD has each flag of `chdstat.patterns`, by name; None in the flag's
+        indifference zone.
     label
-        First `Label` that holds; UNDETERMINED where one that would come first is None.
+        The first `Label` that holds; UNDETERMINED if a label before it is None.
     tail_index
-        Of the excesses over the quantile 0.9 of what is not null; NaN for a constant.
+        Tail index of the excesses over the 0.9 quantile of non-null samples; NaN for a constant.
     modes
-        Components; 0 for a black pixel.
+        Number of components; 0 for a black pixel.
     mean
-        Expectation of radiance, a planted firefly left out, in W sr-1 m-2.
+        Expectation of radiance without a planted firefly, in W sr-1 m-2.
     """
 
     flags: Mapping[str, bool | None]
@@ -475,23 +475,24 @@ class Truth(Shown):
 
 
 def truth(chd: CHD) -> Truth:
-    """Say what is true of a CHD.
+    """Return what is true of a CHD.
 
-    A label is true or false only outside of an indifference zone around the threshold that decides
-    it; inside, its flag is None:
+    Around the threshold of a label lies an indifference zone; inside, the label is neither true nor
+    false, and its flag is None:
 
-    * null-heavy: a share of nulls within 0.05 of 1/2 (`NULL_ZONE`: 512 samples do not decide).
-    * long tail: a tail index in (0.1, 0.3), `TAIL_ZONE`. That of a body without a grafted tail is
-      the penultimate one at its quantile 0.9, so that a log-normal body of sigma 1 or more is
-      long-tailed, one of sigma 0.65 or less is not, and what lies between is left out. A gamma
-      body is not, whatever its shape.
-    * modes: neighbouring components with Ashman's D below 2.5, the end of `SEPARATION_ZONE`, or
+    - null-heavy: a share of nulls within 0.05 of 1/2 (`NULL_ZONE`), which 512 samples do not
+      decide.
+    - long tail: a tail index in (0.1, 0.3), `TAIL_ZONE`. A body without a grafted tail has its
+      penultimate index at its 0.9 quantile. So a log-normal body is long-tailed for sigma of 1 or
+      more, not long-tailed for 0.65 or less, and undecided in between. A gamma body is never
+      long-tailed.
+    - modes: neighbouring components with Ashman's D below 2.5, the end of `SEPARATION_ZONE`, or
       components that do not show as many maxima of the density of log x.
-    * gamma-like and log-normal-like: bodies whose logarithm has a standard deviation below 0.365
-      (`INDISTINCT_SPREAD`), that of a gamma distribution of shape 8, are described by both; with
-      a light grafted tail, a body is neither.
-    * firefly-dominated: a planted share of the sum below 0.2, `FIREFLY_ZONE`. A heavy tail may grow
-      a firefly by chance: the label is one of the samples, and those that are drawn decide.
+    - gamma-like and log-normal-like: bodies whose logarithm has a standard deviation below 0.365
+      (`INDISTINCT_SPREAD`), that of a gamma distribution of shape 8, since both families describe
+      them. With a light grafted tail, a body is neither.
+    - firefly-dominated: a planted share of the sum below 0.2, `FIREFLY_ZONE`. A heavy tail may grow
+      a firefly by chance: the label is one of the samples, and the drawn samples decide.
 
     References
     ----------
@@ -548,7 +549,7 @@ def _flags(chd: CHD, tail_index: float) -> dict[str, bool | None]:
 
 
 def _above(value: float, zone: tuple[float, float]) -> bool | None:
-    """Say whether a value is above a zone; None inside."""
+    """Return whether a value is above a zone; None inside."""
     return None if zone[0] < value < zone[1] else value >= zone[1]
 
 
@@ -569,30 +570,30 @@ def simulate(
 ) -> Samples:
     """Draw an image whose regions have given CHDs.
 
-    Regions are the cells of a grid that is as square as possible, in reading order; cells that are
+    Regions are the cells of a grid that is as square as possible, in reading order. Cells that are
     left over have the last CHD.
 
     Parameters
     ----------
     chds
-        One `CHD` or several, or names of `CHDS`.
+        One or more `CHD`, or names of `CHDS`.
     shape
         (height, width) in pixels.
     spp
-        Samples of each pixel, nulls included.
+        Samples of each pixel, including nulls.
     seed
-        Of the draws: the same seed, the same samples.
+        Seed of the draws.
 
     Returns
     -------
     Samples
-        In memory, three channels in the ratios of each CHD's colour, so that luminance is what the
-        CHD says. `truth_of` returns what is true of each pixel.
+        Samples in memory, with three channels in the ratios of each CHD's colour, so that luminance
+        follows the CHD. `truth_of` returns what is true of each pixel.
 
     Raises
     ------
     InputError
-        If a name is unknown, or the shape leaves a region without a pixel.
+        If a name is unknown, or a region has no pixel.
 
     Examples
     --------
@@ -630,7 +631,7 @@ def truth_of(samples: Samples) -> xr.Dataset:
     -------
     xarray.Dataset
         Over (y, x): ``region``; each flag by its name, 1, 0, or -1 in an indifference zone;
-        ``label``; ``tail_index``; ``modes``; ``mean`` of luminance, a planted firefly left out.
+        ``label``; ``tail_index``; ``modes``; ``mean`` of luminance, without a planted firefly.
 
     Raises
     ------
@@ -672,7 +673,7 @@ def _regions(count: int, shape: tuple[int, int]) -> npt.NDArray[np.intp]:
 
 
 def _codes(truths: Sequence[Truth]) -> dict[str, npt.NDArray[np.int8]]:
-    """Return by flag 1 where it holds, 0 where it does not, -1 in its indifference zone."""
+    """Return 1 where a flag holds, 0 where not, -1 in its indifference zone; by name."""
     return {
         name: np.array([-1 if t.flags[name] is None else t.flags[name] for t in truths], np.int8)
         for name in truths[0].flags
@@ -680,7 +681,7 @@ def _codes(truths: Sequence[Truth]) -> dict[str, npt.NDArray[np.int8]]:
 
 
 _ROWS = 256
-"""CHDs drawn and classified at once."""
+"""CHDs drawn and classified together."""
 
 
 @dataclass(frozen=True)
@@ -689,7 +690,7 @@ class FlagScore:
 
     Attributes
     ----------
-    hits, false, missed
+    Numbers of CHDs with pattern and flag; with the flag only; with the pattern only.
         CHDs that have the pattern and the flag; the flag only; the pattern only.
     """
 
@@ -729,15 +730,15 @@ def random_chds(count: int, *, seed: Seed = None) -> tuple[CHD, ...]:
     firefly          15 %, not of constants: carries 0.25 to 0.75 of the sum of a pixel
     ===============  ===============================================================================
 
-    Numbers are uniform where nothing else is given. What falls in an indifference zone is
-    drawn again; a light grafted tail alone leaves the family of the body open.
+    Numbers are uniform unless stated otherwise. CHDs in an indifference zone are drawn again,
+    except that a light grafted tail alone leaves the family of the body open.
 
     Parameters
     ----------
     count
-        How many.
+        Number of CHDs.
     seed
-        Of the draws.
+        Seed of the draws.
 
     Examples
     --------
@@ -761,20 +762,20 @@ def flag_scores(
 ) -> Mapping[str, FlagScore]:
     """Draw one pixel of each CHD, classify it, and compare the flags with the truth.
 
-    What lies in an indifference zone of a flag does not count for it. Whether a firefly dominates
-    is asked of the samples: shares between half and twice the threshold do not count.
+    A CHD in the indifference zone of a flag does not count for that flag. Whether a firefly
+    dominates is decided by the samples: shares between half and twice the threshold do not count.
 
     Parameters
     ----------
     chds
         Distributions, such as those of `random_chds`.
     samples
-        Samples of each pixel that are not null; the number of nulls is as random as it is where
-        sampling goes on until there are so many.
+        Non-null samples of each pixel. The number of nulls is random, as if sampling went on until
+        there are so many.
     thresholds
-        When a pattern counts; None for the defaults.
+        Thresholds of the patterns; None for the defaults.
     seed
-        Of the draws.
+        Seed of the draws.
 
     Returns
     -------
@@ -784,7 +785,7 @@ def flag_scores(
     Raises
     ------
     InputError
-        If `samples` is not positive, or a CHD has nulls only.
+        If `samples` is not positive, or a CHD has only nulls.
 
     Examples
     --------

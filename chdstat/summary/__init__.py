@@ -1,7 +1,7 @@
 """Summary: what the samples of each pixel look like, in memory that does not grow with spp.
 
-`summarize` returns moments, shares and batch means of each pixel, `histogram` linear and log10
-histograms.
+`summarize` returns moments, shares and batch means of each pixel. `histogram` returns linear and
+log10 histograms.
 """
 
 from __future__ import annotations

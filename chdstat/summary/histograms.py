@@ -1,10 +1,11 @@
 """Histograms of samples: linear and log10 bins, with everything outside them counted separately.
 
-Use `histogram` on an array or a whole image, `StreamingHistogram` on samples that come in blocks.
-The defaults are the instrumentation of Elek, Thomas and Forbes (2019): 100 bins; a linear support
-that fits the first 50 samples of each pixel; a log support of [1e-5, 1e5]. Neither null nor bad
-samples enter the bins. Negative samples enter linear bins as others do; they have no logarithm, and
-are underflow on the log scale.
+Use `histogram` on an array or a whole image, and `StreamingHistogram` on samples that come in
+blocks. The defaults are those of Elek, Thomas and Forbes (2019): 100 bins; a linear support that
+fits the first 50 samples of each pixel; a log support of [1e-5, 1e5].
+
+Null and bad samples do not enter the bins. Negative samples enter linear bins; on the log scale,
+they are underflow.
 """
 
 from __future__ import annotations
@@ -54,16 +55,16 @@ LOG_SUPPORT = (1e-5, 1e5)
 """Support of log histograms, in radiance."""
 _OF_LOG = ("counts", "low", "high", "underflow", "overflow", "negative")
 LOG_VARIABLES = (*(f"log_{name}" for name in _OF_LOG), "null_count", "bad_count")
-"""Variables of the dataset of an image that make up its log histogram."""
+"""Variables that make up the log histogram in the dataset of an image."""
 
 _PADDING = 0.25
 
 
 @dataclass(frozen=True)
 class Support:
-    """Where the bins are: [low, high) in radiance, each of the batch's shape.
+    """Where the bins are: [low, high) in radiance, each with the batch's shape.
 
-    A pixel whose samples set no support has NaN there and says why in `reason`.
+    A pixel whose samples set no support has NaN there, and `reason` says why.
     """
 
     low: Floats
@@ -130,7 +131,7 @@ def linear_support(
 
 
 def tile_support(tile: Samples) -> Support:
-    """Return the linear support of a tile, whatever the batches in which it is stored."""
+    """Return the linear support of a tile, for any division of its store into batches."""
     first = tile.read(ss=slice(FIRST_DRAWS))
     null, bad = sample_masks(first)
     return linear_support(first, null=null, bad=bad)
@@ -167,7 +168,7 @@ def axis_ends(scale: Scale, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def sample_masks(block: npt.NDArray[Any]) -> tuple[Mask, Mask | None]:
-    """Return which whole samples are null and bad, shape (..., 1, sample); None for none bad."""
+    """Return which whole samples are null and bad, shape (..., 1, sample); None if none is bad."""
     null = is_null(block)[..., np.newaxis, :]
     if all_good(block):
         return null, None
@@ -177,7 +178,7 @@ def sample_masks(block: npt.NDArray[Any]) -> tuple[Mask, Mask | None]:
 def checked_masks(
     x: npt.NDArray[Any], null: Mask | None, bad: Mask | None
 ) -> tuple[Mask, Mask | None]:
-    """Return which samples are null and bad, by masks that a caller gives; None for none bad."""
+    """Return which samples are null and bad, from the caller's masks; None if none is bad."""
     for name, mask in (("null", null), ("bad", bad)):
         if mask is None:
             continue
@@ -187,7 +188,7 @@ def checked_masks(
             expected = f"the {name} mask must broadcast to the samples' shape {x.shape}"
             message = f"{expected}, got {mask.shape}"
             raise InputError(message) from error
-    # Two reductions tell the usual case, no bad sample at all, from the rest.
+    # Two reductions detect the usual case of no bad sample.
     if not all_good(x):
         bad = is_bad(x) if bad is None else bad | is_bad(x)
     if null is None:
@@ -200,14 +201,14 @@ def checked_masks(
 
 @result
 class Histogram(Result):
-    """How many samples fell into each bin, and how many elsewhere.
+    """How many samples fell into each bin, and how many fell elsewhere.
 
     For every pixel, bins + underflow + overflow + null_count + bad_count = n.
 
     Attributes
     ----------
     scale
-        "linear" or "log": what the bins divide evenly.
+        "linear" or "log": whether the bins divide radiance or its logarithm evenly.
     counts
         Samples per bin, shape (..., bin).
     low, high
@@ -215,12 +216,12 @@ class Histogram(Result):
     underflow, overflow
         Good, non-null samples below and above the support, shape (...).
     negative
-        How many of the good samples are negative, shape (...): on the log scale, a part of the
+        Good samples that are negative, shape (...). On the log scale, they are part of the
         underflow.
     null_count, bad_count
-        Samples that are not in the histogram, shape (...).
+        Null and bad samples, which are not in the bins, shape (...).
     reason
-        Why there is no support: a `Reason`, shape (...).
+        `Reason` codes of why there is no support, shape (...).
     n
         Draws per pixel.
     """
@@ -251,8 +252,8 @@ class Histogram(Result):
     def density(self) -> Floats:
         """Density of the good, non-null samples, shape (..., bin); NaN where there are none.
 
-        It is per unit of radiance, or per decade on the log scale; it integrates to the share of
-        those samples that lie within the support.
+        It is per unit of radiance, or per decade on the log scale. It integrates to the share of
+        these samples that lie within the support.
         """
         low, high = axis_ends(self.scale, self.low, self.high)
         width = (high - low) / self.counts.shape[-1]
@@ -263,7 +264,7 @@ class Histogram(Result):
             return np.asarray(self.counts / (total * width)[..., np.newaxis])
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]:
-        """Return the parts that a dataset keeps: by name, the dims after y, x and the array."""
+        """Return the fields of a dataset: by name, the dims after y and x, and the array."""
         variables: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
         for name, (own, about) in self.declared(f"{self.scale}_").items():
             value = getattr(self, own)
@@ -274,12 +275,12 @@ class Histogram(Result):
 
     @classmethod
     def of_dataset(cls, dataset: xr.Dataset) -> Histogram:
-        """Return the log histogram that the dataset of an image holds, over (y, x, channel).
+        """Return the log histogram in the dataset of an image, over (y, x, channel).
 
         Raises
         ------
         InputError
-            If the dataset lacks a variable of it.
+            If the dataset lacks one of its variables.
         """
         missing = [name for name in LOG_VARIABLES if name not in dataset]
         if missing:
@@ -299,7 +300,7 @@ class Histogram(Result):
 
     @property
     def positive(self) -> PositiveHistogram:
-        """The positive samples in the bins of a log histogram, as fits take them.
+        """The positive samples in the bins of a log histogram, for fits.
 
         Raises
         ------
@@ -366,43 +367,42 @@ def histogram(
 ) -> Histogram | xr.Dataset:
     """Count samples in evenly spaced bins of radiance or of its logarithm.
 
-    Bin k of a linear histogram is [low + k w, low + (k + 1) w) with w = (high - low) / bins; a log
-    histogram divides log10 of the radiance in the same way. Samples within rounding of an edge
-    may fall on either side of it.
+    Bin k of a linear histogram is [low + k w, low + (k + 1) w) with w = (high - low) / bins. A log
+    histogram divides log10 of the radiance in the same way. Samples within rounding of an edge may
+    fall on either side of it.
 
     Parameters
     ----------
     x
-        Radiance, shape (..., sample), or the samples of an image, or the path of their store.
+        Radiance, shape (..., sample); or the samples of an image, or the path of their store.
     scale
-        What the bins divide evenly: the radiance or its logarithm.
+        Whether the bins divide the radiance or its logarithm evenly.
     bins
         Number of bins.
     support
-        (low, high) in radiance, numbers or arrays of shape (...). By default [1e-5, 1e5] for the
-        log scale, `linear_support` of the first 50 draws for the linear one. For an image: numbers,
-        or one per channel.
+        (low, high) in radiance, as numbers or arrays of shape (...); for an image, as numbers or
+        one per channel. The default is [1e-5, 1e5] for the log scale, and `linear_support` of the
+        first 50 draws for the linear scale.
     null
-        Which of the zeros are null samples, broadcastable to `x`: a sample is null if all its
-        channels are 0, which only the caller can know of an array. By default every zero is null.
-        A zero in a sample that is not null has no logarithm: it is underflow on the log scale, and
-        so are negative samples.
+        Mask of the zeros that are null samples, broadcastable to `x`; by default, every zero is
+        null. A sample is null if all its channels are 0, which an array does not show. A zero in
+        another sample has no logarithm: on the log scale, it is underflow, as negative samples are.
     bad
-        Samples to leave out because one of their channels is bad, broadcastable to `x`. NaN and
-        infinite numbers are bad in any case.
+        Mask of samples to leave out because one of their channels is bad, broadcastable to `x`. NaN
+        and infinite numbers are always bad.
 
     Returns
     -------
     Histogram or xarray.Dataset
-        For an image, a dataset with the variables ``{scale}_counts`` (y, x, channel, bin),
-        ``{scale}_underflow``, ``{scale}_overflow``, ``{scale}_negative``, ``{scale}_low``,
-        ``{scale}_high``, ``{scale}_reason`` (y, x, channel), and ``null_count``, ``bad_count``
-        (y, x).
+        `Histogram` for an array. For an image, a dataset with ``{scale}_counts`` (y, x, channel,
+        bin); ``{scale}_underflow``, ``{scale}_overflow``, ``{scale}_negative``, ``{scale}_low``,
+        ``{scale}_high`` and ``{scale}_reason`` (y, x, channel); and ``null_count`` and
+        ``bad_count`` (y, x).
 
     Raises
     ------
     InputError
-        If `x` holds no samples, or the support, the bins or a mask do not fit.
+        If `x` has no samples, or the support, the bins or a mask do not fit.
 
     References
     ----------
@@ -435,8 +435,8 @@ def histogram(
 class StreamingHistogram:
     """A histogram that takes its samples block by block and merges with others.
 
-    The first block fixes the linear support, so it should hold 50 draws or more; otherwise give a
-    `support`. Only histograms of the same support merge.
+    The first block fixes the linear support, so it should hold 50 draws or more; otherwise, give a
+    `support`. Only histograms with the same support merge.
 
     Parameters
     ----------
@@ -463,14 +463,14 @@ class StreamingHistogram:
         self._support: Support | None = None
 
     def _begin(self, support: GivenSupport, shape: tuple[int, ...]) -> Support:
-        """Lay out the bins of rows of this shape, all of them empty."""
+        """Make empty bins for rows of this shape."""
         self._support = found = checked_support(support, shape, self.scale)
         self._n = 0
         # Slots of every row: underflow, bins, overflow, bad.
         self._counts = np.zeros((found.low.size, self.bins + 3), dtype=np.int64)
         self._null_count, self._negative = np.zeros((2, *shape), dtype=np.int64)
         low, high = axis_ends(self.scale, found.low.reshape(-1, 1), found.high.reshape(-1, 1))
-        # Without a support, every sample lies above it, but for the zeros of a log scale.
+        # Without a support, every sample is overflow, except the zeros of a log scale.
         self._origin = np.where(np.isnan(low), -np.inf if self.scale == "linear" else -1e30, low)
         with np.errstate(divide="ignore"):
             self._steps = np.where(np.isnan(low), np.inf, self.bins / (high - low))
@@ -493,8 +493,8 @@ class StreamingHistogram:
             )
             raise InputError(message)
         null, bad = checked_masks(block, null, bad)
-        # Nulls are zeros and all fall where a zero falls: count them in and take them out again,
-        # which is many times faster than sorting them out one by one.
+        # Nulls are zeros. Counting them where zeros fall and subtracting them is many times faster
+        # than sorting them out one by one.
         nulls = np.broadcast_to(np.count_nonzero(null, axis=-1), shape)
         rows = block.reshape(-1, n)
         bads = None if bad is None else bad.reshape(-1, n)
@@ -592,8 +592,8 @@ class StreamingHistogram:
 def label_histogram(dataset: xr.Dataset, scale: Scale) -> xr.Dataset:
     """Give the variables of `Histogram.variables` names, units and a bin coordinate.
 
-    The coordinate of log bins is their centre in radiance, if all pixels share one support; that of
-    other bins is their relative position in the support.
+    The coordinate of log bins is their centre in radiance, if all pixels share one support. For
+    other bins, it is their relative position in the support.
     """
     low, high = dataset[f"{scale}_low"], dataset[f"{scale}_high"]
     name = f"{scale}_bin"

@@ -1,7 +1,7 @@
 """Runner: apply a statistic to an array, a histogram or an image.
 
-`run` takes what users give. A statistic that builds on another one of the same rows asks `measured`
-for it.
+`run` takes any source that users give. A statistic that builds on another one of the same rows gets
+it from `measured`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["OfSource", "Source", "measured", "of_source", "run"]
 
 Source: TypeAlias = "ImageLike | Histogram | xr.Dataset | npt.ArrayLike"
-"""What users give: an image, a log histogram, the log histograms of an image, or an array."""
+"""An image, a log histogram, the log histograms of an image, or an array."""
 
 Found = TypeVar("Found")
 Options = ParamSpec("Options")
@@ -48,7 +48,7 @@ _USERS = tuple(
 
 
 class OfSource(Protocol[Options, Own]):
-    """Type of a function that returns a dataset for an image, and a type of its own otherwise."""
+    """Type of a function that returns a dataset for an image, and another type otherwise."""
 
     @overload
     def __call__(
@@ -63,7 +63,7 @@ class OfSource(Protocol[Options, Own]):
 def of_source(
     function: Callable[Concatenate[Source, Options], Own | xr.Dataset],
 ) -> OfSource[Options, Own]:
-    """Tell type checkers what a function of any `Source` returns; the function stays as it is."""
+    """Declare the return type of a function of any `Source`; the function stays as it is."""
     return cast("OfSource[Options, Own]", function)
 
 
@@ -81,24 +81,23 @@ def run(
     statistic
         What to measure.
     x
-        Radiance, shape (..., sample), or (..., channel, sample) where the statistic is of
-        luminance; a `Histogram` of log scale; an image, as `Samples` or the path of a store; or the
-        dataset that `chdstat.histogram` returns for an image.
+        Radiance, shape (..., sample), or (..., channel, sample) if the statistic is of luminance; a
+        `Histogram` of log scale; an image, as `Samples` or the path of a store; or the dataset that
+        `chdstat.histogram` returns for an image.
     null
-        Which samples of an array are null, broadcastable to it.
+        Mask of the null samples of an array, broadcastable to it.
     progress
         As for `Samples.map`.
 
     Returns
     -------
     Found or xarray.Dataset
-        What the statistic measures of an array or a `Histogram`; for an image, its variables.
+        The result for an array or a `Histogram`; for an image, a dataset of its variables.
 
     Raises
     ------
     InputError
-        If `null` is given for anything but an array, or the statistic needs samples and gets a
-        histogram.
+        If `null` is given without an array, or the statistic needs samples and gets a histogram.
     StoreError
         If there is no store at a path, or it is damaged.
     """
@@ -139,9 +138,9 @@ def run(
 
 
 def measured(part: Part, statistic: Statistic[Found]) -> Found:
-    """Return a statistic of rows of samples, which is measured once, whoever asks.
+    """Return a statistic of rows of samples, computed once for all callers.
 
-    What has no number is NaN and has a reason: NumPy need not warn of it.
+    NumPy's warnings are silenced: missing numbers are NaN and have a reason.
     """
     if statistic not in part.found:
         with np.errstate(all="ignore"):

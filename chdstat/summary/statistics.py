@@ -1,8 +1,8 @@
 """Summary: what each pixel's samples look like, in memory that does not grow with spp.
 
-Use `summarize` on an image, `Summary` on samples that come in blocks, from several renderers or
-from workers that see a part each: update, merge, read. Merging equals summarising everything at
-once, up to rounding.
+Use `summarize` on an image. Use `Summary` on samples that come in blocks, from several renderers or
+from workers that see a part each: update, merge, read. Merging gives the same result as summarising
+everything at once, up to rounding.
 """
 
 from __future__ import annotations
@@ -36,34 +36,36 @@ if TYPE_CHECKING:
 __all__ = ["Statistics", "Summary", "summarize"]
 
 _SEQUENCES = 256
-"""Means of sequences of dependent samples that are kept: of more, neighbours become one."""
+"""Means of sequences of dependent samples that are kept; if there are more, neighbours merge."""
 
 
 @result
 class Statistics(Result):
     """Statistics of samples, as `Summary.read` returns them.
 
-    A sample with a bad channel is bad as a whole: counted, and left out of everything else.
+    A sample with a bad channel is bad as a whole: it is counted and left out of everything else.
 
     Attributes
     ----------
     draws
         Samples per pixel, good or bad.
     count, null_count, bad_count, nan_count, inf_count, negative_count
-        Good samples (null ones included), null ones, bad ones and why, shape (...): one sample may
-        have NaN and infinite channels. And good samples with a negative channel, which count.
+        Numbers of samples, shape (...): good ones, including null ones; null ones; bad ones; bad
+        ones with NaN and with infinite channels, where one sample may have both; and good ones with
+        a negative channel, which are not left out.
     null_share
         ``null_count / count``, shape (...).
     mean, variance, skewness, kurtosis, minimum, maximum, standard_error
-        Moments of the good samples, shape (..., channel). The variance is unbiased, the kurtosis
-        is excess. NaN where there are too few samples, or for the last two moments, equal ones.
+        Moments of the good samples, shape (..., channel). The variance is unbiased, and the
+        kurtosis is excess kurtosis. NaN where there are too few samples; skewness and kurtosis also
+        where samples are equal.
     batch_means
         Means of consecutive batches, shape (..., channel, batch). An incomplete last batch is left
         out, unless it is the only one.
     batch_spp
         Draws of each batch, shape (batch,).
     linear, log
-        Histograms of the good, non-null samples, of shape (..., channel, bin).
+        Histograms of the good, non-null samples, shape (..., channel, bin).
     """
 
     draws: int
@@ -93,17 +95,17 @@ _MOMENTS = [n for n, (_, about) in Statistics.declared().items() if about.dims =
 
 
 class Summary:
-    """Statistics of samples that come in blocks; `merge` joins those of other blocks.
+    """Statistics of samples that come in blocks; `merge` adds those of other blocks.
 
     The first block fixes the support of the linear histogram, so it should hold 50 draws or more;
-    otherwise give a `support`. Summaries merge only with the same support.
+    otherwise, give a `support`. Only summaries with the same support merge.
 
     Parameters
     ----------
     batch_size
-        Draws per batch mean, to begin with.
+        Draws per batch mean at the beginning.
     max_batches
-        Batches to keep, an even number: when there would be more, neighbours merge and the batch
+        Most batches to keep, an even number. If there would be more, neighbours merge and the batch
         size doubles.
     bins
         Bins of each histogram.
@@ -153,12 +155,13 @@ class Summary:
         return None if moments is None else moments.count.shape
 
     def update(self, block: npt.ArrayLike) -> Summary:
-        """Take the next samples, shape (..., channel, sample).
+        """Add the next samples, shape (..., channel, sample).
 
         Raises
         ------
         InputError
-            If the block has no channel axis, or another shape before its samples than the first.
+            If the block has no channel axis, or its shape before the samples differs from the
+            first.
         """
         x = as_pixels(block, name="block")
         if self.shape not in (None, x.shape[:-1]):
@@ -168,7 +171,7 @@ class Summary:
             )
             raise InputError(message)
         null, bad = sample_masks(x)
-        # The histograms go first: they are what may refuse the block.
+        # The histograms come first, since they may refuse the block.
         for histogram in (self._linear, self._log):
             histogram.update(x, null=null, bad=bad)
         if self.shape is None:
@@ -178,7 +181,7 @@ class Summary:
         return self
 
     def merge(self, other: Summary) -> Summary:
-        """Take what `other` has seen; its batches come after those of this one.
+        """Add the samples of `other`; its batches come after those of this summary.
 
         Raises
         ------
@@ -239,17 +242,16 @@ def summarize(
     bins: int = 100,
     **work: Unpack[Work],
 ) -> xr.Dataset:
-    """Return the statistics of every pixel, walking the samples in constant memory.
+    """Return the statistics of every pixel, in constant memory.
 
-    Of samples that depend on each other within sequences (see `chdstat.render`), the standard error
-    is that of independent averages of whole sequences, of which there must be two, and batches are
-    of whole sequences.
+    If samples depend on each other within sequences (see `chdstat.render`), batches are of whole
+    sequences, and the standard error is that of independent averages of whole sequences. It needs
+    at least two sequences.
 
     Parameters
     ----------
     samples
-        Samples of an image, as `Samples`, as an array (y, x, channel, sample), or as the path of
-        a store.
+        Samples of an image: `Samples`, an array (y, x, channel, sample), or the path of a store.
     batch_size, max_batches, bins
         As for `Summary`.
     **work
@@ -258,16 +260,16 @@ def summarize(
     Returns
     -------
     xarray.Dataset
-        The fields of `Statistics`, with dims (y, x) for the counts of samples and ``null_share``,
-        (y, x, channel) for the moments and (y, x, channel, batch) for ``batch_means``; and the
-        histograms as `chdstat.histogram` returns them, ``linear_counts`` and so on.
-        Attribute ``batch_size`` is the size at which the batches ended.
+        The fields of `Statistics`: counts of samples and ``null_share`` with dims (y, x), moments
+        with (y, x, channel), and ``batch_means`` with (y, x, channel, batch). Also the histograms
+        of `chdstat.histogram`, such as ``linear_counts``. The attribute ``batch_size`` is the final
+        size of the batches.
 
     Raises
     ------
     InputError
-        If an option is out of range, or an array is none of an image, or dependent samples begin
-        within a sequence.
+        If an option is out of range, an array is not an image, or dependent samples begin within a
+        sequence.
     StoreError
         If there is no store at the path, or it is damaged.
 
@@ -299,7 +301,7 @@ def summarize(
             found = replace(found, standard_error=_error_of_sequences(sequences, found))
         return _variables(found)
 
-    # A run of the batches alone says how they will end, and refuses wrong options at once.
+    # Running the batches alone tells how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(image.spp))
     dataset = reduce_tiles(image, of_tile, description="summarising", **work)
@@ -313,7 +315,7 @@ def summarize(
 def _error_of_sequences(sequences: Batches, found: Statistics) -> Floats:
     """Return the standard error of the mean from means of whole sequences, which are independent.
 
-    NaN where there is one only.
+    It is NaN if there is only one sequence.
     """
     means, draws = sequences.read()
     count = int((draws >= sequences.size).sum())
