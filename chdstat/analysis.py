@@ -1,6 +1,6 @@
 """Analysis: everything that the library computes per pixel, in one dataset, and its overview.
 
-`analyze` returns the dataset; `overview` summarises it as a scene in a few numbers.
+`analyze` returns the dataset; `overview` summarises it in a few numbers.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 __all__ = ["Overview", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
 _PREFIXED = ("modality", "normality", "averages")
-"""Stages whose variables carry their name."""
+"""Stages whose variables begin with the stage's name."""
 _AT_ONCE = 2**26
 """Bytes of maps that are written together."""
 _COMMENT = (
@@ -79,49 +79,57 @@ def analyze(
 ) -> xr.Dataset:
     """Return everything per pixel: statistics, fits, tails, modes, normality, patterns.
 
-    Every tile is read, split, sorted and turned into logarithms once for all of it. Fits, tails,
-    modes and normality are of each channel, patterns of the luminance.
+    Every tile is read, split, sorted and turned into logarithms only once. Fits, tails, modes and
+    normality are computed for each channel, patterns for the luminance.
 
     Parameters
     ----------
     samples
-        The image: `Samples`, an array (y, x, channel, sample), or the path of a store. Of a
-        rendering, as `chdstat.rendering.render_batches` makes it, no samples are kept; of it, and
-        of the dataset that `summarize` returns, there are statistics, histograms, and what follows
-        from these: families, their goodness, and mixtures.
+        The image: `Samples`, an array (y, x, channel, sample), or the path of a store. It may also
+        be a rendering, as `chdstat.rendering.render_batches` makes it, whose samples are not kept,
+        or the dataset of `summarize`. These two give statistics, histograms, and what follows from
+        histograms: families, their goodness, and mixtures.
     thresholds
-        When a pattern counts; None for the defaults.
+        Thresholds of the patterns; None for the defaults.
     held_out
-        Compare the families by held-out likelihood, too, which nearly doubles the cost of fits.
+        Also compare the families by held-out likelihood, which nearly doubles the cost of fits.
     resamples, seed
-        Bootstrap replicates of the goodness of the best family, and their seed. Without any, there
-        are statistics and effect sizes, but neither p-values nor ``best_goodness_rejected``. Each
-        costs about as much as the fits.
+        Number of bootstrap replicates for the goodness of the best family, and their seed. Each
+        costs about as much as the fits. With 0, there are statistics and effect sizes, but no
+        p-values and no ``best_goodness_rejected``.
     progress
         Show progress bars; None shows them on a terminal.
     client
-        A Dask client, whose workers analyse, one tile a task, to the same bits.
+        A Dask client, whose workers analyse one tile per task. The results are the same to the bit.
     checkpoint
-        Folder that keeps every tile as soon as it is analysed, until all are; what else is in it
-        stays. The same call, after it was stopped in whatever way, goes on from there.
+        Folder that keeps every tile as soon as it is analysed, until all are done; other files
+        there stay. After an interruption of any kind, the same call continues from there.
 
     Returns
     -------
     xarray.Dataset
-        The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`; with prefixes,
-        those of `modality` (``modality_``), of `gaussianity` (``normality_``), of
-        `gaussianity_of_means` (``averages_``), of `fit.mixture` with log-normal components,
-        searched as for modes (``lognormal_mixture_``), and of `fit.goodness` for the family that is
-        best at each pixel (``best_goodness_``); and, of luminance, ``luminance_mean`` and
-        ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
-        variables are absent. `atlas`, which looks at the image as a whole, is not part of it.
-        `chdstat.analysis.to_dataframe` makes a table of it.
+        The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`, and, with a
+        prefix, those of other functions:
+
+        ======================  ==========================================================
+        Prefix                  Function
+        ======================  ==========================================================
+        ``modality_``           `modality`
+        ``normality_``          `gaussianity`
+        ``averages_``           `gaussianity_of_means`; absent if there are too few samples
+        ``lognormal_mixture_``  `fit.mixture` with log-normal components, searched as for modes
+        ``best_goodness_``      `fit.goodness` for the best family of each pixel
+        ======================  ==========================================================
+
+        ``luminance_mean`` and ``coefficient_of_variation`` (y, x) describe luminance. `atlas`,
+        which looks at the image as a whole, is not included. `chdstat.analysis.to_dataframe` makes
+        a table of the dataset.
 
     Raises
     ------
     InputError
-        If an option is out of range, or a rendering or a summary is given with `thresholds` or
-        without `held_out`.
+        If an option is out of range, or `thresholds` or ``held_out=False`` is given with a
+        rendering or a summary.
     StoreError
         If the samples or the checkpoint cannot be read or written.
 
@@ -151,7 +159,7 @@ def analyze(
             at: Work = {"progress": progress, "client": client, "workers": threads}
             at["checkpoint"] = drawn_tiles
             summary = summarize(drawn, **at)
-            # What was drawn is kept until all that follows from it is there.
+            # Drawn tiles are kept until everything that follows from them is done.
             folder = drawn_tiles.folder if drawn_tiles else None
             return _of_summary(summary, resamples, seed, progress, client, folder)
     if hasattr(given, "data_vars"):
@@ -181,10 +189,10 @@ def patterns_of(
 ) -> xr.Dataset:
     """Return the part of an analysis that says where the noise is, in a tenth of the time.
 
-    That is `summarize`, and of luminance its mean, its variation and `classify`. With `families`,
-    which takes half of the time of `analyze`, it is all that `overview` tells but the modes: of
-    each channel, families and how far they are from the samples, tails, and the normality of
-    logarithms and averages. The numbers are those of `analyze`.
+    That is `summarize`, `classify`, and mean and variation of luminance. With `families`, it takes
+    half of the time of `analyze` and has everything in `overview` except modes. That adds, for each
+    channel, families and their distance from the samples, tails, and the normality of logarithms
+    and averages. The numbers are those of `analyze`.
     """
     statistics: dict[str, Statistic[Any]] = {
         "luminance": _LuminanceMoments(),
@@ -202,7 +210,7 @@ def patterns_of(
 
 
 def _of_averages(samples: Samples) -> dict[str, Statistic[Any]]:
-    """Return the stage of averages, where there are samples for them."""
+    """Return the stage of averages, if there are enough samples."""
     if samples.spp < N_MEANS:
         return {}
     return {"averages": NormalityOfMeans(tuple(sizes_of_means(samples.spp).tolist()))}
@@ -216,7 +224,7 @@ def _measured(
     client: Client | None,
     checkpoint: str | Path | None,
 ) -> xr.Dataset:
-    """Return the summary of samples with the variables of all statistics, by their stages."""
+    """Return the summary of samples with the variables of all statistics, by stage."""
     import xarray as xr
 
     key = functools.partial(checkpoint_key, samples)
@@ -225,7 +233,7 @@ def _measured(
         summary = summarize(samples, **work)
         of_block = functools.partial(_of_block, statistics)
         found = samples.map(of_block, logarithms=True, description="analysing", **work)
-    # The parts count the same samples; the summary's word on nulls and bad samples stands.
+    # Parts count the same samples; the summary decides about nulls and bad samples.
     merged = xr.merge(
         [summary, *_finished(found, statistics)],
         compat="override",
@@ -239,13 +247,13 @@ def _measured(
 
 
 def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
-    """Return the variables of all statistics of a tile, by their stages."""
+    """Return the variables of all statistics for a tile, by stage."""
     if all(statistic.rows == "luminance" for statistic in statistics.values()):
         return _variables(
             statistics, {"luminance": PositivePart.of_pixels(block, rows="luminance")}
         )
     both = PositivePart.of_pixels(block, rows="both")
-    # Of channels and of luminance, where both are looked at.
+    # Statistics of channels and of luminance share their work.
     shared = {"selection": FamilySelection(), "tail": TailIndex(), "mixture": ModalMixture()}
     for stage, statistic in shared.items():
         if stage in statistics:
@@ -263,7 +271,7 @@ def _variables(statistics: Mapping[str, Statistic[Any]], rows: Mapping[str, Part
 
 
 def _finished(found: xr.Dataset, statistics: Mapping[str, Statistic[Any]]) -> Iterator[xr.Dataset]:
-    """Yield the variables of each stage, finished over the whole image, under their own names."""
+    """Yield the variables of each stage, finished over the whole image and renamed."""
     for stage, statistic in statistics.items():
         own = {str(n): str(n).partition("/")[2] for n in found if str(n).startswith(f"{stage}/")}
         dataset = statistic.finish(found[list(own)].rename(own))
@@ -299,7 +307,7 @@ def _of_summary(
     client: Client | None,
     folder: Path | None = None,
 ) -> xr.Dataset:
-    """Return a summary with what follows from its log histograms, tile by tile, maybe in files."""
+    """Return a summary with everything that follows from its log histograms, tile by tile."""
     import xarray as xr
 
     height, width = (summary.sizes.get(dim, 0) for dim in ("y", "x"))
@@ -322,7 +330,7 @@ def _of_summary(
         return _variables(statistics, {"channels": part})
 
     counted = summary[[str(n) for n in summary if str(n).startswith("log_") or "count" in str(n)]]
-    # Tiles are put together by their places, whatever their coordinates.
+    # Tiles are placed by their position, whatever their coordinates.
     counted = counted.drop_vars(["y", "x"], errors="ignore")
     places = [*tiles((height, width, 1, 1))]
 
@@ -345,21 +353,21 @@ def _of_summary(
 
 
 def _released(found: xr.Dataset) -> None:
-    """Give back the memory of maps in files, which were read or written."""
+    """Release the memory of maps in files, which were read or written."""
     for name in found.data_vars:
         release(found[name].values)
 
 
 def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
-    """Return the single-valued variables of an analysis, a row per pixel and channel.
+    """Return the single-valued variables of an analysis as a table, a row per pixel and channel.
 
-    Variables with further dims, such as histograms, stay in the dataset; those of a pixel are
-    repeated for its channels. Codes become words.
+    Variables with further dims, such as histograms, are left out. Variables of a pixel are repeated
+    for its channels. Codes become words.
 
     Parameters
     ----------
     found
-        What `analyze`, `summarize` or another function returns for an image.
+        Result of `analyze`, `summarize` or another function for an image.
 
     Returns
     -------
@@ -385,12 +393,12 @@ def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
 
 
 def save(found: xr.Dataset, path: str | Path) -> Path:
-    """Write a dataset of maps to a new zarr store, which is there when it is complete.
+    """Write a dataset of maps to a new zarr store, which appears when it is complete.
 
     Raises
     ------
     StoreError
-        If something is there already, or it cannot be written.
+        If something is already there, or it cannot be written.
     """
     target = unused(path)
     with writing(target, folder=True) as partial:
@@ -404,7 +412,7 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
 def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
     """Yield names of maps that are written together.
 
-    Every write lists the whole store; and all maps at once may not fit into memory.
+    Every write lists the whole store, and all maps at once may not fit into memory.
     """
     batch: list[Hashable] = []
     size = 0
@@ -419,49 +427,50 @@ def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
 
 @dataclass(frozen=True)
 class Overview:
-    """A scene in a few numbers, from what `analyze` finds of its pixels.
+    """A scene in a few numbers, from the results of `analyze`.
 
     Attributes
     ----------
     pixels, spp
-        What was analysed.
+        Number of pixels, and samples per pixel.
     null_share
-        Share of null samples over the image.
+        Share of null samples in the image.
     null_pixels
-        Share of the pixels of which more than half the samples are null.
+        Share of pixels with more than half of their samples null.
     bad_samples
-        Bad samples over the image.
+        Number of bad samples in the image.
     variation
-        Quartiles over the pixels of the coefficient of variation of luminance.
+        Coefficient of variation of luminance: quartiles over the pixels.
     families, families_held_out
         Share of the pixel channels that each family describes best, by name: by BIC, and by
-        held-out likelihood; the latter is empty where it was not asked for.
+        held-out likelihood. The latter is empty if it was not asked for.
     decided
-        Share of the choices by BIC that are very strong: a margin above 10.
+        Share of the choices by BIC that are very strong, with a margin above 10.
     misfit
-        Quartiles over the pixel channels of the largest distance between the distribution functions
-        of the samples and of their best family.
+        Largest distance between the distribution functions of the samples and of their best family:
+        quartiles over the pixel channels.
     log_rejected, log_skewness
         Share of the pixel channels in which normality of log samples is rejected, and quartiles of
-        their skewness.
+        the skewness of log samples.
     patterns
         Share of the pixels that show each pattern, by name.
     label_agreement
-        Kappa of the primary labels of neighbours: 0 as by chance, 1 for complete agreement.
+        Kappa of the labels of neighbouring pixels: 0 as by chance, 1 for complete agreement.
     doubtful_variance
-        Share of the pixel channels with an estimated tail index of at least 1/2, beyond which the
-        variance of a generalised Pareto tail is infinite.
+        Share of the pixel channels with an estimated tail index of 1/2 or more, where the variance
+        of a generalised Pareto tail is infinite.
     unidentified_variance
-        Share of those whose samples do not identify whether their variance is finite.
+        Share of the pixel channels whose samples do not identify whether the variance is finite.
     modes
-        Share of the pixel channels with 1, 2, 3 modes of log radiance, by their number.
+        Share of the pixel channels with 1, 2, 3 modes of log radiance, by number.
     n_needed
-        By N, the share of pixel channels whose averages pass for Gaussian from N samples on; 'more'
-        for those whose averages do not at any N that was tested.
+        Share of the pixel channels whose averages pass for Gaussian from N samples on, by N; 'more'
+        for those whose averages do not pass at any N that was tested.
     averages
-        By N, the share of pixel channels in which normality of averages of N samples is rejected.
+        Share of the pixel channels in which normality of averages of N samples is rejected, by N.
     skewness, predicted_skewness
-        Of these averages: quartiles (3, size), and the median of what independence predicts.
+        Skewness of these averages: quartiles (3, size), and the median of its prediction for
+        independent samples.
     """
 
     pixels: int
@@ -487,14 +496,14 @@ class Overview:
     predicted_skewness: npt.NDArray[np.float64]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers ready for JSON; what could not be computed is None."""
+        """Return the numbers ready for JSON; missing ones are None."""
         return {name: plain(value) for name, value in vars(self).items()}
 
 
 def overview(found: xr.Dataset) -> Overview:
     """Return the numbers of the whole scene from the dataset of `analyze`.
 
-    What is about variables that the dataset lacks is NaN, or empty.
+    Numbers that need variables that the dataset lacks are NaN, or empty.
     """
     p_value, rejected, skewness = (
         _values(found, f"normality_{name}", transform="log", test="anderson-darling")
@@ -549,7 +558,7 @@ def overview(found: xr.Dataset) -> Overview:
 
 
 _NOISIEST = 0.1
-"""Share of the pixels that are called the noisiest."""
+"""Share of the pixels that count as the noisiest."""
 
 
 @dataclass(frozen=True)
@@ -559,11 +568,11 @@ class Noise:
     Attributes
     ----------
     noisiest
-        Share of the relative variance that the noisiest tenth of the pixels holds; NaN where there
-        is none.
+        Share of the relative variance in the noisiest tenth of the pixels; NaN if there is no
+        variance.
     pixels, share
-        By the primary patterns that occur: what share of the image shows it, and of the relative
-        variance these pixels hold, the largest first.
+        Share of the image with each primary pattern that occurs, and share of the relative variance
+        in these pixels; by name, the largest variance first.
     """
 
     noisiest: float
@@ -572,7 +581,7 @@ class Noise:
 
     @property
     def label(self) -> str:
-        """The primary pattern whose pixels hold most of it."""
+        """The primary pattern whose pixels hold most of the variance."""
         return next(iter(self.share))
 
     def __bool__(self) -> bool:
@@ -581,7 +590,7 @@ class Noise:
 
 
 def noise_of(found: xr.Dataset) -> Noise:
-    """Return where the relative variance of luminance is, as relMSE weighs it."""
+    """Return where the relative variance of luminance is, weighted as in relMSE."""
     mean = found["luminance_mean"].values
     spread = found["coefficient_of_variation"].values * mean
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -602,7 +611,7 @@ def noise_of(found: xr.Dataset) -> Noise:
 
 
 def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float]]:
-    """Return the mean null share and share of long tails, and the median variation, over pixels."""
+    """Return null share, share of long tails (both means) and median variation over the pixels."""
     flat = {
         name: found[name].values.reshape(-1).astype(float)
         for name in ("null_share", "coefficient_of_variation", "long_tail")
@@ -634,7 +643,7 @@ def _share(part: Any, whole: Any) -> float:
 
 
 def _values(found: xr.Dataset, name: str, **where: str) -> npt.NDArray[Any]:
-    """Return the values of a variable; none where it was not measured."""
+    """Return the values of a variable; empty if it was not measured."""
     if name not in found:
         return np.zeros(0)
     there = {dim: value for dim, value in where.items() if dim in found[name].dims}

@@ -1,9 +1,9 @@
 """Errors that a user can act on, and codes of the reasons why a pixel has no number.
 
-Every error that chdstat raises on purpose derives from `ChdstatError`: its message states what was
-expected, what came, and what to do. The command line prints it without a traceback.
+Every error that chdstat raises on purpose derives from `ChdstatError`. Its message says what was
+expected, what was given, and what to do. The command line prints it without a traceback.
 
-A pixel that cannot be computed is data: NaN in the result and a `Reason` beside it.
+A pixel that cannot be computed is not an error: its result is NaN, with a `Reason`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
 
 _LONGEST = 600
 _MANY = 12
-"""Names that a message lists in full, at most."""
+"""Most names that a message lists in full."""
 _SEPARATOR = re.compile("[ -]")
 
 
@@ -53,11 +53,11 @@ class InputWarning(UserWarning):
 
 
 class LeftOutWarning(UserWarning):
-    """More than 1 % of the samples were left out of a result: bad ones, or negative ones."""
+    """More than 1 % of the samples were left out of a result: bad or negative ones."""
 
 
 class OtherSceneWarning(UserWarning):
-    """A model estimates samples that are not known to be of a scene that trained it."""
+    """A model estimates samples of a scene that it may not have been trained on."""
 
 
 class SceneError(ChdstatError):
@@ -79,38 +79,38 @@ class Reason(enum.IntEnum):
     ALL_NULL = 1
     """Every good sample is null: there is nothing to fit."""
     TOO_FEW = 2
-    """Fewer usable samples than the method needs."""
+    """There are fewer usable samples than the method needs."""
     CONSTANT = 3
-    """The usable samples are equal, or too nearly so for the numbers at hand."""
+    """The usable samples are equal, or too nearly equal for floating point."""
     NOT_CONVERGED = 4
     """An iteration ended before its tolerance was met."""
     ALL_BAD = 5
     """Every sample is NaN or infinite."""
     AT_LIMIT = 6
-    """The likelihood has no maximum: it rises towards a limit of the family. Of Burr, that is the
-    Weibull distribution; of the generalised Pareto, one that ends at the largest sample."""
+    """The likelihood has no maximum: it rises towards a limit of the family. For Burr, that is a
+    Weibull distribution; for the generalised Pareto, one that ends at the largest sample."""
     NONE_POSITIVE = 7
-    """No sample is positive, and some are negative: they have no logarithm."""
+    """No sample is positive and some are negative, so that there are no logarithms."""
     TIED = 8
-    """Samples share values: the largest, being clamped or rounded, or all, being a few atoms."""
+    """Samples share values: the largest was clamped or rounded, or all samples are a few values."""
     UNTESTED = 9
-    """No test was asked for: there is a statistic and no p-value."""
+    """No test was asked for: there is a statistic but no p-value."""
     FEW_REPLICATES = 10
-    """Fewer than half of the bootstrap replicates could be fitted: they are no p-value."""
+    """Fewer than half of the bootstrap replicates could be fitted: too few for a p-value."""
     AT_PARETO_LIMIT = 11
-    """No Burr distribution is as likely as a power law that begins at the smallest sample."""
+    """A power law that begins at the smallest sample is likelier than any Burr distribution."""
     UNIDENTIFIED = 12
-    """The samples do not decide: the answer rests on a tail that may be too heavy for it."""
+    """The samples do not decide: the tail may be too heavy for an answer."""
     NOT_REGULAR = 13
-    """The likelihood is not regular there, or has no curvature: there are no standard errors."""
+    """The likelihood is not regular or has no curvature there: there are no standard errors."""
     OUTSIDE = 14
     """Most samples lie outside of the support of the histogram, and their shape with them."""
 
 
 def brief(error: BaseException) -> str:
-    """Return what another library says, and why, for a message that quotes it.
+    """Return another library's error and its cause, for a message that quotes it.
 
-    Of a long text, the middle is left out: the cause stands at its end.
+    The middle of a long text is left out: the cause stands at its end.
 
     Examples
     --------
@@ -128,21 +128,21 @@ def brief(error: BaseException) -> str:
 def check_option(
     name: str, given: object, choices: Iterable[str], *, more: str = "its documentation"
 ) -> None:
-    """Refuse an option that is none of the choices there are; the closest of them is named.
+    """Refuse an option that is not one of the choices; the message names the closest one.
 
     Parameters
     ----------
     name
-        What the option is.
+        Name of the option.
     given, choices
-        Its value, and what there is.
+        Its value, and the choices.
     more
-        What shows all choices, where they are too many for a message.
+        Where to find all choices, if they are too many for a message.
 
     Raises
     ------
     InputError
-        If it is none of them.
+        If the value is not one of the choices.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def check_option(
 
 
 def did_you_mean(given: object, choices: Iterable[str]) -> str:
-    """Return the end of a message on a name that does not exist: the closest that do, if any.
+    """Return the end of a message about an unknown name: the closest known names, if any.
 
     Examples
     --------
@@ -182,12 +182,12 @@ def did_you_mean(given: object, choices: Iterable[str]) -> str:
 
 
 def check_probability(**options: float) -> None:
-    """Refuse options, by name, that do not lie between 0 and 1.
+    """Refuse options that do not lie between 0 and 1.
 
     Raises
     ------
     InputError
-        If one does not.
+        If one does not; the message gives its name.
 
     Examples
     --------

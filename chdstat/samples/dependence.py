@@ -1,14 +1,15 @@
 """Dependence: samples that are not independent of each other, in sequences or repeated.
 
-Samplers that spread the samples of a pixel draw them in sequences, whose samples depend on each
-other; their averages are independent. A renderer that ignores its seed repeats samples.
+Samplers that spread the samples of a pixel draw them in sequences. Samples of one sequence depend
+on each other; averages of sequences are independent. A renderer that ignores its seed repeats
+samples.
 
-**How repeats are found.** Passes are compared in tiles of 16 x 16 pixels. Two equal ones, to the
-bit, are no accident if independent passes would hardly ever be: where p is the share of all passes
-that have the value of a pixel, a tile is repeated by chance with a probability of the product of p
-over its pixels. Pixels that are black or the same in every pass, as those of lamps, thus count for
+**How repeats are found.** Passes are compared in tiles of 16 x 16 pixels. Two tiles that are equal
+to the bit are suspicious if independent passes would hardly ever be equal. If a share p of all
+passes has the value of a pixel, chance repeats a tile with a probability of the product of p over
+its pixels. Pixels that are black or the same in every pass, such as those of lamps, thus count for
 nothing. A tile that is the same in every pass is suspicious if its neighbouring pixels differ as
-noise does. Of large images all tiles are compared for a few passes, and some tiles for all.
+noise does. In large images, all tiles are compared for a few passes, and some tiles for all passes.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ __all__ = [
 
 
 def sequence_of(attrs: Mapping[str, Any]) -> int:
-    """Return how many samples of a pixel depend on each other; 1 where they are independent.
+    """Return how many samples of a pixel depend on each other; 1 if they are independent.
 
     Examples
     --------
@@ -48,7 +49,7 @@ def sequence_of(attrs: Mapping[str, Any]) -> int:
 
 
 def check_single(samples: Samples) -> None:
-    """Raise InputError if these are averages of batches, where single samples are needed."""
+    """Raise InputError if these are averages of batches where single samples are needed."""
     averaged = int(samples.attrs.get("averaged", 1))
     if averaged > 1:
         message = (
@@ -59,7 +60,7 @@ def check_single(samples: Samples) -> None:
 
 
 def check_independent(samples: Samples) -> None:
-    """Raise InputError, which says how to go on, if samples depend on each other."""
+    """Raise InputError if samples depend on each other; the message says how to go on."""
     attrs = samples.attrs
     length = sequence_of(attrs)
     if length > 1:
@@ -74,7 +75,7 @@ def check_independent(samples: Samples) -> None:
 
 
 def check_sequences(samples: Samples) -> None:
-    """Raise InputError if dependent samples do not begin with a sequence, or some are left out."""
+    """Raise InputError if dependent samples begin within a sequence, or some are left out."""
     length, places = sequence_of(samples.attrs), samples.part[2]
     if length > 1 and (places.start % length or places.step != 1):
         message = (
@@ -87,19 +88,19 @@ def check_sequences(samples: Samples) -> None:
 # --- repeats ------------------------------------------------------------------------------------
 
 _EDGE, _STEP = 16, 4
-"""Edge of the tiles that are compared, in pixels, and of those of which one is compared first."""
+"""Edge in pixels of the tiles that are compared, and distance of the pixels compared first."""
 _MOST = 2**23
-"""Values that are looked at, for few passes and for all."""
+"""Most values that are read: once for few passes and once for all."""
 _FEW, _GROUPS = 8, 64
-"""Passes that are compared in all tiles, and groups of equal passes that are judged in each."""
+"""Passes compared in all tiles, and most groups of equal passes that are judged in each."""
 _SURPRISE = 20.0
 """Equal passes are no accident if the log probability, corrected for all pairs and tiles, is below
 minus this."""
 _NEIGHBOURS, _ROUGH = 8, 0.5
-"""Pairs of neighbours that tell how much these differ, at least; and the share of the difference of
-passes elsewhere from which on that is like noise."""
+"""Fewest pairs of neighbours that tell how much neighbours differ; and the least share of the
+difference between passes elsewhere that is like noise."""
 _ENOUGH, _NAMED = 256, 4
-"""Tiles that tell by how much passes differ, and passes that a message names."""
+"""Tiles that tell how much passes differ, and most passes that a message names."""
 _ODD = np.uint64(0x9E3779B97F4A7C15)
 
 Read = Callable[[slice, slice, slice], Image]
@@ -109,8 +110,8 @@ Hashes = npt.NDArray[np.uint64]
 class _Tile(NamedTuple):
     """Equal passes in a tile.
 
-    `surprise` is minus the log probability that they are equal by chance, `rough` by how much
-    neighbouring pixels differ, and `always` whether all passes are equal.
+    `surprise` is minus the log probability that they are equal by chance. `rough` is how much
+    neighbouring pixels differ. `always` is whether all passes are equal.
     """
 
     y: int
@@ -124,18 +125,18 @@ class _Tile(NamedTuple):
 def warn_of_repeats(
     read: Read, shape: tuple[int, int, int, int], name: str, passes: Sequence[str] = ()
 ) -> None:
-    """Warn whoever called the library if passes repeat each other, as a whole or in tiles.
+    """Warn the caller of the library if passes repeat each other, as a whole or in tiles.
 
     Parameters
     ----------
     read
         Returns the samples of rows, columns and passes, shape (y, x, channel, sample).
     shape
-        Of all samples.
+        Shape of all samples.
     name
-        Of what holds them.
+        Name of the file or array with the samples.
     passes
-        Names of the passes, if they have some.
+        Names of the passes, if they have names.
     """
     height, width, channels, spp = shape
     for edge, number in ((TILE, spp), (_EDGE, spp), (TILE, min(spp, _FEW))):
@@ -154,8 +155,8 @@ def warn_of_repeats(
 class _Repeats(NamedTuple):
     """Which passes are equal, as far as some tiles of the image show.
 
-    `looked` is the number of tiles, `tiles` are those with equal passes, `whole` is a hash of each
-    pass, and `noise` by how much passes differ where they do, NaN if that is not known.
+    `looked` is the number of tiles; `tiles` are those with equal passes; `whole` is a hash of each
+    pass; `noise` is how much passes differ where they do, NaN if unknown.
     """
 
     looked: int
@@ -186,7 +187,7 @@ class _Repeats(NamedTuple):
         return cls(looked, tiles, whole, float(np.median(known)) if known else np.nan)
 
     def message(self, passes: Sequence[str]) -> str:
-        """Return what is to be said of passes of these names, or nothing."""
+        """Return a message about passes with these names, "" if there is nothing to say."""
         number = len(self.whole)
         if (self.whole == self.whole[0]).all() and all(tile.always for tile in self.tiles):
             rough = [tile.rough for tile in self.tiles if not np.isnan(tile.rough)]
@@ -228,7 +229,7 @@ _ADVICE = (
 
 
 def _hashes(block: Image, edge: int) -> Hashes:
-    """Return a number for what each pass holds in each tile, shape (row, column, sample)."""
+    """Return a hash of each pass in each tile, shape (row, column, sample)."""
     height, width, channels, _ = block.shape
     weights = np.random.default_rng(1).integers(2**64, size=(edge, edge, channels), dtype="u8")
     repeats = -(-height // edge), -(-width // edge), 1
@@ -240,7 +241,7 @@ def _hashes(block: Image, edge: int) -> Hashes:
 
 
 def _verdict(tile: Image, y: int, x: int) -> Iterator[_Tile]:
-    """Judge equal passes in a tile that are not black, of which there may be several groups."""
+    """Judge the groups of equal passes in a tile, unless they are black."""
     lit = (np.isfinite(tile) & (tile != 0)).any(axis=2)
     if not lit.any():
         return

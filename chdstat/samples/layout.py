@@ -12,25 +12,26 @@ The group::
     depth-3/            likewise the same samples, their paths cut after three segments; and so on
     .lock               while a process writes
 
-A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, replaced as a whole. It
-is a shard of zarr: blocks of 16 x 16 pixels, each compressed with a checksum, so that zarr reads a
-single pixel without its tile (1024 spp in 19 ms of processor time). The file ends in a *label*,
-which zarr ignores: the identity of the store, which chunk it is, how many samples of each pixel it
-has (of an adaptive render, of all its pixels together), and the checksum of all that is before it.
-A reader checks the label first. So a file does not
-count in another place than its own, nor an older file for a newer one. Two stores of one identity
-hold equal chunks, as samples depend on nothing else.
+A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, which is always replaced
+as a whole. It is a shard of zarr, with blocks of 16 x 16 pixels that are compressed separately,
+each with a checksum. Zarr thus reads a single pixel without its tile (1024 spp in 19 ms of
+processor time). The file ends in a *label*, which zarr ignores. The label holds the identity of the
+store, the place of the chunk, its number of samples of each pixel (in an adaptive render, of all
+its pixels together), and the checksum of everything before it. A reader checks the label first. A
+file in the wrong place, or an older file in place of a newer one, is thus refused. Two stores with
+one identity hold equal chunks, since samples depend on nothing else.
 
-A store may lie behind a URL. All it needs from a place is to replace, read and list small files by
-name. Only `replacing` renames, no folder is moved, and nothing is appended. Behind a URL a chunk is
-put with one request, and there is no lock.
+A store may lie behind a URL. All it needs there is to replace, read and list small files by name.
+Only `replacing` renames, no folder is moved, and nothing is appended. Behind a URL, one request
+writes a chunk, and there is no lock.
 
-The *manifest* is the attribute of that name: shape, identity, the samples that every pixel is
-known to have, the checksum of each feature, whether there is a direct part, and a checksum of all
-attributes. A chunk among the samples that every pixel has is damaged if it is missing. Any other
-chunk is not rendered yet, or counts by its label: a render that is killed at any moment repeats at
-most the chunks that were in flight. The metadata of arrays follows from the manifest; what their
-files say is not used. The manifest lies in two files, so that damage to one of them loses nothing.
+The *manifest* is the attribute of that name. It holds the shape, the identity, the number of
+samples that every pixel is known to have, the checksum of each feature, whether there is a direct
+part, and a checksum of all attributes. A chunk of samples that every pixel has is damaged if it is
+missing. Any other chunk is not rendered yet, or counts by its label. A render that is killed at any
+moment thus repeats at most the chunks in flight. The metadata of arrays follows from the manifest;
+the content of their files is not used. The manifest lies in two files, so that damage to one of
+them loses nothing.
 """
 
 from __future__ import annotations
@@ -76,14 +77,13 @@ __all__ = [
 ]
 
 BLOCK = 16
-"""Edge in pixels of what is compressed separately within a chunk."""
+"""Edge in pixels of the blocks that are compressed separately within a chunk."""
 COUNTS = "counts"
-"""Feature that says how many samples each pixel has, where they differ."""
+"""Feature with the number of samples of each pixel, if they differ."""
 DENSITY = "density"
-"""Feature of an adaptive render: samples of each pixel over those of all, from which counts follow.
-"""
+"""Feature of an adaptive render: samples of each pixel over the mean; counts follow from it."""
 GUIDE = ("guide-cells", "guide-leaves")
-"""Features that are the guide that directions were drawn by."""
+"""Features that hold the guide by which directions were drawn."""
 SCHEMA_VERSION = 2
 LOCK = ".lock"
 FOREIGN = (
@@ -96,24 +96,24 @@ FOREIGN = (
     TypeError,
     ValueError,
 )
-"""What damaged bytes may raise in the libraries that read them."""
+"""Errors that damaged bytes may raise in the libraries that read them."""
 _DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
 _GROWING = ("spp", "noise", "render_seconds", "appended", "why_no_features")
-"""Attributes that change while samples are added; all others are the identity of a store."""
+"""Attributes that change while samples are added; all others identify the store."""
 _LABEL = struct.Struct("<8s8s4IQII")
-"""Mark, identity, tile_y, tile_x, batch, samples, length and checksum of what is before the label,
-and the checksum of the label itself."""
+"""Mark, identity, tile_y, tile_x, batch, samples, length and checksum of the bytes before it, and
+the checksum of the label itself."""
 _MARK = b"chdstat2"
 _LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
 _CRC = {"name": "crc32c"}
 
 
 class DamageError(ValueError):
-    """What is wrong with a file."""
+    """Describes what is wrong with a file."""
 
 
 def is_store(source: object) -> TypeGuard[str | Path]:
-    """Return whether something is the path of a store, damaged or not.
+    """Return whether a source is the path of a store, damaged or not.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
 
 
 def part_folder(part: LightPart) -> str:
-    """Return the folder, within a store, of a part of the light of its samples."""
+    """Return the folder of a part of the light, within its store."""
     if isinstance(part, int):
         return _DIRECT if part == DIRECT_DEPTH else f"{_DEPTH}{part}"
     plain, digest = re.sub(r"[^\w-]+", "_", part)[:32], hashlib.sha256(part.encode()).hexdigest()
@@ -159,7 +159,7 @@ def parts_in(path: Path, manifest: Mapping[str, Any]) -> list[LightPart]:
 
 
 def with_parts(manifest: Mapping[str, Any], parts: Iterable[LightPart]) -> dict[str, Any]:
-    """Return a manifest that lists parts, too."""
+    """Return a manifest that also lists parts."""
     made = dict(manifest)
     for part in parts:
         if part == DIRECT_DEPTH:
@@ -187,10 +187,10 @@ _GOLDEN = (5**0.5 - 1) / 2
 
 
 def counts_of(density: Image, spp: float, least: int) -> npt.NDArray[np.int32]:
-    """Return how many samples each pixel has, shape (y, x): `spp` times its density, rounded.
+    """Return the number of samples of each pixel, shape (y, x): `spp` times its density, rounded.
 
-    The offsets at which numbers are rounded up are a sequence of low discrepancy, so that the mean
-    is `spp`; they stay where `spp` grows, so that no pixel loses samples.
+    The offsets of the rounding are a sequence of low discrepancy, so that the mean is `spp`. They
+    do not depend on `spp`, so that no pixel loses samples when `spp` grows.
 
     Examples
     --------
@@ -203,9 +203,10 @@ def counts_of(density: Image, spp: float, least: int) -> npt.NDArray[np.int32]:
 
 
 def missing_of(held: Image, counts: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-    """Return which of so many samples of each pixel are not held, shape (y, x, sample).
+    """Return which of the first `counts` samples of each pixel are missing, shape (y, x, sample).
 
-    What is held ends with the last sample that is no NaN; a bad one at the end is drawn again.
+    The samples of a pixel end with its last sample that is not NaN. A bad one at the end is drawn
+    again.
     """
     number = np.arange(held.shape[-1])
     known = (~np.isnan(held).all(axis=2) * (number + 1)).max(axis=-1, keepdims=True)
@@ -216,14 +217,14 @@ def missing_of(held: Image, counts: npt.NDArray[np.int32]) -> npt.NDArray[np.boo
 
 
 def labelled(content: bytes, identity: str, chunk: Chunk, samples: int) -> bytes:
-    """Return the content of a chunk's file: encoded samples, and their label behind them."""
+    """Return the content of a chunk's file: the encoded samples, followed by their label."""
     about = *chunk.index, samples, len(content), checksum(content)
     label = _LABEL.pack(_MARK, bytes.fromhex(identity), *about, 0)[:-4]
     return content + label + checksum(label).to_bytes(4, "little")
 
 
 def read_label(file: Path, identity: str, chunk: Chunk) -> tuple[int, int, int]:
-    """Return how many samples the file of a chunk holds, its length and its checksum."""
+    """Return the number of samples, the length and the checksum in the label of a chunk's file."""
     try:
         label, length = tail(file, _LABEL.size)
     except OSError as error:
@@ -278,7 +279,7 @@ def _array_metadata(
     names: list[str],
     attributes: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return what a zarr.json holds for an array; see https://zarr-specs.readthedocs.io v3."""
+    """Return the content of an array's zarr.json; see https://zarr-specs.readthedocs.io v3."""
     return {
         "zarr_format": 3,
         "node_type": "array",
@@ -295,11 +296,11 @@ def _array_metadata(
 
 
 def array(store: Any, name: str, metadata: Any) -> Any:
-    """Return an array of known metadata; its own file is not read."""
+    """Return an array with known metadata, without reading its own metadata file."""
     import zarr
     from zarr.storage import StorePath
 
-    # A chunk of nothing but NaN is a result; unless told at each opening, zarr drops it.
+    # A chunk of NaN only is a result; unless told so at each opening, zarr drops it.
     with zarr.config.set({"array.write_empty_chunks": True}):
         return zarr.Array(zarr.AsyncArray(metadata, StorePath(store, name)))
 
@@ -308,7 +309,7 @@ def array(store: Any, name: str, metadata: Any) -> Any:
 
 
 def identity(attrs: Mapping[str, Any], shape: Sequence[int]) -> str:
-    """Return the hash that identifies samples of any number."""
+    """Return the hash that identifies samples, whatever their number."""
     told = {k: v for k, v in attrs.items() if k not in _GROWING}
     return hashlib.blake2b(canonical([told, list(shape[:3])]), digest_size=8).hexdigest()
 
@@ -321,12 +322,12 @@ def signed(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def canonical(value: Any) -> bytes:
-    """Return JSON as bytes that are the same for equal values."""
+    """Return JSON as bytes; equal values give equal bytes."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
 def attributes_of(path: Path) -> dict[str, Any]:
-    """Return the attributes of a store, from the first of its two manifests that is sound."""
+    """Return the attributes of a store, from the first sound one of its two manifests."""
     if path.is_file():
         message = (
             f"{path} is a file; a store is a folder, as 'chdstat render' writes it. Make one of "
@@ -375,7 +376,7 @@ def _refuse(constant: str) -> None:
 
 
 def put(file: Path, content: bytes) -> None:
-    """Replace a file of a store, or a folder without files in its place."""
+    """Replace a file of a store, or an empty folder in its place."""
     if not is_remote(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         if file.is_dir():
@@ -386,7 +387,7 @@ def put(file: Path, content: bytes) -> None:
 
 
 def check_free(path: Path) -> None:
-    """Refuse a folder with anything in it but what a killed maker of a store leaves."""
+    """Refuse a folder with other content than a killed maker of a store leaves."""
     if is_store(path):
         message = f"{path} was made by another process just now; run the command again to go on"
         raise StoreError(message)
@@ -404,13 +405,13 @@ def occupied(path: Path) -> StoreError:
 
 
 def incomplete(path: Path, why: str) -> StoreError:
-    """Return the error for a folder that is no whole store."""
+    """Return the error for a folder that is not a whole store."""
     return StoreError(f"{path} is not a complete chdstat store ({why})")
 
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn the system's error about a disk into advice for the user."""
+    """Turn the system's errors about a disk into advice for the user."""
     try:
         yield
     except NotImplementedError as error:

@@ -1,7 +1,8 @@
 """Samples: every radiance sample of an image, in memory or on disk, with the same methods.
 
-Index them with a pixel, cut them with `Samples.isel`, read parts, walk them with `Samples.blocks`,
-or map a function over their tiles with `Samples.map`; statistics elsewhere take them whole.
+Index them with a pixel, cut them with `Samples.isel`, read parts with `Samples.read`, walk them
+with `Samples.blocks`, or map a function over their tiles with `Samples.map`. Other modules take
+them whole.
 """
 
 from __future__ import annotations
@@ -59,13 +60,13 @@ __all__ = [
 _BIASED = "where that number depended on the samples, means and their errors are biased"
 _ALL = slice(None)
 _ALWAYS_READ = 2**26
-"""Bytes that are read without a look at how much memory there is."""
+"""Bytes that are read without checking the memory."""
 _MOST_CHANNELS = 4
-"""More than these are probably samples, unless the caller says that they are channels."""
+"""More channels than this are probably samples, unless the caller says otherwise."""
 _DECADES, _LARGEST = 70, 38
-"""Decades that single precision surely has, and the logarithm of its largest number."""
+"""Decades that single precision covers, and the logarithm of its largest number."""
 _THUMBNAIL, _VALUES = 256, 2**25
-"""Longer edge of a thumbnail in pixels, and samples that are read for it at most."""
+"""Longer edge of a thumbnail in pixels, and most samples that are read for it."""
 
 _Index = slice | SupportsIndex
 _Places = tuple[range, range, range]
@@ -100,7 +101,7 @@ class Samples:
         height, width, _, spp = held.shape
         self._held, self._attrs, self._counts = held, dict(attrs), counts
         self._features, self._parts, self._path = features, dict(parts or {}), path
-        # Rows, columns and samples of the whole that these are: of a store, those that are read.
+        # Rows, columns and samples within the whole, such as a store, that these are.
         self.part = part or (range(height), range(width), range(spp))
 
     @classmethod
@@ -116,36 +117,36 @@ class Samples:
     ) -> Samples:
         """Hold samples that are already in memory.
 
-        They are kept in single precision, float32 arrays without a copy. Masked samples become NaN.
-        A `chdstat.errors.InputWarning` tells of samples that repeat each other over the image.
+        They are kept in single precision; float32 arrays are not copied. Masked samples become NaN.
+        A `chdstat.errors.InputWarning` says if samples repeat each other over the image.
 
         Parameters
         ----------
         array
-            Linear radiance, shape (y, x, channel, sample) or (y, x, sample), which gains one
-            channel. The dims of an `xarray.DataArray` may be in any order: their names decide.
+            Linear radiance, shape (y, x, channel, sample), or (y, x, sample) for one channel. The
+            dims of an `xarray.DataArray` may be in any order: their names decide.
         features
             First-hit features by name, each (y, x) or (y, x, component).
         direct
-            Emission and direct light of each sample, of the same shape as the samples.
+            Emission and direct light of each sample, with the shape of the samples.
         axes
-            Order of the axes of `array` and `direct`: the letters y, x, c (channel) and s (sample),
-            such as "yxsc"; None for "yxcs" or "yxs", where that is plausible.
+            Order of the axes of `array` and `direct`, as letters y, x, c (channel) and s (sample),
+            such as "yxsc". None means "yxcs" or "yxs", if that is plausible.
         counts
-            How many samples each pixel has, shape (y, x), where they differ; what `array` holds
-            beyond them is ignored. Where they depended on the samples themselves, as in most
-            adaptive sampling, means are biased.
+            Number of samples of each pixel, shape (y, x), if they differ; `array` is ignored beyond
+            them. If these numbers depended on the samples themselves, as in most adaptive sampling,
+            means are biased.
         **attrs
-            Provenance: ``scene="name"``, ``seed=7``, ``unit`` of radiance; ``sequence=16`` where so
-            many samples depend on each other.
+            Provenance: ``scene="name"``, ``seed=7``, ``unit`` of radiance, or ``sequence=16`` if 16
+            samples at a time depend on each other.
 
         Raises
         ------
         InputError
-            If the shape is not one of these, or an axis is empty. Without `axes` and names: if
-            there would be more than 4 channels, or fewer samples than channels, of which the axes
-            are probably in another order. If an array holds unsigned integers, as encoded images
-            do, or a sample that is 0 or infinite in single precision only.
+            If the shape is not one of these, or an axis is empty. If neither `axes` nor named dims
+            are given, and there would be more than 4 channels or fewer samples than channels: the
+            axes are then probably in another order. If an array holds unsigned integers, as encoded
+            images do, or a sample that is 0 or infinite only in single precision.
 
         Examples
         --------
@@ -181,17 +182,17 @@ class Samples:
 
     @property
     def name(self) -> str:
-        """Name of the scene, or 'samples' where none was given."""
+        """Name of the scene; 'samples' if it has none."""
         return str(self._attrs.get("scene", "samples"))
 
     @property
     def path(self) -> Path | None:
-        """Where the store lies; None in memory, or for a part of a store."""
+        """Path of the store; None for samples in memory, or for a part of a store."""
         return self._path and shown(self._path)
 
     @property
     def source(self) -> SampleSource | None:
-        """What the samples are read from; None in memory."""
+        """Source that the samples are read from; None in memory."""
         return None if isinstance(self._held, np.ndarray) else self._held
 
     @property
@@ -202,23 +203,23 @@ class Samples:
 
     @property
     def spp(self) -> int:
-        """Samples per pixel; of the one that has most, where they differ."""
+        """Samples per pixel; if they differ, those of the pixel with the most."""
         return len(self.part[2])
 
     @property
     def fewest(self) -> int:
-        """Samples that every pixel has."""
+        """Number of samples that every pixel has."""
         return self.spp if self.counts is None else int(self.counts.min())
 
     @property
     def counts(self) -> _PixelCounts | None:
-        """Samples of each pixel, shape (y, x), where they differ (others read as NaN); or None."""
+        """Samples of each pixel, shape (y, x), if they differ (others read as NaN); else None."""
         found = None if self._counts is None else _counted(self._counts, self.part[2])
         return None if found is None or (found == self.spp).all() else found
 
     @property
     def spp_range(self) -> str:
-        """How many samples a pixel has, in words: "64", or "32 to 161" where they differ."""
+        """Samples per pixel in words: "64", or "32 to 161" if they differ."""
         return str(self.spp) if self.counts is None else f"{self.fewest} to {self.spp}"
 
     @property
@@ -237,14 +238,14 @@ class Samples:
 
     @property
     def direct(self) -> Samples | None:
-        """Emission and direct light of the same samples, their paths cut; None if not known."""
+        """Emission and direct light of the same samples, their paths cut; None if unknown."""
         return self._parts.get(DIRECT_DEPTH)
 
     @property
     def depths(self) -> dict[int, Samples]:
-        """The same samples of paths cut after so many segments, ascending, as far as known.
+        """The same samples with paths cut after this many segments, ascending, as far as known.
 
-        `chdstat.patterns.attribute` says what light comes from which depth.
+        `chdstat.patterns.attribute` returns how much light comes from which depth.
         """
         return {which: part for which, part in self._parts.items() if isinstance(which, int)}
 
@@ -255,13 +256,14 @@ class Samples:
 
     @property
     def lights(self) -> dict[str, Samples]:
-        """The same samples by some lights alone, by the names asked for, as far as known."""
+        """The same samples with some lights only, by the names asked for, as far as known."""
         return {which: part for which, part in self._parts.items() if isinstance(which, str)}
 
     def shares_numbers_with(self, other: Samples) -> bool:
-        """Return whether sample i of a pixel was drawn with the random numbers of the other's.
+        """Return whether sample i of a pixel was drawn with the same random numbers in both.
 
-        So it is of renders of equal seed and size by one kind of backend, whatever their scenes:
+        That is so for renders with equal seed and size by one kind of backend, whatever their
+        scenes. Comparisons then use pairs. Samples without a known seed count as independent.
         what compares them compares pairs. Samples that do not say their seed are independent.
 
         Examples
@@ -278,7 +280,7 @@ class Samples:
             one.get("seed") is not None
             and places == others
             and (first.start, first.step) == (second.start, second.step)
-            # What compiles draws in wavefronts, with numbers of their own.
+            # Compiled backends draw in wavefronts, with random numbers of their own.
             and (one.get("backend") == "scalar") == (two.get("backend") == "scalar")
             # The scalar backend draws adaptive samples pixel by pixel.
             and (one.get("backend") != "scalar" or ("adaptive" in one) == ("adaptive" in two))
@@ -286,7 +288,7 @@ class Samples:
         )
 
     def pixel(self, y: int, x: int) -> Pixel:
-        """Return one pixel as an object that knows its nulls, statistics, fits and patterns.
+        """Return a pixel as an object with its nulls, statistics, fits and patterns.
 
         Examples
         --------
@@ -299,13 +301,13 @@ class Samples:
         return Pixel.of(self, y, x)
 
     def regions(self, places: Mapping[str, tuple[int, int]] | None = None) -> Regions:
-        """Return pixels of several regions, as a figure and a table of a paper show them.
+        """Return pixels of several regions, as a figure and a table for a paper.
 
         Parameters
         ----------
         places
-            (y, x) of a pixel, by the name of its region; None chooses a region for each pattern of
-            the image, as `chdstat.patterns.choose_regions`.
+            (y, x) of a pixel, by the name of its region. None chooses a region for each pattern of
+            the image, as `chdstat.patterns.choose_regions` does.
 
         Examples
         --------
@@ -354,7 +356,7 @@ class Samples:
         )
 
     def _repr_html_(self) -> str:
-        """Show a thumbnail, and where the samples come from."""
+        """Show a thumbnail and the origin of the samples."""
         height, width, channels, spp = self.shape
         facts = provenance(self._attrs, self.shape)
         if self.counts is not None:
@@ -378,7 +380,7 @@ class Samples:
     @overload
     def __getitem__(self, pixel: tuple[slice, SupportsIndex]) -> Image: ...
     def __getitem__(self, pixel: tuple[_Index, _Index]) -> Image | Samples:
-        """Return the samples that one pixel has, shape (channel, sample); of slices, as `isel`."""
+        """Return the samples of one pixel, shape (channel, sample); with slices, as `isel`."""
         pair = isinstance(pixel, tuple) and len(pixel) == 2
         if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
             message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
@@ -399,8 +401,8 @@ class Samples:
     def isel(self, *, y: _Index = _ALL, x: _Index = _ALL, sample: _Index = _ALL) -> Image | Samples:
         """Select rows, columns or samples of each pixel.
 
-        Slices give `Samples`, for which nothing is read or copied; features and parts are cut
-        alike. An integer drops its axis, as in xarray: what is left is read into an array.
+        Slices return `Samples` without reading or copying; features and parts are cut alike. An
+        integer drops its axis, as in xarray, and reads the rest into an array.
 
         Raises
         ------
@@ -445,7 +447,7 @@ class Samples:
         Raises
         ------
         InputError
-            If it is more than the memory of this machine holds.
+            If it does not fit into the memory of this machine.
         StoreError
             If the store on disk is damaged.
         """
@@ -468,7 +470,7 @@ class Samples:
         return 4 * math.prod(self.shape)
 
     def load(self) -> Samples:
-        """Return the same samples held in memory: worth it before several analyses."""
+        """Return the same samples in memory, which pays before several analyses."""
         if isinstance(self._held, np.ndarray):
             return self
         loaded = copy.copy(self)
@@ -479,21 +481,21 @@ class Samples:
     def save(
         self, path: str | Path, *, append: bool = False, progress: bool | None = None
     ) -> Samples:
-        """Write the samples to a store, and return those of the store.
+        """Write the samples to a store, and return the samples of the store.
 
-        One that was interrupted goes on when it is repeated.
+        An interrupted call continues when it is repeated.
 
         Parameters
         ----------
         path
             The store to write, a path or a URL.
         append, progress
-            Whether to add them to those of an existing store; and to show a progress bar.
+            Whether to add the samples to those of an existing store, and to show a progress bar.
 
         Raises
         ------
         InputError
-            If samples of another size are appended, or of the same random numbers.
+            If appended samples have another size, or the same random numbers.
         StoreError
             If something else is at the path, or it cannot be written.
 
@@ -514,7 +516,7 @@ class Samples:
         Raises
         ------
         InputError
-            If there are not so many, or less than one is wanted.
+            If there are not so many, or less than one is asked for.
         """
         if not 1 <= spp <= self.spp:
             message = f"spp must be from 1 to {self.spp}, what these samples hold; got {spp}"
@@ -522,15 +524,15 @@ class Samples:
         return self.isel(sample=slice(spp)).load()
 
     def sequence_means(self) -> Samples:
-        """Return the averages of sequences of dependent samples, which are independent, in memory.
+        """Return the averages of sequences of dependent samples, in memory; they are independent.
 
-        Samplers that spread the samples of a pixel draw them in sequences (`chdstat.render`). An
-        average with a bad sample is bad; an incomplete last sequence is left out.
+        Samplers that spread the samples of a pixel draw them in sequences (see `chdstat.render`).
+        An average with a bad sample is bad. An incomplete last sequence is left out.
 
         Raises
         ------
         InputError
-            If samples are independent, or these begin within a sequence, or hold none.
+            If samples are independent, begin within a sequence, or hold no whole sequence.
 
         Examples
         --------
@@ -568,7 +570,7 @@ class Samples:
         Yields
         ------
         ys, xs, ss : slice
-            Where the block lies.
+            Place of the block.
         block : ndarray
             Its samples, shape (y, x, channel, sample).
         """
@@ -588,21 +590,21 @@ class Samples:
     ) -> xr.Dataset:
         """Apply a function to tiles with all their samples and assemble the image.
 
-        Tiles are computed in parallel, in one thread for each core, or by a client's workers.
+        Tiles are computed in parallel: in one thread per core, or by a client's workers.
 
         Parameters
         ----------
         function
-            Takes samples (y, x, channel, sample) of a tile; returns, by variable name, the names
-            of the dims that follow (y, x) and an array of shape (y, x, ...). Its results must not
-            depend on the order of the tiles.
+            Takes the samples (y, x, channel, sample) of a tile. Returns, by variable name, the dims
+            that follow (y, x) and an array of shape (y, x, ...). Results must not depend on the
+            order of the tiles.
         logarithms
-            Whether it leaves negative samples out, as bad ones are in any case; a
-            `chdstat.errors.LeftOutWarning` tells of more than 1 %.
+            Whether the function leaves out negative samples, too, as it does bad ones. A
+            `chdstat.errors.LeftOutWarning` reports more than 1 %.
         dependent
-            Whether it takes samples that depend on each other, see `sequence_means`.
+            Whether the function takes samples that depend on each other, see `sequence_means`.
         description, **work
-            Label of a progress bar; ``progress`` to show it, None for a terminal alone; ``client``
+            Label of the progress bar; ``progress`` to show it, None for a terminal only; ``client``
             for a Dask client, whose workers then compute the tiles.
         """
         check_single(self)
@@ -618,14 +620,14 @@ class Samples:
         return tiles.over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)
 
     def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
-        """Return how many samples the pixels of a part lack, where some have fewer than others."""
+        """Return how many samples are missing in a part because pixels have fewer than others."""
         if self._counts is None:
             return 0
         asked = self.part[2][ss]
         return int((len(asked) - _counted(self._counts[ys, xs], asked)).sum())
 
     def to_dataset(self) -> xr.Dataset:
-        """Return samples, features and counts as a labelled dataset, lazily where on disk."""
+        """Return samples, features and counts as a labelled dataset; lazily if on disk."""
         dims = ("y", "x", "component")
         variables: dict[str, Any] = {n: (dims[: i.ndim], i) for n, i in self.features.items()}
         if self.counts is not None:
@@ -649,24 +651,24 @@ class Samples:
 
 
 ImageLike: TypeAlias = Samples | str | Path
-"""What functions take as an image: its samples, or the path of the store that holds them."""
+"""An image: its samples, or the path of the store that holds them."""
 
 
 def different_counts(attrs: Mapping[str, Any], numbers: str) -> str:
-    """Return how many samples pixels have that differ in it, and what follows from that."""
+    """Return how the numbers of samples per pixel differ, and what follows from that."""
     why = "those of other pixels decided how many" if "adaptive" in attrs else _BIASED
     return f"{numbers} in a pixel; {why}"
 
 
 def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]:
-    """Return the settings that render the same samples again, by name; those that are known.
+    """Return the known settings that render the same samples again, by name.
 
     Parameters
     ----------
     attrs
-        Of the samples.
+        Attributes of the samples.
     shape
-        Theirs, (y, x, channel, sample).
+        Shape of the samples, (y, x, channel, sample).
 
     Examples
     --------
@@ -719,7 +721,7 @@ def _as_image(array: npt.ArrayLike, name: str, axes: str | None) -> Image:
     Raises
     ------
     InputError
-        If the axes are probably others, or single precision would change what is null or infinite.
+        If the axes are probably others, or single precision would make samples null or infinite.
     """
     data = as_samples(array, minimum=0, name=name)
     if not hasattr(array, "dims"):
@@ -744,7 +746,7 @@ def axes_of(array: Any, name: str, axes: str | None) -> str:
     Raises
     ------
     InputError
-        If it holds no real numbers, is empty, or the axes are not, or probably not, its own.
+        If it holds no real numbers, is empty, or `axes` are not, or probably not, its axes.
     """
     check_real(array.dtype, name)
     shape = tuple(map(int, array.shape))
@@ -796,7 +798,7 @@ def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
 
 
 def single(data: Reals, name: str) -> Image:
-    """Return samples in single precision, unless that makes nulls or infinite ones of them."""
+    """Return samples in single precision, unless that makes some null or infinite."""
     if data.dtype in (np.float32, np.float16):
         return data.astype(np.float32, copy=False)
     with np.errstate(over="ignore", under="ignore"):
@@ -812,7 +814,7 @@ def single(data: Reals, name: str) -> Image:
 
 
 def _in_range(size: Reals) -> str:
-    """Return how absolute values may be brought to the range of single precision."""
+    """Return how to bring absolute values into the range of single precision."""
     low, high = np.log10([f(size[(size > 0) & np.isfinite(size)]) for f in (np.min, np.max)])
     if high - low < _DECADES:
         return f"scale the radiance, such as by 1e{-round((low + high) / 2)}"
@@ -822,7 +824,7 @@ def _in_range(size: Reals) -> str:
 
 
 def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]) -> None:
-    """Refuse first-hit features of another image than samples of this shape."""
+    """Refuse first-hit features of another image than that of these samples."""
     for name, image in features.items():
         if name == "counts":
             message = (
@@ -838,12 +840,12 @@ def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]
 
 
 def check_counts(counts: npt.ArrayLike, shape: tuple[int, ...]) -> _PixelCounts:
-    """Return how many of the samples of this shape each pixel has, shape (y, x).
+    """Return how many of its samples each pixel has, shape (y, x).
 
     Raises
     ------
     InputError
-        If they are no whole numbers from 0 to the number of samples, or of another image.
+        If they are not whole numbers from 0 to the number of samples, or are of another image.
     """
     found = np.asarray(counts)
     if found.dtype.kind not in "iu" or found.shape != shape[:2]:
@@ -869,7 +871,7 @@ _KINDS: Mapping[str, Any] = {
     "plugins": dict,
     "render_seconds": int | float,
 }
-"""What provenance is that is more than shown."""
+"""Types of the provenance that is not only shown."""
 
 
 def checked_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
@@ -878,7 +880,7 @@ def checked_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is not what provenance of that name is.
+        If provenance of a known name has another type.
 
     Examples
     --------
@@ -907,7 +909,7 @@ def _plain(value: Any) -> Any:
 
 
 def _counted(counts: _PixelCounts, samples: range) -> _PixelCounts:
-    """Return how many of some samples each pixel has, of which it has the first `counts`.
+    """Return how many of some samples each pixel has, if it has the first `counts`.
 
     Examples
     --------
@@ -919,7 +921,7 @@ def _counted(counts: _PixelCounts, samples: range) -> _PixelCounts:
 
 
 def _cut(dim: str, places: range, index: _Index) -> slice:
-    """Return an index of places along a dim as a slice that goes forward, an integer as one."""
+    """Return an index along a dim as a forward slice; an integer becomes a slice of one."""
     length = len(places)
     if isinstance(index, slice):
         kept = range(length)[index]

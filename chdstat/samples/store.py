@@ -1,11 +1,12 @@
 """Store: the samples of an image in a folder, a zarr v3 group that many processes may read.
 
-`chdstat.samples.layout` says where everything lies and what a file of it holds. `open` returns the
-samples of a store, `inspect` what it holds, and `save` writes samples to one.
+`chdstat.samples.layout` describes the files of a store. `open` returns the samples of a store,
+`inspect` its content, and `save` writes samples to one.
 
-**Many writers.** A chunk and its label are one file, replaced at once without a look at anything
-else: any process may write chunks, as workers of a cluster do, to which a store travels as its
-path. Only the process that holds the lock rewrites ``zarr.json`` and its copy.
+**Many writers.** A chunk and its label are one file, which is replaced in one step without reading
+anything else. Any process may therefore write chunks, such as the workers of a cluster, which
+receive the path of the store. Only the process that holds the lock rewrites ``zarr.json`` and its
+copy.
 """
 
 from __future__ import annotations
@@ -63,31 +64,30 @@ __all__ = [
 
 _ALL = slice(None)
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
-"""Attributes by which the samples of two stores begin with the same random numbers."""
+"""Attributes that decide whether the samples of two stores share random numbers."""
 _OF_A_STORE = (
     *("scene_hash", "scene_code", "scene_files", "plugins"),
     *("appended", "manifest", "schema_version"),
 )
-"""Attributes of a store itself: by the first, samples of a scene are appended to a render."""
+"""Attributes of a store itself, which are not copied when its samples are saved elsewhere."""
 
 
 class Store:
     """An open store of samples, (y, x, channel, sample).
 
-    What writes to it raises a `StoreError` if the disk is full or not writable; what was stored
-    before stays.
+    Writing raises a `StoreError` if the disk is full or not writable; stored samples stay.
 
     Attributes
     ----------
     path
-        Where it lies.
+        Path of the store.
     shape
-        (y, x, channel, sample) that it has room for.
+        Room of the store, (y, x, channel, sample).
     ledger
-        Samples of each pixel that are stored in a chunk, shape (tile_y, tile_x, batch); of an
-        adaptive render, those of all its pixels together.
+        Stored samples per pixel of each chunk, shape (tile_y, tile_x, batch); in an adaptive
+        render, the total over its pixels.
     density
-        Of an adaptive render, samples of each pixel over the mean, shape (y, x); None before it is
+        In an adaptive render, samples of each pixel over the mean, shape (y, x); None until it is
         decided.
     """
 
@@ -114,13 +114,14 @@ class Store:
     ) -> Store:
         """Create a store with room for a shape (y, x, channel, sample), open until `close`.
 
-        The folder must not exist or be empty. The store is there once its manifest is; if its maker
-        is killed before that, the next one makes it, and after that, `restore` completes it.
+        The folder must not exist or must be empty. The store exists once its manifest does. If its
+        maker is killed before that, the next one makes it; after that, `restore` completes it.
 
         Raises
         ------
         StoreError
-            If something else is there, another makes a store there, or it cannot be written.
+            If something else is there, another process makes a store there, or it cannot be
+            written.
         """
         kept = {**attrs, "schema_version": layout.SCHEMA_VERSION}
         kept.pop("manifest", None)
@@ -141,17 +142,15 @@ class Store:
 
     @classmethod
     def open(cls, path: Path, *, writable: bool = False) -> Store:
-        """Open an existing store and check that it is one, of a schema this version reads.
+        """Open an existing store, and check that it has a schema that this version reads.
 
-        One that is writable is locked until `close`, has what killed writers left removed, and has
-        all its chunks read: those that are damaged count as not rendered, so that they are rendered
-        again.
+        A writable store is locked until `close`. Leftovers of killed writers are removed and all
+        chunks are read; damaged ones count as not rendered, so that they are rendered again.
 
         Raises
         ------
-        StoreError
-            If there is none, its manifest is damaged, or, for one that is writable, another process
-            writes to it, or it cannot be written to.
+        If there is none, or its manifest is damaged. For a writable one, also if another process
+        writes to it, or it cannot be written.
         """
         if not exists(path):
             message = f"no store at {path}; render one with: chdstat render SCENE -o {path}"
@@ -168,7 +167,7 @@ class Store:
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """What another process needs for `reopened`."""
+        """Arguments that another process needs for `reopened`."""
         held = self._manifest
         return self.path, held["identity"], held["complete"], self.shape
 
@@ -182,7 +181,7 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Let others write."""
+        """Release the lock, so that others can write."""
         if self._lock is not None:
             self._lock.release()
             self._lock = None
@@ -198,14 +197,14 @@ class Store:
 
     @property
     def adaptive(self) -> dict[str, Any] | None:
-        """How counts are decided in an adaptive render, None in all else."""
+        """How an adaptive render decides counts; None for other renders."""
         found = self._attributes.get("adaptive") if "scene_hash" in self._attributes else None
         return cast("dict[str, Any] | None", found)
 
     def _decided(self) -> Image | None:
-        """Return the density; None where there is none, or a damaged one.
+        """Return the density; None if there is none or it is damaged.
 
-        Of the latter, `counts` tells whoever reads; who writes decides again by the first samples.
+        If it is damaged, `counts` tells readers; a writer decides again from the first samples.
         """
         held = self._manifest["features"]
         if self.adaptive is None or layout.DENSITY not in held:
@@ -220,7 +219,7 @@ class Store:
             return None
 
     def counts(self) -> npt.NDArray[np.int32] | None:
-        """Return how many samples each pixel has, shape (y, x), where they differ."""
+        """Return the number of samples of each pixel, shape (y, x), if they differ."""
         if self.adaptive is not None and layout.DENSITY in self._manifest["features"]:
             density = self.density
             if density is None:  # it is damaged, of which this tells
@@ -231,7 +230,7 @@ class Store:
         return self._read_feature(layout.COUNTS).astype(np.int32)
 
     def _room(self) -> npt.NDArray[np.int32]:
-        """Return what the ledger is where all is stored."""
+        """Return the ledger of a store in which everything is stored."""
         starts = np.arange(0, self.shape[3], BATCH)
         full = np.zeros(layout.grid(self.shape), np.int32)
         if self.adaptive is None:
@@ -249,7 +248,7 @@ class Store:
         return full
 
     def _stored(self) -> npt.NDArray[np.int32]:
-        """Return the ledger: as many leading samples as are known, and those that have labels."""
+        """Return the ledger: the leading samples that are known, and those with labels."""
         known, spp = int(self._manifest["complete"]), self.shape[3]
         starts = np.arange(0, spp, BATCH)
         ledger: npt.NDArray[np.int32]
@@ -266,7 +265,7 @@ class Store:
         return np.asarray(ledger, np.int32)
 
     def _lay_out(self) -> None:
-        """Make the arrays that chunks are decoded and encoded with; nothing is read for it."""
+        """Make the arrays that decode and encode chunks, without reading."""
         from zarr.storage import MemoryStore
 
         metadata = layout.radiance_metadata(self.shape, {})
@@ -279,18 +278,18 @@ class Store:
         return chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
 
     def pending(self) -> list[Chunk]:
-        """Return the chunks that are not safely stored yet, in the order to render them."""
+        """Return the chunks that are not safely stored yet, in the order of rendering."""
         return [c for c in self._chunks() if self.ledger[c.index] < self._full[c.index]]
 
     @property
     def lacking(self) -> int:
-        """How many samples are not stored yet, over all pixels."""
+        """Samples that are not stored yet, over all pixels."""
         if self.adaptive is None:
             return sum(chunk.size for chunk in self.pending())
         return int(self._full.sum()) - int(self.ledger.sum())
 
     def to_draw(self, chunk: Chunk) -> Chunk:
-        """Return a chunk with what is missing of it, where counts differ on purpose."""
+        """Return a chunk with its missing samples marked, if counts differ on purpose."""
         if self._counts is None:
             return chunk
         height, width, samples = chunk.shape
@@ -301,9 +300,9 @@ class Store:
         return replace(chunk, missing=layout.missing_of(held, wanted))
 
     def complete_spp(self) -> int:
-        """Return the number of leading samples that every pixel has, as far as it is to have them.
+        """Return the number of leading samples that every pixel has, out of those it should have.
 
-        Of an adaptive render, whole batches count.
+        In an adaptive render, only whole batches count.
         """
         short = (self.ledger < self._full).any(axis=(0, 1))
         if not short.any():
@@ -317,12 +316,12 @@ class Store:
         return self.path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
 
     def parts(self) -> dict[LightPart, Store]:
-        """Open the stores of the same samples with a part of their light: by depth, then by light.
+        """Open the stores of the same samples with a part of their light: depths, then lights.
 
         Raises
         ------
         StoreError
-            If one cannot be read, or is not of the same samples.
+            If one cannot be read, or has other samples.
         """
         return {part: self._part(part) for part in layout.parts_in(self.path, self._manifest)}
 
@@ -341,7 +340,7 @@ class Store:
 
     @property
     def _same(self) -> dict[str, Any]:
-        """What must agree for samples to be the same but for a part of their light."""
+        """Attributes that must agree if samples only differ by a part of their light."""
         attrs = self.attrs
         integrator = attrs.get("integrator") or {}
         equal = {name: attrs.get(name) for name in _SAME}
@@ -356,7 +355,7 @@ class Store:
         Raises
         ------
         StoreError
-            If a chunk is damaged, missing or in the place of another; the message says where.
+            If a chunk is damaged, missing or in the wrong place; the message says where.
         """
         try:
             for chunk in self._chunks(ys, xs, ss):
@@ -371,7 +370,7 @@ class Store:
         return layout.read_label(self.chunk_file(chunk), self._manifest["identity"], chunk)
 
     def _check(self, chunk: Chunk, *, content: bool = False) -> None:
-        """Raise `DamageError` unless the file of a chunk is its own, with the samples it had.
+        """Raise `DamageError` unless a chunk's file is the right one, with all its samples.
 
         With `content`, its checksum is compared, too.
         """
@@ -386,7 +385,7 @@ class Store:
     def _damaged_chunks(
         self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL, *, content: bool = True
     ) -> list[Chunk]:
-        """Return the stored chunks in a part that are damaged; by their labels alone or whole."""
+        """Return the stored chunks in a part that are damaged, by their labels or their content."""
         damaged = []
         for chunk in self._chunks(ys, xs, ss):
             try:
@@ -397,9 +396,9 @@ class Store:
         return damaged
 
     def damaged(self, *, content: bool = True) -> list[Path]:
-        """Return the files that are gone, damaged or in the place of others.
+        """Return the files that are missing, damaged or in the wrong place.
 
-        All chunks are read; without `content`, their labels only.
+        All chunks are read; without `content`, only their labels.
         """
         expected = [(self.path / name, content) for name, content in self._metadata()]
         found = [file for file, content in expected if layout.loaded(file) != content]
@@ -429,7 +428,7 @@ class Store:
         return sorted(self._manifest["features"].keys() - apart)
 
     def guide(self) -> dict[str, Image] | None:
-        """Return the arrays of the guide of the samples, or None without one that can be read."""
+        """Return the arrays of the samples' guide; None if there is none that can be read."""
         try:
             return {name: self._read_feature(name) for name in layout.GUIDE}
         except (KeyError, StoreError):
@@ -457,7 +456,7 @@ class Store:
         return damaged
 
     def _damage(self, files: list[Path], why: str) -> StoreError:
-        """Return the error that names damaged files and how to repair them."""
+        """Return the error that names damaged files and says how to repair them."""
         named = ", ".join(map(str, files)) or self.path
         return StoreError(
             f"cannot read {named} ({why}); run the same 'chdstat render' or import again to repair "
@@ -465,8 +464,8 @@ class Store:
         )
 
     def _metadata(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Yield the metadata files, with what belongs into them, the manifest first."""
-        # All but the time, so that equal samples are equal files.
+        """Yield the metadata files and their right content, the manifest first."""
+        # The time is left out, so that equal samples are equal files.
         copy = {k: v for k, v in self._attributes.items() if k != "render_seconds"}
         yield "zarr.json", layout.group_metadata(layout.signed(self._attributes))
         yield "radiance/zarr.json", layout.radiance_metadata(self.shape, layout.signed(copy))
@@ -479,7 +478,7 @@ class Store:
     # --- writing --------------------------------------------------------------------------------
 
     def write(self, chunk: Chunk, block: Image) -> None:
-        """Store one chunk, or add what was missing of it; `block` is (y, x, channel, sample)."""
+        """Store one chunk, or add its missing samples; `block` is (y, x, channel, sample)."""
         if chunk.missing is not None and self.ledger[chunk.index]:
             held = self.read(chunk.ys, chunk.xs, chunk.ss)
             block = np.where(chunk.missing[:, :, np.newaxis], block, held)
@@ -503,7 +502,7 @@ class Store:
             self.update()
 
     def update(self, *, parts: Iterable[LightPart] = (), **attrs: Any) -> None:
-        """Change attributes, and note what samples every pixel has, and of which parts."""
+        """Change attributes, and record the samples that every pixel has, and the parts."""
         before = self._attributes
         complete = max(self._manifest["complete"], self.complete_spp())
         held = {**self._manifest, "shape": list(self.shape), "complete": complete}
@@ -513,7 +512,7 @@ class Store:
                 self._save()
 
     def spent(self, seconds: float) -> None:
-        """Add to the time that rendering took, unless the disk is full: `write` has said so."""
+        """Add to the rendering time, unless the disk is full, which `write` has reported."""
         before = float(self.attrs.get("render_seconds", 0.0))
         with contextlib.suppress(StoreError):
             self.update(render_seconds=round(before + seconds, 3))
@@ -534,13 +533,13 @@ class Store:
             remove(self.path)
 
     def extend(self, spp: int) -> None:
-        """Make room for more samples per pixel; what is stored stays."""
+        """Make room for more samples per pixel; stored samples stay."""
         if spp > self.shape[3]:
             self._attributes["spp"] = spp
             self._grow(spp)
 
     def _grow(self, spp: int) -> None:
-        """Make room for more samples of a pixel, or for more of some pixels."""
+        """Make room for more samples of every pixel, or of some pixels."""
         self.shape = (*self.shape[:3], max(spp, self.shape[3]))
         self._full = self._room()
         before, self.ledger = self.ledger, np.zeros_like(self._full)
@@ -552,7 +551,7 @@ class Store:
             self._save()
 
     def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
-        """Let pixels have different numbers of samples from now on, `spp` of them on average."""
+        """Let pixels have different numbers of samples from now on, `spp` on average."""
         if self.density is None:
             with layout.writing(self.path):
                 self._write_feature(layout.DENSITY, density)
@@ -564,11 +563,11 @@ class Store:
 
     @property
     def lacks_features(self) -> bool:
-        """Whether there are no first-hit features, or damaged ones."""
+        """Whether first-hit features are missing or damaged."""
         return not self.feature_names or bool(self._damaged_features())
 
     def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
-        """Write the features that are missing or damaged, or why there are none."""
+        """Write features that are missing or damaged, or why there are none."""
         if self.lacks_features:
             with layout.writing(self.path):
                 for name, image in features.items():
@@ -591,11 +590,11 @@ class Store:
         self._change({"features": {**self._manifest["features"], name: about}})
 
     def _change(self, held: Mapping[str, Any], **attrs: Any) -> None:
-        """Change what the manifest holds, and attributes; `_save` writes them."""
+        """Change the manifest and attributes; `_save` writes them."""
         self._attributes = {**self._attributes, **attrs, "manifest": {**self._manifest, **held}}
 
     def _save(self) -> None:
-        """Write the metadata that differs from what it should be, the manifest first."""
+        """Write metadata that differs from what it should be, the manifest first."""
         for name, content in self._metadata():
             if layout.loaded(self.path / name) != content:
                 layout.put(self.path / name, json.dumps(content, indent=2, sort_keys=True).encode())
@@ -607,8 +606,8 @@ class Store:
 def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
     """Open a store of samples.
 
-    A store that is still being rendered, or whose rendering was stopped, opens with the samples
-    that every pixel has; ``attrs["spp"]`` says how many were asked for.
+    A store whose render is running or was stopped opens with the samples that every pixel has;
+    ``attrs["spp"]`` is the number that was asked for.
 
     Parameters
     ----------
@@ -619,8 +618,8 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     Raises
     ------
     StoreError
-        If there is no store, it is damaged or of another schema, it holds no complete batch, or
-        what lies in its folder ``direct`` is not of the same samples.
+        If there is no store, it is damaged or has another schema, it holds no complete batch, or
+        its folder ``direct`` holds other samples.
     """
     store = Store.open(place_of(path))
     if not store.complete_spp():
@@ -634,7 +633,7 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
 
 
 def _of_store(store: Store, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
-    """Return the samples of an open store that every pixel has, and as many of their parts."""
+    """Return the samples that every pixel of an open store has, and as many of their parts."""
     height, width, _, _ = store.shape
     spp = store.complete_spp()
     known = {
@@ -653,12 +652,12 @@ def _of_store(store: Store, parts: Mapping[LightPart, Samples] | None = None) ->
 
 @functools.lru_cache(maxsize=8)
 def reopened(path: Path, identity: str, complete: int, shape: tuple[int, ...]) -> Store:
-    """Return a store in another process than that which sent its path; it is opened there once.
+    """Return a store in another process than the one that sent its path; it is opened once.
 
     Raises
     ------
     StoreError
-        If this process does not see it, or sees another one.
+        If this process does not see the store, or sees another one.
     """
     try:
         store = Store.open(path)
@@ -673,10 +672,10 @@ def reopened(path: Path, identity: str, complete: int, shape: tuple[int, ...]) -
 
 
 def cache_key(samples: Samples) -> str:
-    """Return what identifies samples of a store, for a `Cache`; "" for samples in memory.
+    """Return a key that identifies samples of a store, for a `Cache`; "" for samples in memory.
 
-    All attributes of the store are in it: another render may take its place and name. The time that
-    the render took is one of them.
+    It holds all attributes of the store, including the rendering time, since another render may
+    take its place and name.
     """
     if samples.path is None:
         return ""
@@ -685,7 +684,7 @@ def cache_key(samples: Samples) -> str:
 
 
 def checkpoint_key(samples: Samples) -> str:
-    """Return a text that identifies samples; those in memory, by their content.
+    """Return a text that identifies samples; for those in memory, by their content.
 
     Examples
     --------
@@ -699,15 +698,15 @@ def checkpoint_key(samples: Samples) -> str:
 
 
 def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
-    """Return what a store holds, ready for JSON, whether it is finished or not.
+    """Return the content of a store, finished or not, ready for JSON.
 
     Parameters
     ----------
     path
         The store.
     verify
-        Read everything and check its checksums; without it, that files are there and in their
-        places. ``damaged`` lists those that fail.
+        Read everything and compare checksums. Otherwise, only check that files are there and in
+        their places. ``damaged`` lists the files that fail.
 
     Raises
     ------
@@ -738,21 +737,21 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
 
 
 def opened(x: ImageLike | npt.ArrayLike) -> Samples | npt.ArrayLike:
-    """Return the samples of a store that is given by its path; everything else passes through."""
+    """Return the samples of a store from its path; everything else is returned as it is."""
     return open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
 
 
 def samples_of(
     source: ImageLike | npt.ArrayLike, *, averages: bool = False, dependent: bool = False
 ) -> Samples:
-    """Return the samples of an image, be they given as such, in an array or by a store's path.
+    """Return the samples of an image from `Samples`, an array or a store's path.
 
     Raises
     ------
     InputError
-        If it is none of these, or `Samples.from_array` refuses the array; or if it holds averages
-        of batches, and the caller does not take `averages`, or samples that depend on each other,
-        and it does not take `dependent` ones.
+        If it is none of these, or `Samples.from_array` refuses the array. Also if it holds averages
+        of batches and the caller does not take `averages`, or samples that depend on each other and
+        the caller does not take `dependent` ones.
     StoreError
         If there is no store at the path, or `open` refuses it.
     """
@@ -776,7 +775,7 @@ def samples_of(
 
 
 def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -> Samples:
-    """Write samples to a new store, or behind those of an existing one; see `Samples.save`."""
+    """Write samples to a new store, or append them to an existing one; see `Samples.save`."""
     attrs = _described(samples)
     if not is_store(path):
         if append:
@@ -804,13 +803,13 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
 
 
 def _described(samples: Samples) -> dict[str, Any]:
-    """Return the attributes that a store keeps of samples: their origin and their identity."""
+    """Return the attributes that a store keeps of samples: their origin and identity."""
     check_sequences(samples)
     attrs = {k: v for k, v in samples.attrs.items() if k not in _OF_A_STORE}
     height, width, _, spp = samples.shape
     moved = any(r.start or r.step != 1 for r in samples.part)
     if moved or attrs.get("size", [width, height]) != [width, height]:
-        # Of a pixel elsewhere, the random numbers are others.
+        # Pixels in another place have other random numbers.
         attrs = {k: v for k, v in attrs.items() if k not in ("seed", "streams")}
     return {
         "scene": samples.name,
@@ -823,7 +822,7 @@ def _described(samples: Samples) -> dict[str, Any]:
 
 
 def _content(samples: Samples) -> str:
-    """Return a hash by which the same samples are known when their saving is repeated."""
+    """Return a hash that recognises the same samples when saving is repeated."""
     if samples.source is None:
         digest = hashlib.blake2b(digest_size=16)
         for *_, block in samples.blocks():
@@ -904,7 +903,7 @@ def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[S
 
 
 def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> None:
-    """Write the chunks that are missing, with the samples that begin at number `first`."""
+    """Write the missing chunks; the samples begin at number `first`."""
     chunks = store.pending()
     by_frame = samples.source is not None and samples.source.frames
     if not by_frame:  # all samples of a pixel lie together: go through them tile by tile

@@ -1,7 +1,7 @@
-"""Tiles: how an image is cut to be drawn, kept and computed, and datasets assembled from tiles.
+"""Tiles: how an image is cut for drawing, keeping and computing, and datasets made from tiles.
 
-`over_tiles` gives a function each tile with all its samples at once, `reduce_tiles` batch by batch,
-in constant memory.
+`over_tiles` gives a function each tile with all its samples; `reduce_tiles` gives it batch by
+batch, in constant memory.
 """
 
 from __future__ import annotations
@@ -48,25 +48,25 @@ __all__ = [
 ]
 
 TILE, BATCH = 64, 64
-"""Edge in pixels and number of samples of a chunk, in which samples are drawn, kept and read."""
+"""Edge in pixels and number of samples of a chunk, the unit of drawing, keeping and reading."""
 DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what the camera sees."""
 _EDGE = TILE
-"""Edge in pixels of a tile that is computed, at most."""
+"""Largest edge in pixels of a tile for computing."""
 _MOST_BYTES = 16 * 2**20
-"""Size of a tile with all its samples at most, unless 16 x 16 pixels are larger."""
+"""Largest size of a tile with all its samples, unless 16 x 16 pixels are larger."""
 _OF_BAD = ("bad_count", "nan_count", "n_bad")
-"""Counts of bad samples: those that a pixel lacks, which read as NaN, are subtracted from them."""
+"""Counts of bad samples; samples that a pixel lacks read as NaN and are subtracted from them."""
 _ALL = slice(None)
 
 LightPart = int | str
-"""A part of the light of samples: paths up to so many segments, or the lights of such names."""
+"""A part of the light of samples: paths of up to this many segments, or lights of this name."""
 SampleBlocks = Iterator[Image]
 """Samples of a tile, batch by batch, each (y, x, channel, sample)."""
 
 
 class Work(TypedDict, total=False):
-    """How tiles are worked on, see `over_tiles`."""
+    """How to work on tiles, see `over_tiles`."""
 
     progress: bool | None
     workers: int | None
@@ -75,14 +75,14 @@ class Work(TypedDict, total=False):
 
 
 class SampleSource(Protocol):
-    """What samples are read from when they are needed: a store, or files of another program."""
+    """A source that samples are read from on demand: a store, or files of another program."""
 
     frames: bool
     """Whether samples of one number lie together, and those of a pixel apart."""
 
     @property
     def path(self) -> Path:
-        """Where it lies."""
+        """Path of the source."""
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -99,8 +99,7 @@ class SampleSource(Protocol):
 class Chunk:
     """One unit of rendering and storage: a tile of pixels times a batch of samples.
 
-    `missing`, shape (y, x, sample), marks those of its samples that are to be drawn, where these
-    are not all of them.
+    `missing`, shape (y, x, sample), marks the samples to be drawn, if they are not all.
     """
 
     batch: int
@@ -113,7 +112,7 @@ class Chunk:
 
     @property
     def index(self) -> tuple[int, int, int]:
-        """Position in an array (tile_y, tile_x, batch)."""
+        """Place in an array (tile_y, tile_x, batch)."""
         return self.tile_y, self.tile_x, self.batch
 
     @property
@@ -131,7 +130,7 @@ class Chunk:
 def chunk_grid(
     height: int, width: int, spp: int, *, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL
 ) -> Iterator[Chunk]:
-    """Yield the chunks that an image, or a part of it, lies in.
+    """Yield the chunks of an image, or of a part of it.
 
     They come batch by batch, so that an interrupted render holds whole images.
     """
@@ -145,7 +144,7 @@ def chunk_grid(
 
 
 def pieces(places: range, edge: int) -> Iterator[tuple[int, slice, slice]]:
-    """Cut places along an axis into pieces of `edge`: yield its number, and where they lie in both.
+    """Cut places along an axis into pieces of `edge`; yield numbers and places in piece and part.
 
     Examples
     --------
@@ -166,16 +165,16 @@ def gathered(
     edges: Sequence[int],
     piece: Callable[[int, int, int], Image],
 ) -> Image:
-    """Put a part of the samples together from pieces that are read or drawn as a whole.
+    """Assemble a part of the samples from pieces that are read or drawn as a whole.
 
     Parameters
     ----------
     shape
-        Of all samples, (y, x, channel, sample).
+        Shape of all samples, (y, x, channel, sample).
     places, edges
-        Rows, columns and samples of the part, and how many of each a piece has.
+        Rows, columns and samples of the part, and the size of a piece along each.
     piece
-        Takes the numbers of a piece along these axes; returns it, (y, x, channel, sample).
+        Takes the numbers of a piece along these axes; returns the piece, (y, x, channel, sample).
     """
     lengths = shape[0], shape[1], shape[3]
     kept = [range(length)[place] for length, place in zip(lengths, places, strict=True)]
@@ -194,9 +193,9 @@ def gathered(
 def tiles(
     shape: tuple[int, int, int, int], *, streamed: bool = False
 ) -> Iterator[tuple[slice, slice]]:
-    """Cut an image (y, x, channel, sample) into rows and columns small enough to hold at once.
+    """Cut an image (y, x, channel, sample) into tiles small enough to hold at once.
 
-    Those whose samples are `streamed`, batch by batch, are as large as the chunks of a store.
+    If samples are `streamed` batch by batch, tiles are as large as the chunks of a store.
     """
     height, width, channels, spp = shape
     edge = _EDGE
@@ -221,20 +220,20 @@ def over_tiles(
     image
         The samples.
     function
-        Takes the samples of a tile, and what counts those that are left out; returns variables.
+        Takes the samples of a tile, and an object that counts left-out samples; returns variables.
     places
         Rows and columns of each tile.
     logarithms
         As for `Samples.map`.
     description, progress
-        Label of a progress bar, and whether to show it; None shows it on a terminal.
+        Label of the progress bar, and whether to show it; None for a terminal only.
     workers
-        Tiles at a time; None takes as many as there are cores.
+        Tiles at a time; None for one per core.
     client
-        A Dask client, whose workers compute tiles in place of threads. They read a store from its
-        path, which they must see; other samples travel to them.
+        A Dask client, whose workers compute tiles instead of threads. They read a store from its
+        path, which they must see; other samples are sent to them.
     checkpoint
-        Keeps tiles as soon as they are computed, and has earlier ones; the dataset is in its files.
+        Keeps tiles as soon as they are computed, and has earlier ones. The dataset is in its files.
     """
     left_out, client = LeftOut(logarithms=logarithms), work.get("client")
     checkpoint, workers = work.get("checkpoint"), work.get("workers")
@@ -267,7 +266,7 @@ def _of_tile(
     checkpoint: Cache | None,
     item: tuple[slice, slice, Samples],
 ) -> tuple[slice, slice, Mapped, tuple[int, ...]]:
-    """Return the variables of a tile, and how many of its samples were left out."""
+    """Return the variables of a tile, and the number of its samples that were left out."""
     ys, xs, part = item
 
     def compute() -> tuple[_Variables, tuple[int, ...]]:
@@ -289,8 +288,8 @@ def reduce_tiles(
 ) -> xr.Dataset:
     """Reduce the sample blocks of every tile and assemble the image.
 
-    `function` takes the samples of a tile and its blocks in stored order; it returns variables as
-    that of `over_tiles` does, whose other parameters these are.
+    `function` takes the samples of a tile and its blocks in stored order, and returns variables.
+    The other parameters are those of `over_tiles`.
     """
 
     def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
@@ -316,7 +315,7 @@ def assemble(
     """Return the dataset of an image from variables that were computed tile by tile.
 
     `parts` are rows, columns and variables of each tile; they are consumed one by one. With a
-    folder, variables are in files there, and need not fit into memory.
+    folder, variables lie in files there and need not fit into memory.
     """
     height, width = image.shape[:2]
     results: dict[str, tuple[tuple[str, ...], Array]] = {}
@@ -344,6 +343,6 @@ def labelled(image: Samples, variables: Mapping[str, Any]) -> xr.Dataset:
     coords = {"y": np.arange(image.shape[0]), "x": np.arange(image.shape[1])}
     dataset = xr.Dataset(dict(variables), coords, image.attrs)
     if "channel" in dataset.dims:
-        # Strings of variable length: zarr v3 has no stable type for those of fixed length.
+        # Strings have variable length: zarr v3 has no stable type for fixed length.
         dataset = dataset.assign_coords(channel=np.array(image.channels, dtype=object))
     return dataset
