@@ -1,7 +1,7 @@
-"""Rendering: a scene to samples through Mitsuba, every sample kept or none of them.
+"""Rendering: a scene to samples through Mitsuba, keeping every sample or none.
 
-`render` keeps all samples, in memory or in a store; `render_batches` hands them over as they are
-rendered; `render_pixels` renders a few pixels alone.
+`render` keeps all samples, in memory or in a store. `render_batches` yields them as they are
+rendered. `render_pixels` renders only a few pixels.
 """
 
 from __future__ import annotations

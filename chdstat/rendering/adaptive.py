@@ -1,24 +1,25 @@
 """Adaptive sampling: more samples for the pixels whose noise weighs most.
 
-The first samples of all pixels, a quarter of them (half of few), tell how noisy each pixel is; the
-others are drawn where they are needed. Two things keep this honest:
+The first samples of all pixels, a quarter of them (half if there are few), tell how noisy each
+pixel is. The others are drawn where they are needed. Two rules keep the result honest:
 
-* The number of samples of a pixel is decided by *other* pixels, never by its own samples: pixels
-  are the squares of a chessboard, and the black ones decide for the white ones. So the samples of a
-  pixel do not depend on how many there are, its mean has no bias (stopping when samples look quiet
-  has one: Kirk and Arvo 1991, "Unbiased sampling techniques for image synthesis",
-  doi:10.1145/122718.122735), and the first samples count like all others. A pilot that is thrown
-  away would cost a quarter of all. Nor may a second round look at more than the first samples: how
-  many there are of a white pixel already depends on the black ones.
-* No pixel gets less than a quarter of the mean, so that light which no sample has found is still
+- *Other* pixels decide the number of samples of a pixel, never its own samples. Pixels are the
+  squares of a chessboard, and the black ones decide for the white ones and the other way round. The
+  samples of a pixel thus do not depend on their number, and its mean has no bias. Stopping when
+  samples look quiet has a bias (Kirk and Arvo 1991, "Unbiased sampling techniques for image
+  synthesis", doi:10.1145/122718.122735). The first samples count like all others; a pilot that is
+  thrown away would cost a quarter of all samples. A second round may not look at more than the
+  first samples: the number of samples of a white pixel already depends on the black ones.
+- No pixel gets less than a quarter of the mean, so that light that no sample has found is still
   looked for.
 
-If the noise were known, counts in proportion to its root would make the error of the image least,
-the relative one or the MSE (Neyman 1934, "On the two different aspects of the representative
-method", doi:10.2307/2342192). It is only estimated, from pixels around of like albedo, normal and
-depth, and brightness is known better than noise. So counts follow a smaller power of the noise, and
-one of the brightness beside it. Both powers were chosen on the 13 scenes on which the how-to judges
-them; regression trees and powers learned from the image itself gained no more there.
+If the noise were known, counts in proportion to its root would minimise the relative error of the
+image or its MSE (Neyman 1934, "On the two different aspects of the representative method",
+doi:10.2307/2342192). But the noise is estimated, from surrounding pixels with similar albedo,
+normal and depth, and brightness is known better than noise. Counts therefore follow a smaller power
+of the noise, times a power of the brightness. Both powers were chosen on the 13 scenes on which the
+how-to judges them. Regression trees, and powers learned from the image itself, gained no more
+there.
 """
 
 from __future__ import annotations
@@ -51,46 +52,48 @@ __all__ = [
 ]
 
 ErrorMeasure = Literal["relMSE", "MSE"]
-"""The error of the image that samples are to make least."""
+"""The error of the image to minimise."""
 _log = logging.getLogger("chdstat")
 _SHARE, _ENOUGH, _FEWEST = 4, 32, 16
-"""One in so many samples of a pixel is drawn first, or this many but at most half; of no fewer."""
+"""First samples of a pixel: one in 4, or 32 but at most half; and fewest samples of a render."""
 _SURE = 64
-"""First samples that predict an error, at most."""
+"""Most first samples that predict an error."""
 _MOST = 8.0
 """Largest number of samples of a pixel, over the mean."""
 _LEFT = 1 / 16
-"""Of the squared mean of a pixel, what is left at least when its variance is taken off."""
+"""Share of a pixel's squared mean that is left at least when its variance is subtracted."""
 _ROWS = 16
-"""Rows that are read at once."""
+"""Rows that are read together."""
 _UNITS, _DEPTH = {"albedo": 0.3, "normal": 0.8}, 0.2
-"""Differences in albedo, normal and logarithm of depth at which pixels are no longer similar."""
+"""Differences in albedo, normal and log depth at which pixels are no longer similar."""
 _UNLIKE = 1e-4
-"""Weight of pixels that are not similar at all, for those that have no others."""
+"""Weight of pixels that are not similar at all, for pixels without similar ones."""
 _WIDE, _NEAR = 3.0, 1.5
-"""Width in pixels of the weights of those that decide, and of those whose mean is compared."""
+"""Width in pixels of the weights of pixels that decide, and of pixels whose mean is compared."""
 _POWERS = {"relMSE": (0.35, -0.12), "MSE": (0.2, 0.2)}
 """Powers of the expected noise and of the brightness that counts follow."""
 _LITTLE = 0.02
-"""Of the mean over the image, what is added to noise and brightness."""
+"""Share of the mean over the image that is added to noise and brightness."""
 
 
 @dataclass(frozen=True)
 class Adaptive:
-    """How the number of samples of each pixel is decided.
+    """How to decide the number of samples of each pixel.
 
     Attributes
     ----------
     measure
-        The error of the image that is to be least.
+        The error of the image to minimise.
     first
-        Samples of all pixels, from which it is decided.
+        Samples of every pixel from which counts are decided.
     least
-        Smallest number of samples of a pixel over the mean, so that all pixels have the first ones.
+        Smallest number of samples of a pixel over the mean, so that all pixels have the first
+        samples.
     error
-        The relative error of the image, the root of the measure, at which to stop; None for none.
+        Relative error of the image, the root of the measure, at which to stop; None for no limit.
     percentile
-        The error of which pixel it is, 95 for that which 95 % do not exceed; None for the image's.
+        Percentile over the pixels that the error is about, such as 95; None for the error of the
+        image.
     """
 
     measure: str
@@ -108,14 +111,14 @@ class Adaptive:
         spp: int,
         held: Mapping[str, Any] | None,
     ) -> Adaptive:
-        """Return what is asked for.
+        """Return the plan for a render, or None if it is not adaptive.
 
         Parameters
         ----------
         asked, error, percentile, spp
             As for `chdstat.render`.
         held
-            What an earlier render, that goes on, has kept of this.
+            Plan of an earlier render that is continued.
 
         Raises
         ------
@@ -150,11 +153,11 @@ class Adaptive:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """What of it belongs to the identity of samples."""
+        """The part that belongs to the identity of samples."""
         return {"measure": self.measure, "first": self.first}
 
     def spp(self, noise: Mapping[str, float], most: int) -> int:
-        """Return how many samples per pixel reach the error, on average, but `most` of them."""
+        """Return the mean samples per pixel that reach the error, but at most `most`."""
         if self.error is None:
             return most
         needed = max(math.ceil(noise["value"] / self.error**2), self.first)
@@ -166,7 +169,7 @@ class Adaptive:
 
 
 class _Seen(NamedTuple):
-    """What samples tell of each pixel, shape (y, x, channel): mean, variance, that of the mean."""
+    """Mean, variance and variance of the mean of each pixel, shape (y, x, channel)."""
 
     mean: Floats
     variance: Floats
@@ -174,7 +177,7 @@ class _Seen(NamedTuple):
 
     @classmethod
     def of(cls, samples: Samples) -> _Seen:
-        """Read samples, some rows at once."""
+        """Read samples, some rows at a time."""
         found = cls(*(np.zeros(samples.shape[:3]) for _ in range(3)))
         for rows in spans(samples.shape[0], _ROWS):
             x = samples.read(rows)
@@ -187,22 +190,22 @@ class _Seen(NamedTuple):
     def noise(self, measure: str, mean: Floats | None = None) -> Floats:
         """Return the expected squared error of one sample of each pixel, shape (y, x).
 
-        It is the variance, for relMSE over the squared mean of the pixel plus 1 % of that of the
-        scene, on average over the channels.
+        It is the variance, averaged over the channels. For relMSE, it is divided by the squared
+        mean of the pixel plus 1 % of the squared mean of the scene.
 
         Parameters
         ----------
         measure
             "relMSE" or "MSE".
         mean
-            Means of pixels, shape (y, x, channel); None takes their own. The square of a mean of
-            samples is too large by the variance of that mean, which is taken off.
+            Means of pixels, shape (y, x, channel); None for their own. The square of a mean of
+            samples is too large by the variance of the mean, which is subtracted.
         """
         if measure == "MSE":
             return np.asarray(self.variance.mean(axis=-1))
         square = np.maximum(self.mean**2 - self.square, _LEFT * self.mean**2)
         of_scene = np.empty_like(square)
-        # A half decides for the other one, without its samples.
+        # Each half decides for the other one, without the other's samples.
         for half in _halves(*square.shape[:2]):
             of_scene[half] = self.mean[half].mean(axis=0) if half.any() else 0
         scale = (square if mean is None else mean**2) + DARK * of_scene**2
@@ -215,17 +218,17 @@ class _Seen(NamedTuple):
         """Return the noise of each pixel from which the error of the image is predicted.
 
         Relative to its own mean, the error of a pixel never seems large: a single bright sample
-        raises both. So the noise is relative to the mean of similar pixels around, which counts as
-        far as it lies within one standard error of the pixel's own mean; where all the light of a
+        raises both. So the noise is relative to the mean of similar pixels around. That mean counts
+        as far as it lies within one standard error of the pixel's own mean. If all the light of a
         pixel is one sample, that interval reaches down to 0. For percentiles, the noise is averaged
-        over similar pixels: those of the noise of single pixels would show how uncertain it is.
+        over similar pixels: percentiles of single pixels would show its uncertainty instead.
 
         Parameters
         ----------
         measure, features, percentile
             As for `error_of`.
         step
-            2 to look only at pixels of the same colour of the chessboard.
+            2 to use only pixels of the same colour of the chessboard.
         """
         error = np.sqrt(self.square)
         around = _around(self.mean, features, _NEAR, lambda away: away > 0 and away % step == 0)
@@ -250,11 +253,11 @@ def density_of(
     noise, brightness
         Expected squared error of one sample, and radiance, shape (y, x).
     features
-        First-hit features, those that there are.
+        First-hit features, as far as they exist.
     powers
-        Of the noise and of the brightness.
+        Powers of the noise and of the brightness.
     least
-        The smallest one.
+        The smallest density.
     """
     known = np.stack([noise, np.maximum(brightness, 0)], axis=-1)
     expected = _around(known, features, _WIDE, lambda away: away % 2 == 1)
@@ -267,7 +270,7 @@ def density_of(
 
 
 def _bounded(wanted: Floats, least: float) -> Floats:
-    """Return numbers in proportion to those that are wanted, with a mean of 1, within bounds."""
+    """Return numbers in proportion to the wanted ones, with a mean of 1, within bounds."""
     low, high = 0.0, _MOST / float(wanted[wanted > 0].min())
     for _ in range(60):
         middle = (low + high) / 2
@@ -294,19 +297,19 @@ def _scaled(features: Mapping[str, Image], shape: tuple[int, ...]) -> Floats:
 def _around(
     values: Floats, features: Mapping[str, Image], width: float, taken: Callable[[int], bool]
 ) -> Floats:
-    """Return means over similar pixels around, shape (y, x, value).
+    """Return means over similar pixels around each pixel, shape (y, x, value).
 
     Parameters
     ----------
     values
-        Shape (y, x, value).
+        Values of the pixels, shape (y, x, value).
     features
-        First-hit features, those that there are.
+        First-hit features, as far as they exist.
     width
-        Of the weights, in pixels; they reach twice as far.
+        Width of the weights, in pixels; they reach twice as far.
     taken
-        Which pixels count, by how many steps away they lie along the grid: 0 for the pixel itself,
-        an odd number for those of the other colour.
+        Which pixels count, by the number of steps along the grid to them: 0 for the pixel itself,
+        odd for those of the other colour.
     """
     likeness, reach = _scaled(features, values.shape[:2]), int(2 * width)
     weights, total = np.zeros((*values.shape[:2], 1)), np.zeros_like(values)
@@ -322,7 +325,7 @@ def _around(
 
 
 def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[Any, Any]:
-    """Return where pixels lie that have another one so far away, and where these lie."""
+    """Return where pixels have another pixel at an offset, and where the other pixels are."""
     here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in ((dy, height), (dx, width)))
     there = tuple(slice(max(0, d), max(0, n + min(0, d))) for d, n in ((dy, height), (dx, width)))
     return here, there
@@ -334,17 +337,17 @@ def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[Any, Any]:
 def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
     """Return the density of a render from the first samples of all pixels, and its noise.
 
-    The noise is the expected squared error of the image with one sample per pixel on average, with
-    the ends of its interval where there is one: with n, the error is the root of the noise over n.
-    Pixels tell it by their own variances, for counts that others have decided: the choice does not
-    make it look small.
+    The noise is the expected squared error of the image with one sample per pixel on average, and
+    the ends of its interval if there is one. With n samples, the error is the root of the noise
+    over n. Each pixel's own variance enters, with the count that other pixels decided, so that the
+    choice does not make the error look small.
 
     Parameters
     ----------
     samples
         The first samples of all pixels.
     how
-        What is asked for.
+        The plan of the render.
     """
     seen = _Seen.of(samples)
     noise, features = seen.noise(how.measure), samples.features
@@ -364,8 +367,8 @@ def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
 
 
 def _over_pixels(noise: Floats, percentile: float | None) -> Interval[float]:
-    """Return the mean or a percentile over the image, with the interval that its blocks tell."""
-    # It loads SciPy, which a render need not wait for.
+    """Return the mean or a percentile over the image, with an interval from its blocks."""
+    # Loads SciPy, which a render need not wait for.
     from chdstat._core.resampling import Blocks, mean_of, quantile_of
 
     blocks = Blocks.grid(*noise.shape)
@@ -375,10 +378,10 @@ def _over_pixels(noise: Floats, percentile: float | None) -> Interval[float]:
 
 
 def _halved(noise: Floats, density: Floats, percentile: float | None) -> float:
-    """Return the noise of the image, and let each half have what it needs as the other one tells.
+    """Return the noise of the image, where each half gets the samples that the other half suggests.
 
-    Then the number of samples of a pixel does not depend on its own, even where one of them decides
-    what the error of the whole image is.
+    The number of samples of a pixel thus does not depend on its own samples, even if one of them
+    decides the error of the whole image.
     """
     padded = np.pad(density, 1, mode="reflect")  # beside a pixel are those for which it decides
     beside = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
@@ -392,12 +395,12 @@ def _halved(noise: Floats, density: Floats, percentile: float | None) -> float:
 
 
 def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
-    """Return the relative error that the first samples predict for an adaptive render, or None.
+    """Return the relative error that the first samples of an adaptive render predict, or None.
 
     Parameters
     ----------
     attrs
-        Of its samples.
+        Attributes of its samples.
     """
     from chdstat._core.resampling import Interval
 
@@ -410,9 +413,9 @@ def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
 def error_of(
     samples: Samples, measure: str = "relMSE", percentile: float | None = None
 ) -> Interval[float]:
-    """Return the error of the mean image as its own samples tell it: the root of relMSE or MSE.
+    """Return the error of the mean image, estimated from its samples: the root of relMSE or MSE.
 
-    Where the variance of pixels owes to light that hardly any sample has found, it is too small.
+    It is too small if the variance of pixels comes from light that hardly any sample has found.
 
     Parameters
     ----------
@@ -421,7 +424,8 @@ def error_of(
     measure
         "relMSE" or "MSE".
     percentile
-        The expected error of a pixel in place of the image's: 95 for what 95 % do not exceed.
+        Percentile over the pixels of their expected error, instead of the image's: 95 % do not
+        exceed the error for 95.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""Backends: which Mitsuba variants really render on this machine, and why others do not.
+"""Backends: which Mitsuba variants work on this machine, and why others do not.
 
-`scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` depend on libraries outside it, and
-some versions of LLVM abort the process instead of raising. So each candidate is tried in a child
-process that renders one small image; its answer is cached per library and version of Mitsuba.
+`scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` need libraries outside it, and some
+versions of LLVM abort the process instead of raising. So each candidate is tried in a child process
+that renders one small image. The answer is cached per library and version of Mitsuba.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Color = Literal["rgb", "spectral", "mono"]
 BACKENDS = {"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 """Mitsuba variant of each backend that renders in RGB."""
 COLORS = ("rgb", "spectral", "mono")
-"""How light is represented while it is transported: what Mitsuba's variants end with."""
+"""How light is represented during transport: the end of the names of Mitsuba's variants."""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _LIBRARY_FOLDERS = (
@@ -58,7 +58,7 @@ _TIMEOUT = 120.0
 
 @dataclass(frozen=True)
 class TriedBackend:
-    """A backend, and whether it works here, as trying it in a child process has shown."""
+    """A backend, and whether it works here, according to a trial in a child process."""
 
     name: str
     works: bool
@@ -73,12 +73,12 @@ class TriedBackend:
 
 
 def resolve(backend: Backend = "auto", color: Color = "rgb") -> TriedBackend:
-    """Return the backend to use: the one asked for, or the fastest that has proved itself.
+    """Return the backend to use: the one asked for, or the fastest one that works.
 
     Raises
     ------
     InputError
-        If the name is none of "auto", "scalar", "llvm", "cuda", the colour none of `COLORS`, or
+        If the name is not "auto", "scalar", "llvm" or "cuda", the colour is not in `COLORS`, or
         Mitsuba has no such variant.
     RenderError
         If the backend asked for does not work here.
@@ -105,14 +105,14 @@ def resolve(backend: Backend = "auto", color: Color = "rgb") -> TriedBackend:
 
 
 def probe(backend: str, *, fresh: bool = False) -> TriedBackend:
-    """Try a backend in a child process, or recall what an earlier trial has shown.
+    """Try a backend in a child process, or return the result of an earlier trial.
 
     Parameters
     ----------
     backend
         A key of `BACKENDS`.
     fresh
-        Try again even where an answer is cached.
+        Try again even if an answer is cached.
 
     Raises
     ------
@@ -144,10 +144,10 @@ def probe(backend: str, *, fresh: bool = False) -> TriedBackend:
 
 @contextlib.contextmanager
 def activate(backend: TriedBackend) -> Iterator[Any]:
-    """Set the Mitsuba variant of a backend, yield the module, and restore what was set before.
+    """Set the Mitsuba variant of a backend, yield the module, and restore the previous variant.
 
-    An error that leaves the context holds no scene: Dr.Jit would call the materials of a scene that
-    is alive in the next render, too.
+    An error that leaves the context holds no scene: Dr.Jit would otherwise call the materials of a
+    living scene in the next render.
     """
     if backend.library is not None:
         os.environ.setdefault(_LIBRARY_VARIABLE, backend.library)
@@ -171,7 +171,7 @@ def activate(backend: TriedBackend) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Let Mitsuba's scalar passes run in the thread that asks for them."""
+    """Let Mitsuba's scalar passes run in the calling thread."""
     import drjit as dr
 
     before = dr.thread_count()
@@ -185,7 +185,7 @@ def one_thread() -> Iterator[None]:
 def llvm_libraries() -> list[str]:
     """Return the LLVM libraries of this machine, newest first, each once.
 
-    A library named by the environment variable that Mitsuba itself heeds is the only candidate.
+    If the environment variable that Mitsuba reads names a library, it is the only candidate.
     """
     named = os.environ.get(_LIBRARY_VARIABLE)
     if named:
@@ -248,12 +248,12 @@ _PACKAGES = ("chdstat", "mitsuba", "drjit", "numpy", "scipy", "torch", "xarray",
 
 
 def examine(*, fresh: bool = False) -> dict[str, Any]:
-    """Return what works here: backends with the reason, libraries, devices, memory, versions.
+    """Return what works here: backends with reasons, libraries, devices, memory, versions.
 
     Parameters
     ----------
     fresh
-        Try backends again where an answer is cached.
+        Try backends again even if answers are cached.
     """
     tried = {name: probe(name, fresh=fresh) for name in BACKENDS}
     return {

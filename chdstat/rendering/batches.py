@@ -1,4 +1,4 @@
-"""Batches: a scene rendered while one looks, batch by batch, and nothing kept."""
+"""Batches: a scene rendered batch by batch, while nothing is kept."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from chdstat.scenes import SceneLike
 __all__ = ["Rendering", "render_batches"]
 
 _AT_ONCE = 4
-"""Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
+"""Samples that a scalar thread draws of a tile, so that few tiles keep all threads busy."""
 
 
 def render_batches(
@@ -39,7 +39,7 @@ def render_batches(
     progress: bool | None = None,
     **options: Unpack[RenderSettings],
 ) -> Rendering:
-    """Render a scene batch by batch and keep nothing: memory is that of a batch.
+    """Render a scene batch by batch and keep nothing; memory holds one batch.
 
     The samples are those of `render` with the same scene, backend and seed, to the bit.
 
@@ -52,20 +52,20 @@ def render_batches(
     progress
         Show a progress bar while batches are drawn; None shows it on a terminal.
     **options
-        As for `render`: `spp`, the samples per pixel in all, `size`, `seed`, `max_depth`, `sensor`,
+        As for `render`: `spp`, the total samples per pixel, `size`, `seed`, `max_depth`, `sensor`,
         `integrator`, `crop`, `color`, `sampler`, `sequence` and `backend`.
 
     Returns
     -------
     Rendering
-        To loop over: each turn renders a batch, shape (y, x, channel, sample), float32.
+        To loop over: each step renders a batch, shape (y, x, channel, sample), float32.
 
     Raises
     ------
     InputError
         If `batch` or an option is out of range.
     SceneError, RenderError
-        If the scene cannot be read, or not be rendered as asked.
+        If the scene cannot be read, or cannot be rendered as asked.
 
     Examples
     --------
@@ -79,16 +79,16 @@ def render_batches(
 
 
 class Rendering:
-    """A scene that is rendered while one loops over it; made by `chdstat.rendering.render_batches`.
+    """A scene that is rendered during a loop; made by `chdstat.rendering.render_batches`.
 
-    Each turn of the loop gives the next batch, shape (y, x, channel, sample), linear radiance; each
-    loop starts anew with the same samples. A wavefront (llvm, cuda) draws 64 samples at once,
-    however small the batches.
+    Each step of the loop gives the next batch, shape (y, x, channel, sample), linear radiance. Each
+    loop starts again with the same samples. A wavefront (llvm, cuda) draws 64 samples at once,
+    however small the batches are.
 
     Attributes
     ----------
     spp
-        Samples per pixel in all.
+        Total samples per pixel.
     batch
         Samples per pixel in a batch.
 
@@ -123,12 +123,12 @@ class Rendering:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Provenance, as `Samples.attrs`; the seconds of rendering are those until now."""
+        """Provenance, as `Samples.attrs`, with the rendering time so far."""
         return self._renderer.provenance | {"render_seconds": round(self._seconds, 3)}
 
     @cached_property
     def features(self) -> dict[str, Image]:
-        """First-hit features, as `Samples.features`; rendered when they are first asked for."""
+        """First-hit features, as `Samples.features`, rendered on first use."""
         with activate(self._job.backend):
             return self._renderer.features()[0]
 
@@ -136,13 +136,13 @@ class Rendering:
     def on_demand(self) -> Iterator[tuple[Samples, int]]:
         """Yield samples that are drawn when they are read, and how many to read at once.
 
-        None are kept but those of the last chunks: read tile by tile, each is drawn once. To the
-        workers of a cluster they travel as the scene, which they must see.
+        Only the last chunks are kept; if samples are read tile by tile, each is drawn once. The
+        workers of a cluster receive the scene, which they must see.
 
         Yields
         ------
         samples : Samples
-            To be read while the context lasts.
+            To read while the context lasts.
         workers : int
             Threads that may read at once.
         """
@@ -164,8 +164,8 @@ class Rendering:
     def passes(self) -> Iterator[Iterator[tuple[Chunk, Image]]]:
         """Yield passes over the image, each as chunks and their samples (y, x, channel, sample).
 
-        A pass has at most one chunk of each pixel, and is over before the next one is asked for:
-        less than a batch of the whole image is in memory.
+        A pass has at most one chunk of each pixel, and ends before the next pass begins, so that
+        memory holds less than a batch of the whole image.
         """
         step = self._step(min(self.batch, _AT_ONCE))
         with self._tracked() as advance:
@@ -184,14 +184,14 @@ class Rendering:
         return track(about, height * width * spp, unit="S", show=self._progress)
 
     def _step(self, few: int) -> int:
-        """Return how many samples of a pixel to draw together, `few` where any number will do."""
+        """Return how many samples of a pixel to draw together; `few` if any number will do."""
         sequences = self._job.options.sequences
         if sequences is not None:
             return sequences.span
         return few if self._job.backend.name == "scalar" else BATCH
 
     def _block(self, ss: slice, few: int, advance: Callable[[float], None]) -> Image:
-        """Draw some samples of all pixels, `few` of a tile at once."""
+        """Draw some samples of all pixels, with `few` of a tile at a time."""
         block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
         cuts = [slice(k, min(k + few, ss.stop)) for k in range(ss.start, ss.stop, few)]
         for chunk, part in self._drawn(cuts, advance):
@@ -204,8 +204,8 @@ class Rendering:
     ) -> Iterator[tuple[Chunk, Image]]:
         """Draw samples tile by tile.
 
-        Samples do not depend on the cuts, except those of a wavefront, which draws chunks as they
-        are stored.
+        Samples do not depend on the cuts, except for a wavefront, which draws chunks as they are
+        stored.
         """
         start, tiles = time.monotonic(), list(chunk_grid(*self.shape[:2], 1))
         chunks = [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
@@ -218,7 +218,7 @@ class Rendering:
 
 
 def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
-    """Cut blocks of samples into batches of another size; of what is left, fewer."""
+    """Cut blocks of samples into batches of another size; the last one may have fewer samples."""
     rest: Image | None = None
     for block in blocks:
         rest = block if rest is None else np.concatenate([rest, block], axis=-1)
@@ -230,9 +230,10 @@ def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
 
 
 class _Drawn:
-    """A `chdstat.samples.tiles.SampleSource` that draws what is read, chunk by chunk.
+    """A `chdstat.samples.tiles.SampleSource` that draws the chunks that are read.
 
-    `draw` draws a chunk. It is not sent to the workers of a cluster, which build the scene anew.
+    `draw` draws a chunk. It is not sent to the workers of a cluster, which build the scene
+    themselves.
     """
 
     frames = False

@@ -1,25 +1,27 @@
-"""Path guiding: directions are drawn where earlier paths have found light.
+"""Path guiding: draw directions towards light that earlier paths have found.
 
-`trained` traces paths that are thrown away, and learns a `Guide` from them: for each cell of space,
-a distribution of directions. `into_scene` puts a guide into the materials of a scene, so that all
-of Mitsuba's integrators draw by it: `SHARE` of the directions come from the BSDF, the rest from the
-guide, and each is weighted by the density of both together (Veach and Guibas 1995, the balance
-heuristic in one sample). A guide that is wrong makes noise, never a bias. It is frozen before the
-first sample is drawn, so that samples are independent. Media are not guided: they draw from their
-phase functions.
+`trained` traces paths, learns a `Guide` from them, and throws them away. A guide has a distribution
+of directions for each cell of space. `into_scene` puts a guide into the materials of a scene, so
+that all of Mitsuba's integrators use it. A share `SHARE` of the directions comes from the BSDF, the
+rest from the guide. Each direction is weighted by the density of both together (Veach and Guibas
+1995, the balance heuristic in one sample). A wrong guide thus makes noise, but never a bias. The
+guide is frozen before the first sample is drawn, so that samples are independent. Media are not
+guided: they draw from their phase functions.
 
-Müller, Gross and Novák, "Practical path guiding for efficient light-transport simulation", 2017,
-doi:10.1111/cgf.13227; Müller, "Practical path guiding in production", 2019,
-doi:10.1145/3305366.3328091 (section 10). Two things differ. The guide learns the light that a path
-carries on, cosine and BSDF included, as Rath et al., "Variance-aware path guiding", 2020,
-doi:10.1145/3386569.3392441, suggest. And a cell does not keep directions, but points on a
-sphere around its center, whose radius is the distance of the light that reaches it: from all of its
-positions, rays go to the same points (Ruppert et al., "Robust fitting of parallax-aware mixtures
-for path guiding", 2020, doi:10.1145/3386569.3392421).
+The method is that of Müller, Gross and Novák, "Practical path guiding for efficient light-transport
+simulation", 2017, doi:10.1111/cgf.13227, and Müller, "Practical path guiding in production", 2019,
+doi:10.1145/3305366.3328091 (section 10). Two things differ:
+
+- The guide learns the light that a path carries on, including cosine and BSDF, as suggested by Rath
+  et al., "Variance-aware path guiding", 2020, doi:10.1145/3386569.3392441.
+- A cell does not keep directions, but points on a sphere around its center. The radius of the
+  sphere is the distance of the light that reaches the cell, so that rays from all positions in the
+  cell go to the same points (Ruppert et al., "Robust fitting of parallax-aware mixtures for path
+  guiding", 2020, doi:10.1145/3386569.3392421).
 
 Trees are sorted lists. A k-d tree that halves x, y and z in turn, and a quadtree, number their
-places by Morton codes; their leaves are intervals of these, and a lookup is a binary search for the
-last leaf that begins at or before a code.
+places by Morton codes. Their leaves are intervals of these codes; a lookup is a binary search for
+the last leaf that begins at or before a code.
 """
 
 from __future__ import annotations
@@ -59,16 +61,17 @@ dr: Any = drjit
 Codes = npt.NDArray[np.uint64]
 
 SHARE = 0.7
-"""Share of directions that come from the BSDF. A path that the guide does not expect is rarer, and
-weighs more, by this at each vertex: with less, these are outliers; with more, the guide helps less.
+"""Share of directions that come from the BSDF. A path that the guide does not expect is rarer by
+this factor at each vertex, and weighs more. With a smaller share, such paths are outliers; with a
+larger one, the guide helps less.
 """
 WORTH = 0.7
-"""A guide pays where it makes variance less than this: a guided sample costs up to 1.65 times one
-that is not, 1.3 times in most scenes. A measured time would choose otherwise from run to run."""
+"""A guide pays if it multiplies the variance by less than this. A guided sample costs up to 1.65
+times an unguided one, 1.3 times in most scenes. Measured times would vary from run to run."""
 FEW = 64
-"""With fewer samples than this times the paths of a training, a guide is not tried: what it costs
-to learn that it would not pay could be more than a seventh of the render (with half as many, it was
-.28 of it in two of three scenes)."""
+"""With fewer samples than this times the paths of a training, a guide is not tried. Learning that
+it does not pay could cost more than a seventh of the render; with half as many samples, it was 0.28
+of the render in two of three scenes."""
 _AXIS = 8
 """Bits of a position along each axis: the smallest cells are 1/256 of the scene."""
 _SQUARE = 10
@@ -76,54 +79,54 @@ _SQUARE = 10
 _PLACES, _DIRECTIONS = 2 ** (3 * _AXIS), 2 ** (2 * _SQUARE)
 _SPHERE = 4 * np.pi
 _LARGEST_LEAF, _KNOWN = 0.01, 64
-"""A square that holds more than this of the light of a cell is divided (Müller et al. 2017), if
-more than so many paths are known to go there: of fewer, chance would be learned."""
+"""A square is divided if it holds more than this share of the light of a cell (Müller et al. 2017),
+and if more than this many paths are known to go there; fewer would only show chance."""
 _EVERYWHERE = 0.1
 """Share of a guide that is uniform, so that no direction is left out."""
 _PER_CELL = 8
-"""A cell is halved that has more vertices than this times the root of the number of all."""
+"""A cell is halved if it has more vertices than this times the root of the number of all."""
 PASSES = 3
 """Passes of a training."""
 _ROOM = 15, 12
-"""Steps of searches while a guide is trained: one kernel serves all passes."""
+"""Steps of searches during a training: one kernel serves all passes."""
 _PATHS = 8
 """Paths of all passes for each pixel."""
 _FEWEST, _MOST = 2**17, 2**20
 """Least and largest number of paths of a training."""
 _VERTICES = 5
-"""Vertices of a path that are learned from."""
+"""Vertices of a path to learn from."""
 _ROUND = 1.05
-"""The sphere around a cell is larger than the cell by this."""
+"""Radius of the sphere around a cell, relative to the cell."""
 _LEAST = 1e-12
-"""Squares that are 0 by rounding are taken for this."""
+"""Least size of a square, in place of 0 by rounding."""
 _BLOCKS = 8
-"""Blocks of the image, a side, in which variances are compared."""
+"""Blocks along a side of the image in which variances are compared."""
 _R2 = 3242174889, 2447445414
-"""Steps of the sequence R2, times 2^32: whole numbers overflow to its fractions."""
+"""Steps of the sequence R2 times 2^32: overflowing integers give its fractions."""
 _LONGEST, _ROULETTE = 64, 4
-"""Vertices of the longest path of a training, and how many are free of Russian roulette."""
+"""Vertices of the longest path of a training, and of its part without Russian roulette."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Distributions of directions in cells of space; without any cell, it guides nothing.
+    """Distributions of directions in cells of space; without cells, it guides nothing.
 
     Attributes
     ----------
-    box
+    Lowest and highest corner of the divided space, shape (2, 3).
         Lowest and highest corner of the space that is divided, shape (2, 3).
     cells
         Morton code at which each cell begins, ascending, shape (cell,).
     centers
-        A position in the middle of the paths of each cell, shape (cell, 3).
+        Center of the paths of each cell, shape (cell, 3).
     nearness
-        One over the distance from there at which the light of each cell begins, shape (cell,).
+        One over the distance from the center to the nearest light of each cell, shape (cell,).
     first
-        Number of the first leaf of each cell, and of all leaves, shape (cell + 1,).
+        Number of the first leaf of each cell, and the number of all leaves, shape (cell + 1,).
     leaves
-        Morton code at which each leaf begins, within its cell ascending from 0, shape (leaf,).
+        Morton code at which each leaf begins, ascending from 0 within its cell, shape (leaf,).
     below
-        Probability of all leaves of the cell before each leaf, shape (leaf,).
+        Probability of all earlier leaves of the same cell, shape (leaf,).
     """
 
     box: Image
@@ -136,7 +139,7 @@ class Guide:
 
     @property
     def digest(self) -> str | None:
-        """What tells it from another guide; None if it guides nothing."""
+        """Hash that tells the guide from another one; None if it guides nothing."""
         if not self.cells.size:
             return None
         content = hashlib.sha256()
@@ -146,7 +149,7 @@ class Guide:
 
     @property
     def arrays(self) -> dict[str, Image]:
-        """All that it is, as two arrays that are kept beside samples; none if it guides nothing.
+        """The guide as two arrays, which are kept beside samples; none if it guides nothing.
 
         Codes and numbers of leaves are below 2^24, so that they are exact in single precision.
         """
@@ -160,7 +163,7 @@ class Guide:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Image]) -> Guide:
-        """Return the guide of some `arrays`."""
+        """Return the guide from its `arrays`."""
         cells, leaves = (arrays[name] for name in GUIDE)
         *center, nearness, code, first = cells[2:].T
         return cls(
@@ -174,7 +177,7 @@ class Guide:
         )
 
     def cells_at(self, positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
-        """Return the numbers of the cells that hold some positions (n, 3)."""
+        """Return the numbers of the cells at positions (n, 3)."""
         codes = _place_codes(positions, self.box)
         return np.asarray(np.searchsorted(self.cells, codes, side="right") - 1)
 
@@ -212,11 +215,11 @@ class Paths(NamedTuple):
     Attributes
     ----------
     positions, directions
-        Where the vertices are, and unit vectors to where the paths go on, shape (n, 3).
+        Positions of the vertices, and unit vectors along which the paths go on, shape (n, 3).
     light
-        Radiance that they carry on, over the density of the directions, shape (n,).
+        Radiance that the paths carry on, over the density of the directions, shape (n,).
     distances
-        How far they go until they meet something, shape (n,).
+        Distance to the next hit, shape (n,).
     """
 
     positions: Floats
@@ -226,7 +229,7 @@ class Paths(NamedTuple):
 
 
 def uniform(low: npt.ArrayLike, high: npt.ArrayLike) -> Guide:
-    """Return the guide that knows nothing: one cell, in which no direction is likelier.
+    """Return a guide without knowledge: one cell, in which all directions are equally likely.
 
     Examples
     --------
@@ -241,14 +244,14 @@ def uniform(low: npt.ArrayLike, high: npt.ArrayLike) -> Guide:
 
 
 def learn(box: Image, paths: Paths) -> Guide:
-    """Return what paths teach.
+    """Learn a guide from paths.
 
     Parameters
     ----------
     box
-        Lowest and highest corner of the space that is divided, shape (2, 3).
+        Lowest and highest corner of the divided space, shape (2, 3).
     paths
-        Their vertices.
+        The vertices to learn from.
     """
     codes = _place_codes(paths.positions, box)
     cells = _cells(np.sort(codes), _PER_CELL * len(codes) ** 0.5)
@@ -277,7 +280,7 @@ def learn(box: Image, paths: Paths) -> Guide:
 def _views(
     box: Image, cells: Codes, cell: npt.NDArray[np.intp], paths: Paths
 ) -> tuple[Floats, Floats]:
-    """Return the middle of the paths of each cell, and how near the light is that they carry."""
+    """Return the center of the paths of each cell, and how near the light that they carry is."""
     sums = functools.partial(np.bincount, cell, minlength=len(cells))
     size = np.diff(np.append(cells, np.uint64(_PLACES))).astype(np.int64)
     bits = (np.log2(size).astype(int)[:, np.newaxis] + [2, 1, 0]) // 3
@@ -302,7 +305,7 @@ def _seen_from_center(places: Any, directions: Any) -> tuple[Floats, Floats]:
 
 
 def _cells(codes: Codes, per_cell: float) -> Codes:
-    """Return where cells begin that hold at most so many of the codes, which ascend."""
+    """Return where cells begin that hold at most `per_cell` of the ascending codes."""
     begins, done = np.zeros(1, np.uint64), list[Codes]()
     for level in range(3 * _AXIS, 0, -1):
         ends = np.searchsorted(codes, begins + np.uint64(2**level))
@@ -314,11 +317,11 @@ def _cells(codes: Codes, per_cell: float) -> Codes:
 
 
 def _leaves(keys: Codes, light: Floats, cells: int) -> tuple[Codes, Floats]:
-    """Return where the leaves of all cells begin, as keys, and their probabilities."""
+    """Return the keys at which the leaves of all cells begin, and their probabilities."""
     sums = np.concatenate([[0.0], np.cumsum(light, dtype=np.float64)])
 
     def within(begins: Codes, size: int) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Return how many paths go to squares of a size, and the light that they carry."""
+        """Return the paths to each square of a size, and the light that they carry."""
         first, end = (np.searchsorted(keys, begins + np.uint64(i)) for i in (0, size))
         return end - first, sums[end] - sums[first]
 
@@ -370,14 +373,14 @@ _STEPS = {
 
 
 def _spread(number: Any, apart: int) -> Any:
-    """Return a number whose bits are so far apart; of NumPy or of Dr.Jit."""
+    """Return a number with its bits spread apart; for NumPy or Dr.Jit."""
     for shift, mask in _STEPS[apart]:
         number = (number | number << shift) & mask
     return number
 
 
 def _joined(number: Any, apart: int) -> Any:
-    """Return every second or third bit of a number, as `_spread` has spread them."""
+    """Return every second or third bit of a number: the inverse of `_spread`."""
     shifts, masks = zip(*reversed(_STEPS[apart]), strict=True)
     number = number & masks[0]
     for shift, mask in zip(shifts, (*masks[1:], 0x3FF), strict=True):
@@ -390,7 +393,7 @@ def _joined(number: Any, apart: int) -> Any:
 
 @dataclass
 class Lookup:
-    """A guide in the arrays of the Mitsuba variant that is set, which materials look up.
+    """A guide in arrays of the current Mitsuba variant, for lookups by materials.
 
     It is a data class, so that Dr.Jit finds the arrays when it freezes a kernel.
     """
@@ -412,15 +415,15 @@ class Lookup:
         self.set(guide, steps)
 
     def set(self, guide: Guide, steps: tuple[int, int] | None = None) -> None:
-        """Look up another guide from now on.
+        """Use another guide from now on.
 
-        The numbers of steps of searches for a cell and a leaf are part of the kernel. None takes as
-        few as this guide needs.
+        The numbers of search steps for a cell and a leaf are part of the kernel. None takes as few
+        as the guide needs.
         """
         mi, longest = self.mi, int(np.diff(guide.first).max())
         counts = len(guide.cells), longest
         self.cell_steps, self.leaf_steps = steps or ((n - 1).bit_length() for n in counts)
-        # With one leaf, it knows nothing.
+        # With a single leaf, the guide knows nothing.
         self.share = dr.opaque(mi.Float, 1 if len(guide.leaves) == 1 else SHARE)
         low, high = guide.box.astype(np.float64)
         self.low, self.scale = mi.Point3f(low), mi.Vector3f(2**_AXIS / (high - low))
@@ -431,7 +434,7 @@ class Lookup:
         dr.make_opaque(self.low, self.scale, self.count)
 
     def place(self, position: Any) -> tuple[Any, Any, Any]:
-        """Return a position as seen from the center of its cell, and the range of its leaves."""
+        """Return a position relative to the center of its cell, and the range of its leaves."""
         mi = self.mi
         scaled = dr.clip((position - self.low) * self.scale, 0, 2**_AXIS - 1)
         x, y, z = (_spread(mi.UInt32(c), 3) for c in (scaled.x, scaled.y, scaled.z))
@@ -456,7 +459,7 @@ class Lookup:
         return probability * (_DIRECTIONS / _SPHERE) / size * length * length / root
 
     def sample(self, place: Sequence[Any], number: Any) -> Any:
-        """Return a direction that is drawn by two random numbers."""
+        """Return a direction, drawn with two random numbers."""
         mi, (offset, first, end) = self.mi, place
         leaf = self._last(self.below, number.x, first, end - first, self.leaf_steps)
         below, probability, begin, size = self._leaf(leaf, end)
@@ -468,7 +471,7 @@ class Lookup:
         return dr.normalize(mi.Vector3f(radius * cosine, radius * sine, z) - offset)
 
     def _leaf(self, leaf: Any, end: Any) -> tuple[Any, Any, Any, Any]:
-        """Return the probability below a leaf, its own, where it begins, and its size."""
+        """Return the probability below a leaf, its own probability, its start, and its size."""
         mi, goes_on = self.mi, leaf + 1 != end
         below, begin = (
             dr.gather(mi.Float, self.below, leaf),
@@ -485,7 +488,7 @@ class Lookup:
         )
 
     def _last(self, values: Any, wanted: Any, first: Any, count: Any, steps: int) -> Any:
-        """Return the last of `count` places from `first` on whose value is at most the wanted."""
+        """Return the last of `count` places from `first` whose value is at most the wanted one."""
         first, count = self.mi.UInt32(first), self.mi.UInt32(count)
         for _ in range(steps):
             half = count >> 1
@@ -496,16 +499,16 @@ class Lookup:
 
 
 def _own(kind: Any, values: npt.NDArray[Any]) -> Any:
-    """Return values in memory of Dr.Jit's own, and some zeros behind them.
+    """Return values in Dr.Jit's own memory, followed by some zeros.
 
-    Kernels are compiled again for arrays of NumPy's that begin elsewhere, and for single values.
+    Kernels are compiled again for NumPy arrays that begin elsewhere, and for single values.
     """
     return kind([*values.tolist(), 0, 0, 0, 0])
 
 
 @functools.cache
 def _material(mi: Any, _variant: str) -> type:
-    """Return the class of guided materials of the variant that is set."""
+    """Return the class of guided materials for the current variant."""
 
     class Guided(mi.BSDF):  # type: ignore[misc]
         """A material whose directions come partly from a guide."""
@@ -568,7 +571,7 @@ def _material(mi: Any, _variant: str) -> type:
 def into_scene(mi: Any, scene: Any, guide: Guide) -> None:
     """Let the materials of a Mitsuba scene draw directions by a guide.
 
-    Those without a diffuse part stay as they are: they know better than a guide where a glossy
+    Materials without a diffuse part stay as they are: they know better than a guide where a glossy
     reflection looks.
     """
     if guide.cells.size:
@@ -576,7 +579,7 @@ def into_scene(mi: Any, scene: Any, guide: Guide) -> None:
 
 
 def _guide_by(lookup: Lookup, scene: Any) -> list[tuple[Any, Any]]:
-    """Let a scene look up directions, and return its shapes with the materials that they had."""
+    """Let a scene look up directions; return its shapes with their original materials."""
     mi, made, before = lookup.mi, dict[str, Any](), []
     material = _material(mi, str(mi.variant()))
     for shape in scene.shapes():
@@ -601,22 +604,22 @@ def trained(
     *,
     samples: int | None = None,
 ) -> Guide:
-    """Return the guide that paths of a scene have taught, and let the scene draw by it.
+    """Train a guide with paths of a scene, let the scene use it, and return it.
 
     Parameters
     ----------
     scene, sensor
-        Of Mitsuba, in the variant that is set, which must not be a scalar one.
+        Mitsuba's scene and sensor, in the current variant, which must not be scalar.
     size
-        (width, height) of the image, of which the number of paths depends.
+        (width, height) of the image, which sets the number of paths.
     seeds
-        Of the random numbers of each pass, which has twice as many paths as the one before. The
-        first pass is not guided; each guide learns from the paths of all passes so far.
+        Seeds of the random numbers of each pass. A pass has twice as many paths as the one before.
+        The first pass is not guided; each guide learns from the paths of all passes so far.
     samples
-        How many are asked for, over all pixels, so as to guide only if that pays; None guides in
-        any case. The guide has no cells, and the scene stays as it was, if they are few beside the
-        paths of a training (see `FEW`), or the variance of the last pass is not below `WORTH` times
-        that of as many paths that are not guided.
+        Number of samples over all pixels, to guide only if that pays; None to guide in any case. It
+        does not pay if there are few samples compared with the paths of a training (see `FEW`), or
+        if the variance of the last pass is not below `WORTH` times that of as many unguided paths.
+        The guide then has no cells, and the scene stays as it was.
     """
     paths = int(np.clip(_PATHS * size[0] * size[1], _FEWEST, _MOST))
     if samples is not None and samples < FEW * paths:
@@ -637,7 +640,7 @@ def trained(
     if samples is not None:
         lookup.share = dr.opaque(mi.Float, 1)
         _, plain = _traced(mi, scene, sensor, seeds[0], last)
-        # A few bright samples decide the variance of some blocks: logarithms bear them.
+        # A few bright samples decide the variance of some blocks; logarithms dampen them.
         logs = np.log(np.maximum([guided, plain], _LEAST)).mean(axis=1)
         if np.exp(logs[0] - logs[1]) > WORTH:
             for shape, material in before:
@@ -648,10 +651,10 @@ def trained(
 
 
 def _traced(mi: Any, scene: Any, sensor: Any, seed: int, paths: int) -> tuple[Paths, Floats]:
-    """Trace two paths through each of many positions, and return their vertices and variances.
+    """Trace two paths through each of many positions; return their vertices and variances.
 
-    Positions follow the sequence R2, so that they are spread evenly over the image (Roberts 2018,
-    "The unreasonable effectiveness of quasirandom sequences").
+    Positions follow the sequence R2, which spreads them evenly over the image (Roberts 2018, "The
+    unreasonable effectiveness of quasirandom sequences").
     """
     room = paths * _VERTICES
     kinds = {"p": mi.Point3f, "wo": mi.Vector3f, "distance": mi.Float}
@@ -694,9 +697,9 @@ def _trace(
     lane: Any,
     held: Mapping[str, Any],
 ) -> Any:
-    """Follow paths with next-event estimation, and note what they are at their vertices.
+    """Follow paths with next-event estimation, and record their vertices.
 
-    Rays pass media as if these were empty: what is learned there may be wrong, and biases nothing.
+    Rays pass media as if these were empty. What is learned there may be wrong, but biases nothing.
     """
     ray, _ = sensed(mi, position, sensor, sampler)
     ray, ctx = mi.Ray3f(ray), mi.BSDFContext()

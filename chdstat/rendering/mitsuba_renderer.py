@@ -1,7 +1,7 @@
 """Mitsuba as a renderer of single samples: one scene in one variant.
 
-A scalar variant draws a chunk in passes of one sample per pixel; llvm and cuda draw it as one
-wavefront. Module `chdstat.rendering.seeds` decides which random numbers each sample owns.
+A scalar variant draws a chunk in passes of one sample per pixel. llvm and cuda draw it as one
+wavefront. `chdstat.rendering.seeds` decides which random numbers each sample owns.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ __all__ = ["MitsubaRenderer", "check_lights"]
 
 _log = logging.getLogger("chdstat")
 _LIBRARIES = tuple(str(Path(file).parent) for file in (chdstat.__file__, np.__file__))
-"""Folders whose functions are no part of a scene."""
+"""Folders with functions that are not part of a scene."""
 _RUN = 16
 """Independent samples of a pixel in neighbouring lanes: their paths begin alike, which saves a
-tenth."""
+tenth of the time."""
 
 
 class MitsubaRenderer:
@@ -52,16 +52,16 @@ class MitsubaRenderer:
     Attributes
     ----------
     job
-        What is rendered.
+        The job to render.
     size
         (width, height) of the image in pixels.
     film
-        The film, of which the image may be a crop.
+        The film; the image may be a crop of it.
     files, code, plugins
-        Digests of the files that the scene reads, of the code of its classes in Python, and of the
-        files of plugins that it uses, by name.
+        Digests of the files that the scene reads, of the code of its Python classes, and of the
+        files of its plugins, by name.
     notes
-        What the scene asks for and does not get.
+        Requests of the scene that are not met.
     """
 
     def __init__(self, job: Job) -> None:
@@ -87,7 +87,7 @@ class MitsubaRenderer:
             with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
                 self._scene = live.value if live else asked.scene.make(parallel=True)
-            # Only now, for Mitsuba takes note of which settings were looked at.
+            # Only now, since Mitsuba records which settings were read.
             settings = self._given.description if self._given else asked.integrator.node(0).props
             self.integrator |= told(dict(settings))
             self._loaded_sensor = self._scene.sensors()[job.options.sensor]
@@ -113,7 +113,7 @@ class MitsubaRenderer:
                     self._pixel_scalar(0, 0, 0, 1)
 
     def _guide(self, sensor: Any) -> Guide:
-        """Let the scene draw directions by the guide of the job, or by one that it teaches now."""
+        """Let the scene draw directions by the guide of the job, or by one that is trained now."""
         from chdstat.rendering import guiding
 
         if self._scalar:  # which cannot be guided, and need not be
@@ -128,7 +128,7 @@ class MitsubaRenderer:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What tells the scene from another one, as stores keep it."""
+        """Attributes that identify the scene, as stores keep them."""
         return {
             "scene_hash": self.scene_hash,
             "scene_files": {name: digest[:16] for name, digest in self.files.items()},
@@ -138,7 +138,7 @@ class MitsubaRenderer:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Where the samples come from, ready for JSON."""
+        """Origin of the samples, ready for JSON."""
         job = self.job
         return {
             "scene": job.scene.name,
@@ -169,10 +169,10 @@ class MitsubaRenderer:
     def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
         """Draw the samples of one chunk, shape (y, x, channel, sample), NaN where none is missing.
 
-        A wavefront gives each sample the random numbers that it has where none is left out; a
-        scalar variant draws those of such chunks from others. `before_pass` is called just before
-        each pass, to end the chunk by an exception. Raises `Interrupted` if Mitsuba cancelled a
-        pass.
+        In a wavefront, each sample has the same random numbers as in a whole chunk. A scalar
+        variant uses other random numbers for chunks with missing samples. `before_pass` is called
+        just before each pass, and may end the chunk by an exception. Raises `Interrupted` if
+        Mitsuba cancelled a pass.
         """
         if chunk.missing is not None and not chunk.missing.any():
             height, width, samples = chunk.shape
@@ -204,7 +204,7 @@ class MitsubaRenderer:
     ) -> Image:
         """Render the image with at most `longest` pixels a side, shape (y, x, channel).
 
-        `band` (i, n) renders the i-th of n bands of its rows, of which some may be empty.
+        `band` (i, n) renders the i-th of n bands of rows; some bands may be empty.
         """
         scale = min(1.0, longest / max(self.size))
         width, height = (max(1, round(scale * length)) for length in self.size)
@@ -223,9 +223,9 @@ class MitsubaRenderer:
             return np.array(drawn, np.float32)
 
     def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
-        """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).
+        """Draw samples of single pixels (n, 2), (y, x) each; shape (pixel, channel, sample).
 
-        Another seed than that of the job draws other samples, independent of these.
+        Another seed than the job's draws independent samples.
         """
         streams = self._streams if seed is None else Streams(self.size, seed)
         drawn = []
@@ -239,16 +239,16 @@ class MitsubaRenderer:
         return np.stack(drawn)
 
     def check_lights(self, patterns: Sequence[str]) -> None:
-        """Refuse patterns of names of which the lights cannot be drawn alone."""
+        """Refuse name patterns of lights that cannot be drawn alone."""
         check_lights(_light_names(self._scene), patterns)
         for pattern in patterns:
             _switched_off(self._mi, self._scene, pattern)
 
     @property
     def depth(self) -> int | None:
-        """Longest path in segments, below 0 for no limit; None where the integrator has none.
+        """Longest path in segments, below 0 for no limit; None if the integrator has none.
 
-        Of an integrator that is an object, it cannot be changed.
+        It cannot be changed for an integrator that is an object.
         """
         if self._given is not None:
             return None
@@ -258,9 +258,9 @@ class MitsubaRenderer:
         return longest if properties.was_queried("max_depth") else None
 
     def features(self) -> tuple[dict[str, Image], str]:
-        """Return the first-hit features, and why there are none where they cannot be drawn.
+        """Return the first-hit features, and the reason if they cannot be drawn.
 
-        With them are the arrays of the guide, if there is one.
+        They include the arrays of the guide, if there is one.
         """
         from chdstat.rendering.rays import first_hits
 
@@ -284,7 +284,7 @@ class MitsubaRenderer:
 
     @contextlib.contextmanager
     def _telling(self) -> Iterator[None]:
-        """Turn what Mitsuba and classes in Python raise into an error that names why."""
+        """Turn errors of Mitsuba and of Python classes into an error that says why."""
         try:
             yield
         except (Interrupted, MemoryError):
@@ -294,7 +294,7 @@ class MitsubaRenderer:
                 raise
             raise failure(self.job.plugins, error) from error
         except Exception as error:
-            # No variable holds the new error: its traceback would hold the scene, in a circle.
+            # No variable holds the new error: its traceback would hold the scene in a circle.
             raise self._told(error) from error
 
     def _told(self, error: Exception) -> Exception:
@@ -331,7 +331,7 @@ class MitsubaRenderer:
             raise RenderError(message)
 
     def _sensor(self, offset: tuple[int, int], extent: tuple[int, int], scale: float = 1.0) -> Any:
-        """Return the scene's sensor with a film that covers a part of the image, maybe coarser."""
+        """Return the scene's sensor with a film of a part of the image, at full or coarser size."""
         if self._as_it_is:
             return self._loaded_sensor
         film = {
@@ -359,7 +359,7 @@ class MitsubaRenderer:
 
     @property
     def _crops(self) -> bool:
-        """Whether the sensor can show a part of the image alone."""
+        """Whether the sensor can show only a part of the image."""
         return self._asked.crops and not self._as_it_is
 
     @property
@@ -386,7 +386,7 @@ class MitsubaRenderer:
     # --- sequences of dependent samples ---------------------------------------------------------
 
     def _sampler(self) -> Any:
-        """Return a sampler that draws single samples: independent ones, or those of sequences."""
+        """Return a sampler of single samples: independent ones, or those of sequences."""
         if self._sequences is None:
             return self._mi.load_dict({"type": "independent"})
         kind, length = self._sequences.sampler, self._sequences.length
@@ -399,7 +399,7 @@ class MitsubaRenderer:
     def _chunk_of_sequences(
         self, chunk: Chunk, step: int, before_pass: Callable[[], None]
     ) -> Image:
-        """Draw whole sequences of `step` samples, and keep those that belong to the chunk."""
+        """Draw whole sequences of `step` samples; keep the samples of the chunk."""
         (height, width, _), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
         first, drawn = chunk.ss.start // step, list[Image]()
         for i in range(first, -(-chunk.ss.stop // step)):
@@ -418,9 +418,9 @@ class MitsubaRenderer:
     ) -> Image:
         """Draw the first samples of one sequence for each pixel of a tile.
 
-        Python draws them one by one, for Mitsuba keeps the average of what it draws of a sequence.
-        Parts of a sequence cannot be drawn by themselves, as the random numbers of a sample go on
-        from those of the one before.
+        Python draws them one by one, since Mitsuba only keeps the average of a sequence. A part of
+        a sequence cannot be drawn alone, since the random numbers of a sample continue those of the
+        one before.
         """
         number = self._streams.of_sequence(chunk, sequence)
         sampler = self._sampler()
@@ -515,10 +515,10 @@ class MitsubaRenderer:
         return _RUN if self._sequences is None else self._sequences.length
 
     def _launch(self, *inputs: Any) -> Any:
-        """Launch the kernel, frozen where it can be: tracing costs up to a third of a launch.
+        """Launch the kernel, frozen if possible: tracing costs up to a third of a launch.
 
-        Dr.Jit refuses to freeze it while other scenes are alive in the process, since virtual
-        calls then reach objects that are not part of this one; the plain kernel gives the same.
+        Dr.Jit refuses to freeze it while other scenes are alive in the process, since virtual calls
+        then reach objects outside this scene. The plain kernel gives the same result.
         """
         if not hasattr(self._local, "kernel"):
             import drjit as dr
@@ -548,7 +548,7 @@ class MitsubaRenderer:
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Collect no garbage: arrays that are freed while a kernel is recorded end the process."""
+    """Suspend garbage collection: freeing arrays while a kernel is recorded ends the process."""
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -560,26 +560,26 @@ def _uncollected() -> Iterator[None]:
 
 # --- lights -------------------------------------------------------------------------------------
 #
-# Paths do not depend on how bright a light is: next-event estimation chooses among lights by their
-# number or their sampling weights, and Russian roulette looks at the throughput. So the light of a
-# sample is the sum of what it has by each light alone.
+# Paths do not depend on how bright a light is: next-event estimation chooses lights by their number
+# or sampling weights, and Russian roulette looks at the throughput. So the light of a sample is the
+# sum of its light from each light alone.
 
 _DARK = 2.0**-100
-"""What a light that is off is multiplied by: not 0, of which a texture or an environment map could
-not be sampled, but a power of two, which leaves all probabilities as they are."""
+"""Factor of a light that is off. It is not 0, since a texture or environment map of 0 could not be
+sampled, but a power of two, which leaves all probabilities as they are."""
 _FLUSHED = 2.0**-60
-"""Less than this is of lights that are off."""
+"""Less radiance than this comes from lights that are off."""
 _LISTED = 20
 _RADIANCE = ("value", "values", "data", "scale", "sun_scale", "sky_scale")
 
 
 def check_lights(names: Sequence[str], patterns: Sequence[str]) -> None:
-    """Refuse patterns of names that match no light, or one that another matches, too.
+    """Refuse name patterns that match no light, or a light that another pattern matches, too.
 
     Raises
     ------
     InputError
-        If one does.
+        If a pattern does.
 
     Examples
     --------
@@ -602,9 +602,9 @@ def check_lights(names: Sequence[str], patterns: Sequence[str]) -> None:
 
 
 def _light_names(scene: Any) -> list[str]:
-    """Return the names of the lights of a Mitsuba scene: ids of their shapes, or of their own.
+    """Return the names of the lights of a Mitsuba scene: ids of their shapes, or their own ids.
 
-    Those that have none are called by their kind; those that share one are numbered.
+    Lights without an id are named by their kind; lights with the same name are numbered.
     """
     names: list[str] = []
     for light in scene.emitters():
@@ -618,7 +618,7 @@ def _light_names(scene: Any) -> list[str]:
 
 
 def _switched_off(mi: Any, scene: Any, kept: str) -> list[tuple[Any, list[str]]]:
-    """Return the parameters of all lights but those of a pattern, and the names of their radiance.
+    """Return the parameters of all lights but those of a pattern, and their radiance's names.
 
     Raises
     ------
@@ -640,7 +640,7 @@ def _switched_off(mi: Any, scene: Any, kept: str) -> list[tuple[Any, list[str]]]
 
 
 def _darken(mi: Any, scene: Any, kept: str) -> None:
-    """Switch off all lights of a Mitsuba scene but those whose names match a pattern."""
+    """Switch off all lights of a Mitsuba scene except those that match a pattern."""
     for parameters, keys in _switched_off(mi, scene, kept):
         for key in keys:
             parameters[key] = parameters[key] * _DARK

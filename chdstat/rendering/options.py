@@ -1,4 +1,4 @@
-"""Options of a render, checked before any work, and the job of rendering a scene with them."""
+"""Options of a render, checked before any work, and the job that renders a scene with them."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ __all__ = [
 ]
 
 IntegratorLike = str | Mapping[str, Any] | Any
-"""An integrator by Mitsuba's name, as a dict with its settings, or as an object of Mitsuba's."""
+"""An integrator by Mitsuba's name, as a dict with its settings, or as a Mitsuba object."""
 GUIDED = ("guided", "auto")
-"""The scene's own integrator with directions from a `Guide`: always, or where it pays."""
+"""The scene's own integrator, guided by a `Guide`: always, or if that pays."""
 Crop = tuple[int, int, int, int]
 """(x, y, width, height) in pixels of the image."""
 
 
 class RenderSettings(TypedDict, total=False):
-    """Those fields of `RenderOptions` that a caller gives."""
+    """The fields of `RenderOptions` that a caller gives."""
 
     spp: int
     size: tuple[int, int] | None
@@ -65,7 +65,7 @@ class RenderSettings(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions:
-    """All that samples depend on but the scene.
+    """Everything that samples depend on, except the scene.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class RenderOptions:
     Raises
     ------
     InputError
-        If a value is out of range, so that no work is done for it.
+        If a value is out of range; it is raised before any work.
 
     Examples
     --------
@@ -116,14 +116,14 @@ class RenderOptions:
 
 
 def refuse_render(source: object, settings: Mapping[str, Any]) -> None:
-    """Refuse settings of a render, by name, where samples are there already.
+    """Refuse settings of a render, by name, if samples already exist.
 
-    A setting that is None, or the backend "auto", was not asked for.
+    None and the backend "auto" count as not given.
 
     Raises
     ------
     InputError
-        If any was.
+        If a setting was given.
     """
     asked = [name for name, value in settings.items() if value not in (None, "auto")]
     if asked:
@@ -205,20 +205,20 @@ def _checked_integrator(given: IntegratorLike | None) -> Any:
 
 @dataclass(frozen=True)
 class Job:
-    """A scene, and all else that samples depend on; without Mitsuba objects, it can travel.
+    """A scene and everything else that samples depend on; without Mitsuba objects, it can be sent.
 
     Attributes
     ----------
     scene, options
-        What is rendered, and how.
+        The scene, and how to render it.
     backend
         The backend that renders.
     light
-        The name or pattern of the lights that are on; None for all.
+        Name or pattern of the lights that are on; None for all.
     plugins
-        Those that the scene may name.
+        Plugins that the scene may name.
     guide
-        What directions are drawn by; None where they are not, or it is still to be learned.
+        Guide of the directions; None without one, or if it is still to be trained.
     """
 
     scene: Scene
@@ -230,14 +230,14 @@ class Job:
 
     @property
     def guided(self) -> str | None:
-        """Which of `GUIDED` is asked for, if any: to draw directions by a guide, or if it pays."""
+        """Which of `GUIDED` is asked for, if any: always guided, or if it pays."""
         given = self.options.integrator
         kind = given["type"] if isinstance(given, Mapping) else None
         return kind if kind in GUIDED else None
 
     @classmethod
     def of(cls, scene: SceneLike, options: RenderOptions) -> Job:
-        """Return the job of rendering a scene, with the backend of what Mitsuba has built.
+        """Return the job that renders a scene, on the backend in which Mitsuba built it, if it did.
 
         Raises
         ------
@@ -293,7 +293,7 @@ class Job:
 
 
 def scene_size(scene: SceneLike) -> tuple[int, int]:
-    """Return the (width, height) in pixels that a scene's own film has.
+    """Return the (width, height) in pixels of a scene's own film.
 
     Examples
     --------
@@ -304,7 +304,7 @@ def scene_size(scene: SceneLike) -> tuple[int, int]:
 
 
 def scene_integrator(scene: SceneLike) -> str:
-    """Return Mitsuba's name of the integrator that a scene asks for.
+    """Return Mitsuba's name of the integrator of a scene.
 
     Examples
     --------
@@ -324,16 +324,16 @@ def _view_of(scene: SceneLike) -> tuple[tuple[int, int], str]:
 # --- integrators that are objects ---------------------------------------------------------------
 
 _UNLIMITED = 2**32 - 1
-"""What Mitsuba's integrators print of a max_depth of -1."""
+"""Mitsuba's integrators print a max_depth of -1 as this number."""
 _LONGEST = 16
-"""Numbers of an array that are written out; a longer array is written as a digest."""
+"""Numbers of an array that are written out; longer arrays are written as a digest."""
 
 
 @dataclass(frozen=True, eq=False)
 class IntegratorObject:
-    """An integrator that was made by Mitsuba, or of a class of the user's own.
+    """An integrator object, made by Mitsuba or of the user's own class.
 
-    It is pickled to no other process.
+    It cannot be pickled to another process.
 
     Attributes
     ----------
@@ -355,7 +355,7 @@ class IntegratorObject:
 
     @property
     def code(self) -> dict[str, str]:
-        """Digest of its code by the name of its class, where that is written in Python."""
+        """Digest of its code by the name of its class, if the class is written in Python."""
         return code_of([self.value]) if self.in_python else {}
 
     @property
@@ -383,12 +383,12 @@ class IntegratorObject:
 
 
 def _own_backend(what: str, value: Any, backend: str, color: str) -> Backend:
-    """Return the backend of the variant in which an object of Mitsuba's was made.
+    """Return the backend of the variant in which a Mitsuba object was made.
 
     Raises
     ------
     InputError
-        If another one than that is asked for, or another colour.
+        If another backend or another colour is asked for.
     """
     own = str(value.variant_name())
     wanted = TriedBackend(

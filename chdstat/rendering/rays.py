@@ -1,10 +1,10 @@
-"""Rays: what one through a position of the image gives, radiance or first-hit features.
+"""Rays: the radiance or the first-hit features of a ray through a position of the image.
 
 First-hit features are albedo, shading normal, depth and position of what the samples see. A ray
 passes through lamps that the integrator hides, and through materials that let it pass in a straight
-line (null, mask, thin glass), as often as these do; in a participating medium it ends where the
-medium scatters it first. There the albedo is that of the medium, and the normal is 0, as it is
-where nothing is hit.
+line (null, mask, thin glass), as often as these do. In a participating medium, it ends where the
+medium first scatters it; the albedo is then that of the medium, and the normal is 0. The normal is
+also 0 where nothing is hit.
 """
 
 from __future__ import annotations
@@ -25,16 +25,15 @@ __all__ = ["BLOCK", "FEATURES", "drawn", "first_hits", "sensed", "wavefront"]
 FEATURES = {"albedo": 3, "normal": 3, "depth": 1, "position": 3}
 """Channels of each feature, in order."""
 _AOVS = "albedo:albedo,normal:sh_normal,depth:depth,position:position"
-"""What Mitsuba's aov integrator calls them."""
+"""Names of the features in Mitsuba's aov integrator."""
 _FEATURE_SPP = 16
 BLOCK = 32
-"""Edge in pixels of the blocks that an integrator renders; Mitsuba's default depends on the cores.
-"""
+"""Edge in pixels of the blocks of an integrator; Mitsuba's default depends on the cores."""
 dr: Any = drjit
 _VOLUMETRIC = ("volpath", "volpathmis", "prbvolpath")
-"""Mitsuba's integrators that see participating media."""
+"""Mitsuba's integrators for participating media."""
 _LEAST = 1e-30
-"""Extinction that a medium is divided by at least: scalars divided by 0 are an error."""
+"""Least extinction that a medium is divided by: dividing scalars by 0 is an error."""
 
 
 def wavefront(
@@ -52,8 +51,8 @@ def wavefront(
 ) -> Any:
     """Return the radiance of all lanes, which run over the samples of a run, then over pixels.
 
-    This is no method of a renderer: a kernel that held its renderer would keep the scene alive in a
-    circle, and the next scene's kernel could not be frozen.
+    This is not a method of a renderer: a kernel that held its renderer would keep the scene alive
+    in a circle, and the next scene's kernel could not be frozen.
 
     Parameters
     ----------
@@ -66,9 +65,9 @@ def wavefront(
     number
         Seed of the sampler.
     left, top, width, pixels
-        The rectangle of the image that is drawn, and how many pixels it has.
+        The rectangle of the image to draw, and its number of pixels.
     active
-        Whether each lane is drawn at all; its random numbers are its own in any case.
+        Whether each lane is drawn at all; its random numbers do not depend on that.
     """
     scene, sensor, integrator, source, medium = objects
     sampler = source.clone()
@@ -82,7 +81,7 @@ def wavefront(
 def drawn(mi: Any, position: Any, objects: Sequence[Any], active: Any = True) -> Any:
     """Return the radiance of a ray through a position of the image, from 0 to 1, as linear sRGB.
 
-    The `objects` are scene, sensor, integrator, sampler and the medium that rays start in.
+    The `objects` are scene, sensor, integrator, sampler and the medium in which rays start.
     """
     scene, sensor, integrator, sampler, medium = objects
     ray, weight = sensed(mi, position, sensor, sampler)
@@ -109,7 +108,7 @@ def sensed(mi: Any, position: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]
     """Return the ray through a position of the image, and its weight.
 
     The sampler draws the time within the shutter interval, the point on the lens and the
-    wavelengths, where needed.
+    wavelengths, if they are needed.
     """
     time = sensor.shutter_open()
     if sensor.shutter_open_time() > 0:
@@ -146,13 +145,13 @@ def first_hits(
     Parameters
     ----------
     medium
-        The medium that rays of the sensor start in, or None.
+        The medium in which the sensor's rays start, or None.
     size
         (width, height) of the image.
     integrator
         Mitsuba's name of the integrator.
     hides
-        Whether it hides lamps.
+        Whether the integrator hides lamps.
     as_it_is
         Whether the film of the sensor cannot be changed, so that Mitsuba cannot render to it.
     """
@@ -160,7 +159,7 @@ def first_hits(
     if as_it_is or not rays.end_at_once():
         stack = rays.means(*size)
     else:
-        # For each sample, it copies the list of shapes: threads wait for its counters.
+        # Mitsuba copies the list of shapes for each sample: threads wait for its counters.
         with one_thread() if mi.Bool is bool else contextlib.nullcontext():
             image = rays.aov.render(scene, sensor, seed=0, spp=_FEATURE_SPP)
             stack = np.array(image, np.float32)[..., -sum(FEATURES.values()) :]
@@ -171,7 +170,7 @@ def first_hits(
 
 @dataclass
 class _Path:
-    """A ray that is followed: what is left of it, how far it came, and where it was scattered."""
+    """A ray that is followed: its remaining throughput, its length, and where it was scattered."""
 
     ray: Any
     medium: Any
@@ -184,16 +183,16 @@ class _Path:
 
 
 class _Rays:
-    """Rays of a sensor that are followed until they meet what shows.
+    """Rays of a sensor that are followed to the first thing that shows.
 
     Parameters
     ----------
     medium
-        What they start in, or None.
+        The medium in which they start, or None.
     hides
         Whether lamps are hidden.
     volumetric
-        Whether media scatter them.
+        Whether media scatter the rays.
     """
 
     def __init__(
@@ -205,7 +204,7 @@ class _Rays:
         self.sampler = mi.load_dict({"type": "independent"})
 
     def end_at_once(self) -> bool:
-        """Return whether the first surface that a ray meets is what shows."""
+        """Return whether the first surface that a ray meets always shows."""
         mi = self.mi
         held = mi.traverse(self.scene).hierarchy  # instances do not say what they are made of
         materials = [part for part in held if isinstance(part, mi.BSDF)]
@@ -215,7 +214,7 @@ class _Rays:
         return not (passing or hidden or inside)
 
     def means(self, width: int, height: int) -> Image:
-        """Return the mean of what many rays of each pixel hit, shape (y, x, number)."""
+        """Return the mean features of many rays of each pixel, shape (y, x, number)."""
         mi, sampler = self.mi, self.sampler
 
         def hit(x: Any, y: Any) -> list[Any]:
@@ -301,13 +300,13 @@ class _Rays:
             ends=path.ends | scatters,
             albedo=albedo,
             place=place,
-            # What passes through a material counts as a reflection, but for integrators of media.
+            # Passing through a material counts as a reflection, except for integrators of media.
             is_fresh=path.is_fresh & ((passes ^ True) | self.volumetric),
             goes_on=onward | (collides & (scatters ^ True)),
         )
 
     def _collision(self, path: _Path, sampler: Any, inside: Any) -> tuple[Any, Any, Any]:
-        """Return where a medium meets a ray next, how far away, and if it scatters there."""
+        """Return where a medium meets a ray next, at which distance, and if it scatters there."""
         mi = self.mi
         channel = mi.UInt32(dr.minimum(3 * sampler.next_1d(inside), 2)) if mi.is_rgb else 0
         event = path.medium.sample_interaction(path.ray, sampler.next_1d(inside), channel, inside)
@@ -319,7 +318,7 @@ class _Rays:
 def _followed(rays: _Rays, path: _Path, sampler: Any) -> Any:
     """Follow a path until it meets a surface that shows, a medium scatters it, or it leaves.
 
-    The sampler is a variable of the loop, else each turn would draw the same random numbers.
+    The sampler is a variable of the loop; otherwise, each turn would draw the same random numbers.
     """
     while path.goes_on:
         path = rays.continued(path, sampler)

@@ -1,7 +1,7 @@
-"""Recipes: how a study renders a scene, and the regions that it looks at.
+"""Recipes: how a study renders a scene, and which regions it looks at.
 
-A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a scene without one,
-`chdstat.patterns.choose_regions` finds a region for every pattern of the classified image.
+A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a scene without a
+recipe, `chdstat.patterns.choose_regions` finds a region for every pattern of the classified image.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 _EDGE = 128
-"""Longest edge of the image where neither the user nor a recipe gives a size."""
+"""Longest edge of the image if neither the user nor a recipe gives a size."""
 SCHEMA = 1
 _KEYS = ("schema", "name", "scene", "integrator", "size", "spp", "seed", "regions")
 _LONGEST, _DOTS = 2**16, 1000
@@ -56,10 +56,10 @@ PHENOMENA = (
     "caustic",
     "volume",
 )
-"""What a region may show; all but the last three after the case study of Elek et al. 2019.
+"""Phenomena of regions; all but the last three come from the case study of Elek et al. 2019.
 
-``texture`` covers several colours under one light; regions of ``albedo-contrast`` come in pairs, a
-dark and a pale one of the same texture side by side.
+``texture`` covers several colours under one light. Regions of ``albedo-contrast`` come in pairs: a
+dark and a pale one of the same texture, side by side.
 """
 
 
@@ -76,7 +76,7 @@ class Region:
     rectangle
         Left, top, right, bottom as fractions of the image, origin at the top left.
     note
-        What is to be seen there.
+        What can be seen there.
     """
 
     name: str
@@ -125,17 +125,17 @@ class Recipe:
     Parameters
     ----------
     scene
-        What `chdstat.load_scene` takes; in a file, a path may start from the file's folder, or from
-        one that an environment variable names, as in ``$CHDSTAT_SCENES/attic/scene.xml``.
+        Source for `chdstat.load_scene`. In a file, a path may start from the file's folder, or from
+        a folder in an environment variable, such as ``$CHDSTAT_SCENES/attic/scene.xml``.
     size, spp, seed, max_depth
         As for `chdstat.render`.
     regions
-        What to look at, in the order of the report.
+        Regions to look at, in the order of the report.
     integrator
-        Mitsuba's name of the integrator that the scene asks for, such as ``path``; None where the
+        Mitsuba's name of the integrator that the scene asks for, such as ``path``; None if the
         recipe does not say.
     name
-        What a study calls the scene; None takes the scene's own name.
+        Name of the scene in the study; None for the scene's own name.
     """
 
     scene: str
@@ -152,7 +152,7 @@ class Recipe:
         return {"size": self.size, "spp": self.spp, "seed": self.seed, "max_depth": self.max_depth}
 
     def shows(self, height: int, width: int) -> bool:
-        """Return whether an image of this size has the proportions, and so the view, of this one.
+        """Return whether an image of this size has the proportions, and so the view, of the recipe.
 
         Examples
         --------
@@ -182,18 +182,18 @@ def check_integrator(recipe: Recipe, scene: Scene) -> None:
 
 
 def _own_recipe(name: str, origin: str) -> Recipe | None:
-    """Return the recipe of a scene that is built in; None of another, whatever its name is.
+    """Return the recipe of a built-in scene; None for another scene, whatever its name.
 
     Parameters
     ----------
     name, origin
-        Of a `Scene`, or of the scene of samples.
+        Name and origin of a `Scene`, or of the scene of samples.
     """
     return find_recipe(name) if name in BUILTIN and origin == "chdstat" else None
 
 
 def recipe_of(scene: Scene, *, spp: int, seed: int) -> Recipe:
-    """Return the recipe of a built-in scene; of others, a small image of their own proportions."""
+    """Return the recipe of a built-in scene; for others, a small image with their proportions."""
     own = _own_recipe(scene.name, scene.origin)
     if own is not None:
         return own
@@ -204,7 +204,7 @@ def recipe_of(scene: Scene, *, spp: int, seed: int) -> Recipe:
 
 
 def regions_of(samples: Samples) -> tuple[Region, ...]:
-    """Return the regions of samples of a built-in scene in the view of its recipe, else none."""
+    """Return the regions of samples of a built-in scene in its recipe's view, else none."""
     recipe = _own_recipe(samples.name, str(samples.attrs.get("scene_source")))
     height, width = samples.shape[:2]
     whole = samples.attrs.get("size", [width, height]) == [width, height]  # not cut by `isel`
@@ -212,17 +212,17 @@ def regions_of(samples: Samples) -> tuple[Region, ...]:
 
 
 def remake_of(samples: Samples) -> str:
-    """Return the name of the paper's scene that samples of a built-in one are a remake of, or "".
+    """Return the name of the paper's scene whose remake these samples show, or "".
 
-    What is said of the remake need not hold of the scene of Elek, Thomas and Forbes 2019, which has
-    other geometry and materials.
+    Findings on a remake need not hold for the scene of Elek, Thomas and Forbes 2019, whose geometry
+    and materials differ.
     """
     built_in = samples.attrs.get("scene_source") == "chdstat"
     return REMAKES.get(samples.name, "") if built_in else ""
 
 
 def find_recipe(scene: str) -> Recipe | None:
-    """Return the recipe of a built-in scene, or None where there is none."""
+    """Return the recipe of a built-in scene; None if it has none."""
     package = Path(chdstat.__file__).parent
     for place in (package, package.parent):  # as it is installed, and in a source checkout
         path = place / "renders" / f"{scene}.toml"
@@ -232,13 +232,13 @@ def find_recipe(scene: str) -> Recipe | None:
 
 
 def load_recipe(path: str | Path) -> Recipe:
-    """Read a recipe; a scene that lies beside it may be named from there.
+    """Read a recipe; its scene's path may start from the recipe's folder.
 
     Raises
     ------
     InputError
         If the file is missing or not TOML, a key is missing or out of range, or the scene's path
-        has an environment variable that is not set; the message names file and key.
+        uses an environment variable that is not set. The message names file and key.
     """
     path = Path(path)
     content = _toml(path)
@@ -261,9 +261,9 @@ def load_recipe(path: str | Path) -> Recipe:
 
 
 def _toml(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file; refuse one that no person writes.
+    """Return the content of a TOML file; refuse one that no person would write.
 
-    Python's parser overflows its stack in deep arrays, and takes minutes for a key of many parts.
+    Python's parser overflows its stack in deep arrays, and takes minutes for a key with many parts.
     """
     try:
         with path.open("rb") as stream:
@@ -329,7 +329,7 @@ def _key(
     if optional and name not in content:
         return None
     value = content.get(name)
-    # In Python a truth value is a whole number; in a recipe it is a mistake.
+    # In Python, a truth value is a whole number; in a recipe, it is a mistake.
     good = isinstance(value, kind) and not isinstance(value, bool)
     _expect(good, f"{where}{name}", f"a {kind.__name__}", value)
     return value

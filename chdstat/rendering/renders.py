@@ -1,7 +1,7 @@
 """Renders: all samples of a scene, chunk by chunk.
 
-`render` keeps every sample, in a store or in memory, and can be stopped and resumed at any moment;
-`render_pixels` draws those of a few pixels on demand.
+`render` keeps every sample, in a store or in memory; it can be stopped and resumed at any moment.
+`render_pixels` draws the samples of a few pixels on demand.
 """
 
 from __future__ import annotations
@@ -74,23 +74,23 @@ def render(
     """Render a scene and keep every sample.
 
     The samples of a chunk (a tile of pixels times a batch of samples) depend only on scene,
-    backend, seed, tile and batch. So a render that was stopped resumes, more `spp` append, any
-    worker may render any chunk, and the result is the same to the bit.
+    backend, seed, tile and batch. A render that was stopped can therefore resume, more `spp` are
+    appended, and any worker may render any chunk. The result is always the same to the bit.
 
     Parameters
     ----------
     scene
-        Anything that `chdstat.load_scene` takes.
+        Scene, in any form that `chdstat.load_scene` takes.
     spp
-        Samples per pixel, on average. Where `out` holds fewer, the missing ones are appended.
+        Samples per pixel, on average. If `out` holds fewer, the missing ones are appended.
     size
-        (width, height) in pixels; None takes that of `out`, else the scene's own.
+        (width, height) in pixels; None for the size of `out`, or else the scene's own.
     seed
-        An integer from 0 to 2^31 - 1; another one gives independent samples.
+        An integer from 0 to 2^31 - 1; another seed gives independent samples.
     max_depth
-        Longest path in segments; None takes the scene's own.
+        Longest path in segments; None for the scene's own.
     sensor
-        Which of the scene's sensors sees the image, counted from 0.
+        Number of the scene's sensor, counted from 0.
     integrator
         What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
         settings, such as ``{"type": "path", "rr_depth": 100}``. "guided" is the scene's own, which
@@ -112,41 +112,41 @@ def render(
         pixel: "stratified", "multijitter", "orthogonal" or "ldsampler". Then samples depend on each
         other: `Samples.sequence_means` gives averages that do not.
     sequence
-        Samples of a pixel that such a sampler spreads together; each sequence has random numbers of
-        its own, and `spp` must be a multiple of it. None takes 16.
+        Samples of a pixel that such a sampler spreads together; 16 by default. Each sequence has
+        its own random numbers, and `spp` must be a multiple of `sequence`.
     direct
-        Render every sample once more with no more than two segments, for what is emission and
-        direct light of it: `Samples.direct`. The rest is indirect. This takes a tenth more time in
-        rooms, and more where paths are short anyway. An `out` that has it goes on with it.
+        Also render every sample with at most two segments, which is its emission and direct light:
+        `Samples.direct`. The rest is indirect. That takes a tenth more time in rooms, and more
+        where paths are short. An `out` with direct light continues with it.
     by_depth
         Render every sample once more with no more than 2, 3, ... and so many segments:
         `Samples.depths`. Their differences are the light of each sample by the length of its path;
         `chdstat.patterns.attribute` turns them into shares of the mean, the variance and the tail.
     by_light
-        Render every sample once more by some lights alone: `Samples.lights`. Each entry is the name
-        of a light (of its shape, in most scenes) or a pattern such as ``"lamp-*"`` that names a
-        group of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
+        Also render every sample with some lights only: `Samples.lights`. Each entry is the name of
+        a light (of its shape, in most scenes), or a pattern such as ``"lamp-*"`` for a group of
+        lights. `chdstat.patterns.attribute` returns their shares, too.
     adaptive
-        Draw samples where they are needed: some of every pixel (a quarter of `spp`, or 32 but at
-        most half), and the others where these tell that the image is noisy; see
-        `chdstat.rendering.adaptive`. True makes the relative error of the image least ("relMSE"),
-        "MSE" the absolute one. The samples of a pixel do not depend on how many there are, so that
-        means have no bias. With llvm and cuda, they are the first ones of a render that is not
-        adaptive; with scalar, they are drawn pixel by pixel, which takes longer. An `out` that is
-        adaptive goes on so.
+        Draw samples where they are needed. Every pixel gets some first (a quarter of `spp`, or 32
+        but at most half). The others are drawn where the first ones tell that the image is noisy;
+        see `chdstat.rendering.adaptive`. True minimises the relative error of the image ("relMSE"),
+        "MSE" the absolute one. The samples of a pixel do not depend on their number, so that means
+        have no bias. With llvm and cuda, they are the first samples of a render that is not
+        adaptive. With scalar, they are drawn pixel by pixel, which takes longer. An adaptive `out`
+        continues adaptively.
     error
         Relative error of the image to reach, such as 0.02: the root of relMSE, or with
-        ``adaptive="MSE"`` that of MSE. The first samples, at most 64 of a pixel, predict how many
-        that takes; `spp` is the most that are drawn, on average. The render is adaptive.
+        ``adaptive="MSE"`` of MSE. The first samples, at most 64 per pixel, predict the number that
+        it takes; `spp` is the most that are drawn on average. The render is then adaptive.
     percentile
         Reach the error in single pixels: 95 means in 95 % of them. None takes the error of the
         image, which its noisiest pixels decide.
     out
-        Where to store the samples, a path or a URL; None keeps them in memory.
+        Where to store the samples, a path or a URL; None to keep them in memory.
     backend
-        "auto" takes the fastest backend that has proved itself on this machine.
+        "auto" takes the fastest backend that works on this machine.
     client
-        A Dask client; its workers render, one chunk a task.
+        A Dask client, whose workers render one chunk per task.
     progress
         Show a progress bar; None shows it on a terminal.
 
@@ -158,10 +158,11 @@ def render(
     Raises
     ------
     InputError
-        If `spp`, `size` or `seed` is out of range, the sampler would round `sequence`, or light by
-        depth or by lights, or an adaptive render, is asked of one that spreads samples.
+        If `spp`, `size` or `seed` is out of range, or the sampler would round `sequence`. Also if
+        light by depth or by lights, or an adaptive render, is asked for with a sampler that spreads
+        samples.
     SceneError, RenderError
-        If the scene cannot be read, or not be rendered as asked.
+        If the scene cannot be read, or cannot be rendered as asked.
     StoreError
         If `out` holds something else, or cannot be written to.
 
@@ -238,7 +239,7 @@ def _captured(
     client: Client | None,
     progress: bool | None,
 ) -> Samples:
-    """Render a job, and once more each part of its light."""
+    """Render a job, and again for each part of its light."""
     kept = job.options.spp * (1 + len(depths) + len(lights))
     renderer = checked_renderer(job, kept=kept, out=out)
     renderer.check_lights(lights)
@@ -263,7 +264,7 @@ def _captured(
 
 
 def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
-    """Make room for the samples of each pixel, as the first ones of all pixels tell."""
+    """Make room for the samples of each pixel, as decided from the first samples of all pixels."""
     if writer.density is None:
         density, noise = decided(writer.finish(), how)
     else:
@@ -285,18 +286,18 @@ def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
 def render_pixels(
     scene: SceneLike, pixels: npt.ArrayLike, **options: Unpack[RenderSettings]
 ) -> Image:
-    """Draw samples of a few pixels, without rendering the rest of the image.
+    """Draw samples of a few pixels without rendering the rest of the image.
 
     Parameters
     ----------
     scene
         As for `render`.
     pixels
-        (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
+        (y, x) of each pixel, shape (pixel, 2); a single pair is one pixel.
     **options
-        As for `render`: `spp`, 2048 here, `size`, `seed`, `max_depth`, `sensor`, `integrator`,
-        `crop`, `color`, and `backend`, "scalar" here. The samples are independent, also of those
-        that `render` draws.
+        As for `render`: `spp` (2048 by default), `size`, `seed`, `max_depth`, `sensor`,
+        `integrator`, `crop`, `color`, and `backend` ("scalar" by default). The samples are
+        independent, also of those that `render` draws.
 
     Returns
     -------
@@ -354,12 +355,12 @@ def _check_portable(job: Job) -> None:
 
 
 def checked_renderer(job: Job, *, kept: int, out: Path | None) -> MitsubaRenderer:
-    """Return the renderer of a job whose samples can be drawn, and so many of a pixel kept.
+    """Return the renderer of a job, after checking that it can draw, and that `kept` samples fit.
 
     Raises
     ------
     InputError, SceneError, RenderError
-        If the scene cannot be rendered as asked, or there is no room for what is kept.
+        If the scene cannot be rendered as asked, or there is no room for the kept samples.
     """
     renderer, spp = MitsubaRenderer(job), job.options.spp
     width, height = renderer.size
@@ -380,9 +381,9 @@ def checked_renderer(job: Job, *, kept: int, out: Path | None) -> MitsubaRendere
 
 
 def _cut_paths(renderer: MitsubaRenderer, depths: Collection[int]) -> dict[LightPart, Job]:
-    """Return the same job with paths cut after each of some depths, where that cuts any.
+    """Return the job with paths cut after each of some depths, where that cuts any.
 
-    A sample of it is that of the whole but for the light that its path meets later: both draw the
+    A sample of it is the whole sample without the light that its path meets later: both draw the
     same random numbers in the same order.
     """
     longest, job = renderer.depth, renderer.job
@@ -407,7 +408,7 @@ def _features_restored(
 ) -> Iterator[None]:
     """Give a writer the first-hit features that it lacks, while its samples are rendered.
 
-    Features take as long as some dozen samples per pixel, so that one worker of a cluster draws
+    Features take as long as a few dozen samples per pixel, so that one worker of a cluster draws
     them while the others render.
     """
     if not writer.lacks_features:
@@ -429,13 +430,13 @@ def _features_restored(
 def _fill(
     renderer: MitsubaRenderer, writer: Writer, client: Client | None, progress: bool | None
 ) -> None:
-    """Render what is missing, writing each chunk as it arrives."""
+    """Render what is missing, and write each chunk as it arrives."""
     chunks = writer.pending()
     if not chunks:
         return
     start, name = time.monotonic(), renderer.job.scene.name
     samples = writer.lacking
-    # What is missing of chunks is added to what is there, by this process.
+    # This process adds the missing samples of chunks to the existing ones.
     store = writer if isinstance(writer, Store) and writer.adaptive is None else None
     with track(f"rendering {name}", samples, unit="S", show=progress) as advance:
         try:
@@ -453,7 +454,7 @@ def _fill(
 
 
 class MemoryWriter:
-    """Keeps rendered samples in memory, as a `chdstat.samples.store.Store` does on disk."""
+    """Keeps rendered samples in memory, as `chdstat.samples.store.Store` does on disk."""
 
     def __init__(self, attrs: dict[str, Any], size: tuple[int, int]) -> None:
         (width, height), spp = size, _first_spp(attrs)
@@ -464,17 +465,17 @@ class MemoryWriter:
         self._done = 0
 
     def pending(self) -> list[Chunk]:
-        """Return the chunks that are not there yet."""
+        """Return the chunks that are still missing."""
         height, width, _, spp = self._array.shape
         return list(chunk_grid(height, width, spp))
 
     @property
     def lacking(self) -> int:
-        """How many samples are not there yet, over all pixels."""
+        """Samples that are still missing, over all pixels."""
         return int(self._counts.sum()) - self._done
 
     def to_draw(self, chunk: Chunk) -> Chunk:
-        """Return a chunk with what is missing of it, where counts differ on purpose."""
+        """Return a chunk with its missing samples marked, if counts differ on purpose."""
         if "adaptive" not in self.attrs:
             return chunk
         held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
@@ -489,7 +490,7 @@ class MemoryWriter:
         self._done += chunk.size
 
     def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
-        """Let pixels have different numbers of samples from now on, `spp` of them on average."""
+        """Let pixels have different numbers of samples from now on, `spp` on average."""
         first, self.density = self._array, density
         self.attrs |= {"spp": spp, "noise": dict(noise)}
         self._counts = counts_of(density, spp, self.attrs["adaptive"]["first"])
@@ -501,7 +502,7 @@ class MemoryWriter:
 
     @property
     def lacks_features(self) -> bool:
-        """Whether there are no first-hit features yet."""
+        """Whether first-hit features are still missing."""
         return not self._features
 
     def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
@@ -511,7 +512,7 @@ class MemoryWriter:
             self.attrs["why_no_features"] = why_none
 
     def spent(self, seconds: float) -> None:
-        """Record how long rendering took."""
+        """Record the rendering time."""
         self.attrs["render_seconds"] = round(seconds, 3)
 
     def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
@@ -521,12 +522,12 @@ class MemoryWriter:
 
 
 Writer = MemoryWriter | Store
-"""What keeps rendered samples."""
+"""Keeps rendered samples."""
 
 
 @contextlib.contextmanager
 def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -> Iterator[Writer]:
-    """Yield what keeps samples: a store, which may be there already, or memory."""
+    """Yield the keeper of samples: a store, which may exist already, or memory."""
     attrs = renderer.provenance | ({} if how is None else {"adaptive": how.attrs})
     if out is None:
         yield MemoryWriter(attrs, renderer.size)
@@ -542,7 +543,7 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
 
 
 def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Store:
-    """Open or create a store that is written to, with room for the samples asked for."""
+    """Open or create a store for writing, with room for the samples asked for."""
     if not is_store(out):
         width, height = size
         return Store.create(out, shape=(height, width, 3, _first_spp(attrs)), attrs=attrs)
@@ -554,7 +555,7 @@ def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Sto
 
 
 def _first_spp(attrs: Mapping[str, Any]) -> int:
-    """Return how many samples all pixels get, before any gets more."""
+    """Return the number of samples that all pixels get before any pixel gets more."""
     return int(attrs["adaptive"]["first"] if "adaptive" in attrs else attrs["spp"])
 
 
@@ -593,8 +594,8 @@ _IDENTITY: dict[str, Any] = {
     "sampler": "independent",
     "sequence": None,
 }
-"""Attributes that must agree before samples are added to a store, with what older stores mean that
-lack them."""
+"""Attributes that must agree before samples are added to a store, and their values in older stores
+that lack them."""
 
 
 def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
@@ -621,7 +622,7 @@ def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
 
 
 _CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": "plugins"}
-"""Attributes that hold names: a message lists the names that differ, and calls them this."""
+"""Attributes that hold names: a message lists the names that differ, under this heading."""
 
 
 def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:

@@ -1,33 +1,35 @@
 """Random numbers: which sampler draws them, and which of them each sample owns.
 
-Samplers other than the independent one spread the samples of a pixel, so many of them at a time, a
-sequence. Samples of one sequence depend on each other: stratified ones, say, lie in different cells
-of a grid. Sequences do not: each has random numbers of its own, so that a render of several
-sequences holds independent replications of the estimate that one of them gives.
+Samplers other than the independent one spread the samples of a pixel. They do so for a fixed number
+of samples at a time, a sequence. Samples of one sequence depend on each other; stratified samples,
+for example, lie in different cells of a grid. Sequences are independent, since each has its own
+random numbers. A render of several sequences thus holds independent replications of one sequence's
+estimate.
 
-Mitsuba seeds its generators with 32-bit integers. Hashing (tile, batch, pass) into one would repeat
-streams by the birthday rule, so every stream gets an integer of its own:
+Mitsuba seeds its generators with 32-bit integers. Hashing (tile, batch, pass) into one integer
+would repeat streams by the birthday rule, so every stream gets its own integer:
 
 * scalar: a pass draws one sample for each of the 64 x 64 pixels of a tile. Pass ``p`` owns the
-  streams ``4096 p`` to ``4096 p + 4095``; passes are numbered by (sample, tile), and the numbers
-  shuffled. Mitsuba's scalar generator (PCG32) starts from its seed and hashes it no further: of
-  seeds that grow in equal steps, each of its dimensions is an arithmetic progression in the state,
-  too regular for chance, and the variance of a mean of 1024 samples was a quarter off.
+  streams ``4096 p`` to ``4096 p + 4095``. Passes are numbered by (sample, tile), and the numbers
+  are shuffled. Mitsuba's scalar generator (PCG32) starts from its seed without hashing. For seeds
+  that grow in equal steps, each of its dimensions would be an arithmetic progression in the state,
+  which is too regular for chance: the variance of a mean of 1024 samples was a quarter off.
 * llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
   lane index; chunks are numbered by (batch, tile).
-* sequences of dependent samples: in scalar, one for each pixel of a tile takes the numbers of a
-  pass, of which the last come first; a wavefront of them takes as many numbers as it has lanes, for
-  Mitsuba scrambles a sequence by the number plus the lane. There, the user's seed is a seed of its
-  own, of the sampler.
-* single pixels drawn on demand own the topmost 2^24 numbers, which neither of the above reaches;
-  they are permuted, too. In an image of more pixels than that, some share a stream.
+* sequences of dependent samples: in scalar, one sequence for each pixel of a tile takes the numbers
+  of a pass, from the last pass downwards. A wavefront of sequences takes as many numbers as it has
+  lanes, since Mitsuba scrambles a sequence by the number plus the lane. There, the user's seed is a
+  separate seed of the sampler.
+* single pixels drawn on demand own the topmost 2^24 numbers, which none of the above reaches; they
+  are permuted, too. In an image with more pixels, some share a stream.
 
-So a scalar image takes 2^12 of the 2^32 numbers for each sample of each tile: there are 2048 spp of
-1920 x 1080 pixels, 512 of 3840 x 2160. A wavefront has 64 times a number of chunks, billions.
+A scalar image takes 2^12 of the 2^32 numbers for each sample of each tile. That is enough for 2048
+spp at 1920 x 1080 pixels, and 512 spp at 3840 x 2160. A wavefront has 64 times the number of
+chunks: billions.
 
-The user's seed shuffles passes in another order: two seeds share about one sample of a pixel in a
-million, times spp. The numbers of chunks and of single pixels it shifts by a multiple of the golden
-section of their range, which spreads small seeds evenly.
+The user's seed shuffles passes in another order: two seeds share about spp samples of a pixel in a
+million. It shifts the numbers of chunks and of single pixels by a multiple of the golden section of
+their range, which spreads small seeds evenly.
 """
 
 from __future__ import annotations
@@ -45,14 +47,14 @@ from chdstat.samples.tiles import BATCH, TILE, Chunk
 __all__ = ["SEEDS", "STREAMS", "SamplerName", "Sequences", "Streams", "check_spp", "grouped"]
 
 SamplerName = Literal["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
-"""Mitsuba's samplers of which samples can be kept one by one."""
+"""Mitsuba's samplers whose samples can be kept one by one."""
 LENGTH = 16
-"""Samples of a sequence, unless told."""
+"""Samples of a sequence by default."""
 LONGEST = 1024
-"""More samples of a tile at once are more than a wavefront should have."""
+"""Longest sequence: more samples of a tile are too many for a wavefront."""
 _PARTS = 4
-"""Sequences that a span holds, at least, where they and the chunks of a store end in different
-places: those at its ends are drawn twice."""
+"""Least number of sequences in a span, if sequences and the chunks of a store end in different
+places: the sequences at the ends of a span are drawn twice."""
 
 
 def _is_square(n: int) -> bool:
@@ -68,17 +70,17 @@ _FITS: dict[str, tuple[Callable[[int], bool], str]] = {
     ),
     "ldsampler": (lambda n: _is_square(n) and n & (n - 1) == 0, "a power of 4"),
 }
-"""Which lengths a sampler takes as they are; Mitsuba rounds others up."""
+"""Lengths that a sampler takes as they are; Mitsuba rounds others up."""
 
 
 @dataclass(frozen=True)
 class Sequences:
-    """The sampler of dependent samples, and how many of them make a sequence.
+    """The sampler of dependent samples, and the length of its sequences.
 
     Attributes
     ----------
     sampler
-        Mitsuba's name of it.
+        Mitsuba's name of the sampler.
     length
         Samples of a pixel in one sequence.
 
@@ -141,7 +143,7 @@ class Sequences:
 
     @property
     def drawn_together(self) -> int:
-        """Samples of a pixel in one wavefront: a batch at most, unless a sequence is longer."""
+        """Samples of a pixel in one wavefront: a batch, or one sequence if that is longer."""
         return self.length * max(1, BATCH // self.length)
 
     @property
@@ -181,20 +183,20 @@ def grouped(
 # --- streams ------------------------------------------------------------------------------------
 
 STREAMS = 2
-"""Which numbering this is, the second: samples of two numberings are never mixed in a store."""
+"""Version of the numbering: samples of two versions are never mixed in a store."""
 PIXELS = 2**24
-"""Numbers kept for single pixels, the topmost of the 2^32."""
+"""Numbers reserved for single pixels, the topmost of the 2^32."""
 PASSES = (2**32 - PIXELS) // TILE**2
 """Scalar passes that own streams."""
 _SHUFFLED = (983_040, PASSES)
-"""Where the ranges end of which passes are shuffled each within its own: the first was all there
-were once, so that what was rendered then goes on as it began."""
+"""Ends of the ranges within which passes are shuffled. The first range was once all there was, so
+that older renders continue as they began."""
 CHUNKS = 2**31
 """Chunks that have a number for the wavefront."""
 _TURNS = 6
-"""How often the halves of a number change places while it is permuted."""
+"""How often the halves of a number are swapped while it is permuted."""
 SEEDS = 2**31
-"""Seeds of the user: larger ones would come back to the numbers of smaller ones."""
+"""Seeds for users: larger ones would repeat the numbers of smaller ones."""
 _WORD = 2**64 - 1
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -216,13 +218,13 @@ class Streams:
         return number_of(self.seed, self._index(chunk.batch, chunk), CHUNKS)
 
     def of_sequence(self, chunk: Chunk, sequence: int) -> int:
-        """Return the first of the numbers, one for each pixel of a tile, of a scalar sequence."""
+        """Return the first number of a scalar sequence, which has one for each pixel of a tile."""
         return shuffled(PASSES - 1 - self._index(sequence, chunk), self.seed) * TILE**2
 
     def of_wavefront(self, chunk: Chunk, block: int, lanes: int) -> int:
-        """Return the first of the numbers, one for each lane, of a block of sequences of a tile.
+        """Return the first number of a block of sequences of a tile, which has one for each lane.
 
-        Other numbers belong to another seed of the sampler, `of_sampler`.
+        These numbers belong to a separate seed of the sampler, `of_sampler`.
         """
         return self._index(block, chunk) * lanes
 
@@ -238,11 +240,11 @@ class Streams:
         return 2**32 - PIXELS + _permuted(number, 0, half=2**12)
 
     def of_training(self, number: int) -> int:
-        """Return the number of a wavefront of a training, which no sample owns."""
+        """Return the number of a training's wavefront, which no sample owns."""
         return CHUNKS + number_of(self.seed, number, PIXELS)
 
     def _index(self, number: int, chunk: Chunk) -> int:
-        """Return the place of what comes `number` times before it in the tile of a chunk."""
+        """Return the index of a chunk's tile after `number` earlier rounds over the image."""
         across = -(-self.size[0] // TILE)
         return number * _tiles(*self.size) + chunk.tile_y * across + chunk.tile_x
 
@@ -280,15 +282,15 @@ def check_spp(
 
 
 def number_of(seed: int, index: int, span: int) -> int:
-    """Return the number of a block of streams under a user's seed; one to one with `index`."""
+    """Return the number of a block of streams for a user's seed; one to one with `index`."""
     return (index + seed * round(_GOLDEN * span)) % span
 
 
 def shuffled(index: int, seed: int) -> int:
-    """Return the number of a scalar pass under a user's seed; one to one with `index`.
+    """Return the number of a scalar pass for a user's seed; one to one with `index`.
 
-    A Feistel network of 20 bits, walked until the number is one of its range (Black and Rogaway,
-    "Ciphers with arbitrary finite domains", 2002, doi:10.1007/3-540-45760-7_9).
+    It is a Feistel network of 20 bits, repeated until the number lies in its range (Black and
+    Rogaway, "Ciphers with arbitrary finite domains", 2002, doi:10.1007/3-540-45760-7_9).
 
     Examples
     --------
@@ -328,8 +330,9 @@ def _mixed(number: int) -> int:
 def pass_seed(number: int, pixels: int) -> int:
     """Return the seed that makes a scalar render use the streams 4096 n to 4096 n + 4095.
 
-    It multiplies the seed by the number of pixels of the film, modulo 2^32. A tile of 64 x 64 has
-    2^12 pixels; smaller ones at the border have 2^v m with v <= 12 and m odd, which is invertible.
+    Mitsuba multiplies the seed by the number of pixels of the film, modulo 2^32. A tile of 64 x 64
+    has 2^12 pixels. Smaller tiles at the border have 2^v m pixels with v <= 12 and m odd, which is
+    invertible.
     """
     power = (pixels & -pixels).bit_length() - 1
     modulus = 1 << (32 - power)

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 __all__ = ["at_once", "features_remote", "render_remote", "rendered"]
 
 Group = tuple[Chunk, Sequence[Chunk]]
-"""Samples that are drawn together, and the chunks that they are stored in."""
+"""Samples that are drawn together, and the chunks in which they are stored."""
 Drawn = Sequence[tuple[Chunk, Image | None]]
-"""Chunks with their samples; None for those that are stored already."""
+"""Chunks with their samples; None for chunks that are already stored."""
 
 
 def rendered(
@@ -41,10 +41,10 @@ def rendered(
     client: Client | None = None,
     store: Store | None = None,
 ) -> Iterator[tuple[Chunk, Image | None]]:
-    """Yield chunks with their samples, in the order they are done.
+    """Yield chunks with their samples, in the order in which they are done.
 
-    Workers of a cluster write those of a `store` that they see themselves: None is yielded in their
-    place. Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
+    Workers of a cluster write directly to a `store` that they see; None is yielded instead of the
+    samples. Ctrl-C raises KeyboardInterrupt once no thread is at work any more.
     """
     job = renderer.job
     groups = grouped(chunks, job.options.sequences)
@@ -76,8 +76,8 @@ def _samples_of(
 def at_once(job: Job) -> Iterator[int]:
     """Yield how many chunks to render at once, with Mitsuba's own threads set to match.
 
-    A scalar pass is too short to be shared among threads: one chunk per core, each pass in the
-    thread that asked for it, keeps the caches warm. A wavefront uses all cores by itself.
+    A scalar pass is too short to share among threads: one chunk per core, with each pass in its
+    calling thread, keeps the caches warm. A wavefront uses all cores by itself.
     """
     if job.backend.name != "scalar":
         yield 1
@@ -114,9 +114,9 @@ _REMOTE_LOCK = threading.Lock()
 def render_remote(
     job: Job, identity: dict[str, Any], place: tuple[Any, ...] | None, group: Group
 ) -> Drawn:
-    """Render chunks in a Dask worker, of the very scene that the client has.
+    """Render chunks in a Dask worker, after checking that its scene is the client's.
 
-    They are written to the store, where there is one and this worker sees it.
+    The chunks are written to the store, if there is one and this worker sees it.
     """
     with _remote(job, identity) as renderer:
         drawn = _samples_of(renderer, group)
@@ -132,7 +132,7 @@ def render_remote(
 
 
 def features_remote(job: Job, identity: dict[str, Any]) -> tuple[Mapping[str, Image], str]:
-    """Render first-hit features in a Dask worker, of the very scene that the client has."""
+    """Render first-hit features in a Dask worker, after checking that its scene is the client's."""
     with _remote(job, identity) as renderer:
         return renderer.features()
 
@@ -168,7 +168,7 @@ def _limit_threads() -> None:
 
 
 def _check_same(here: dict[str, Any], there: dict[str, Any]) -> None:
-    """Refuse a worker whose files or plugins are others than those of the client."""
+    """Refuse a worker whose files or plugins differ from the client's."""
     parts = ("scene_files", "scene_code")
     names = [name for part in parts for name in sorted(differing(here[part], there[part]))]
     if here["scene_hash"] != there["scene_hash"] or names:
