@@ -1,9 +1,10 @@
 """Exchange with other programs: their samples, EXR files, maps, and a denoiser for estimates.
 
-`read` opens samples in files of other programs; `get_include` names the folder of the C++ header
-with which a renderer writes such files. `write_exr` and `read_exr` keep images with their layers in
-EXR files, `write_image` images in the format of their suffix, `write_maps` and `write_netcdf`
-results per pixel; `denoise` gives an image of estimates to Open Image Denoise.
+- `read` opens samples in files of other programs. `get_include` returns the folder of the C++
+  header with which a renderer writes such files.
+- `write_exr` and `read_exr` keep images with their layers in EXR files. `write_image` writes an
+  image in the format of the file's suffix. `write_maps` and `write_netcdf` write results per pixel.
+- `denoise` denoises an image of estimates with Open Image Denoise.
 """
 
 from __future__ import annotations

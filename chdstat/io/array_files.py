@@ -1,4 +1,4 @@
-"""Arrays of samples in files: NumPy's, netCDF, HDF5 and zarr, read in parts.
+"""Arrays of samples in files: NumPy, netCDF, HDF5 and zarr, read in parts.
 
 A .npy file is mapped into memory, the arrays of xarray are lazy, and a member of a .npz archive is
 unpacked to a temporary file first.
@@ -27,7 +27,7 @@ from chdstat.samples.samples import axes_of
 __all__ = ["load_npy", "open_npy", "open_npz", "open_xarray"]
 
 _SAMPLES = ("samples", "radiance")
-"""Names of arrays that say that they hold the samples."""
+"""Names of arrays that hold the samples."""
 
 
 def load_npy(path: Path) -> Array:
@@ -47,12 +47,12 @@ def load_npy(path: Path) -> Array:
 
 
 def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open .npy files, whose samples follow each other.
+    """Open .npy files, whose samples are concatenated.
 
     Notes
     -----
     Read
-        As of arrays; of several files one behind the other.
+        As of arrays; several files are concatenated.
     Converted
         As of arrays; any order of bytes and of axes in memory.
     Warned of
@@ -70,7 +70,7 @@ def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
 
 def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open .npz archives: their largest array, or `variable`, and features by their names.
+    """Open .npz archives: the largest array or `variable`, and features by name.
 
     Notes
     -----
@@ -83,8 +83,8 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Ignored
         Other arrays, Python objects, and members that are no arrays.
     Refused
-        As of arrays; several largest ones, none or more than one of which is called "samples" or
-        "radiance"; names that are not there.
+        As of arrays; several largest arrays, unless exactly one is called "samples" or "radiance";
+        missing names.
     """
     sources = []
     for path in paths:
@@ -96,7 +96,7 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
 
 def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open what xarray opens: the largest variable or `variable`, and features by their names.
+    """Open files with xarray: the largest variable or `variable`, and features by name.
 
     Notes
     -----
@@ -157,7 +157,7 @@ def _without_dims(path: Path) -> Mapping[str, Any]:
 
 
 def _why_not(path: Path, error: BaseException) -> str:
-    """Return why xarray cannot open a file, which may lack a package for it."""
+    """Return why xarray cannot open a file; it may lack a package."""
     with contextlib.suppress(OSError), path.open("rb") as start:
         if start.read(8) == b"\x89HDF\r\n\x1a\n" and importlib.util.find_spec("h5netcdf") is None:
             return (
@@ -169,14 +169,14 @@ def _why_not(path: Path, error: BaseException) -> str:
 
 
 class _Folder:
-    """A temporary folder, which is removed with the last that refers to it."""
+    """A temporary folder, which is removed with its last reference."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="chdstat-"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
     def load(self, name: str) -> Array:
-        """Return the array in a .npy file in it, mapped into memory."""
+        """Return the array in one of its .npy files, mapped into memory."""
         return load_npy(self.path / name)
 
 
@@ -194,7 +194,7 @@ def _unpacked(path: Path) -> dict[str, Remapped]:
 
 
 def _variable(path: Path, arrays: Mapping[str, Any], wanted: str | None) -> str:
-    """Return the name of the array of samples: that which is wanted, or the largest."""
+    """Return the name of the array of samples: the wanted one, or the largest."""
     fit = {
         name: int(array.size)
         for name, array in arrays.items()

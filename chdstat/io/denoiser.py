@@ -1,7 +1,7 @@
-"""Denoiser: estimates handed over to Open Image Denoise, with features and certainty.
+"""Denoiser: denoises estimates with Open Image Denoise, with features and certainty.
 
 A denoiser starts from one value per pixel. Any estimator of `chdstat.estimators` gives it a better
-one than the sample mean does: fewer fireflies to smear, less noise to mistake for texture.
+value than the sample mean: fewer fireflies to smear, and less noise to mistake for texture.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from chdstat.errors import ChdstatError, InputError, brief
 __all__ = ["denoise", "library", "works"]
 
 _MEMORY = 400
-"""Megabytes that the network may take; a large image is denoised in tiles, with the same result."""
+"""Megabytes for the network; large images are denoised in tiles, with the same result."""
 
 
 def denoise(
@@ -34,32 +34,32 @@ def denoise(
 ) -> npt.NDArray[np.floating[Any]]:
     """Denoise an image of estimates with Open Image Denoise.
 
-    With a certainty c, ``c estimate + (1 - c) denoised``: a certainty of 1 keeps the pixel, 0
-    replaces it by the denoised one. The network itself has no input for a certainty.
+    With a certainty c, the result is ``c estimate + (1 - c) denoised``: a certainty of 1 keeps the
+    pixel, 0 replaces it by the denoised one. The network itself has no input for a certainty.
 
-    Linear radiance is brought to the exposure that the network was trained for, so that images
-    of any unit come out alike.
+    Linear radiance is scaled to the exposure that the network was trained for, so that the unit of
+    radiance does not matter.
 
     Parameters
     ----------
     estimate
         Radiance, shape (y, x, channel), 1 or 3 channels.
     albedo
-        First-hit albedo, at least 0, shape (y, x, 3). What exceeds 1, as that of emitters may,
-        counts as 1, what is not finite as 0.
+        First-hit albedo, at least 0, shape (y, x, 3). Values above 1, as emitters may have, count
+        as 1, and values that are not finite as 0.
     normal
         First-hit normals in world or camera space, -1 to 1, shape (y, x, 3). Only with `albedo`.
     certainty
-        How far each estimate is certain, 0 to 1, shape (y, x) or (y, x, channel); None for 0.
+        How certain each estimate is, 0 to 1, shape (y, x) or (y, x, channel); None for 0.
     hdr
-        Whether `estimate` is linear radiance; else it holds display values from 0 to 1.
+        Whether `estimate` is linear radiance; otherwise, it holds display values from 0 to 1.
 
     Returns
     -------
     ndarray
-        Shape, unit and floating-point dtype of `estimate`. A pixel of which any channel is NaN,
-        infinite or negative is filled from the pixels next to it before the network sees it, and
-        comes back NaN.
+        The denoised image, with the shape, unit and floating-point dtype of `estimate`. A pixel
+        with a NaN, infinite or negative channel is filled from its neighbours for the network, and
+        is NaN in the result.
 
     Raises
     ------
@@ -72,8 +72,8 @@ def denoise(
     ----------
     A. T. Afra, "Intel Open Image Denoise", https://www.openimagedenoise.org. The blend with the
     input is that of J. Firmino, J. R. Frisvad and H. W. Jensen, "Progressive denoising of Monte
-    Carlo rendered images", Computer Graphics Forum 41(2), 2022, doi:10.1111/cgf.14454; where they
-    learn its weight, ours is the certainty.
+    Carlo rendered images", Computer Graphics Forum 41(2), 2022, doi:10.1111/cgf.14454. They learn
+    its weight; here it is the certainty.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def denoise(
 
 
 def library() -> str:
-    """Say which Open Image Denoise is loaded, or why none is.
+    """Return which Open Image Denoise is loaded, or why none is.
 
     Examples
     --------
@@ -129,7 +129,7 @@ def works() -> bool:
 
 
 def _loaded() -> Any:
-    """Return the module of Open Image Denoise, whose shared library it loads.
+    """Return the module of Open Image Denoise, with its shared library loaded.
 
     Raises
     ------
@@ -147,12 +147,12 @@ def _loaded() -> Any:
 
 
 def run_network(images: dict[str, Image], *, hdr: bool) -> Image:
-    """Denoise ``color`` in little memory, all of which is given back.
+    """Denoise ``color`` in little memory, and release all of it.
 
     Parameters
     ----------
     images
-        ``color``, and ``albedo`` and ``normal`` where there are any, each float32 (y, x, 3).
+        ``color``, and ``albedo`` and ``normal`` if there are any, each float32 (y, x, 3).
     hdr
         Whether ``color`` is linear radiance.
     """
@@ -231,7 +231,7 @@ def _certainty(shape: tuple[int, ...], certainty: npt.ArrayLike | None) -> Float
 
 
 def _without_holes(image: Floats, known: npt.NDArray[np.bool_]) -> Floats:
-    """Fill what is not known by the average of the known pixels next to it, 0 where none is."""
+    """Fill unknown pixels with the average of the known pixels beside them, or 0."""
     if known.all():
         return image
     lit, weights = np.where(known[..., np.newaxis], image, 0), np.ones((3, 3, 1))

@@ -1,19 +1,18 @@
 """EXR files: images of linear radiance for Nuke, tev and other programs, with their layers.
 
-`write_exr` puts certainties, intervals and other layers beside the image in one file; `read_exr`
-reads such files, and those of other programs; `open_exr` opens stacks of them, each a sample or an
-average of some. A file has the pixels of its data window, which may be a part of the display
-window, the image, or reach beyond it. Its colours are of the primaries that `chromaticities` name,
-those of Rec. 709 by default.
+`write_exr` puts certainties, intervals and other layers beside the image in one file. `read_exr`
+reads such files, and those of other programs. `open_exr` opens stacks of files, each with one
+sample, or an average of samples, of every pixel. A file has the pixels of its data window. The data
+window may be a part of the display window, which is the image, or reach beyond it. `chromaticities`
+name the primaries of the colours; the default is Rec. 709.
 
 Source: Academy Software Foundation, "Technical introduction to OpenEXR", "OpenEXR file layout" and
-"Standard attributes", https://openexr.com. The attributes that count samples are those that pbrt-v4
-(``samplesPerPixel``, src/pbrt/util/image.cpp) and Blender's Cycles (``cycles.<layer>.samples``)
-write.
+"Standard attributes", https://openexr.com. The attributes that count samples are those of pbrt-v4
+(``samplesPerPixel``, src/pbrt/util/image.cpp) and of Blender's Cycles (``cycles.<layer>.samples``).
 
-**Colours.** A colour (r, g, b) is the tristimulus value ``P diag(s) (r, g, b)``: the columns of P
+**Colours.** A colour (r, g, b) has the tristimulus value ``P diag(s) (r, g, b)``. The columns of P
 are the chromaticities (x, y, 1 - x - y) of the primaries, and s makes (1, 1, 1) the white point
-(SMPTE RP 177). Another white point than that of Rec. 709 is adapted by the matrix of Bradford.
+(SMPTE RP 177). A white point other than that of Rec. 709 is adapted by the matrix of Bradford.
 Sources: SMPTE RP 177-1993, "Derivation of basic television color equations"; K. M. Lam,
 "Metamerism and colour constancy", PhD thesis, University of Bradford, 1985, as in ISO 15076-1:2010,
 annex E; ITU-R BT.709-6 and BT.2020-2; SMPTE ST 2065-1:2012 (ACES); Academy S-2014-004 (ACEScg);
@@ -43,37 +42,37 @@ from chdstat.io.lazy import Frame, Frames, Opened, ReadOptions
 __all__ = ["ExrImage", "open_exr", "read_exr", "read_feature", "write_exr"]
 
 Rectangle = tuple[int, int, int, int]
-"""Left, top, right and bottom of the pixels of an image, all of them inside."""
+"""Left, top, right and bottom of the pixels of an image, all inclusive."""
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
 _TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}
 _LONGEST_NAME = 255
 _MAGIC = b"\x76\x2f\x31\x01"
-"""What every EXR file begins with."""
+"""First bytes of every EXR file."""
 _OF_THE_FORMAT = {
     *("channels", "chromaticities", "chunkCount", "compression", "dataWindow", "displayWindow"),
     *("lineOrder", "name", "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth"),
     *("tiles", "type", "version", "view"),
 }
-"""Attributes that say how the file is laid out: nobody else's."""
+"""Attributes that describe the layout of the file, and nothing else."""
 _LARGEST = 2**26
-"""Pixels of a display window up to which a file need not be large to be believed."""
+"""Pixels of a display window up to which a small file is believed."""
 _OVERFLOW = float(np.finfo(np.float16).max)
 _COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
 _CIE = ("x", "y", "z")
 _BEAUTY = re.compile(
     r"|(.*\W)?(rgba?|beauty|colou?r|combined|main|default|left|c|ci)", re.IGNORECASE
 )
-"""Names of the first of several parts that say that it is the image."""
+"""Names of the first of several parts that mark it as the image."""
 _ORDERS = (*_COLOURS, _CIE, ("u", "v"), ("y",), ("z",))
-"""Channels of a layer in their order, in capitals or not; files have them in the alphabet's."""
+"""Channels of a layer in their usual order, in any case; files have them in alphabetical order."""
 _SPACES = ("colorinteropid", "colorspace")
 """Names of attributes, in any namespace, that name a colour space."""
 
 
 @dataclass(frozen=True, repr=False)
 class ExrImage(Shown):
-    """An image as an EXR file holds it.
+    """The image in an EXR file.
 
     Attributes
     ----------
@@ -82,8 +81,8 @@ class ExrImage(Shown):
     channels
         Names of its channels.
     extra
-        Other layers by name, shape (y, x); or (y, x, channel) where a layer has a channel for each
-        one of the image. float32, or uint32 where the file holds whole numbers.
+        Other layers by name, shape (y, x); or (y, x, channel) for a layer with the channels of the
+        image. float32, or uint32 if the file holds whole numbers.
     attributes
         Text in the header of the file.
     """
@@ -102,31 +101,31 @@ class ExrImage(Shown):
 def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
     """Read an image and its layers from an EXR file.
 
-    The image is the display window: 0 where the file holds nothing, and without what lies outside.
-    Its colours are brought to linear Rec. 709; a `chdstat.errors.InputWarning` tells of it, and of
-    what else is not as usual.
+    The image is the display window: 0 where the file has no pixels, without pixels outside. Colours
+    are converted to linear Rec. 709. A `chdstat.errors.InputWarning` says so, and says what else is
+    unusual.
 
     Parameters
     ----------
     path
         The file.
     channels
-        Which channels or layers are the image; None for red, green and blue, in capitals or not;
-        else for Y, or the only layer of colours. All others become `ExrImage.extra`, as they are in
-        the file. The channel X of a part "normal" is called normal.X, that of the first part X.
+        Channels or layers of the image. None takes red, green and blue, in any case; or else Y, or
+        the only layer of colours. All others become `ExrImage.extra`, as they are in the file. The
+        channel X of a part "normal" is called normal.X; that of the first part is called X.
 
     Returns
     -------
     ExrImage
-        What the file's display window holds.
+        The display window of the file.
 
     Raises
     ------
     InputError
         If the file holds no such channels.
     StoreError
-        If there is no such file, it is damaged, or the image is of a kind that is not read here:
-        deep, of luminance and chroma, of lower resolution, or outside of the display window.
+        If there is no such file, it is damaged, or the image is of a kind that cannot be read:
+        deep, luminance and chroma, at lower resolution, or outside the display window.
 
     References
     ----------
@@ -158,7 +157,7 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
 
 
 def read_feature(path: Path, name: str) -> Image:
-    """Return a first-hit feature from a file: the layer of its name, or else the image in it.
+    """Return a first-hit feature from a file: the layer of its name, or else the image.
 
     Raises
     ------
@@ -179,25 +178,25 @@ def read_feature(path: Path, name: str) -> Image:
 
 @dataclass(frozen=True)
 class Planes:
-    """The channels of an EXR file, brought to its display window.
+    """The channels of an EXR file in its display window.
 
     Attributes
     ----------
     path
         The file.
     attributes
-        Those of its first part.
+        Attributes of its first part.
     window
         The display window.
     channels
-        Shape (y, x) each, by name, of the types of the file. Those of other parts than the first
-        are called as layers are: ``normal.X`` is the channel X of the part "normal".
+        Channels by name, each (y, x), in the types of the file. Channels of other parts than the
+        first are named like layers: ``normal.X`` is the channel X of the part "normal".
     unread
         Why other channels cannot be read, by name.
     parts
-        Names of the parts that hold colours.
+        Names of the parts with colours.
     notes
-        Warnings about the file by kind; of each kind, one is shown.
+        Warnings about the file by kind; one of each kind is shown.
     """
 
     path: Path
@@ -214,14 +213,14 @@ class Planes:
         return _shape(self.window)
 
     def layer(self, name: str) -> tuple[str, ...]:
-        """Return the channels of a layer in their usual order, without alpha; or of that name.
+        """Return the channels of a layer in their usual order, without alpha, or one channel.
 
         Raises
         ------
         InputError
             If there is no such layer or channel.
         StoreError
-            If it is of a kind that is not read.
+            If it is of a kind that cannot be read.
         """
         if name in self.channels or name in self.unread:
             return self._readable([name])
@@ -237,15 +236,15 @@ class Planes:
     def main(self, advice: str, *, radiance: bool = True) -> tuple[str, ...]:
         """Return the channels of the image: red, green and blue, X, Y and Z, or Y.
 
-        Where these are missing, they are those of the only layer of colours. Of what is no
-        `radiance`, such as normals, they may be other channels, too.
+        Without these, they are those of the only layer of colours. If the image is not `radiance`,
+        such as normals, they may also be other channels.
 
         Raises
         ------
         InputError
-            If it is not clear which they are; the message ends with `advice` and names of layers.
+            If it is not clear which; the message ends with `advice` and names of layers.
         StoreError
-            If they are of a kind that is not read.
+            If they are of a kind that cannot be read.
         """
         every = [*self.channels, *self.unread]
         top, layers = self._inside(""), sorted({n.rpartition(".")[0] for n in every} - {""})
@@ -285,7 +284,7 @@ class Planes:
         return all(n in self.channels and self.channels[n].dtype.kind == "f" for n in names)
 
     def _readable(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return names of channels, all of which are read."""
+        """Return names of channels, after checking that all of them can be read."""
         for name in names:
             if name in self.unread:
                 message = f"{self.path}: channel {name!r} {self.unread[name]}"
@@ -293,9 +292,9 @@ class Planes:
         return tuple(names)
 
     def image(self, names: Sequence[str], *, colours: bool | None) -> Image:
-        """Return channels as an image (y, x, channel); `colours` in linear Rec. 709.
+        """Return channels as an image (y, x, channel), `colours` in linear Rec. 709.
 
-        None takes for colours what is called R, G and B.
+        With None, channels called R, G and B are colours.
 
         Raises
         ------
@@ -354,7 +353,7 @@ class Planes:
         return matrix
 
     def others(self, names: Sequence[str]) -> dict[str, Array]:
-        """Return the other channels; as one layer (y, x, channel) those called as `names` are."""
+        """Return the other channels; those named like `names` become one layer (y, x, channel)."""
         kept = {name: _single(p) for name, p in self.channels.items() if name not in names}
         own = _own(names)
         layers = {name.rpartition(".")[0] for name in kept} - {"", *kept}
@@ -365,7 +364,7 @@ class Planes:
         return kept
 
     def texts(self) -> dict[str, str]:
-        """Return the attributes that are text and do not belong to the format."""
+        """Return the attributes that are text and not part of the format."""
         return {
             name: value
             for name, value in self.attributes.items()
@@ -373,19 +372,19 @@ class Planes:
         }
 
     def _inside(self, layer: str) -> dict[str, str]:
-        """Return the full names of the channels of a layer, by their own."""
+        """Return the full names of the channels of a layer, by their own names."""
         of = "" if layer == self.attributes.get("name") else layer
         split = ((name.rpartition("."), name) for name in (*self.channels, *self.unread))
         return {own: name for (layer, _, own), name in split if layer == of}
 
 
 def _own(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names of channels without those of their layers."""
+    """Return names of channels without the names of their layers."""
     return tuple(name.rpartition(".")[2] for name in names)
 
 
 def _ordered(inside: Mapping[str, str], order: Sequence[str]) -> tuple[str, ...]:
-    """Return the full names of channels in an order, in capitals or not; () if one is missing."""
+    """Return the full names of channels in an order, in any case; () if one is missing."""
     for spelled in (str.upper, str.lower, str.capitalize):
         if {*map(spelled, order)} <= inside.keys():
             return tuple(inside[spelled(name)] for name in order)
@@ -467,7 +466,7 @@ def _pixels(window: Rectangle) -> int:
 
 
 def _unreadable(channel: Any, data: Rectangle, display: Rectangle) -> str:
-    """Return why a channel is not one value for each pixel; "" if it is."""
+    """Return why a channel is not one value per pixel; "" if it is."""
     if channel.pixels.dtype.kind not in "fu":
         return "is deep, with any number of values in each pixel: flatten it first"
     if (channel.xSampling, channel.ySampling) != (1, 1) or channel.pixels.shape != _shape(data):
@@ -480,7 +479,7 @@ def _unreadable(channel: Any, data: Rectangle, display: Rectangle) -> str:
 
 
 def _placed(plane: Array, data: Rectangle, display: Rectangle) -> Array:
-    """Return the part of a channel in the display window, 0 where the file holds nothing."""
+    """Return a channel in the display window, 0 where the file has no pixels."""
     if data == display:
         return plane
     whole = np.zeros(_shape(display), plane.dtype)
@@ -498,7 +497,7 @@ def _placed(plane: Array, data: Rectangle, display: Rectangle) -> Array:
 def _notes(
     path: Path, attributes: Mapping[str, Any], data: Sequence[Rectangle], display: Rectangle
 ) -> dict[str, str]:
-    """Return what is to be told of windows and pixels."""
+    """Return warnings about windows and pixels."""
     notes = {}
     outside = [
         w for w in data if any(np.less(w[:2], display[:2])) or any(np.greater(w[2:], display[2:]))
@@ -540,16 +539,16 @@ _NAMED: Mapping[str, Chromaticities] = {
 }
 _SAYS_NOTHING = frozenset(("", "linear", "scenelinear", "raw", "data", "unknown", "none"))
 _CLOSE = 5e-4
-"""By how much chromaticities differ that were rounded in different ways."""
+"""Difference of chromaticities that were rounded in different ways."""
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
 
 
 def colours_named(space: str) -> Chromaticities | None:
-    """Return the chromaticities of a linear colour space by its name; () where it says nothing.
+    """Return the chromaticities of a linear colour space by name; () if the name says nothing.
 
-    None is what is not understood, or not linear.
+    None means that the name is not understood, or the space is not linear.
 
     Examples
     --------
@@ -566,7 +565,7 @@ def colours_named(space: str) -> Chromaticities | None:
 
 
 def to_rec709(chromaticities: Sequence[Any]) -> Matrix | None:
-    """Return the matrix that brings colours to linear Rec. 709; None where they are of it.
+    """Return the matrix that converts colours to linear Rec. 709; None if they are Rec. 709.
 
     Raises
     ------
@@ -629,10 +628,10 @@ _COUNTED = re.compile(r"samplesPerPixel|cycles\..*\.samples")
 
 
 def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open EXR files of one sample, or one average, of each pixel.
+    """Open EXR files, each with one sample, or one average, of every pixel.
 
-    The samples are the colours of the image, or the layer `variable`; alpha is left out. Features
-    are layers, averaged over all files, since each sample of a pixel sees something else.
+    The samples are the colours of the image, or the layer `variable`, without alpha. Features are
+    layers, averaged over all files, since each sample of a pixel sees something else.
 
     Notes
     -----
@@ -686,7 +685,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
 
 def _check_equal(planes: Planes, first: Planes, names: Sequence[str]) -> None:
-    """Refuse a file that is no further sample of what the first file shows."""
+    """Refuse a file that is not another sample of the first file's image."""
     path, counts = planes.path, [_averaged(p.attributes) for p in (planes, first)]
     if counts[0] != counts[1]:
         message = (
@@ -707,7 +706,7 @@ def _check_equal(planes: Planes, first: Planes, names: Sequence[str]) -> None:
 
 
 def _averaged(attributes: Mapping[str, Any]) -> int:
-    """Return how many samples an image says that it is the average of, or 1."""
+    """Return how many samples an image is the average of, by its attributes, or 1."""
     for name, value in attributes.items():
         if _COUNTED.fullmatch(name) and str(value).isdecimal():
             return max(int(value), 1)
@@ -728,7 +727,7 @@ def write_exr(
 ) -> Path:
     """Write an image and its layers to an EXR file, compressed without loss.
 
-    The file is written as a whole or not at all: one that is there already is replaced at the end.
+    The file is written as a whole or not at all; an existing one is replaced at the end.
 
     Parameters
     ----------
@@ -737,16 +736,16 @@ def write_exr(
     image
         Linear radiance, shape (y, x, channel). NaN and infinite values are kept.
     channels
-        Names of the channels; None for R, G, B, or for Y where there is one. Viewers take R, G, B
-        for an image, and linear sRGB for its colours.
+        Names of the channels; by default R, G, B, or Y for one channel. Viewers show R, G, B as an
+        image in linear sRGB.
     extra
-        Layers by name: of shape (y, x), one channel of that name; of shape (y, x, channel), a
-        layer, whose channels are called as in ``low.R``, ``low.G``, ``low.B``. uint32 stays, as
-        for object numbers.
+        Layers by name. Shape (y, x) makes a channel of that name. Shape (y, x, channel) makes a
+        layer with channels such as ``low.R``, ``low.G``, ``low.B``. uint32 is kept, for object
+        numbers.
     attributes
         Text for the header, such as the provenance of the image.
     pixel_type
-        'float' for 32 bits, or 'half' for 16, which hold 11 significant bits, up to 65504.
+        'float' for 32 bits, or 'half' for 16 bits: 11 significant bits, up to 65504.
 
     Returns
     -------
@@ -859,12 +858,12 @@ def _check_name(what: str, name: str) -> None:
 
 
 def _stored(name: str, plane: Array, pixel_type: str) -> Array:
-    """Convert to what the file holds; infinity stays, but nothing finite may become it."""
+    """Convert to the type of the file; infinity stays, but no finite value may become infinite."""
     if plane.dtype == np.uint32:
         return np.ascontiguousarray(plane)
     kind = _TYPES[pixel_type]
     with np.errstate(over="ignore", under="ignore"):
-        # The writer does not look at strides: what is not contiguous would come out scrambled.
+        # The writer ignores strides: arrays that are not contiguous would be scrambled.
         stored = np.ascontiguousarray(plane, dtype=kind)
     lost = np.isinf(stored) & np.isfinite(plane)
     if lost.any():
@@ -877,7 +876,7 @@ def _stored(name: str, plane: Array, pixel_type: str) -> Array:
 
 
 def _check_attributes(attributes: Mapping[str, Any]) -> None:
-    """Refuse attributes that are no text, or that the format gives itself."""
+    """Refuse attributes that are not text, or that the format sets itself."""
     for name, value in attributes.items():
         _check_name("header attribute", name)
         if name in _OF_THE_FORMAT:

@@ -1,9 +1,9 @@
 """Lazy sources: samples in files, read part by part, and how damage is reported.
 
-`ArraySource` reads an array that slices index; an array is never read whole. `Frames` reads files
-of one image each, decoded a batch at a time: what is decoded is kept in temporary files, so that
-memory holds no more than an image, however many samples there are, and parts of many images are
-read without decoding these again.
+`ArraySource` reads an array that slices index; it never reads an array whole. `Frames` reads files
+of one image each, and decodes a batch at a time. Temporary files keep the decoded samples, so that
+memory holds no more than one image, however many samples there are. Parts of many images can then
+be read without decoding again.
 """
 
 from __future__ import annotations
@@ -51,26 +51,26 @@ DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What damaged files may raise in NumPy, and in what it reads headers and archives with."""
+"""Errors that damaged files may raise in NumPy, and in its readers of headers and archives."""
 _KEPT = 2**31
-"""Bytes of decoded samples that temporary files keep, and one batch in any case."""
+"""Bytes of decoded samples that temporary files keep, but at least one batch."""
 
 Frame = tuple[Image, Mapping[str, Image]]
-"""One sample of each pixel, shape (y, x, channel), and features by name."""
+"""One sample of every pixel, shape (y, x, channel), and features by name."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options of a caller for reading files.
+    """A caller's options for reading files.
 
     Attributes
     ----------
     axes
-        Order of the axes, of letters y, x, c and s; None where the files say it.
+        Order of the axes, as letters y, x, c and s; None if the files say it.
     variable
-        Which array or layer of a file with several holds the samples; None finds it.
+        Array or layer that holds the samples, if a file has several; None to find it.
     features
-        Name within the files of each feature, by the name that it has here.
+        Names of the features within the files, by their names here.
     """
 
     axes: str | None = None
@@ -87,9 +87,9 @@ class Opened:
     source
         Reads parts of the samples.
     attrs
-        Provenance that the files hold; ``averaged`` if each value is an average of so many samples.
+        Provenance in the files; ``averaged`` if each value is an average of so many samples.
     counts
-        Samples of each pixel, shape (y, x), where they differ.
+        Samples of each pixel, shape (y, x), if they differ.
     """
 
     source: SampleSource
@@ -99,7 +99,7 @@ class Opened:
 
 @contextlib.contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn what a damaged or missing file raises into an error that names it."""
+    """Turn the errors of a damaged or missing file into one that names the file."""
     try:
         yield
     except ChdstatError:
@@ -111,18 +111,18 @@ def readable(path: Path) -> Iterator[None]:
 
 
 class ArraySource:
-    """Samples in an array that is indexed when they are needed.
+    """Samples in an array that is indexed on demand.
 
     Parameters
     ----------
     array
-        Anything of real numbers with a shape that slices index.
+        An array-like of real numbers with a shape, indexed by slices.
     axes
         The letters of its axes.
     path
-        The file that it is from.
+        File of the array.
     features
-        First-hit features that are in the file.
+        First-hit features in the file.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class ArraySource:
 
 
 class Joined:
-    """Samples of several sources of one size, one behind the other."""
+    """Samples of several sources of one size, concatenated."""
 
     def __init__(self, sources: Sequence[ArraySource]) -> None:
         self._sources, first = sources, sources[0]
@@ -185,9 +185,9 @@ class Joined:
 
 
 class Remapped:
-    """An array in a file that is mapped into memory anew for each part that is asked for.
+    """An array in a file that is mapped into memory anew for each part that is read.
 
-    Pages of a map that stays count as memory of the process, until the whole file does.
+    Pages of a lasting map count as memory of the process, until the whole file does.
     """
 
     def __init__(self, mapped: Callable[[], Array]) -> None:
@@ -199,12 +199,12 @@ class Remapped:
 
 
 class Frames:
-    """Samples that are decoded image by image, and features that are averages over the images.
+    """Samples that are decoded image by image, and features averaged over the images.
 
     Parameters
     ----------
     path
-        Where they lie, for messages.
+        Path of the images, for messages.
     shape
         (y, x, channel, sample).
     decode
@@ -261,7 +261,7 @@ class Frames:
             return np.memmap(self._files[number], np.float32, mode="r", shape=shape)
 
     def _decoded(self, number: int, samples: range) -> IO[bytes]:
-        """Return a file of decoded samples, without a name, so that it is gone with the process."""
+        """Return a nameless file of decoded samples, which disappears with the process."""
         try:
             with contextlib.ExitStack() as opened:
                 file = opened.enter_context(tempfile.TemporaryFile())

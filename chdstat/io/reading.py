@@ -1,8 +1,8 @@
 """Reading: samples in the files of other programs, opened as `chdstat.Samples`.
 
-`read` finds the format. Samples are read when they are asked for, but for some that tell whether
-passes repeat each other. `FORMATS` lists what there is: a format is a function from paths and
-`ReadOptions` to an `Opened`.
+`read` finds the format. Samples are read on demand, except some that show whether passes repeat
+each other. `FORMATS` lists the formats: each is a function from paths and `ReadOptions` to an
+`Opened`.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ class Format:
     Attributes
     ----------
     name
-        As in ``format=``.
+        Name for ``format=``.
     suffixes
-        Of its files, with the dot.
+        Suffixes of its files, with the dot.
     title
-        What it is, for help and documentation.
+        Title for help and documentation.
     module
-        Module beside this one with its `opener`, ``open_NAME``; it is loaded when it is used.
+        Module beside this one with its `opener`, ``open_NAME``; loaded on first use.
     takes
-        Those of `ReadOptions` that it leaves to the caller.
+        Fields of `ReadOptions` that the caller may set.
 
     Notes
     -----
-    What opens it says in its notes what is read, converted, warned of, ignored and refused: the
-    documentation has that from there.
+    The notes of the opener say what is read, converted, warned of, ignored and refused. The
+    documentation quotes them.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Format:
 
     @property
     def opener(self) -> Callable[[Sequence[Path], ReadOptions], Opened]:
-        """The function that opens files of this format."""
+        """Function that opens files of this format."""
         module = importlib.import_module(f"chdstat.io.{self.module}")
         found: Callable[[Sequence[Path], ReadOptions], Opened] = getattr(
             module, f"open_{self.name}"
@@ -114,41 +114,41 @@ def read(
 ) -> Samples:
     """Open samples in files of other programs; `Samples.save` makes a store of them.
 
-    A `chdstat.errors.InputWarning` tells of what is not quite as it seems, such as passes that
-    repeat each other, colours that were converted, or pixels outside of the image.
+    A `chdstat.errors.InputWarning` reports anything unusual, such as passes that repeat each other,
+    converted colours, or pixels outside the image.
 
     Parameters
     ----------
     source, *more
-        The files, in the order of their samples; or a folder of them, in the order of their names.
+        The files, in the order of their samples; or a folder of files, in the order of their names.
     format
-        One of `FORMATS`; None goes by the names of the files.
+        One of `FORMATS`; None to go by the names of the files.
     axes
-        Order of the axes of arrays: the letters y, x, s (sample) and perhaps c (channel), such as
-        "syxc" for a stack of images; None where their dims have names, or for "yxcs".
+        Order of the axes of arrays, as letters y, x, s (sample) and perhaps c (channel), such as
+        "syxc" for a stack of images. None if the dims have names, or for "yxcs".
     variable
-        Which array of a file with several holds the samples; None takes the largest. For EXR
-        files the name of the layer; None takes red, green and blue, or Y.
+        Array that holds the samples, if a file has several; None for the largest. For EXR files,
+        the layer; None for red, green and blue, or Y.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
-        component), files of them (.npy, .exr), or their names within the source: arrays, or
-        layers, which are averaged over all EXR files.
+        component), files of them (.npy, .exr), or their names within the source. EXR layers are
+        averaged over all files.
     counts
-        Samples of each pixel, shape (y, x), where they differ, or a .npy file of them.
+        Samples of each pixel, shape (y, x), if they differ, or a .npy file of these numbers.
     **attrs
-        Provenance: ``scene="name"``, ``renderer="mine 1.2"``, ``seed=7``, ``unit`` of radiance, or
-        ``averaged=16`` where each value is the average of 16 samples, or ``sequence=16`` where 16
-        at a time depend on each other, as stratified ones do.
+        Provenance: ``scene="name"``, ``renderer="mine 1.2"``, ``seed=7``, or ``unit`` of radiance.
+        ``averaged=16`` if each value is the average of 16 samples, ``sequence=16`` if 16 at a time
+        depend on each other, as stratified samples do.
 
     Returns
     -------
     Samples
-        Read from the files whenever they are needed.
+        Samples that are read from the files on demand.
 
     Raises
     ------
     InputError
-        If the format is not known, or the files do not hold what they should.
+        If the format is unknown, or the files do not hold what they should.
     StoreError
         If a file is missing, damaged or cannot be read.
 
@@ -172,7 +172,7 @@ def read(
     found = opened.counts
     if counts is not None:
         found = check_counts(_loaded(counts), shape)
-    # By which an import that was stopped is known to be of the same files.
+    # Identifies the files when an interrupted import is repeated.
     stated = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in paths]
     about = {
         "scene": paths[0].stem,
@@ -189,11 +189,11 @@ def read(
 
 
 _LOOKED = 2**29
-"""Bytes of images that are decoded to see whether they repeat each other, or one batch."""
+"""Bytes of images to decode in search of repetitions, but at least one batch."""
 
 
 def _warn_of_copies(paths: Sequence[Path], source: SampleSource) -> None:
-    """Warn of samples that are there twice, by the names of the files or by what they hold."""
+    """Warn of samples that occur twice, by the names of the files or by their content."""
     file, times = Counter(path.resolve() for path in paths).most_common(1)[0]
     if times > 1:
         message = (
@@ -211,7 +211,7 @@ def _warn_of_copies(paths: Sequence[Path], source: SampleSource) -> None:
 
 
 class _Counted:
-    """Samples of which each pixel has a number of its own: what lies beyond it reads as NaN."""
+    """Samples with a different number for each pixel; beyond it, they read as NaN."""
 
     def __init__(self, source: SampleSource, counts: npt.NDArray[np.int32]) -> None:
         self._source, self._counts = source, counts
@@ -228,7 +228,7 @@ class _Counted:
 
 
 def _files(given: Sequence[str | Path]) -> list[Path]:
-    """Return the files, those of a single folder in the order of their names."""
+    """Return the files; those of a single folder in the order of their names."""
     paths = []
     for path in given:
         if not is_path(path):
@@ -249,11 +249,11 @@ def _files(given: Sequence[str | Path]) -> list[Path]:
 
 
 _ZARR = ("zarr.json", ".zgroup", ".zarray")
-"""Files by which a folder is an array or group of zarr."""
+"""Files that mark a folder as an array or group of zarr."""
 
 
 def _format(paths: Sequence[Path], name: str | None) -> Format:
-    """Return the format of that name, or the one that all files have the suffix of."""
+    """Return the format of a name, or the one whose suffix all files have."""
     for known in FORMATS:
         suffixed = all(path.suffix.lower() in known.suffixes for path in paths)
         if known.name == name or (name is None and suffixed):
@@ -273,7 +273,7 @@ def _is_file(value: str | Path) -> bool:
 
 
 def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
-    """Return a feature that is given as an array or in a file."""
+    """Return a feature from an array or a file."""
     if isinstance(value, str | Path) and Path(value).suffix.lower() == ".exr":
         from chdstat.io.exr import read_feature
 
@@ -282,7 +282,7 @@ def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
 
 
 def _loaded(value: str | Path | npt.ArrayLike) -> npt.ArrayLike:
-    """Return an array, which may be in a .npy file."""
+    """Return an array, or the array in a .npy file."""
     from chdstat.io.array_files import load_npy
 
     return load_npy(Path(value)) if isinstance(value, str | Path) else value

@@ -1,11 +1,10 @@
-"""Streams: samples that a renderer wrote with ``chdstat_writer.h``, as they came.
+"""Streams: samples in the order in which a renderer wrote them with ``chdstat_writer.h``.
 
-A stream is a header and blocks; what each of their bytes means is on the page "Format of a stream"
-of the reference. A block of samples belongs to a tile of 64 x 64 pixels and says which of them have
-how many samples in it; its place in the file is when a thread wrote it, so the samples of a tile
-lie all over the file, and of a pixel some may lie in one block, some in another. Opening a stream
-reads what blocks say of themselves, one after the other; their samples are read tile by tile, when
-they are asked for.
+A stream is a header and blocks; the page "Format of a stream" of the reference describes each byte.
+A block of samples belongs to a tile of 64 x 64 pixels, and says which pixels have how many samples
+in it. Threads write blocks as they are ready, so that the samples of a tile lie all over the file,
+and those of a pixel in several blocks. Opening a stream reads the heads of the blocks; the samples
+are read tile by tile, on demand.
 """
 
 from __future__ import annotations
@@ -37,20 +36,20 @@ _EDGE = 64
 """Edge of the tiles of a stream, in pixels."""
 _PIXELS = _EDGE * _EDGE
 _COMPONENTS = {"albedo": 3, "normal": 3, "position": 3, "depth": 1}
-"""Features that a stream may have, and how many numbers each has."""
+"""Features that a stream may have, and their numbers of components."""
 _MAGIC, _LITTLE = b"\x89CHDS\r\n\x1a", b"\x04\x03\x02\x01"
 _HEADER, _BLOCK = struct.Struct("<8sI4s4I"), struct.Struct("<4s7I")
 _HEAD = 4 * _PIXELS
-"""Bytes of a head at most."""
+"""Most bytes of a head."""
 _MOST_PIXELS = 2**28
 _LONGEST = 64
-"""Bytes of the names of features, and of the checksum behind them, at most."""
+"""Most bytes of the names of features, with the checksum after them."""
 _HELD = 2**25
-"""Bytes of samples of a tile that are decoded at once, unless `BATCH` of each pixel are more."""
+"""Bytes of samples of a tile that are decoded together, unless `BATCH` of each pixel are more."""
 _SHORT = 16
 """Samples of a pixel in a block up to which they are written one by one."""
 _STRETCHES = 16
-"""Stretches of pixels with equally many samples in a block up to which each is written at once."""
+"""Stretches of pixels with equal numbers of samples up to which each is written at once."""
 _KNOWN = ("scene", "renderer", "integrator", "unit")
 _WHOLE = ("seed", "averaged")
 
@@ -72,7 +71,7 @@ def get_include() -> Path:
 
 
 def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
-    """Open streams of one image, whose samples follow each other in every pixel.
+    """Open streams of one image; the samples of each pixel are concatenated.
 
     Notes
     -----
@@ -108,7 +107,7 @@ class StreamSource:
     counts
         Samples of each pixel, shape (y, x).
     attrs
-        Provenance: what all the files say.
+        Provenance that all files share.
     """
 
     frames = False
@@ -145,11 +144,11 @@ class StreamSource:
         return gathered(self.shape, (ys, xs, ss), (_EDGE, _EDGE, self._window), self._decoded)
 
     def read_features(self) -> dict[str, Image]:
-        """Return the first-hit features: averages of what was added, 0 where nothing was."""
+        """Return the first-hit features: averages of added values, 0 where there are none."""
         return dict(self._features)
 
     def _decoded(self, y: int, x: int, window: int) -> Image:
-        """Return a tile with a window of its samples, of which another part may be asked next."""
+        """Return a tile with a window of its samples; another part of it may be read next."""
         last = self._last
         if last is None or last[0] != (y, x, window):
             last = self._last = (y, x, window), self._decode(y, x, window)
@@ -181,7 +180,7 @@ class StreamSource:
         return tile.reshape(_EDGE, _EDGE, channels, high - low)
 
     def _add(self, path: Path) -> tuple[dict[str, Any], dict[Tile, Array]]:
-        """Add the blocks of a file; return its provenance, and how many samples a pixel has."""
+        """Add the blocks of a file; return its provenance and the samples per pixel."""
         told: dict[str, str] = {}
         counts: dict[Tile, Array] = {}
         ended, total = False, -1
@@ -243,7 +242,7 @@ class StreamSource:
         return {n: x[..., 0] if x.shape[2] == 1 else x for n, x in named}
 
     def _image(self, tiles: dict[Tile, Array], *components: int) -> Array:
-        """Return an image (y, x, ...) of the tiles that there are, zero elsewhere."""
+        """Return an image (y, x, ...) of the existing tiles, zero elsewhere."""
         height, width = self.header.height, self.header.width
         size = 8 * math.prod((height, width, *components))
         check_memory(3 * size, f"{width} x {height} pixels", "render a part of them")
@@ -264,7 +263,7 @@ def _check_seeds(
     counts: Mapping[Tile, Array],
     path: Path,
 ) -> None:
-    """Refuse a file whose random numbers are those of another, and note which it has."""
+    """Refuse a file with the random numbers of another file, and note its seed."""
     for tile, number in counts.items():
         before = seeds.get((seed, tile), np.zeros(_PIXELS, bool))
         if (before & (number > 0)).any():
@@ -277,7 +276,7 @@ def _check_seeds(
 
 
 def _place(tile: Image, values: Image, pixels: Indices, numbers: Indices, first: Indices) -> None:
-    """Write samples of a block into a tile (pixel, channel, sample): those of each from `first`."""
+    """Write samples of a block into a tile (pixel, channel, sample), from `first` of each pixel."""
     changes = np.flatnonzero(np.diff(numbers) | np.diff(first)) + 1
     if len(changes) > _STRETCHES:
         _place_each(tile, values, pixels, numbers, first)
@@ -289,7 +288,7 @@ def _place(tile: Image, values: Image, pixels: Indices, numbers: Indices, first:
 
 
 def _place_equal(tile: Image, values: Image, pixels: Indices, first: int) -> None:
-    """Write as many samples of each pixel: `values` has a row for each pixel and channel."""
+    """Write equal numbers of samples; `values` has a row for each pixel and channel."""
     _, channels, spp = tile.shape
     where: Any = slice(pixels[0] * channels, (pixels[-1] + 1) * channels)
     if len(pixels) <= pixels[-1] - pixels[0]:  # there are gaps
@@ -308,7 +307,7 @@ def _place_each(
 ) -> None:
     """Write numbers of samples that differ from pixel to pixel."""
     _, channels, spp = tile.shape
-    # Each pixel and channel is a row of values, cut where the samples of the tile begin and end.
+    # Each pixel and channel is a row of values, cut where the tile's samples begin and end.
     skipped, kept = np.clip(-first, 0, numbers), np.clip(spp - first, 0, numbers)
     lengths, channel = np.repeat(kept - skipped, channels), np.arange(channels)
     ends = np.cumsum(lengths)
@@ -323,7 +322,7 @@ def _place_each(
 
 
 def _provenance(told: Mapping[str, str]) -> dict[str, Any]:
-    """Return attributes by which samples are known, and all others as settings of the renderer."""
+    """Return attributes that identify samples, and all others as settings of the renderer."""
     attrs: dict[str, Any] = {k: told[k] for k in _KNOWN if k in told}
     for name in _WHOLE:
         text = told.get(name, "")
@@ -337,7 +336,7 @@ def _provenance(told: Mapping[str, str]) -> dict[str, Any]:
 
 
 class _Kind(enum.IntEnum):
-    """What a block holds."""
+    """Kinds of blocks."""
 
     SAMPLES = 1
     FEATURES = 2
@@ -346,7 +345,7 @@ class _Kind(enum.IntEnum):
 
 
 class Header(NamedTuple):
-    """What all blocks of a stream have in common."""
+    """The common properties of all blocks of a stream."""
 
     width: int
     height: int
@@ -355,7 +354,7 @@ class Header(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """A block without its body, and where that lies in the file."""
+    """A block without its body, and the place of the body in the file."""
 
     kind: int
     x: int
@@ -372,7 +371,7 @@ class _Block(NamedTuple):
 
 
 class _File:
-    """A stream that is read as long as it is entered: its size, header, and where blocks begin."""
+    """A stream that is open while it is entered: its size, header, and where blocks begin."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -415,7 +414,7 @@ class _File:
         return Header(width, height, channels, features), end + 4
 
     def block(self, begin: int) -> _Block | None:
-        """Return the block at a place, without its body; None where the file ends before it."""
+        """Return the block at a place, without its body; None if the file ends before it."""
         self._file.seek(begin)
         start = self._file.read(_BLOCK.size + _HEAD)
         if len(start) < _BLOCK.size:
@@ -440,10 +439,10 @@ class _File:
         return found
 
     def damaged(self, begin: int, what: str) -> StoreError:
-        """Return the error for a file that is not as it was written."""
+        """Return the error for a file that was changed after writing."""
         return StoreError(f"{self.path} is damaged at byte {begin}: {what}")
 
 
 def _text(found: bytes) -> str:
-    """Return what should be UTF-8, with a mark for each byte that is not."""
+    """Return UTF-8 text, with a mark for each byte that is not UTF-8."""
     return found.decode("utf-8", errors="replace")

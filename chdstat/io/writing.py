@@ -27,7 +27,7 @@ IMAGES: Mapping[str, str] = {
     ".pfm": "linear radiance without layers, for a viewer of PFM files",
     ".png": "tone-mapped to 8 bits of sRGB, for the screen: radiances cannot be read from it",
 }
-"""What a file of an image holds, by its suffix."""
+"""Content of an image file, by its suffix."""
 
 
 def write_image(
@@ -41,19 +41,19 @@ def write_image(
 ) -> Path:
     """Write an image to a file whose suffix is its format: .exr, .npy, .pfm or .png.
 
-    An EXR file holds all that is given, an array and a PFM file the radiances alone. A PNG file is
-    tone-mapped, and its text says by how many stops.
+    An EXR file holds everything that is given; .npy and PFM files hold the radiances alone. A PNG
+    file is tone-mapped, and its text says by how many stops.
 
     Parameters
     ----------
     path
-        The file; one that is there already is replaced when the new one is complete.
+        The file; an existing one is replaced when the new one is complete.
     image
         Linear radiance, shape (y, x, channel); PFM and PNG take 1 or 3 channels.
     channels, extra, attributes
         As for `write_exr`; other formats have no place for them.
     exposure
-        Of a PNG file, in stops; None shows the image well, as `chdstat.viz.tonemap` does.
+        Exposure of a PNG file, in stops; None as in `chdstat.viz.tonemap`.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def write_image(
     Raises
     ------
     InputError
-        If the suffix is another, or the format does not take such an image.
+        If the suffix is none of these, or the format does not take such an image.
     StoreError
         If the file cannot be written.
 
@@ -96,7 +96,7 @@ def write_image(
         elif suffix == ".pfm":
             height, width, number = array.shape
             head = f"{'PF' if number == 3 else 'Pf'}\n{width} {height}\n-1.0\n"
-            # Rows go up, and a negative scale says that numbers are little-endian.
+            # Rows go up, and a negative scale means little-endian numbers.
             partial.write_bytes(head.encode() + array[::-1].astype("<f4").tobytes())
         else:
             about = f"tone-mapped by {stops:+.2f} stops and the sRGB curve: no linear radiance"
@@ -110,7 +110,7 @@ def open_maps(path: str | Path) -> xr.Dataset:
     Raises
     ------
     StoreError
-        If there is none, or one of samples.
+        If there is none, or it is a store of samples.
     """
     import xarray as xr
 
@@ -130,15 +130,15 @@ def open_maps(path: str | Path) -> xr.Dataset:
 def write_maps(dataset: xr.Dataset, path: str | Path) -> Path:
     """Write the maps of a dataset as layers of an EXR file.
 
-    A variable of dims (y, x) becomes a channel, one of dims (y, x, channel) a layer; variables of
-    other dims have no place in an image, and are left out.
+    A variable with dims (y, x) becomes a channel; one with dims (y, x, channel) becomes a layer.
+    Variables with other dims are left out.
 
     Parameters
     ----------
     dataset
         Results per pixel, such as those of `chdstat.summarize` or `chdstat.analyze`.
     path
-        The file, .exr. The image in it is ``mean``, or else the first variable.
+        The file, .exr. Its image is ``mean``, or else the first variable.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def write_maps(dataset: xr.Dataset, path: str | Path) -> Path:
 def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
     """Write a dataset of results as netCDF, whole or not at all.
 
-    Attributes that netCDF has no type for, such as tables, become JSON.
+    Attributes without a netCDF type, such as tables, become JSON.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _plain(attrs: Mapping[Any, Any]) -> dict[str, str | int | float | list[int |
 
 
 def _numbers(value: Any) -> bool:
-    """Return whether a value is a number, or a list of some, of a type that netCDF has."""
+    """Return whether a value is a number, or a list of numbers, of a netCDF type."""
     values = value if isinstance(value, list | tuple) else [value]
     if isinstance(value, np.ndarray):
         values = value.tolist() if value.ndim == 1 else [None]

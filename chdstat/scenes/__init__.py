@@ -1,6 +1,6 @@
 """Scenes: built-in ones, Mitsuba XML files and dicts, and scenes that Mitsuba has built.
 
-`load_scene` takes all of them and returns a `Scene`, which `chdstat.render` takes.
+`load_scene` takes any of them and returns a `Scene` for `chdstat.render`.
 """
 
 from __future__ import annotations

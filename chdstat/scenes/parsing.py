@@ -1,10 +1,10 @@
 """Scenes as Mitsuba parses them: its parser, its resolver of file names, its messages.
 
-What chdstat changes of a scene, it changes between the two steps of Mitsuba's own loader: the
-parser has read and transformed the description, and no object is made yet. A part of a scene, such
-as its sensor, can be made alone, and again.
+chdstat changes a scene between the two steps of Mitsuba's own loader: the parser has read and
+transformed the description, but no object exists yet. A part of a scene, such as its sensor, can be
+made alone, and again.
 
-With `chdstat.rendering` the only part of the library that imports Mitsuba.
+Only this module and `chdstat.rendering` import Mitsuba.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
 __all__ = ["ParsedScene", "parse"]
 
 _MESHES = ("blender", "cube", "ellipsoidsmesh", "obj", "ply", "rectangle", "serialized")
-"""Plugins of which Mitsuba makes meshes."""
+"""Plugins that Mitsuba makes meshes of."""
 _RESOLVING = threading.RLock()
-"""Held while Mitsuba's resolver, which belongs to the process, is that of a scene."""
+"""Held while Mitsuba's resolver, which belongs to the process, is set for a scene."""
 
 
 @dataclass(frozen=True)
 class ParsedScene:
-    """A scene description, or a part of one, as Mitsuba's parser has read it.
+    """A scene description, or a part of one, as read by Mitsuba's parser.
 
     Parameters
     ----------
     name
-        What errors call the scene.
+        Name of the scene in errors.
     state
         Mitsuba's parser state; the first node is the root.
     resolver
-        Where Mitsuba looks for files that the description names.
+        Resolver of the files that the description names.
     """
 
     name: str
@@ -60,12 +60,12 @@ class ParsedScene:
         return str(self.node(index).props.plugin_name())
 
     def held(self, index: int, kind: str | None = None) -> list[int]:
-        """Return the nodes that a node holds, those of a kind such as ``"Film"`` if told."""
+        """Return the nodes that a node holds, optionally of one kind such as ``"Film"``."""
         found = [i for _, i in self.references(index)]
         return [i for i in found if kind in (None, self.node(i).type.name)]
 
     def drop(self, parts: Iterable[int]) -> None:
-        """Take some nodes away from those that hold them."""
+        """Remove some nodes from the nodes that hold them."""
         gone = set(parts)
         for holder in range(len(self.state.nodes)):
             for key, index in self.references(holder):
@@ -73,13 +73,13 @@ class ParsedScene:
                     del self.node(holder).props[key]
 
     def sole(self, part: Mapping[str, Any]) -> ParsedScene:
-        """Return what a dict in Mitsuba's form describes, of which files are found as here."""
+        """Return the part that a dict in Mitsuba's form describes; files are found as here."""
         with _naming(self.name, "read"), _resolving(self.resolver):
             state = mi.parser.parse_dict(_config(), dict(part))
         return ParsedScene(self.name, state, self.resolver)
 
     def put(self, holder: int, key: str, part: Mapping[str, Any]) -> None:
-        """Give a node a new part, described by a dict in Mitsuba's form."""
+        """Give a node a new part, from a dict in Mitsuba's form."""
         added, first = self.sole(part).state, len(self.state.nodes)
         for node in added.nodes:
             self.state.nodes.append(_moved(node, lambda i: first + i))
@@ -88,7 +88,7 @@ class ParsedScene:
         self.node(holder).props[key] = mi.Properties.ResolvedReference(first)
 
     def branch(self, root: int) -> ParsedScene:
-        """Return a node and all that it holds, copied."""
+        """Return a copy of a node and everything that it holds."""
         order = self._reached(root, first=0)
         state = mi.parser.ParserState(self.state)
         state.nodes.clear()
@@ -99,7 +99,7 @@ class ParsedScene:
         return ParsedScene(self.name, state, self.resolver)
 
     def unshare(self, kind: str) -> None:
-        """Give each node of a kind such as ``"Emitter"`` copies of all that it holds."""
+        """Give each node of a kind such as ``"Emitter"`` its own copy of everything it holds."""
         paths = list(self.state.node_paths)
         for holder in range(len(self.state.nodes)):
             if self.node(holder).type.name != kind:
@@ -113,7 +113,7 @@ class ParsedScene:
         self.state.node_paths = paths
 
     def _reached(self, root: int, *, first: int) -> dict[int, int]:
-        """Return numbers from `first` on for a node and all that it holds, by their indices."""
+        """Return numbers from `first` on for a node and everything it holds, by their indices."""
         order: dict[int, int] = {}
 
         def visit(index: int) -> None:
@@ -126,7 +126,7 @@ class ParsedScene:
         return order
 
     def make(self, *, parallel: bool = False) -> Any:
-        """Return the Mitsuba object of the root, its models and textures read.
+        """Return the Mitsuba object of the root, with its models and textures read.
 
         Raises
         ------
@@ -139,14 +139,14 @@ class ParsedScene:
             return mi.parser.instantiate(config, self.state)
 
     def references(self, index: int) -> list[tuple[str, int]]:
-        """Return the names and nodes of what a node holds."""
+        """Return the names and nodes of everything that a node holds."""
         resolved, props = mi.Properties.Type.ResolvedReference, self.node(index).props
         keys = [key for key in props.keys() if props.type(key) == resolved]  # noqa: SIM118
         return [(key, props[key].index()) for key in keys]
 
 
 def _moved(node: Any, place: Callable[[int], int]) -> Any:
-    """Return a copy of a node whose references point to where its parts are now."""
+    """Return a copy of a node whose references point to the new places of its parts."""
     copy, resolved = mi.parser.SceneNode(node), mi.Properties.Type.ResolvedReference
     for key in list(copy.props.keys()):
         if copy.props.type(key) == resolved:
@@ -156,7 +156,7 @@ def _moved(node: Any, place: Callable[[int], int]) -> Any:
 
 
 def parse(scene: Scene) -> ParsedScene:
-    """Return a scene as Mitsuba's parser reads it for the variant that is set.
+    """Return a scene as Mitsuba's parser reads it for the current variant.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def parse(scene: Scene) -> ParsedScene:
         If Mitsuba cannot read it; its message is passed on.
     """
     source = scene.description()
-    # Mitsuba's names belong to the variant that is set, so a type checker cannot know them.
+    # Mitsuba's names belong to the current variant, so a type checker cannot know them.
     mitsuba_now: Any = mi
     resolver = mitsuba_now.FileResolver(mitsuba_now.file_resolver())
     if not isinstance(source, Mapping):
@@ -184,9 +184,9 @@ def parse(scene: Scene) -> ParsedScene:
 
 
 def _expand(parsed: ParsedScene) -> None:
-    """Order the parts of a scene as Mitsuba's loader does, so that its sensors have their numbers.
+    """Order the parts of a scene as Mitsuba's loader does, so that its sensors keep their numbers.
 
-    It merges all of the scene: what merges hold follows after the rest, and meshes after that.
+    The loader merges the whole scene: the content of merges follows after the rest, then meshes.
     """
     root, merges = parsed.node(0).props, _keyed(parsed, "merge")
     for key in merges:
@@ -207,7 +207,7 @@ def _expand(parsed: ParsedScene) -> None:
 
 
 def _keyed(parsed: ParsedScene, *plugins: str) -> list[str]:
-    """Return the names of those parts of a scene that are made by some plugins."""
+    """Return the names of a scene's parts that some plugins make."""
     return [key for key, index in parsed.references(0) if parsed.plugin(index) in plugins]
 
 
@@ -217,11 +217,11 @@ def _unused(properties: Any, name: str) -> str:
 
 
 def _merge(parsed: ParsedScene) -> None:
-    """Merge meshes of one material, as Mitsuba's loader does, in an order that is always the same.
+    """Merge meshes of one material, as Mitsuba's loader does, but in a fixed order.
 
-    Mitsuba orders materials by where they are in memory, and lights with them, so that the same
-    random numbers would choose other lights in each process. Here each material is merged by
-    itself, and lights are not.
+    Mitsuba orders materials by their place in memory, and lights with them. The same random numbers
+    would then choose other lights in each process. Here, each material is merged separately, and
+    lights are not merged.
     """
     groups: dict[tuple[Any, ...], dict[str, int]] = {}
     for key, index in parsed.references(0):
@@ -247,7 +247,7 @@ def _merge(parsed: ParsedScene) -> None:
 
 
 def _config() -> Any:
-    """Return the settings of Mitsuba's loader, but for the merging of meshes; see `_merge`."""
+    """Return the settings of Mitsuba's loader, without the merging of meshes; see `_merge`."""
     config = mi.parser.ParserConfig(str(mi.variant()))
     config.merge_meshes = False
     return config
@@ -255,7 +255,7 @@ def _config() -> Any:
 
 @contextlib.contextmanager
 def _naming(scene: str, doing: str) -> Iterator[None]:
-    """Turn what Mitsuba says of a scene that it cannot use into an error that names the scene."""
+    """Turn Mitsuba's errors about a scene into an error that names the scene."""
     try:
         yield
     except (RuntimeError, ValueError, TypeError) as error:  # ValueError: text that is no UTF-8
@@ -265,7 +265,7 @@ def _naming(scene: str, doing: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _resolving(resolver: Any) -> Iterator[None]:
-    """Let Mitsuba look for files where a scene says, while the context lasts."""
+    """Let Mitsuba look for files in a scene's places, while the context lasts."""
     mitsuba_now: Any = mi
     with _RESOLVING:
         previous = mitsuba_now.file_resolver()
@@ -277,7 +277,7 @@ def _resolving(resolver: Any) -> Iterator[None]:
 
 
 def _to_mitsuba(value: Any, *, key: str = "") -> Any:
-    """Convert one plain value, and what is in it, to what Mitsuba's dict parser takes."""
+    """Convert a plain value, and the values in it, for Mitsuba's dict parser."""
     if isinstance(value, Mapping):
         if value.get("type") == "mesh":
             return _mesh(value, name=key)
@@ -305,7 +305,7 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
 
 
 def _mesh(spec: Mapping[str, Any], *, name: str) -> Any:
-    """Return a mesh object: Mitsuba's dict has no plugin that takes vertices from memory."""
+    """Return a mesh object: Mitsuba's dict has no plugin for vertices in memory."""
     if missing := sorted({"vertices", "faces"} - spec.keys()):
         message = f"a mesh needs vertices and faces; {name!r} has no {' and no '.join(missing)}"
         raise SceneError(message)

@@ -1,14 +1,13 @@
 """Plugins: Python files that register parts of scenes with Mitsuba, or estimators with chdstat.
 
-Mitsuba keeps what is registered for one variant, and classes in Python derive from those of the
-variant that is set. So the file of a plugin is run once for each variant that a scene is rendered
-in, in each process that renders. It travels there as text: workers need no copy of the file.
+Mitsuba registers a plugin for one variant, and Python classes derive from those of the current
+variant. So the file of a plugin is run once for each variant that a scene is rendered in, in each
+process that renders. The file is sent there as text: workers need no copy of it.
 
-Samples depend on the code of Python plugins as they do on textures. `code_of` digests the classes
-of the plugins that Mitsuba made while it built a scene: their bytecode and that of the functions,
-classes and values that they reach, the file of their module, and what their constructors set. The
-digest belongs to one version of Python. What a plugin imports from installed packages counts by
-name only.
+Samples depend on the code of Python plugins, as they do on textures. `code_of` digests the classes
+of the plugins that Mitsuba made while it built a scene: their bytecode; that of the functions,
+classes and values that they reach; the file of their module; and what their constructors set. The
+digest belongs to one version of Python. Imports from installed packages count by name only.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ __all__ = [
 ]
 
 _PREFIX = "chdstat_plugin_"
-"""Of the names of their modules, so that no other module is hidden."""
+"""Prefix of the names of their modules, so that no other module is hidden."""
 
 
 @dataclass(frozen=True)
@@ -92,22 +91,22 @@ class _Registration:
 _LOADED: dict[str, Plugin] = {}
 """Plugins of this process, by the name of their file."""
 _REGISTERED: dict[tuple[str, str], _Registration] = {}
-"""By Mitsuba's variant and the name of the file."""
+"""Registrations by Mitsuba's variant and the name of the file."""
 _ESTIMATORS: dict[str, str] = {}
-"""Names of the files by that of the estimator that they have registered."""
+"""Names of the files, by the name of the estimator that they have registered."""
 _RUNNING: list[_Registration] = []
-"""That of the plugin which is run now, if any."""
+"""Registration of the plugin that is running, if any."""
 
 
 def load_plugin(path: str | Path) -> Plugin:
     """Run a Python file that registers parts of scenes with Mitsuba, or estimators with chdstat.
 
-    Renders that follow know what it registers, in any variant and in the processes of the explorer
-    and of a Dask cluster, too. A store records those plugins that its scene or integrator names,
-    and goes on with the same code only. Loading a file again takes what has changed.
+    Later renders know what it registers, in any variant, and also in the processes of the explorer
+    and of a Dask cluster. A store records the plugins that its scene or integrator names, and
+    continues with the same code only. Loading a file again takes its changes.
 
-    The file may import modules that lie beside it; classes of Mitsuba belong into the file itself,
-    for it is run again in other variants. There `mitsuba.set_variant` does nothing, as the variant
+    The file may import modules that lie beside it. Mitsuba classes must be in the file itself,
+    since it is run again in other variants. `mitsuba.set_variant` does nothing in it: the variant
     is that of the render.
 
     Parameters
@@ -122,8 +121,8 @@ def load_plugin(path: str | Path) -> Plugin:
     Raises
     ------
     InputError
-        If there is no such file, it raises an error, registers nothing, or takes a name that is
-        Mitsuba's own or another plugin's.
+        If there is no such file, it raises an error, registers nothing, or takes a name of
+        Mitsuba's or of another plugin.
 
     Examples
     --------
@@ -171,7 +170,7 @@ def loaded() -> tuple[Plugin, ...]:
 
 
 def register(plugins: Iterable[Plugin], variant: str) -> None:
-    """Run plugins in the variant that is set, those that were not run in it yet.
+    """Run plugins in the current variant, unless they were run in it before.
 
     Raises
     ------
@@ -350,8 +349,8 @@ def plugins_made(mi: Any, names: set[str]) -> Iterator[list[Any]]:
     """Collect the objects of Python plugins that are made while the context lasts.
 
     Mitsuba does not say which class a name was registered for, and its own objects do not lead to
-    all that they hold, so these are looked for among all objects of the process; not where every
-    plugin is one of Mitsuba's own.
+    everything they hold. The objects are therefore searched among all objects of the process,
+    unless all plugins are Mitsuba's own.
     """
     made: list[Any] = []
     if names <= own_names(mi):
@@ -371,7 +370,7 @@ def _plugins(mi: Any) -> Iterator[Any]:
 
 
 def code_of(plugins: list[Any]) -> dict[str, str]:
-    """Return a digest of the code of each class of the plugins, by its name."""
+    """Return a digest of the code of each class of the plugins, by name."""
     found: dict[str, list[str]] = {}
     for plugin in plugins:
         kind = type(plugin)
@@ -388,7 +387,7 @@ def code_of(plugins: list[Any]) -> dict[str, str]:
 
 
 class _Content:
-    """A digest of Python values and the code that they reach; each is taken once."""
+    """A digest of Python values and the code that they reach; each counts once."""
 
     def __init__(self, package: str) -> None:
         self._package, self._hash = package, hashlib.sha256()
@@ -398,7 +397,7 @@ class _Content:
         return self._hash.hexdigest()
 
     def add_module(self, kind: type) -> None:
-        """Add the file of a class's module; that of a script changes with what it asks for."""
+        """Add the file of a class's module; a script's file changes with what it asks for."""
         module = sys.modules.get(kind.__module__)
         file = getattr(module, "__file__", None)
         if file and kind.__module__ != "__main__":
@@ -408,7 +407,7 @@ class _Content:
                 self._hash.update(loader.get_data(file) if known else Path(file).read_bytes())
 
     def add(self, value: Any) -> None:
-        """Add a value, and what it leads to."""
+        """Add a value and everything that it leads to."""
         self._hash.update(f"{type(value).__name__};".encode())
         if isinstance(value, _PLAIN):
             self._hash.update(f"{value!r};".encode())
@@ -470,7 +469,7 @@ class _Content:
             self._add_named({k: v for k, v in vars(kind).items() if k not in _OWN})
 
     def _follows(self, module: str | None) -> bool:
-        """Return whether a module is the user's: of the plugin's package, or not installed."""
+        """Return whether a module is the user's: in the plugin's package, or not installed."""
         package = (module or "").split(".")[0]
         if package == self._package:
             return True
@@ -479,7 +478,7 @@ class _Content:
 
 
 def _names(code: types.CodeType) -> Iterator[str]:
-    """Yield the names that a function, and those within it, look up."""
+    """Yield the names that a function, and functions within it, look up."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):

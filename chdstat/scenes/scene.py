@@ -1,11 +1,11 @@
 """Scene: what is rendered, independent of any Mitsuba variant.
 
-A scene is described without Mitsuba, by a file and its parameters or by a dict of plain values, so
-that it can be hashed, pickled and sent to another process; `chdstat.scenes.parsing` has Mitsuba
-read it. A scene that Mitsuba has built already is rendered as it is, in this process.
+A scene is described without Mitsuba, by a file and its parameters or by a dict of plain values. It
+can therefore be hashed, pickled and sent to another process; `chdstat.scenes.parsing` lets Mitsuba
+read it. A scene that Mitsuba has already built is rendered as it is, in this process.
 
-`load_scene` finds a scene by its name, file or description; the names of the built-in ones are in
-`chdstat.scenes.builtin`.
+`load_scene` finds a scene by its name, file or description. `chdstat.scenes.builtin` has the names
+of the built-in scenes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ __all__ = [
 SceneLike = str | Path | Mapping[str, Any] | Any
 """A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
-"""Types of which two values are the same if they print the same."""
+"""Types whose values are equal if they print the same."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,11 +52,10 @@ class Scene(Shown):
     name
         A short name: of a built-in scene, or the stem of the file.
     source
-        A Mitsuba XML file, or a scene dict in Mitsuba's form. In a dict, values are plain:
-        matrices are (4, 4) or (3, 3) arrays,
-        ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and
-        ``{"type": "bitmap", "data": array}`` an image texture (see `chdstat.scenes.parsing`). Or a
-        scene that Mitsuba has built.
+        A Mitsuba XML file, a scene dict in Mitsuba's form, or a scene that Mitsuba has built.
+        Values in a dict are plain: matrices are (4, 4) or (3, 3) arrays, ``{"type": "mesh",
+        "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and ``{"type": "bitmap", "data":
+        array}`` is an image texture (see `chdstat.scenes.parsing`).
     parameters
         Values for the ``$name`` parameters of an XML file.
     """
@@ -74,7 +73,7 @@ class Scene(Shown):
 
     @property
     def origin(self) -> str:
-        """Where the scene comes from: its file, or 'chdstat' for one described in Python."""
+        """Origin of the scene: its file, or 'chdstat' if it was described in Python."""
         if isinstance(self.source, LiveScene):
             return "mitsuba"
         return str(self.source) if isinstance(self.source, Path) else "chdstat"
@@ -83,8 +82,8 @@ class Scene(Shown):
     def hash(self) -> str:
         """SHA-256 of everything that the image depends on: description, parameters, files.
 
-        It is that of now: it changes with the content of any file that the scene reads. The code
-        of plugins written in Python is not in it; `MitsubaRenderer.code` has that.
+        It is computed now: it changes with the content of any file that the scene reads. It does
+        not include the code of Python plugins, see `MitsubaRenderer.code`.
         """
         digest = hashlib.sha256()
         with _bounded(self.name):
@@ -99,7 +98,7 @@ class Scene(Shown):
         return digest.hexdigest()
 
     def files(self) -> dict[str, str]:
-        """Return the SHA-256 of the content of each file that the scene reads, by its name there.
+        """Return the SHA-256 of each file that the scene reads, by its name in the scene.
 
         Raises
         ------
@@ -109,14 +108,14 @@ class Scene(Shown):
         return {name: digest_of(path) for name, path in self.described().items()}
 
     def described(self) -> dict[str, Path]:
-        """Return the files that the scene reads, by their names there."""
+        """Return the files that the scene reads, by their names in the scene."""
         if isinstance(self.source, LiveScene):
             return {}
         with _bounded(self.name):
             return described(self.name, self.source, self.parameters)
 
     def load(self) -> Any:
-        """Return the Mitsuba scene, as Mitsuba's loader makes it in the variant that is set.
+        """Return the scene as Mitsuba's loader makes it in the current variant.
 
         Raises
         ------
@@ -128,21 +127,21 @@ class Scene(Shown):
         return parse(self).make(parallel=True)
 
     def description(self) -> Path | Mapping[str, Any]:
-        """Return the file, or a dict; of a scene that Mitsuba has built, its sensors alone."""
+        """Return the file, or a dict; for a scene that Mitsuba has built, its sensors only."""
         return self.source.sensors() if isinstance(self.source, LiveScene) else self.source
 
 
 def load_scene(source: SceneLike, **parameters: object) -> Scene:
-    """Return a scene by built-in name, Mitsuba XML path, Mitsuba dict, or as Mitsuba has built it.
+    """Return a scene from a built-in name, a Mitsuba XML file or dict, or a scene built by Mitsuba.
 
     Parameters
     ----------
     source
         A name in `BUILTIN`, the path of a Mitsuba XML file, a dict in Mitsuba's form, or a
-        ``mi.Scene``, which is rendered as it is, in this process; so is a dict that holds shapes,
-        materials or other objects of Mitsuba's. A `Scene` passes through.
+        ``mi.Scene``, which is rendered as it is, in this process; so is a dict that holds Mitsuba
+        objects, such as shapes or materials. A `Scene` is returned as it is.
     **parameters
-        Values for the ``$name`` parameters of an XML file, as ``-D`` gives them to Mitsuba.
+        Values for the ``$name`` parameters of an XML file, like Mitsuba's option ``-D``.
 
     Returns
     -------
@@ -153,8 +152,8 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
     InputError
         If it is none of these.
     SceneError
-        If the name is unknown (the nearest is suggested), the file is missing or is not XML, or
-        parameters are given to a scene that takes none.
+        If the name is unknown (the message suggests the nearest one), the file is missing or not
+        XML, or parameters are given to a scene without parameters.
 
     Examples
     --------
@@ -211,7 +210,7 @@ def _checked_file(path: Path) -> tuple[str, Path]:
 
 
 def _nothing_at(path: Path) -> str:
-    """Return the message on a scene or a store that is not there, by what it seems to be."""
+    """Return the message about a scene or store that does not exist, by what it seems to be."""
     name = reprlib.repr(str(path))
     if is_file(path / "zarr.json"):
         return f"{name} is a store, of samples that are rendered already; give the scene"
@@ -225,7 +224,7 @@ def _nothing_at(path: Path) -> str:
 
 @contextlib.contextmanager
 def _bounded(name: str) -> Iterator[None]:
-    """Refuse a scene dict that is nested so deep that walking through it overflows the stack."""
+    """Refuse a scene dict so deeply nested that walking through it overflows the stack."""
     try:
         yield
     except RecursionError as error:
@@ -260,7 +259,7 @@ def _hash_value(digest: Any, value: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return the content of a value of Mitsuba's that holds nothing but numbers."""
+    """Return the content of a Mitsuba value that holds only numbers."""
     kind = type(value)
     if kind.__module__.split(".")[0] in ("drjit", "mitsuba"):
         numbers = value.matrix if "Transform" in kind.__name__ else value
@@ -283,7 +282,7 @@ _SENSORS = {
     "ThinLensCamera": "thinlens",
     "OrthographicCamera": "orthographic",
 }
-"""Plugins by the name of their class."""
+"""Plugins by the names of their classes."""
 _SETTINGS = (
     "near_clip",
     "far_clip",
@@ -294,7 +293,7 @@ _SETTINGS = (
     "principal_point_offset_y",
 )
 _ADDRESS = re.compile(r"\b(?:object_|0x)[0-9a-f]+\b")
-"""What Mitsuba calls objects without a name: by where they are in memory."""
+"""Mitsuba's names for objects without a name: their place in memory."""
 _ELSEWHERE = (
     "a scene that Mitsuba has built can only be rendered in this process; for other ones, give the "
     "file or dict that it was made of"
@@ -302,7 +301,7 @@ _ELSEWHERE = (
 
 
 def is_built(value: object) -> bool:
-    """Return whether a value is an object of Mitsuba's."""
+    """Return whether a value is a Mitsuba object."""
     mi: Any = sys.modules.get("mitsuba")
     return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
 
@@ -316,7 +315,7 @@ def _holds_objects(value: object) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class LiveScene:
-    """A scene that was built by Mitsuba, as it is now; it is pickled to no other process.
+    """A scene that Mitsuba has built, in its current state; it cannot be pickled.
 
     Attributes
     ----------
@@ -328,14 +327,14 @@ class LiveScene:
 
     @staticmethod
     def fits(value: object) -> bool:
-        """Return whether a value is a scene of Mitsuba's, of any variant."""
+        """Return whether a value is a Mitsuba scene, of any variant."""
         scene: Any = value
         return is_built(value) and bool(scene.class_name() == "Scene")
 
     def parts(self) -> list[Any]:
-        """Return what each object prints and its parameters, which tell a scene from another one.
+        """Return each object's text and parameters, which tell one scene from another.
 
-        Mitsuba builds objects in parallel, so that their order is another each time.
+        Mitsuba builds objects in parallel, so that their order changes.
         """
         import mitsuba as mi
 
@@ -351,7 +350,7 @@ class LiveScene:
         return code_of([p for p in self._objects() if not type(p).__module__.startswith("mitsuba")])
 
     def _objects(self) -> list[Any]:
-        """Return all that the scene holds and that Mitsuba leads to, each object once."""
+        """Return all objects of the scene that Mitsuba leads to, each once."""
         import mitsuba as mi
 
         return [part for part in mi.traverse(self.value).hierarchy if part is not self.value]
@@ -359,15 +358,15 @@ class LiveScene:
     def sensors(self) -> dict[str, Any]:
         """Return a scene dict of its sensors and films, which are made anew for each tile.
 
-        Of a sensor that cannot be described (`is_described`), the film is right.
+        For a sensor that cannot be described (see `is_described`), only the film is right.
         """
         sensors = {f"sensor_{i}": _sensor(s) for i, s in enumerate(self.value.sensors())}
         return {"type": "scene", **sensors}
 
     def is_described(self, sensor: int) -> bool:
-        """Return whether another sensor like the one of a number can be made.
+        """Return whether a copy of the sensor with this number can be made.
 
-        The bands of a film are left out, but a response function of the sensor's own cannot be.
+        The bands of a film are left out, but the sensor's own response function cannot be.
         """
         import mitsuba as mi
 
@@ -382,9 +381,9 @@ class LiveScene:
 
 
 def _wavelengths(sensor: Any) -> list[list[float]]:
-    """Return some wavelengths that a sensor draws and their weights.
+    """Return some wavelengths that a sensor draws, and their weights.
 
-    They tell its response function, of which Mitsuba says nothing.
+    They reveal its response function, which Mitsuba does not tell.
     """
     import mitsuba as mi
 

@@ -1,8 +1,8 @@
 """Files of a scene: what its samples depend on besides the description.
 
-An XML scene is read as Mitsuba reads it, parameters and includes in the same order, to learn which
-files it names and in which folders they are looked for. A scene so deep that Mitsuba's own parser,
-which knows no limit, would crash is refused here.
+An XML scene is read as Mitsuba reads it, with parameters and includes in the same order. That shows
+which files it names, and in which folders Mitsuba looks for them. A scene is refused if it is
+nested so deeply that Mitsuba's own parser, which has no limit, would crash.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from chdstat.errors import SceneError
 __all__ = ["described", "digest_of", "is_file"]
 
 _DEEPEST = 100
-"""Elements within each other; real scenes have ten, and Mitsuba's parser overflows its stack."""
+"""Deepest nesting of elements; real scenes have ten levels, and Mitsuba's parser overflows."""
 _MOST_INCLUDES = 15
-"""Includes within each other, as in Mitsuba."""
+"""Deepest nesting of includes, as in Mitsuba."""
 
 
 def described(
     scene: str, source: Path | Mapping[str, Any], parameters: Mapping[str, str]
 ) -> dict[str, Path]:
-    """Return every file that a scene reads, by the name that it has for it.
+    """Return every file that a scene reads, by its name in the scene.
 
-    `scene` is what errors call it; another file of the same name is numbered.
+    `scene` is the name in errors. Another file with the same name is numbered.
 
     Raises
     ------
     SceneError
-        If a file of the description cannot be read, or is nested without end, or attributes are no
-        UTF-8.
+        If a file of the description cannot be read, is nested without end, or has attributes that
+        are not UTF-8.
     """
     if isinstance(source, Path):
         reader = _Reader(scene, dict(parameters))
@@ -49,34 +49,34 @@ def described(
         for part in source.values():
             if isinstance(part, Mapping) and part.get("type") == "resources":
                 _search(folders, str(part.get("path", "")), Path())
-    # Only now are all folders known: Mitsuba opens most files after it has read the description.
+    # Only now are all folders known: Mitsuba opens most files after reading the description.
     for name in filter(None, names):
         _note(files, name, _find(name, folders))
     return files
 
 
 def _find(name: str, folders: list[Path]) -> Path | None:
-    """Return the file that Mitsuba takes for a name: of these folders, or where it looks itself."""
+    """Return the file that Mitsuba takes for a name: in these folders, or in its own places."""
     own = (folder / name for folder in folders)
     places = itertools.chain(own, map(_found_by_mitsuba, [name]))
     return next((place.resolve() for place in places if is_file(place)), None)
 
 
 def _search(folders: list[Path], name: str, beside: Path) -> None:
-    """Look for files in another folder first, which is in one of some places."""
+    """Search another folder first, which lies in one of some places."""
     places = [place / name for place in (beside, *folders, Path())]
     folders.insert(0, next(filter(Path.is_dir, places), places[0]))
 
 
 def _note(files: dict[str, Path], name: str, path: Path | None) -> None:
-    """Note a file; another one of the same name is numbered."""
+    """Record a file; another file with the same name is numbered."""
     if path is not None:
         names = itertools.chain([name], (f"{name} ({i})" for i in itertools.count(2)))
         next(n for n in names if files.setdefault(n, path) == path)
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file's content, read again only where the file has changed.
+    """Return the SHA-256 of a file, which is read again only if it has changed.
 
     Raises
     ------
@@ -108,13 +108,13 @@ def _texts(value: Any, key: str = "") -> Iterator[str]:
 
 
 def _named(key: str, text: str) -> list[str]:
-    """Return the names of the files that the text of a property may stand for."""
+    """Return the names of the files that a property's text may stand for."""
     tables = [f"data/ior/{text}.{part}.spd" for part in ("eta", "k")]  # of a metal
     return [text, *tables] if key == "material" else [text]
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file; text that cannot be a path is none."""
+    """Return whether there is a file; text that cannot be a path is not a file."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long for a name, or with a zero byte
@@ -122,7 +122,7 @@ def is_file(path: Path) -> bool:
 
 
 def _found_by_mitsuba(name: str) -> Path:
-    """Return where the user's own search path has a name: the current folder, or in Mitsuba's."""
+    """Return the place of a name on the search path: the current folder, or Mitsuba's."""
     import mitsuba
 
     mi: Any = mitsuba
@@ -134,9 +134,9 @@ _MARKUP = re.compile(
     r"|<(/?)([^\s<>/!?]+)((?:[^>\"']+|\"[^\"]*(?:\"|\Z)|'[^']*(?:'|\Z))*+)(?:>|\Z)",
     re.DOTALL,
 )
-"""What stands between < and >; of a tag, a slash if it closes an element, its name, and the rest.
+"""The text between < and >; for a tag: a slash if it closes an element, its name, and the rest.
 
-Mitsuba takes what is no well-formed XML, too, such as ``--`` in comments and bare ``&``."""
+Mitsuba also accepts XML that is not well-formed, such as ``--`` in comments and bare ``&``."""
 _ATTRIBUTE = re.compile(r"(?<![^\s\"'])([^\s=\"'/]++)\s*+=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _ENTITY = re.compile(r"&(?:#x?[0-9a-fA-F]+|lt|gt|amp|quot|apos);")
 _LATIN = re.compile(rb"<\?xml[^>]*encoding\s*=\s*[\"'](?:iso-8859-1|latin1)[\"']", re.IGNORECASE)
@@ -144,7 +144,7 @@ _UTF16 = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"<\0": "utf-16-le", b"\
 
 
 def _decoded(data: bytes) -> str:
-    """Return the text of a file in the encoding that Mitsuba's parser takes."""
+    """Return the text of a file in the encoding that Mitsuba's parser uses."""
     if name := _UTF16.get(data[:2]):
         return data.decode(name, "replace")
     return data.decode("latin-1" if _LATIN.match(data) else "utf-8", "replace")
@@ -165,7 +165,7 @@ class _Reader:
         self.names: list[str] = []
 
     def read(self, path: Path, name: str, folders: list[Path], level: int) -> None:
-        """Read one file, which the scene calls by a name, and add the folders that it names."""
+        """Read one file by its name in the scene, and add the folders that it names."""
         if level > _MOST_INCLUDES:
             raise self._unreadable(path, f"included more than {_MOST_INCLUDES} files deep")
         _note(self.files, name, path)
@@ -186,7 +186,7 @@ class _Reader:
                 raise self._unreadable(path, f"{why}, line {line}")
             filled = {k: self._filled(v) for k, v in _attributes(inside)}
             if tag == "include":
-                # From here on Mitsuba looks beside this file first, and then as before.
+                # From here on, Mitsuba looks beside this file first, and then as before.
                 within, included = [path.parent, *folders], filled.get("filename", "")
                 if (target := _find(included, within)) is not None:
                     self.read(target, included, within, level + 1)
@@ -211,7 +211,7 @@ class _Reader:
             self.names += _named(attributes.get("name", ""), text)
 
     def _filled(self, text: str) -> str:
-        """Put the values of parameters in place, the longest name first, as Mitsuba does."""
+        """Insert the values of parameters, the longest name first, as Mitsuba does."""
         if "$" not in text:
             return text
         for name in sorted(filter(None, self._parameters), key=len, reverse=True):

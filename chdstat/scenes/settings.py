@@ -1,8 +1,8 @@
 """Settings of a scene: what it asks for, and what is changed so that its samples can be kept.
 
-Sampler and filter are replaced, so that samples are independent and unmixed, and the film, so that
-it gives linear sRGB of the size that is rendered. Notes name each setting that is replaced or left
-out; one without which samples would mean something else is refused.
+Sampler and filter are replaced, so that samples are independent and unmixed. The film is replaced,
+so that it gives linear sRGB at the rendered size. Notes name each setting that is replaced or left
+out. A setting is refused if samples would mean something else without it.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ if TYPE_CHECKING:
 __all__ = ["LONGEST", "Asked", "Film", "asked_for", "check_variant"]
 
 _INTEGRATOR = "path"
-"""What renders a scene that names no integrator."""
+"""Integrator of a scene that names none."""
 LONGEST = 2**20
 """Most pixels of a film in width and in height."""
 _WRAPPERS = ("aov", "moment")
-"""Integrators that record more about the samples of the one within."""
+"""Integrators that record more about the samples of the integrator within."""
 _CROPPING = ("perspective", "thinlens", "orthographic")
-"""Sensors that show the part of the image that their film is cropped to; others map what they
-measure to the crop, whatever it is."""
+"""Sensors that show the part of the image to which their film is cropped. Others map their
+measurement to any crop."""
 _SIZES = ("width", "height", "crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
 _UNUSED = ("samples_per_pass", "timeout")
 """Settings of integrators that do not apply to samples drawn chunk by chunk."""
 _SAME_SAMPLES = ("block_size",)
-"""Settings of integrators that no sample depends on."""
+"""Settings of integrators that samples do not depend on."""
 _SPECTRAL_FILM = "specfilm"
 _INSTEAD = "samples are linear sRGB"
 _SAME_FILM = ("file_format", "component_format", "sample_border", "compensate", "banner")
-"""Settings of films that no sample depends on."""
+"""Settings of films that samples do not depend on."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """A film and the part of it that is rendered, in pixels.
+    """A film and the part of it to render, in pixels.
 
     Parameters
     ----------
     size
         (width, height) of the whole film.
     corner
-        (x, y) of the first pixel of the image on it.
+        (x, y) of the image's first pixel on the film.
     crop_size
         (width, height) of the image.
     """
@@ -80,7 +80,7 @@ class Film:
         return Film(self.size, (self.corner[0] + x, self.corner[1] + y), (extent[0], extent[1]))
 
     def resized(self, size: tuple[int, int] | None) -> tuple[Film, list[str]]:
-        """Return the film at which the image has a size, and a note if the crop moves for it."""
+        """Return the film for an image of some size, and a note if that moves the crop."""
         if size is None or size == self.crop_size:
             return self, []
         scale = [new / old for new, old in zip(size, self.crop_size, strict=True)]
@@ -98,24 +98,24 @@ class Film:
 
 @dataclass(frozen=True)
 class Asked:
-    """What a scene asks for, and the parts of it that are made as often as they are needed.
+    """What a scene asks for, and the parts of it that are made on demand.
 
     Parameters
     ----------
     scene
         The scene without its integrator.
     sensor
-        The sensor that is asked for, with its children, without film, sampler and medium.
+        The sensor with its children, without film, sampler and medium.
     number
         Its place among the scene's sensors.
     integrator
-        The integrator that draws the samples; of a wrapper, that within.
+        The integrator that draws the samples; for a wrapper, the one within.
     film
         The film of the sensor.
     plugins
         Names of all plugins of the scene.
     notes
-        What is not as the scene asks for it.
+        Requests of the scene that are not met.
     """
 
     scene: ParsedScene
@@ -128,7 +128,7 @@ class Asked:
 
     @property
     def crops(self) -> bool:
-        """Whether the sensor shows the part of the image that its film is cropped to."""
+        """Whether the sensor shows the part of the image to which its film is cropped."""
         return self.sensor.plugin(0) in _CROPPING
 
 
@@ -138,9 +138,9 @@ def asked_for(
     instead: ParsedScene | None = None,
     sampler: str = "independent",
 ) -> Asked:
-    """Return what a scene asks for, of the sensor of a number.
+    """Return what a scene asks for, for the sensor of a number.
 
-    The integrator `instead` takes the place of its own; `sampler` is the one that is used.
+    The integrator `instead` replaces the scene's own; `sampler` is the one that is used.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def asked_for(
 
 
 def _sensors(parsed: ParsedScene) -> list[int]:
-    """Return the sensors of a scene, those of shapes among them, in Mitsuba's order."""
+    """Return the sensors of a scene in Mitsuba's order, including those of shapes."""
     found = []
     for index in parsed.held(0):
         kind = parsed.node(index).type.name
@@ -204,10 +204,10 @@ def _sensors(parsed: ParsedScene) -> list[int]:
 
 
 def _integrators(parsed: ParsedScene) -> list[int]:
-    """Return the integrators of a scene, also those that Mitsuba has in other variants only.
+    """Return the integrators of a scene, including those that Mitsuba only has in other variants.
 
-    Of a class that was registered in another variant than a scalar one first, Mitsuba does not know
-    the kind before it makes an object.
+    If a class was first registered in another variant than a scalar one, Mitsuba does not know its
+    kind before it makes an object.
     """
     import mitsuba as mi
 
@@ -231,7 +231,7 @@ def _in_python(plugin: str) -> bool:
 
 
 def check_variant(integrator: ParsedScene) -> None:
-    """Refuse an integrator that the variant that is set does not have.
+    """Refuse an integrator that the current variant does not have.
 
     Raises
     ------
@@ -250,14 +250,14 @@ def check_variant(integrator: ParsedScene) -> None:
 
 
 def _sampled(parsed: ParsedScene, found: list[int]) -> tuple[ParsedScene, list[str]]:
-    """Return the integrator that draws the samples, of those found, and notes on it.
+    """Return which of the found integrators draws the samples, and notes on it.
 
     Raises
     ------
     SceneError
         If there are several.
     RenderError
-        If it is none, or wraps integrators whose samples cannot be kept.
+        If there is none, or it wraps integrators whose samples cannot be kept.
     """
     if not found:
         return parsed.sole({"type": _INTEGRATOR}), []
@@ -303,7 +303,7 @@ def _sampled(parsed: ParsedScene, found: list[int]) -> tuple[ParsedScene, list[s
 
 
 def _of_film(parsed: ParsedScene, films: list[int]) -> list[str]:
-    """Return notes on what a film asks for that samples have in another form."""
+    """Return notes on a film's requests that samples meet in another form."""
     if not films:
         return []
     properties, name = parsed.node(films[0]).props, parsed.plugin(films[0])
@@ -319,7 +319,7 @@ def _of_film(parsed: ParsedScene, films: list[int]) -> list[str]:
 
 
 def _without_bands(parsed: ParsedScene) -> None:
-    """Make the spectral films of a scene plain ones, which exist without wavelengths, too."""
+    """Replace the spectral films of a scene by plain ones, which need no wavelengths."""
     for index in range(len(parsed.state.nodes)):
         if parsed.plugin(index) == _SPECTRAL_FILM:
             properties = parsed.node(index).props
@@ -339,7 +339,7 @@ def _replaced(parsed: ParsedScene, word: str, found: list[int], used: str) -> li
 
 
 def _film(name: str, properties: Any) -> Film:
-    """Return the film of its properties, with Mitsuba's own defaults."""
+    """Return the film of some properties, with Mitsuba's own defaults."""
     width = _whole(name, properties, "width", 768, least=1)
     height = _whole(name, properties, "height", 576, least=1)
     left = _whole(name, properties, "crop_offset_x", 0, least=0)

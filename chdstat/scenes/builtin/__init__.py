@@ -1,7 +1,7 @@
 """Built-in scenes: their names, and their descriptions as dicts in Mitsuba's form.
 
-Each is a JSON file beside this module. Their meshes and textures are arrays in ``arrays.npz``,
-which ``tools/make_scenes.py`` has made.
+Each is a JSON file beside this module. Meshes and textures are arrays in ``arrays.npz``, made by
+``tools/make_scenes.py``.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ BUILTIN: dict[str, str] = {
     "many-lights": "A terrace under strings of 112 coloured bulbs: mixtures of many modes.",
     "night-room": "The same living room by night, two lamps with paper shades: mostly nulls.",
 }
-"""Names of the built-in scenes and what each shows."""
+"""Names of the built-in scenes, and what each shows."""
 REMAKES = {
     "bathroom": "Bathroom",
     "day-room": "WhiteRoom",
     "night-room": "NightRoom",
     "gallery": "MeasureOne",
 }
-"""Built-in scenes that were made after one of Elek, Thomas and Forbes 2019, and that one's name."""
+"""Built-in scenes made after a scene of Elek, Thomas and Forbes 2019, with that scene's name."""
 _FOLDER = Path(__file__).parent
 
 
@@ -49,10 +49,10 @@ def built_in(name: str) -> dict[str, Any]:
 
 
 def _described(name: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a JSON file describes, with matrices and arrays put in.
+    """Return the content of a JSON file, with matrices and arrays filled in.
 
-    The data of a mesh and of a bitmap are names of arrays; ``include`` names another file, whose
-    parts are put in its place.
+    The data of a mesh or bitmap are names of arrays. ``include`` names another file, whose parts
+    take its place.
     """
 
     def filled(value: Any) -> Any:
