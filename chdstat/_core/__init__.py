@@ -1,3 +1,3 @@
-"""Core: what every part of the library stands on."""
+"""Core: what all parts of the library build on."""
 
 __all__: list[str] = []

@@ -1,9 +1,9 @@
 """Sample arrays: what every statistic assumes of its input, checked in one place; and seeds.
 
 Samples lie on the last axis; leading axes are a batch (pixels, channels). Channels and luminance
-are analysed together, as rows of one batch, and `take_rows` separates their results again, whatever
-their type. `chunks` and `rows_by_count` cut rows for the cache. `generator` and `seed_number` turn
-seeds that users give into random numbers.
+are analysed together, as rows of one batch; `take_rows` separates results of any type again.
+`chunks` and `rows_by_count` cut rows for the cache. `generator` and `seed_number` turn users' seeds
+into random numbers.
 """
 
 from __future__ import annotations
@@ -69,26 +69,26 @@ LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 Array: TypeAlias = npt.NDArray[Any]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Reals: TypeAlias = npt.NDArray[np.floating[Any]]
-"""Numbers of single or double precision, whichever the caller gave."""
+"""Numbers of single or double precision, as the caller gave them."""
 Image: TypeAlias = npt.NDArray[np.float32]
-"""Radiance or features, shape (y, x, ...), in the single precision that samples are kept in."""
+"""Radiance or features, shape (y, x, ...), in the single precision of samples."""
 Mapped: TypeAlias = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
-"""Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
+"""Variables of a tile by name: the dims after (y, x), and an array (y, x, ...)."""
 Counts: TypeAlias = npt.NDArray[np.int64]
 Indices: TypeAlias = npt.NDArray[np.signedinteger[Any]]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
 Seed: TypeAlias = int | np.random.Generator | None
-"""What a random function takes: a whole number from 0, a generator, or None for a new one."""
+"""Seed of a random function: a whole number from 0, a generator, or None for a new one."""
 
 _CACHED = 2**17
-"""Samples worked on at once: their float64 copies stay in the cache."""
+"""Samples worked on together: their float64 copies stay in the cache."""
 _TOLERATED = 0.01
 """Share of the samples that may be left out without a warning."""
 
 
 def generator(seed: Seed | Sequence[int]) -> np.random.Generator:
-    """Turn a seed into a random generator; a generator passes through.
+    """Turn a seed into a random generator; a generator is returned as it is.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def generator(seed: Seed | Sequence[int]) -> np.random.Generator:
 
 
 def seed_number(seed: Seed, *, span: int = 2**63) -> int:
-    """Return a seed as a whole number: itself, or one below `span` that is drawn.
+    """Return a seed as a whole number: itself, or a random number below `span`.
 
     Functions that draw the same numbers several times, or keep their seed, need a number.
 
@@ -118,12 +118,12 @@ def seed_number(seed: Seed, *, span: int = 2**63) -> int:
 
 
 def whole(name: str, value: object, *, least: int) -> int:
-    """Return a whole number, of whatever type, as an int.
+    """Return a whole number of any type as an int.
 
     Raises
     ------
     InputError
-        If it is none, a truth value, or less than `least`.
+        If it is not a whole number, is a truth value, or is less than `least`.
 
     Examples
     --------
@@ -141,10 +141,10 @@ def whole(name: str, value: object, *, least: int) -> int:
 
 
 def block_numbers(height: int, width: int, *, across: int) -> npt.NDArray[np.int64]:
-    """Return the block that each pixel lies in, shape (y, x): `across` of them along each side.
+    """Return the block of each pixel, shape (y, x), with `across` blocks along each side.
 
-    They are numbered in reading order and of nearly equal size; a side with fewer pixels has as
-    many blocks as pixels.
+    Blocks are numbered in reading order and have nearly equal sizes. A side with fewer pixels has
+    as many blocks as pixels.
 
     Examples
     --------
@@ -163,15 +163,15 @@ def as_samples(
 ) -> npt.NDArray[np.floating[Any]]:
     """Return `x` as a floating-point array with at least `minimum` samples on its last axis.
 
-    float32 and float64 pass through uncopied; signed integers become float64. Masked samples become
-    NaN, which is bad. The named dims of an `xarray.DataArray` are put in the order (..., y, x,
-    channel, sample).
+    float32 and float64 are not copied; signed integers become float64. Masked samples become NaN,
+    which is bad. The named dims of an `xarray.DataArray` are ordered as (..., y, x, channel,
+    sample).
 
     Raises
     ------
     InputError
-        If `x` has no axis, is not real, or holds fewer than `minimum` samples; if its dims have
-        names and none is "sample"; or if it holds unsigned integers, as encoded images do.
+        If `x` has no axis, is not real, or has fewer than `minimum` samples; if its dims have names
+        and none is "sample"; or if it holds unsigned integers, as encoded images do.
     """
     array = _unmasked(_in_order(x, name), name)
     check_real(array.dtype, name)
@@ -188,7 +188,7 @@ def as_samples(
 
 
 def check_real(dtype: np.dtype[Any], name: str) -> None:
-    """Refuse what holds no real numbers, or unsigned integers, as encoded images do."""
+    """Refuse arrays without real numbers, or of unsigned integers, as encoded images have."""
     if dtype.kind == "u":
         message = (
             f"{name} holds unsigned integers, {dtype}, as images for a display do: samples "
@@ -206,13 +206,13 @@ def as_pixels(
 ) -> npt.NDArray[np.floating[Any]]:
     """Return samples (..., channel, sample) as `as_samples` does.
 
-    An `xarray.DataArray` whose dims have names, and none is "channel", gains one channel.
+    An `xarray.DataArray` with named dims, none of them "channel", gets one channel.
 
     Raises
     ------
     InputError
-        If `x` has no axis of channels, is none of shape (y, x, channel, sample) where an `image`
-        is needed, or is refused by `as_samples`.
+        If `x` has no axis of channels, does not have the shape (y, x, channel, sample) of an
+        `image` where one is needed, or is refused by `as_samples`.
     """
     array = as_samples(x, minimum=minimum, name=name)
     if hasattr(x, "dims") and "channel" not in x.dims:
@@ -227,7 +227,7 @@ def as_pixels(
 
 
 def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
-    """Mark samples that are no number: NaN or infinite.
+    """Mark bad samples: NaN or infinite.
 
     Negative samples are good: control variates, spectral conversion and ratio estimators are
     unbiased because of them.
@@ -236,18 +236,18 @@ def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
 
 
 def all_good(x: npt.NDArray[np.floating[Any]]) -> bool:
-    """Tell whether no sample is bad, several times faster than marking the bad ones."""
+    """Return whether no sample is bad, several times faster than marking the bad ones."""
     # A NaN is both the smallest and the largest sample, and fails both comparisons.
     return x.size == 0 or bool(x.min() > -np.inf and x.max() < np.inf)
 
 
 class LeftOut:
-    """Counts the samples that a function leaves out, to warn of them where they are many.
+    """Counts the samples that a function leaves out, to warn if they are many.
 
     Parameters
     ----------
     logarithms
-        Whether the function needs logarithms, which negative samples have none of.
+        Whether the function needs logarithms, which negative samples do not have.
 
     Examples
     --------
@@ -272,9 +272,9 @@ class LeftOut:
         channel_axis: int | None = None,
         absent: int = 0,
     ) -> None:
-        """Count samples (..., sample); whole ones where there is an axis of channels.
+        """Count samples (..., sample), or whole samples if there is an axis of channels.
 
-        `absent` of them are NaN because a pixel has fewer samples than others.
+        `absent` of them are NaN because pixels have fewer samples than others.
         """
         axes = () if channel_axis is None else (channel_axis,)
         samples = x.size if channel_axis is None else x.size // max(1, x.shape[channel_axis])
@@ -291,15 +291,15 @@ class LeftOut:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """What was counted, for `add`."""
+        """The counts, for `add`."""
         return tuple(map(sum, zip(*self._counts, strict=True))) or (0,) * 6
 
     def add(self, counts: Iterable[int]) -> None:
-        """Add what another has counted, in another process or before."""
+        """Add the counts of another object, from another process or an earlier time."""
         self._counts.append(tuple(counts))
 
     def warn(self) -> None:
-        """Warn the caller of the library where more than 1 % of the samples were left out."""
+        """Warn the caller of the library if more than 1 % of the samples were left out."""
         samples, bad, nan, infinite, values, negative = self.counts
         if bad > _TOLERATED * samples:
             _warn(bad, samples, f"bad and were left out: {nan} NaN or masked, {infinite} infinite")
@@ -315,10 +315,10 @@ def warn_left_out(
     within: str | tuple[str, ...] = "",
     absent: int = 0,
 ) -> None:
-    """Warn where a function leaves out more than 1 % of samples; see `LeftOut`.
+    """Warn if a function leaves out more than 1 % of samples; see `LeftOut`.
 
-    `within` names parts of the library, of which the others warn of a whole image themselves:
-    what they hand over of it, pixel by pixel or batch by batch, makes no further warning.
+    `within` names parts of the library that warn about a whole image themselves. When they call
+    other functions pixel by pixel or batch by batch, there are no further warnings.
     """
     *inside, _ = _callers(sys._getframe(1))
     if within and any(not frame.f_globals["__name__"].startswith(within) for frame in inside):
@@ -334,12 +334,12 @@ def _warn(count: int, total: int, what: str) -> None:
 
 
 def warn_caller(message: str, category: type[Warning] = InputWarning) -> None:
-    """Warn whoever called the library."""
+    """Warn the caller of the library."""
     warnings.warn(message, category, stacklevel=1 + len(_callers(sys._getframe(1))))
 
 
 def _callers(frame: FrameType) -> list[FrameType]:
-    """Return a frame and those that called it, up to the first that is not of the library."""
+    """Return a frame and its callers, up to the first one outside the library."""
     found = [frame]
     while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] == "chdstat":
         frame = frame.f_back
@@ -358,19 +358,19 @@ def is_null(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
 def luminance(
     x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2
 ) -> npt.NDArray[np.floating[Any]]:
-    """Return the luminance of RGB samples, the channel itself where there is only one.
+    """Return the luminance of RGB samples, or the channel itself if there is only one.
 
     Parameters
     ----------
     x
         Samples, shape (..., channel, sample), with 1 or 3 channels.
     channel_axis
-        Where the channels are.
+        Axis of the channels.
 
     Returns
     -------
     ndarray
-        Shape of `x` without the channel axis.
+        Luminance, with the shape of `x` without the channel axis.
 
     Raises
     ------
@@ -390,7 +390,7 @@ def luminance(
 
 
 def plain(value: Any) -> Any:
-    """Return a value ready for JSON: arrays as lists, what is not finite as None.
+    """Return a value ready for JSON: arrays as lists, numbers that are not finite as None.
 
     Examples
     --------
@@ -419,7 +419,7 @@ def spans(length: int, step: int) -> Iterator[slice]:
 
 
 def chunks(rows: int, width: int) -> Iterator[slice]:
-    """Cut rows of so many samples into slices whose float64 copies stay in the cache.
+    """Cut rows of `width` samples into slices whose float64 copies stay in the cache.
 
     Examples
     --------
@@ -430,10 +430,10 @@ def chunks(rows: int, width: int) -> Iterator[slice]:
 
 
 def rows_by_count(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[np.intp]]:
-    """Yield the usable rows in pieces that stay in the cache, those of the fewest samples first.
+    """Yield the usable rows in pieces that stay in the cache, rows with the fewest samples first.
 
-    A piece needs as many columns as its rows have samples `n`, at most `width`: null-heavy pixels
-    cost what they hold.
+    A piece has as many columns as its rows have samples `n`, at most `width`, so that pixels with
+    many nulls cost little.
 
     Examples
     --------
@@ -445,7 +445,7 @@ def rows_by_count(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[n
     rows = rows[np.argsort(n[rows], kind="stable")]
     start = 0
     while start < len(rows):
-        # As many rows as there may be of the widest among them.
+        # As many rows as fit if all had the width of the widest of them.
         least = max(1, int(n[rows[start]]))
         widest = int(n[rows[min(start + _CACHED // least, len(rows) - 1)]])
         stop = start + max(1, _CACHED // max(1, min(width, widest)))
@@ -454,7 +454,7 @@ def rows_by_count(n: Counts, usable: Mask, width: int) -> Iterator[npt.NDArray[n
 
 
 def _in_order(x: Any, name: str) -> Any:
-    """Return a DataArray with its dims in the order that arrays have here; others pass through."""
+    """Return a DataArray with its dims in the usual order; others are returned as they are."""
     dims = getattr(x, "dims", None)
     if not isinstance(dims, tuple) or not hasattr(x, "transpose"):
         return x
@@ -469,7 +469,7 @@ def _in_order(x: Any, name: str) -> Any:
 
 
 def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
-    """Return an array, with NaN for the samples that a masked array hides."""
+    """Return an array with NaN for the samples that a masked array hides."""
     try:
         array = np.asarray(x)
     except (TypeError, ValueError) as error:
@@ -485,9 +485,9 @@ Result = TypeVar("Result")
 
 
 def batch_rows(values: Array, batch: tuple[int, ...], rows: Array, *behind: Any) -> Array:
-    """Select rows of a batch by their flat numbers, and of each what `behind` indexes.
+    """Select rows of a batch by their flat numbers, and index each row by `behind`.
 
-    Flattening first would copy all of the values where they are a view.
+    Flattening first would copy all values of a view.
 
     Examples
     --------
@@ -503,8 +503,8 @@ def batch_rows(values: Array, batch: tuple[int, ...], rows: Array, *behind: Any)
 def take_rows(result: Result, rows: int | slice | npt.NDArray[Any], *, axis: int) -> Result:
     """Return a result with only some rows along one of its batch axes.
 
-    Every array with that axis is indexed: those of dataclasses, what they have cached included, and
-    of mappings. What has fewer dimensions describes all rows and stays.
+    Every array with that axis is indexed: those of dataclasses, including cached ones, and of
+    mappings. Values with fewer dimensions describe all rows and stay.
 
     Examples
     --------
@@ -523,7 +523,7 @@ def _take(value: Any, index: tuple[Any, ...]) -> Any:
         return tuple(_take(item, index) for item in value)
     if is_dataclass(value):
         taken = copy.copy(value)
-        # Cached properties lie beside the fields; a frozen dataclass guards only its attributes.
+        # Cached properties lie beside the fields; a frozen dataclass only guards its attributes.
         vars(taken).update({name: _take(item, index) for name, item in vars(value).items()})
         return taken
     return value
@@ -535,7 +535,7 @@ def _take(value: Any, index: tuple[Any, ...]) -> Any:
 def first_of(
     cases: Mapping[Any, npt.NDArray[np.bool_]], default: enum.IntEnum = Reason.OK
 ) -> npt.NDArray[np.int8]:
-    """Return the code of the first case that holds, `default` where none does, shape (...).
+    """Return the code of the first case that holds, or `default`, shape (...).
 
     Examples
     --------
@@ -562,7 +562,7 @@ def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:
 
 
 def place_attributes(names: Sequence[str]) -> dict[str, Any]:
-    """Return CF-convention attributes of a variable of places in a list of names, -1 for none."""
+    """Return CF-convention attributes of a variable of places in a list of names; -1 is none."""
     return {
         "flag_values": [-1, *range(len(names))],
         "flag_meanings": " ".join(["none", *names]),
@@ -582,10 +582,10 @@ def flag_names(attrs: Mapping[str, Any]) -> dict[int, str]:
 
 
 def label_variables(dataset: xr.Dataset, labels: Mapping[str, str | tuple[str, str]]) -> xr.Dataset:
-    """Set long name and units of the variables that a dataset has, and what reason codes mean.
+    """Set long names and units of the variables of a dataset, and explain reason codes.
 
-    A name alone is one of a number without unit. The ends of intervals, dimension ``bound``, get
-    their names, too.
+    A label without unit is dimensionless. The ends of intervals, dimension ``bound``, get names,
+    too.
     """
     for name, label in labels.items():
         if name in dataset:

@@ -1,7 +1,7 @@
 """Display: numbers as a reader wants them, and results that show themselves.
 
-`Shown` gives a result a representation: in a notebook an image and small tables, elsewhere at most
-twelve lines. A class says what is worth seeing in a `Card`.
+`Shown` gives a result a representation: an image and small tables in a notebook, at most twelve
+lines elsewhere. A class puts what is worth seeing in a `Card`.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ __all__ = [
 ]
 
 Width = Literal["column", "page"] | float
-"""Of a figure: that of a column or a page of a paper, or in inches."""
+"""Width of a figure: that of a column or a page of a paper, or in inches."""
 
 _LINES, _WIDTH = 12, 108
-"""Largest size of a representation as text."""
+"""Most lines of a representation as text, and most letters of a line."""
 _SENTENCE = 84
 """Letters after which sentences wrap."""
 _LONG = 400
-"""Largest number of letters of a value."""
+"""Most letters of a value."""
 _IN_FULL = 12
 """Arrays up to this size are written number by number."""
 
@@ -74,7 +74,7 @@ def number(value: float) -> str:
 
 
 def percent(share: float, *, sign: bool = False) -> str:
-    r"""Return a share in per cent, which no line break splits.
+    r"""Return a share in per cent, without a line break before the sign.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def with_margin(value: float, margin: float) -> str:
 def with_interval(
     value: float, low: float, high: float, write: Callable[[float], str] = number
 ) -> str:
-    """Return a value with its interval; without, where that is not known or has no width.
+    """Return a value with its interval, or alone if that is unknown or has no width.
 
     Examples
     --------
@@ -202,7 +202,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def in_unit(text: str, unit: str) -> str:
-    """Return a number with its unit; alone where it has none, or is missing.
+    """Return a number with its unit; alone if it has no unit, or is missing.
 
     Examples
     --------
@@ -213,7 +213,7 @@ def in_unit(text: str, unit: str) -> str:
 
 
 def reasons(codes: npt.ArrayLike) -> str:
-    """Return the reasons that occur among codes, in words; "" if everything is there.
+    """Return the reasons among codes, in words; "" if nothing is missing.
 
     Examples
     --------
@@ -253,18 +253,18 @@ def _cell(text: str) -> str:
 
 @dataclass(frozen=True)
 class Card:
-    """What a result shows of itself.
+    """What a result shows.
 
     Parameters
     ----------
     title
-        What it is.
+        Name of the result.
     facts
         Names and values, the most important first.
     table
         Rows of text by the titles of the columns.
     images
-        PNG files by what they show.
+        PNG files, by what they show.
     """
 
     title: str
@@ -365,7 +365,7 @@ def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
     rows
         Text by the titles of the columns.
     columns
-        How these are aligned; the first at the left, others at the right by default.
+        Alignment of the columns; by default, the first at the left, others at the right.
 
     Examples
     --------
@@ -386,7 +386,7 @@ def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
 
 
 class Shown:
-    """A result that shows itself, at most twelve lines of it where only text is shown.
+    """A result that shows itself: in a notebook, or in at most twelve lines of text.
 
     Examples
     --------
@@ -403,10 +403,10 @@ class Shown:
     """
 
     _drawn: ClassVar[str] = ""
-    """What ``plot`` draws, of results whose figure a notebook shows."""
+    """What ``plot`` draws, for results whose figure a notebook shows."""
 
     def _card(self) -> Card:
-        """Return what is worth seeing; by default, every field of a dataclass but functions."""
+        """Return what is worth seeing; by default, every field of a dataclass except functions."""
         fields: Any = dataclasses.fields(self)  # type: ignore[arg-type]
         facts = {f.name: getattr(self, f.name) for f in fields}
         facts = {name: value for name, value in facts.items() if not callable(value)}
@@ -414,9 +414,9 @@ class Shown:
         return Card(type(self).__name__, {n.replace("_", " "): v for n, v in facts.items()})
 
     def to_latex(self) -> str:
-        r"""Return its table as LaTeX, with the rules of the package booktabs.
+        r"""Return the result's table as LaTeX, with the rules of the package booktabs.
 
-        It is the table that a notebook shows; of a result without one, names and values.
+        It is the table that a notebook shows, or names and values if there is none.
 
         Examples
         --------
@@ -448,9 +448,9 @@ class Shown:
 def png(values: npt.ArrayLike, about: str = "") -> bytes:
     """Return an image as a PNG file: sRGB from 0 to 1, shape (y, x, 3), or (y, x) for grey.
 
-    What is said `about` it is its comment.
+    `about` becomes its comment.
 
-    Written here, as Matplotlib takes a third of a second to be imported; W3C, "Portable Network
+    It is written here since importing Matplotlib takes a third of a second; W3C, "Portable Network
     Graphics (PNG) specification", third edition, 2025.
     """
     image = np.atleast_3d(np.asarray(values, np.float64))

@@ -1,10 +1,10 @@
 """Files: written whole or not at all, by one process at a time, in a folder or behind a URL.
 
-A file or folder is written beside its place, under a name that ends in ``.partial`` but for its
-suffix, and moved there when it is complete. Its writer holds a lock on it (``flock``), which the
-system releases when the process ends in whatever way. So a locked file belongs to a living process.
-One that is not locked was left by a process that was killed; the next process that writes to the
-same place removes it. A URL names a place that fsspec reaches, where nothing is locked.
+A file or folder is first written beside its place, under a name that ends in ``.partial`` before
+its suffix, and moved when it is complete. Its writer holds a lock on it (``flock``), which the
+system releases whenever the process ends. A locked file thus belongs to a living process. An
+unlocked one was left by a process that was killed, and the next process that writes to the same
+place removes it. A URL names a place that fsspec reaches, where nothing is locked.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ __all__ = [
 
 
 def is_path(x: object) -> TypeGuard[str | Path]:
-    """Return whether something names a place, be it text, a path or one of ``universal_pathlib``.
+    """Return whether something names a place: text, a path, or one of ``universal_pathlib``.
 
     Examples
     --------
@@ -81,12 +81,12 @@ def is_exr(x: object) -> TypeGuard[str | Path]:
 
 
 def place_of(path: str | Path) -> Path:
-    """Return the place that text names: a path, or for a URL what is used as one.
+    """Return the place of a text: a path, or for a URL an object used like one.
 
     Raises
     ------
     InputError
-        If it is no path, or nothing that is installed reaches such URLs.
+        If it is not a path, or no installed package reaches such URLs.
 
     Examples
     --------
@@ -118,7 +118,7 @@ def local(path: str | Path) -> Path:
     Raises
     ------
     InputError
-        If it is a URL, of which a `Path` has one slash left.
+        If it is a URL, which a `Path` reduces to one slash.
 
     Examples
     --------
@@ -134,10 +134,10 @@ def local(path: str | Path) -> Path:
 
 
 def is_remote(path: Any) -> bool:
-    """Return whether a place is none of this machine's folders.
+    """Return whether a place is not a folder of this machine.
 
-    There are no locks there, and nothing is written beside its place: what fsspec writes is there
-    whole or not at all, as far as the service behind it promises that.
+    There are no locks there, and nothing is written beside its place. What fsspec writes is there
+    as a whole or not at all, as far as its service promises that.
     """
     return isinstance(path, UPath) and not isinstance(path, Path)
 
@@ -156,7 +156,7 @@ def exists(path: Path) -> bool:
     Raises
     ------
     StoreError
-        If what is behind a URL does not answer, or does not let one in.
+        If the service behind a URL does not answer, or denies access.
     """
     if not is_remote(path):
         return os.path.exists(path)  # noqa: PTH110 - also of what is too long for a name
@@ -169,8 +169,8 @@ def exists(path: Path) -> bool:
 
 
 def tail(file: Path, size: int) -> tuple[bytes, int]:
-    """Return the last bytes of a file, and how many there are before them."""
-    # Else fsspec reads a block of several megabytes for them.
+    """Return the last bytes of a file, and the number of bytes before them."""
+    # Otherwise, fsspec reads a block of several megabytes for them.
     how: dict[str, Any] = {"cache_type": "none"} if is_remote(file) else {}
     with file.open("rb", **how) as opened:
         length = opened.seek(-size, os.SEEK_END)
@@ -178,7 +178,7 @@ def tail(file: Path, size: int) -> tuple[bytes, int]:
 
 
 def zarr_store(path: Path) -> Any:
-    """Return what zarr reads a place through."""
+    """Return the object through which zarr reads a place."""
     from zarr.storage import FsspecStore, LocalStore
 
     if not is_remote(path):
@@ -189,12 +189,12 @@ def zarr_store(path: Path) -> Any:
 
 
 _fcntl: Any = importlib.import_module("fcntl") if os.name == "posix" else None
-"""Windows has no flock: nothing is locked there, and nothing swept."""
+"""Windows has no flock: nothing is locked or swept there."""
 _TRIES = 8
-"""How often a file that vanishes while it is being locked is made again."""
+"""How often to make a file again that vanishes while it is being locked."""
 _SMALL, _MOST_SHRUNK = 2**28, 2000
-"""Bytes of content that any file may claim, and the most for each of its bytes: zlib shrinks zeros
-by 1032."""
+"""Bytes of content that any file may claim, and the most for each of its bytes: zlib compresses
+zeros by a factor of 1032."""
 
 
 def checksum(data: bytes) -> int:
@@ -211,7 +211,7 @@ def checksum(data: bytes) -> int:
 
 
 def check_claim(path: Path, claimed: int) -> None:
-    """Refuse a file whose header claims more bytes than it can hold, before there is room made.
+    """Refuse a file whose header claims more bytes than it can hold, before making room.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def checked_target(path: str | Path, *suffixes: str) -> Path:
     Raises
     ------
     InputError
-        If it ends in none of `suffixes`, is a folder, or lies in none that can be written to.
+        If it has none of the `suffixes`, is a folder, or its folder cannot be written to.
 
     Examples
     --------
@@ -271,8 +271,8 @@ def unused(path: str | Path) -> Path:
 def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     """Yield a path beside another, which it replaces when it is written, or not at all.
 
-    It keeps the suffix, by which some writers choose the format. With ``folder=True`` it is an
-    empty folder, else an empty file. What killed processes left beside `path` is removed.
+    It keeps the suffix, by which some writers choose the format. With ``folder=True``, it is an
+    empty folder, otherwise an empty file. Leftovers of killed processes beside `path` are removed.
 
     Examples
     --------
@@ -294,7 +294,7 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def writing(path: Path, *, folder: bool = False) -> Iterator[Path]:
-    """Yield a path as `replacing` does; a StoreError says why it cannot be written."""
+    """Yield a path like `replacing`; a StoreError says why it cannot be written."""
     try:
         with replacing(path, folder=folder) as partial:
             yield partial
@@ -305,7 +305,7 @@ def writing(path: Path, *, folder: bool = False) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def scratch() -> Iterator[Path]:
-    """Yield a temporary folder, removed at the end, or by the next one if this process is killed.
+    """Yield a temporary folder, removed at the end, or later if this process is killed.
 
     Examples
     --------
@@ -321,9 +321,9 @@ def scratch() -> Iterator[Path]:
 
 
 def sweep(folder: Path, path: Path | None = None) -> None:
-    """Remove what killed processes left in a folder: of one output, or of all, also further down.
+    """Remove leftovers of killed processes from a folder: of one output, or of all, recursively.
 
-    What is locked belongs to a process that is alive, and stays.
+    Locked files belong to a living process and stay.
     """
     if _fcntl is None or is_remote(folder):
         return
@@ -355,7 +355,7 @@ def _partial(path: Path, *, folder: bool) -> Iterator[Path]:
 
 
 def remove(path: Path) -> None:
-    """Remove a file or folder, if it is there and can be removed."""
+    """Remove a file or folder, if it exists and can be removed."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -369,11 +369,11 @@ def remove(path: Path) -> None:
 def room(shape: tuple[int, ...], kind: npt.DTypeLike, folder: Path | None) -> npt.NDArray[Any]:
     """Return an array to fill: in memory, or in a nameless file of a folder.
 
-    What a file holds, the system moves out of memory where that is short, and `release` does.
+    The system moves the content of a file out of memory if that is short, and so does `release`.
 
     Raises
     ------
-    StoreError
+    If the disk has no room for it.
         If the disk has no room for it.
 
     Examples
@@ -400,7 +400,7 @@ def room(shape: tuple[int, ...], kind: npt.DTypeLike, folder: Path | None) -> np
 
 
 def _reserve(file: int, size: int) -> None:
-    """Give a file its size on disk: to write to holes where the disk is full is a bus error."""
+    """Reserve the size of a file on disk: writing to holes of a full disk is a bus error."""
     if hasattr(os, "posix_fallocate"):
         try:
             os.posix_fallocate(file, 0, size)
@@ -413,7 +413,7 @@ def _reserve(file: int, size: int) -> None:
 
 
 def release(array: npt.NDArray[Any]) -> None:
-    """Give back the memory of an array that `room` made in a file; its content stays."""
+    """Release the memory of an array that `room` made in a file; its content stays."""
     base: Any = array
     while isinstance(base, np.ndarray | memoryview):
         base = base.base if isinstance(base, np.ndarray) else base.obj
@@ -425,7 +425,7 @@ def release(array: npt.NDArray[Any]) -> None:
 
 
 class Lock:
-    """Exclusive use of a place, marked by a file that the process holds locked while it is there.
+    """Exclusive use of a place, marked by a file that the process keeps locked.
 
     A process that is killed leaves the file but not the lock, and the next one takes it.
 
@@ -434,12 +434,12 @@ class Lock:
     path
         The file; it is removed when the lock is released.
     what
-        What it keeps, for the message.
+        What the lock protects, for the message.
 
     Raises
     ------
     StoreError
-        If another holds it.
+        If another process holds it.
     OSError
         If the file cannot be written.
 
@@ -471,20 +471,20 @@ class Lock:
         path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
 
     def release(self) -> None:
-        """Let others have it."""
+        """Release the lock."""
         if self._held is not None:
             self._path.unlink(missing_ok=True)
             os.close(self._held)
             self._held = None
 
     def __del__(self) -> None:
-        # One that was forgotten, by an exception on its way up.
+        # A forgotten lock, such as after an exception.
         with contextlib.suppress(OSError, AttributeError):
             self.release()
 
 
 def locked(folder: Path, name: str) -> Lock | None:
-    """Take the lock of a folder, and remove what killed writers left in it; None behind a URL."""
+    """Take the lock of a folder, and remove leftovers of killed writers; None behind a URL."""
     if is_remote(folder):
         return None
     lock = Lock(folder / name, folder)
@@ -493,7 +493,7 @@ def locked(folder: Path, name: str) -> Lock | None:
 
 
 def _made(path: Path, *, folder: bool = False) -> int | None:
-    """Make a file or folder, and return what holds its lock; None where another process has it."""
+    """Make a file or folder and return the holder of its lock; None if another process has it."""
     for _ in range(_TRIES):  # who sweeps may have removed it between the two
         if folder:
             path.mkdir(exist_ok=True)
@@ -506,7 +506,7 @@ def _made(path: Path, *, folder: bool = False) -> int | None:
 
 
 def _locked(path: Path) -> int | None:
-    """Return what holds the lock of a file that is there; None where another process has it."""
+    """Return the holder of an existing file's lock; None if another process has it."""
     if _fcntl is None:
         return None
     try:
@@ -527,10 +527,9 @@ def _locked(path: Path) -> int | None:
 
 
 def free_disk(path: Path) -> int | None:
-    """Return the free bytes of the disk that a path, which need not exist yet, would be on.
+    """Return the free bytes of the disk of a path, which need not exist yet.
 
-    None where there is no disk, as in /proc or behind a URL: whoever writes there learns what is
-    wrong.
+    None if there is no disk, as in /proc or behind a URL; writing there will show what is wrong.
     """
     if is_remote(path):
         return None

@@ -1,9 +1,10 @@
 """Image scales: how bright an image is, for the screen, for published thresholds, and on average.
 
-`display_stops` and `tonemap` are for showing it. `exposure_unit` is the radiance that an exposure
-as usual shows as 1. `mean_radiance` is its mean, which a few fireflies do not move.
-`relative_scale` is what squared errors are relative to, `layer_weights` splits samples between
-layers of brightness.
+- `display_stops` and `tonemap` show an image.
+- `exposure_unit` is the radiance that a usual exposure shows as 1.
+- `mean_radiance` is the mean of an image, which a few fireflies do not move.
+- `relative_scale` is the denominator of relative squared errors.
+- `layer_weights` splits samples between layers of brightness.
 """
 
 from __future__ import annotations
@@ -33,26 +34,26 @@ __all__ = [
 BASE = 8.0
 """Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
 LAYERS = 6
-"""Number of layers, of brightness b^0 to b^5: as above."""
+"""Number of layers, of brightness b^0 to b^5, as in the paper."""
 DARK = 0.01
-"""Share of the squared mean of a scene that keeps relative errors of its dark pixels finite."""
+"""Share of a scene's squared mean that keeps relative errors of its dark pixels finite."""
 _WHITE, _PERCENTILE = 0.8, 90
 _KEY = 0.09
-"""Log-average of what is shown, at least: a stop below the middle grey of Reinhard et al."""
+"""Least log-average of a shown image: a stop below the middle grey of Reinhard et al."""
 _MOST_STOPS = 3.0
 _LIMIT = 32.0
 _MIDDLE_GREY = 0.18
 _SHARE = 0.04
-"""Of the radiance of an image that one sample may make up, if no other of its pixel is like it."""
+"""Largest share of an image's radiance for one sample, if no other of its pixel is like it."""
 _PIXELS_A_FIREFLY, _MOST_FIREFLIES = 128, 8
-"""An image has one firefly less than it has times so many pixels, and fewer than so many in all."""
+"""An image of n pixels may have n // 128 - 1 fireflies, but fewer than 8."""
 
 
 def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array:
-    """Return y^2 + 0.01 m^2, over which squared errors of radiances y are relative errors.
+    """Return y^2 + 0.01 m^2, which makes squared errors of radiances y relative errors.
 
-    So no pixel counts as darker than a tenth of the scene, whose mean m is `of_scene`; None takes
-    the mean of all y that are finite.
+    No pixel thus counts as darker than a tenth of the scene, whose mean m is `of_scene`; None for
+    the mean of all finite y.
 
     Examples
     --------
@@ -66,17 +67,17 @@ def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array
 
 
 def display_stops(image: npt.ArrayLike) -> float:
-    """Return stops that show an image well.
+    """Return the stops that show an image well.
 
-    They put the 90th percentile near white, which suits rooms; but a view whose window or lamps
-    are more than a tenth of it, and would leave all else black, is up to three stops brighter, as
-    its log-average asks (Reinhard et al., "Photographic tone reproduction for digital images",
-    2002, doi:10.1145/566654.566575).
+    They put the 90th percentile near white, which suits rooms. If windows or lamps fill more than a
+    tenth of a view and would leave everything else black, the image is up to three stops brighter,
+    according to its log-average (Reinhard et al., "Photographic tone reproduction for digital
+    images", 2002, doi:10.1145/566654.566575).
 
     Parameters
     ----------
     image
-        Linear radiance, any shape; what is not finite is left out.
+        Linear radiance, any shape; values that are not finite are left out.
 
     Examples
     --------
@@ -106,12 +107,13 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
         Linear radiance, shape (y, x, channel) with 1 or 3 channels.
     exposure
         Stops. None puts the 90th percentile near white, which suits interiors, or up to three stops
-        above it where windows or lamps would leave all else dark.
+        above it if windows or lamps would leave everything else dark.
 
     Returns
     -------
     ndarray
-        Shape (y, x, 3), in [0, 1]; pixels that are not finite are magenta, to be seen.
+        Display values, shape (y, x, 3), in [0, 1]; pixels that are not finite are magenta, to stand
+        out.
 
     Raises
     ------
@@ -138,16 +140,16 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
 def exposure_unit(pixels: Reals, unit: float | None = None) -> float:
     """Return the radiance that counts as 1: the log-average of the image is middle grey, 0.18.
 
-    As in the tone reproduction of Reinhard et al. 2002, doi:10.1145/566654.566575, equation 1 and
-    2, with black pixels left out. 1 for a black image. Some estimators were published with
-    thresholds in absolute radiance and mean that of an image that is exposed so.
+    This follows Reinhard et al. 2002, doi:10.1145/566654.566575, equations 1 and 2, without black
+    pixels. It is 1 for a black image. Some estimators were published with thresholds in absolute
+    radiance, and mean those of an image with this exposure.
 
     Parameters
     ----------
     pixels
-        Luminances, any shape; those that are not positive and finite are left out.
+        Luminances, any shape; values that are not positive and finite are left out.
     unit
-        Passed through where the caller knows better.
+        Returned as it is, if the caller knows the unit.
 
     Raises
     ------
@@ -164,7 +166,7 @@ def exposure_unit(pixels: Reals, unit: float | None = None) -> float:
 
 
 def _log_average(values: npt.NDArray[np.float64]) -> float:
-    """Return the geometric mean of the positive ones among finite values, 0 if there is none."""
+    """Return the geometric mean of the positive values, 0 if there are none."""
     lit = values[values > 0]
     return float(np.exp(np.log(lit).mean())) if lit.size else 0.0
 
@@ -172,22 +174,24 @@ def _log_average(values: npt.NDArray[np.float64]) -> float:
 def mean_radiance(samples: npt.ArrayLike) -> float:
     """Return the mean radiance of an image over pixels and channels; few fireflies do not move it.
 
-    The sample of a pixel that is farthest from 0 may be a firefly or one of many from a lamp. Its
-    others show which: the mean of the pixel exceeds theirs by ``e``, which for a lamp is little.
+    The sample of a pixel that is farthest from 0 may be a firefly, or one of many from a lamp. The
+    other samples decide: the mean of the pixel exceeds theirs by ``e``, which is small for a lamp.
     The image's mean is that of the pixels, with ``e`` limited to 4 % of the radiance of the whole
-    image. Hence a single sample moves it by less than 5 %, whatever its value, and it is the plain
-    mean wherever no single sample makes up 4 % of the image. As many as 7 samples are limited in
-    images from 1024 pixels, one less for 128 pixels fewer, and none below 256, where one sample is
-    much of all that is known. Of one sample per pixel nothing tells a firefly from a lamp: then a
-    pixel that makes up more than 4 % of the image is limited likewise.
+    image. A single sample thus moves it by less than 5 %, whatever its value. If no single sample
+    makes up 4 % of the image, it is the plain mean.
 
-    It does not depend on the order of samples or pixels and follows the unit of radiance.
+    In images of 1024 pixels or more, up to 7 samples are limited; one less for every 128 pixels
+    fewer; and none below 256 pixels, where one sample is much of all information. With one sample
+    per pixel, nothing tells a firefly from a lamp. A pixel that makes up more than 4 % of the image
+    is then limited in the same way.
+
+    The mean does not depend on the order of samples or pixels, and follows the unit of radiance.
 
     Parameters
     ----------
     samples
-        Shape (..., channel, sample), or `chdstat.Samples`, which are walked through once. A sample
-        of which any channel is bad is left out.
+        Radiance, shape (..., channel, sample), or `chdstat.Samples`, which are read once. A sample
+        with a bad channel is left out.
 
     Returns
     -------
@@ -225,19 +229,19 @@ def mean_radiance(samples: npt.ArrayLike) -> float:
 
 
 class RadianceSums:
-    """Sums over the good samples of each pixel, as they come, and what `mean_radiance` makes of it.
+    """Sums over the good samples of each pixel, which come in blocks, for `mean_radiance`.
 
     Parameters
     ----------
     shape
-        Of the pixels.
+        Shape of the pixels.
 
     Attributes
     ----------
     extreme
         The sample that is farthest from 0, averaged over channels.
     others
-        Sum of the others: separate, since a firefly takes all digits of a sum.
+        Sum of the others, kept separately since a firefly takes all digits of a sum.
     count
         Good samples.
     """
@@ -257,7 +261,7 @@ class RadianceSums:
                 grey = x[part].mean(axis=-2, dtype=np.float64)
             bad = is_bad(x[part]).any(axis=-2) | ~np.isfinite(grey)
             grey[bad] = 0
-            # What was the farthest so far comes again as one more sample.
+            # The previous farthest sample is added as one more sample.
             grey = np.concatenate([grey, extreme[part][..., np.newaxis]], axis=-1)
             high, low = grey.argmax(axis=-1)[..., np.newaxis], grey.argmin(axis=-1)[..., np.newaxis]
             highest, lowest = (np.take_along_axis(grey, i, axis=-1) for i in (high, low))
@@ -276,7 +280,7 @@ def mean_of_pixels(extreme: Reals, others: Reals, count: npt.NDArray[Any]) -> fl
     """Return what `mean_radiance` does, from the attributes of `RadianceSums`."""
     known = count > 0
     number = count[known].astype(np.float64)
-    # In units of the brightest sample nothing overflows, and a power of two changes no bit.
+    # In units of the brightest sample, nothing overflows; a power of two changes no bit.
     scale = 2.0 ** np.floor(np.log2(np.abs(extreme[known]).max(initial=0) or 1.0))
     rest = others[known] / scale / np.maximum(number - 1, 1)
     excess = (extreme[known] / scale - rest) / number
@@ -285,22 +289,22 @@ def mean_of_pixels(extreme: Reals, others: Reals, count: npt.NDArray[Any]) -> fl
     if not radiance > 0:
         radiance = (rest + excess).sum()
     found = float(radiance) / max(len(rest), 1) * scale
-    # Samples are measured in it in single precision.
+    # Samples are divided by it in single precision.
     bounds = np.finfo(np.float32)
     return float(np.clip(found, bounds.tiny, bounds.max)) if 0 < found < np.inf else 1.0
 
 
 def _limit(rest: npt.NDArray[np.float64], excess: npt.NDArray[np.float64]) -> float:
-    """Return what the excess of a pixel is limited to: it limits few, to a share of the sum."""
+    """Return the limit of a pixel's excess: a share of the sum, which limits few pixels."""
     few = min(len(rest) // _PIXELS_A_FIREFLY, _MOST_FIREFLIES)
     if few < 2:
         return np.inf
     order = np.argpartition(np.abs(excess), -few)
     top = excess[order[-few:]]
     top = top[np.argsort(-np.abs(top))]
-    # Sums without the first 0, 1, 2 and so on: added up from the least, for the digits.
+    # Sums without the first 0, 1, 2 and so on, added up from the least to keep digits.
     sums = np.cumsum(np.append(rest.sum() + excess[order[:-few]].sum(), top[::-1]))[:0:-1]
-    # Where k are limited to l, the whole is this sum and k l, and l is its share.
+    # If k excesses are limited to l, the whole is this sum plus k l, and l is its share.
     limits = _SHARE * sums / (1 - _SHARE * np.arange(few))
     enough = np.flatnonzero(limits >= np.abs(top))
     return float(limits[enough[0]] if len(enough) else np.abs(top[-1]))
@@ -310,8 +314,9 @@ def layer_weights(brightness: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Split samples between the layers, by their luminance L in units of the lowest layer.
 
     Between B_i and B_(i+1), ``w_i = (B_i / L - 1 / b) / (1 - 1 / b)`` and ``w_(i+1) = 1 - w_i``, so
-    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0, negative samples too, all
-    of it falls into the lowest layer, above the top one ``B_top / L`` into that.
+    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0, and for negative samples,
+    everything falls into the lowest layer. Above the top layer, ``B_top / L`` falls into the top
+    layer.
 
     Parameters
     ----------
@@ -340,7 +345,7 @@ def layer_weights(brightness: npt.ArrayLike) -> npt.NDArray[np.float64]:
     # A subnormal luminance would overflow the ratio; anything below B_0 is as good as B_0.
     inverse = 1 / np.maximum(level, 1)
     for index in range(LAYERS - 1):
-        # What falls into this layer or a lower one.
+        # The part in this layer or a lower one.
         upto = np.clip((BASE**index * inverse - 1 / BASE) / (1 - 1 / BASE), 0, 1)
         weights[..., index] = upto - below
         below = upto

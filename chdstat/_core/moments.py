@@ -1,9 +1,8 @@
 """Moments of samples in constant memory, and means of consecutive batches of them.
 
-Use `Moments.of` on the samples at hand and `Moments.merge` to join parts without loss. Use
-`PixelMoments` on the samples of an image that come in blocks: it counts the bad ones, too. Batch
-means show how the mean drifts over consecutive samples; batches double in size whenever there would
-be too many of them.
+Use `Moments.of` on samples, and `Moments.merge` to join parts without loss. Use `PixelMoments` on
+the samples of an image that come in blocks; it also counts the bad ones. Batch means show how the
+mean drifts over consecutive samples. Batches double in size when there would be too many of them.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ _LONG = 256
 
 @dataclass(frozen=True)
 class Moments:
-    """Count, mean, sums of powers of deviations and extremes, each of the batch's shape.
+    """Count, mean, sums of powers of deviations and extremes, each with the batch's shape.
 
-    ``m2``, ``m3`` and ``m4`` are sum((x - mean)^k); the mean of no sample is stored as 0.
+    ``m2``, ``m3`` and ``m4`` are sum((x - mean)^k); without samples, the mean is stored as 0.
     """
 
     count: Floats
@@ -110,7 +109,7 @@ class Moments:
 
     @property
     def _constant(self) -> npt.NDArray[np.bool_]:
-        # Rounding of the mean leaves a tiny m2 behind even where all samples are equal.
+        # Rounding of the mean leaves a tiny m2 even if all samples are equal.
         return np.asarray(self.minimum >= self.maximum)
 
 
@@ -140,15 +139,15 @@ def _divide(a: Floats, b: Floats, *, where: npt.NDArray[np.bool_]) -> Floats:
 
 
 class PixelMoments:
-    """Counts and moments of the samples of each pixel, which come in blocks: update, merge, read.
+    """Counts and moments of each pixel's samples, which come in blocks: update, merge, read.
 
     Attributes
     ----------
     moments
         Moments of the good samples, shape (..., channel); None before the first block.
     counts
-        By name: null samples, bad ones, those with a NaN or an infinite channel, and good ones with
-        a negative channel, each of shape (...).
+        Numbers of samples by name, each of shape (...): null; bad; with a NaN channel; with an
+        infinite channel; good with a negative channel.
     """
 
     def __init__(self) -> None:
@@ -156,9 +155,9 @@ class PixelMoments:
         self.counts: dict[str, Counts] = {}
 
     def update(self, x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> None:
-        """Take the next samples, shape (..., channel, sample).
+        """Add the next samples, shape (..., channel, sample).
 
-        `null` and `bad` mark whole samples, shape (..., 1, sample); None for none bad.
+        `null` and `bad` mark whole samples, shape (..., 1, sample); None if none is bad.
         """
 
         def count(mask: Mask) -> Counts:
@@ -175,7 +174,7 @@ class PixelMoments:
         self._add(Moments.of(x, None if bad is None else ~bad), counts)
 
     def merge(self, other: PixelMoments) -> None:
-        """Take what `other` has seen."""
+        """Add the samples of `other`."""
         if other.moments is not None:
             self._add(other.moments, other.counts)
 
@@ -189,8 +188,8 @@ class PixelMoments:
 class Batches:
     """Sums of samples over consecutive batches of `size` draws, at most `limit` of them.
 
-    The slot behind the last complete batch is open: it takes the next samples. When the draws
-    outgrow the slots, neighbours merge pairwise and `size` doubles.
+    The slot after the last complete batch is open for the next samples. When the draws outgrow the
+    slots, neighbours merge pairwise and `size` doubles.
     """
 
     def __init__(self, shape: tuple[int, ...], *, size: int, limit: int) -> None:
@@ -210,7 +209,7 @@ class Batches:
     def update(
         self, x: npt.NDArray[np.floating[Any]], good: npt.NDArray[np.bool_] | None = None
     ) -> None:
-        """Take the next samples, shape (..., sample); `good` marks those that count."""
+        """Add the next samples, shape (..., sample); `good` marks those that count."""
         n = x.shape[-1]
         while self.total + n > self.size * len(self.draws):
             self._double()
@@ -258,7 +257,7 @@ class Batches:
         return means, self.draws[used].copy()
 
     def empty(self, shape: tuple[int, ...]) -> Batches:
-        """Return batches with the same options that have seen nothing, for another shape."""
+        """Return empty batches with the same options, for another shape."""
         size, limit = self._options
         return Batches(shape, size=size, limit=limit)
 

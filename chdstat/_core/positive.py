@@ -1,15 +1,18 @@
 """Positive part: the samples that a distribution of radiance is fitted to, and what is left out.
 
-Nulls are a point mass at 0, bad samples are no number, and negative ones have no logarithm;
-everything about the shape of a CHD (fits, tests, modes, tails) looks at the rest. Build a
-`PositivePart` once and share it: its sorted samples, its sums and the statistics that were measured
-of it are computed when first used, and kept.
+Nulls are a point mass at 0, bad samples are not numbers, and negative ones have no logarithm.
+Everything about the shape of a CHD (fits, tests, modes, tails) looks at the other samples. Build a
+`PositivePart` once and share it: its sorted samples, its sums and its statistics are computed on
+first use and kept.
 
-A `PositiveHistogram` answers what a `PositivePart` answers, at a cost and in a memory that do not
-depend on spp: a streamed render can be fitted without its samples. It does not know three things.
-Where a sample lies within its bin: a distribution narrower than a bin (0.1 decades by default) is
-constant. What lies outside the support: samples above it count as the last bin, samples below it
-cannot be told from zeros of one channel and count as those. And the order of the samples.
+A `PositiveHistogram` answers the same questions, at a cost and in a memory that do not depend on
+spp. A streamed render can thus be fitted without its samples. It does not know three things:
+
+- where a sample lies within its bin: a distribution narrower than a bin (0.1 decades by default) is
+  constant;
+- samples outside the support: those above it count as the last bin; those below it cannot be told
+  from zeros of one channel, and count as zeros;
+- the order of the samples.
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ SMALLEST = 5e-324
 
 @dataclass(frozen=True)
 class LogStatistics:
-    """Sums that gamma and log-normal fits share, each of the batch's shape.
+    """Sums that gamma and log-normal fits share, each with the batch's shape.
 
     Attributes
     ----------
@@ -63,7 +66,7 @@ class LogStatistics:
     mean
         Their mean.
     gap
-        log(mean) - mean(log x) >= 0: sufficient, with the mean, for a gamma distribution.
+        log(mean) - mean(log x) >= 0: with the mean, sufficient for a gamma distribution.
     log_variance
         Variance of log x, with divisor n.
     """
@@ -80,12 +83,12 @@ class LogStatistics:
 
     @property
     def constant(self) -> Mask:
-        """Where the positive samples are equal, or too nearly so for double precision."""
+        """Where the positive samples are equal, or too nearly equal for double precision."""
         return np.asarray((self.n > 0) & (self.log_variance <= CONSTANT_SPREAD**2))
 
 
 class _Rows:
-    """Rows of samples, split by what a fit to the positive ones can use."""
+    """Rows of samples, split by their use in a fit to the positive ones."""
 
     n: Counts
     n_null: Counts
@@ -95,11 +98,11 @@ class _Rows:
 
     @cached_property
     def found(self) -> dict[Statistic[Any], Any]:
-        """The statistics that were measured of these rows."""
+        """The statistics that were measured for these rows."""
         return {}
 
     def rows(self, rows: int | slice) -> Self:
-        """Return some rows of each pixel, -1 for luminance; what was found of all goes along."""
+        """Return some rows of each pixel, -1 for luminance, with the statistics of all rows."""
         return take_rows(self, rows, axis=self.n.ndim - 1)
 
     @property
@@ -109,13 +112,13 @@ class _Rows:
 
     @property
     def n_good(self) -> Counts:
-        """Good samples, null and negative ones included."""
+        """Good samples, including null and negative ones."""
         return np.asarray(self.n + self.n_null + self.n_zero + self.n_negative)
 
     def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
-        """Say which rows have no usable positive part, as `Reason` codes, shape (...).
+        """Return `Reason` codes of rows without a usable positive part, shape (...).
 
-        A channel that is 0 in every good sample is as good as null, whatever the other channels.
+        A channel that is 0 in every good sample counts as null, whatever the other channels are.
         """
         positive = self.log_statistics
         return first_of(
@@ -136,12 +139,12 @@ class PositivePart(_Rows):
     Attributes
     ----------
     x
-        All samples, shape (..., sample); NaN or infinite where they are bad.
+        All samples, shape (..., sample); bad ones are NaN or infinite.
     positive
-        Which of them count, same shape.
+        Which samples are positive, same shape.
     n, n_null, n_zero, n_negative, n_bad
-        Positive samples; null ones; zeros of one channel of a sample that is not null; negative
-        ones; bad ones. Shape (...). They add up to the samples that there are.
+        Numbers of samples, shape (...): positive; null; zero in one channel of a sample that is not
+        null; negative; bad. They add up to the number of samples.
     """
 
     x: npt.NDArray[np.floating[Any]]
@@ -162,8 +165,8 @@ class PositivePart(_Rows):
     ) -> PositivePart:
         """Split samples, shape (..., sample).
 
-        `null` and `bad`, broadcastable to `x`, mark whole samples; without them, every exact 0 is
-        a null and every NaN or infinite number is bad.
+        `null` and `bad`, broadcastable to `x`, mark whole samples. Without them, every exact 0 is
+        null, and every NaN or infinite number is bad.
         """
         x = as_samples(x)
         if bad is not None and np.any(bad):
@@ -174,7 +177,7 @@ class PositivePart(_Rows):
         null = zero if null is None else _mask(null, x.shape) & good
         positive = (x > 0) & good & ~null
         n, n_null, n_bad = (_count(mask) for mask in (positive, null, bad))
-        # Most samples have none, and a mask more costs time; NaN is not at least 0.
+        # Most samples have none, and another mask costs time; NaN is not at least 0.
         some = x.size > 0 and not x.min() >= 0
         n_negative = _count((x < 0) & good & ~null) if some else np.zeros_like(n)
         n_zero = np.asarray(x.shape[-1] - n - n_null - n_negative - n_bad, dtype=np.int64)
@@ -189,14 +192,14 @@ class PositivePart(_Rows):
     ) -> PositivePart:
         """Split samples by whole samples, shape (..., channel, sample).
 
-        A sample is null where all its channels are 0, bad where any of them is bad. The rows of the
-        part are the channels; or the luminance alone, shape (..., sample); or both, the luminance
-        last, which a single channel is already.
+        A sample is null if all its channels are 0, and bad if any is bad. The rows of the part are
+        the channels; or only the luminance, shape (..., sample); or both, with luminance last. A
+        single channel is its own luminance.
 
         Raises
         ------
         InputError
-            If luminance is asked for, and there are neither 1 nor 3 channels.
+            If luminance is asked for with neither 1 nor 3 channels.
         """
         null, bad = is_null(block), np.asarray(is_bad(block).any(axis=-2))
         if rows == "luminance":
@@ -226,21 +229,21 @@ class PositivePart(_Rows):
 
     @cached_property
     def log_sorted(self) -> Floats:
-        """Natural logarithm of `sorted`, float64 whatever the samples are, padded with infinity.
+        """Natural logarithm of `sorted`, always float64, padded with infinity.
 
-        It takes twice the memory of float32 samples, once for all who need it.
+        It takes twice the memory of float32 samples, once for all users.
         """
         return np.asarray(np.log(self.sorted, dtype=np.float64))
 
     @property
     def largest(self) -> Floats:
-        """The largest of the positive samples, infinite of none; shape (...)."""
+        """The largest positive sample, infinite if there is none; shape (...)."""
         last = np.maximum(self.n - 1, 0)[..., np.newaxis]
         return np.take_along_axis(self.sorted, last, axis=-1)[..., 0].astype(np.float64)
 
     @property
     def largest_share(self) -> Floats:
-        """Share of the sum of the positive samples that the largest one carries, NaN of none."""
+        """Share of the sum of the positive samples in the largest one; NaN if there is none."""
         with np.errstate(invalid="ignore"):
             share = self.largest / self.log_statistics.mean / self.n
         return np.where(self.n > 0, share, np.nan)
@@ -264,8 +267,8 @@ class PositiveHistogram(_Rows):
     width
         Width of a bin in natural logarithm, shape (...) or (1, ...).
     n, n_null, n_zero, n_negative, n_bad
-        Samples in the bins; null ones; those too dark for the bins, or 0 in this channel alone;
-        negative ones; bad ones. Shape (...).
+        Numbers of samples, shape (...): in the bins; null; too dark for the bins, or 0 only in this
+        channel; negative; bad.
     n_above
         Those in the last bin that are too bright for it, shape (...).
     """
@@ -293,10 +296,11 @@ class PositiveHistogram(_Rows):
     def log_statistics(self) -> LogStatistics:
         """Mean, log-mean and log-variance of the positive samples, corrected for the bins.
 
-        Moving the samples to the centres of bins of width h adds h^2 / 12 to the variance and
-        multiplies the moment generating function at t by (2 / (h t)) sinh(h t / 2), for densities
-        that are smooth at the scale of a bin: Sheppard, "On the calculation of the most probable
-        values of frequency-constants", 1898, doi:10.1112/plms/s1-29.1.353. Both are undone.
+        Moving samples to the centres of bins of width h adds h^2 / 12 to the variance, and
+        multiplies the moment generating function at t by (2 / (h t)) sinh(h t / 2). That holds for
+        densities that are smooth at the scale of a bin: Sheppard, "On the calculation of the most
+        probable values of frequency-constants", 1898, doi:10.1112/plms/s1-29.1.353. Both are
+        undone.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             log_mean = np.vecdot(self.counts, self.log_centers) / self.n
@@ -304,7 +308,7 @@ class PositiveHistogram(_Rows):
             log_variance = np.vecdot(self.counts, centered**2) / self.n - self.width**2 / 12
             ratio = np.vecdot(self.counts, np.exp(centered)) / self.n
             ratio *= (self.width / 2) / np.sinh(self.width / 2)
-            # A distribution within one bin: the correction is larger than what there is.
+            # A distribution within one bin: the correction exceeds the variance.
             variance = np.where(log_variance > 0, log_variance, np.where(self.n > 0, 0, np.nan))
             gap = np.where(variance > 0, np.log(ratio), np.where(self.n > 0, 0, np.nan))
             mean = np.exp(log_mean + gap)
@@ -312,7 +316,7 @@ class PositiveHistogram(_Rows):
 
 
 Part: TypeAlias = PositivePart | PositiveHistogram
-"""Positive samples, themselves or in bins."""
+"""Positive samples, as they are or in bins."""
 
 
 def _luminance(block: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
@@ -338,14 +342,14 @@ def _log_sums(rows: npt.NDArray[Any], positive: Mask) -> tuple[Floats, Floats, F
     ratio = rows.astype(np.float64)
     if np.count_nonzero(ratio) > n.sum():
         np.copyto(ratio, 0, where=left_out)
-    # What is left out is 0 by now, becomes the ratio 1, and has the logarithm 0: arithmetic with
+    # Left-out samples are 0 by now, become the ratio 1, and have the logarithm 0: arithmetic with
     # masks takes a quarter of the time of assignments through them.
     with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
         mean = ratio.sum(axis=-1) / n
-        # Ratios to the mean have small, hence exact, logarithms where samples are nearly equal.
+        # Ratios to the mean have small, hence exact, logarithms if samples are nearly equal.
         ratio /= np.where(n > 0, mean, 1)[:, np.newaxis]
         if rows.dtype == np.float64:
-            # The ratio of 1e-300 to 1e30 is below what there is, and its logarithm infinite.
+            # The ratio of 1e-300 to 1e30 underflows, and its logarithm is infinite.
             np.maximum(ratio, SMALLEST, out=ratio)
         ratio += left_out
         log = np.log(ratio, out=ratio)

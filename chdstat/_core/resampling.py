@@ -1,15 +1,15 @@
 """Intervals and tests over the pixels of an image, which are many and not independent.
 
-Multiple testing: q-values and Holm's correction for p-values of many pixels, Wilson's interval for
-a share. Block bootstrap: neighbouring pixels see the same light, so that they are no independent
-draws; blocks of them are drawn with replacement, separately within each region.
+Multiple testing: q-values and Holm's correction for p-values of many pixels, and Wilson's interval
+for a share. Block bootstrap: neighbouring pixels see the same light, so that they are not
+independent draws. Blocks of pixels are drawn with replacement instead, separately within each
+region.
 
 Tests of many rows at once: flips of signs (`p_of_signs`), and divisions of the samples of two
-groups (`p_of_means`, `Shuffles`). If both groups are of one distribution, every division of all
-samples into groups of these sizes is as likely as that which was drawn, whatever the tails, the
-nulls and the sizes. Of sums, the tail of all flips or divisions is approximated, so that p-values
-are as small as those of many pixels need; of the rest, the same random shuffles serve all rows, as
-matrix products.
+groups (`p_of_means`, `Shuffles`). If both groups have one distribution, every division of all
+samples into groups of these sizes is as likely as the real one, for any tails, nulls and sizes. For
+sums, the tail of all flips or divisions is approximated, so that p-values can be as small as many
+pixels need. For other statistics, the same random shuffles serve all rows, as matrix products.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ Z_95 = float(special.ndtri(0.975))
 def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
     """Return Benjamini-Hochberg q-values over the image, separately for each further axis.
 
-    The expected share of false ones among the pixels with q <= alpha is at most alpha. Pixels
-    without a p-value (NaN) take no part and stay NaN.
+    Among the pixels with q <= alpha, the expected share of false rejections is at most alpha.
+    Pixels without a p-value (NaN) are ignored and stay NaN.
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
 def rejections(q_value: xr.DataArray, alpha: float) -> xr.DataArray:
     """Return 1 where a q-value is at most `alpha`, 0 where it is not, NaN where nothing was tested.
 
-    Its mean is the share of the pixels that were tested.
+    The mean is the share of rejections among the tested pixels.
     """
     rejected = (q_value <= alpha).astype(np.float32)
     return rejected.where(q_value.notnull()).drop_attrs()
 
 
 def holm(p: npt.NDArray[np.floating[Any]]) -> Floats:
-    """Return p-values of a family of tests, adjusted; those that are NaN count for none.
+    """Return adjusted p-values of a family of tests; NaN does not count as a test.
 
     Holm, "A simple sequentially rejective multiple test procedure", 1979.
 
@@ -123,7 +123,7 @@ def holm(p: npt.NDArray[np.floating[Any]]) -> Floats:
 def wilson(count: npt.NDArray[Any], n: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Return the 95 % Wilson score interval of a share, low and high on a new last axis.
 
-    NaN where `n` is 0.
+    It is NaN where `n` is 0.
 
     References
     ----------
@@ -140,7 +140,7 @@ def wilson(count: npt.NDArray[Any], n: npt.NDArray[Any]) -> npt.NDArray[np.float
         scale = 1 / (1 + Z_95**2 / n)
         centre = (share + Z_95**2 / (2 * n)) * scale
         half = Z_95 * np.sqrt(share * (1 - share) / n + (Z_95 / (2 * n)) ** 2) * scale
-    # The interval ends at 0 and 1 there; rounding would leave it a little inside or outside.
+    # The interval ends at 0 and 1 there; rounding would put it a little inside or outside.
     low = np.where(share == 0, 0, centre - half)
     high = np.where(share == 1, 1, centre + half)
     return np.stack([low, high], axis=-1)
@@ -150,12 +150,12 @@ LEVEL = 0.95
 """Coverage of the intervals of a finding, all its parts together."""
 REPLICATES = 1000
 LEAST_BLOCKS = 6
-"""Fewer blocks in all show nothing of their spread."""
+"""Fewest blocks in all: fewer show nothing of their spread."""
 _KNOWN = (0.05, 0.95)
-"""Percentiles that these replicates give to a few per cent of the interval."""
+"""Percentiles that the replicates give to a few per cent of the interval."""
 _AT_ONCE = 64
 _ACROSS = 4
-"""Blocks along each side of a region, at most: pixels of one share light."""
+"""Most blocks along each side of a region: pixels of one block share light."""
 
 
 Value = TypeVar("Value")
@@ -163,19 +163,19 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Interval(Generic[Value]):
-    """A number, or an array of numbers, with its interval; NaN where there is none.
+    """A number, or an array of numbers, with its interval; NaN if there is none.
 
     Attributes
     ----------
     value
         The statistic of all data, a float or an array.
     low, high
-        Ends of the interval, of the shape of `value`.
+        Ends of the interval, with the shape of `value`.
     level
         Coverage of the interval.
     standard_error
-        Standard deviation of the bootstrap replicates, of the shape of `value`; NaN where it was
-        not computed.
+        Standard deviation of the bootstrap replicates, with the shape of `value`; NaN if it was not
+        computed.
     """
 
     value: Value
@@ -200,7 +200,7 @@ class Interval(Generic[Value]):
         return {"value": self.value, "low": self.low, "high": self.high}
 
     def ends(self: Interval[float], write: Callable[[float], str]) -> str:
-        """Return the ends in words, each as `write` has it; "" without an interval.
+        """Return the ends in words, formatted by `write`; "" without an interval.
 
         Examples
         --------
@@ -213,7 +213,7 @@ class Interval(Generic[Value]):
         return f"{low} or more" if math.isinf(self.high) else f"{low} to {write(self.high)}"
 
     def root(self: Interval[float]) -> Interval[float]:
-        """Return the same of the square root; noise may have made squares negative: they give 0."""
+        """Return the interval of the square root; squares that noise made negative give 0."""
         return Interval(_root(self.value), _root(self.low), _root(self.high), self.level)
 
     def map(self: Interval[Floats], change: Callable[[Floats], Floats]) -> Interval[Floats]:
@@ -255,7 +255,7 @@ class Blocks:
 
     @classmethod
     def join(cls, parts: list[Blocks]) -> Blocks:
-        """Put the pixels of several regions one after the other."""
+        """Concatenate the pixels of several regions."""
         firsts = np.cumsum([0, *(len(part.region) for part in parts)])
         return cls(
             np.concatenate([p.of_pixel + first for p, first in zip(parts, firsts, strict=False)]),
@@ -263,12 +263,12 @@ class Blocks:
         )
 
     def __getitem__(self, pixels: Any) -> Blocks:
-        """Return the blocks of some pixels; blocks without any are gone."""
+        """Return the blocks of some pixels, without empty blocks."""
         _, number = np.unique(self.of_pixel[pixels], return_inverse=True)
         return Blocks(number, self.region[np.unique(self.of_pixel[pixels])])
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of blocks."""
         return len(self.region)
 
     def sums(self, values: npt.NDArray[Any]) -> Floats:
@@ -299,28 +299,27 @@ def interval_of(
     """Return a statistic of weighted blocks, or the least of several, with its interval.
 
     Percentile intervals of few blocks are too short, and a thousand replicates do not tell the
-    extreme percentiles that they would need. So the distances of the value to the percentiles at
-    5 % and 95 %, which keep the skew of the distribution, are stretched: with b blocks in r
+    extreme percentiles that they would need. The distances from the value to the percentiles at 5 %
+    and 95 % keep the skew of the distribution. They are therefore stretched: with b blocks in r
     regions, by Student's t with b - r degrees of freedom at `level`, times sqrt(b / (b - r)), over
     1.645, the normal quantile at 95 %.
 
-    The least of several noisy numbers is too small where they are nearly equal, and so are the
-    percentiles of its replicates. The low end is therefore the least of the low ends that the
-    statistics have each for itself: it lies above the true least only if that one's does. The high
-    end is the least of high ends that hold for all statistics at once, by the largest of their
+    The least of several noisy numbers is too small if they are nearly equal, and so are the
+    percentiles of its replicates. The low end is therefore the least of the statistics' own low
+    ends. It lies above the true least only if the low end of that statistic does. The high end is
+    the least of high ends that hold for all statistics at once, from the largest of their
     deviations in each replicate.
 
     Parameters
     ----------
-    statistic
-        Maps how often each block counts, shape (replicate, block), to shape (replicate,), or to
-        (replicate, statistic) for the least of several.
+    Maps how often each block counts, shape (replicate, block), to shape (replicate,), or to
+    (replicate, statistic) for the least of several.
     blocks
-        At least 6, else there is no interval.
+        At least 6 blocks; with fewer, there is no interval.
     level
         Coverage.
     bounds
-        What the statistic can be at least and at most.
+        Least and largest possible value of the statistic.
 
     References
     ----------
@@ -356,7 +355,7 @@ def interval_of(
     moves = draws[np.isfinite(draws).all(axis=1)] - values
     if len(moves) < REPLICATES / 2:
         return Interval.unknown(value, level=level)
-    # A statistic that resampling shifts as a whole must not lie outside of its own interval.
+    # A statistic that resampling shifts as a whole must not lie outside its own interval.
     below, above = (
         np.maximum(side, 0) for side in np.quantile(moves, _KNOWN, axis=0) * [[-1], [1]]
     )
@@ -380,7 +379,7 @@ def largest_of(
 
 
 def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Interval[float]:
-    """Return the mean over pixels (pixel,) or (pixel, ...), without those that are NaN."""
+    """Return the mean over pixels (pixel,) or (pixel, ...), ignoring NaN."""
     values = values.reshape(len(values), math.prod(values.shape[1:]))
     known = np.isfinite(values)
     total = blocks.sums(np.where(known, values, 0).sum(axis=1))
@@ -393,14 +392,14 @@ def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -
 def quantile_of(
     values: npt.NDArray[Any], blocks: Blocks, share: float = 0.5, *, level: float = LEVEL
 ) -> Interval[float]:
-    """Return the quantile over pixels (pixel,) or (pixel, ...), without those that are NaN.
+    """Return the quantile over pixels (pixel,) or (pixel, ...), ignoring NaN.
 
     Parameters
     ----------
     values, blocks, level
         As for `mean_of`.
     share
-        Of the values, which it does not fall short of; half of them for the median.
+        Share of the values up to the quantile; a half for the median.
     """
     flat = np.asarray(values, dtype=np.float64).reshape(len(values), math.prod(values.shape[1:]))
     of_value = np.repeat(blocks.of_pixel, flat.shape[1])
@@ -419,7 +418,7 @@ def quantile_of(
 
 
 def _range(values: npt.NDArray[Any]) -> tuple[float, float]:
-    """Return smallest and largest value: no mean and no quantile lies outside."""
+    """Return the smallest and largest value: no mean or quantile lies outside."""
     known = values[np.isfinite(values)]
     return (float(known.min()), float(known.max())) if known.size else (-math.inf, math.inf)
 
@@ -431,26 +430,26 @@ def _root(square: float) -> float:
 # --- tests by signs, divisions and shuffles of rows ----------------------------------------------
 
 _ENUMERATED = 10
-"""Rows with up to so many terms other than 0, or samples other than most, are enumerated."""
+"""Rows are enumerated if at most this many terms are not 0, or samples differ from most."""
 _TERMS_AT_ONCE = 2**20
 """Terms or samples of the rows that are worked on together."""
 _NEAR_MEAN = 0.1
-"""Likelihood ratios below which a saddlepoint is too close to the mean."""
+"""Likelihood ratio below which a saddlepoint is too close to the mean."""
 _ROUNDING = 1e-9
 _EQUAL = 1e-6
-"""Of the largest distance from the mean: smaller differences are rounding."""
+"""Share of the largest distance from the mean below which a difference is rounding."""
 _FLIP_STEPS, _DIVISION_STEPS, _HALVINGS, _TOLERANCE = 40, 60, 30, 1e-6
 
 
 def _by_rows(test: Callable[..., Floats], step: int, *arrays: Array) -> Floats:
-    """Apply a test to the rows of arrays, `step` of them at a time, and return its p-values."""
+    """Apply a test to the rows of arrays, `step` at a time, and return its p-values."""
     parts = spans(len(arrays[0]), max(1, step))
     with np.errstate(all="ignore"):
         return np.concatenate([np.zeros(0), *(test(*(x[rows] for x in arrays)) for rows in parts)])
 
 
 def _subsets(count: int) -> Floats:
-    """Return all subsets of so many, as rows of 0 and 1; every other row is without the first."""
+    """Return all subsets of `count` items, as rows of 0 and 1; even rows lack the first item."""
     return (np.arange(2**count)[:, np.newaxis] >> np.arange(count) & 1).astype(float)
 
 
@@ -463,8 +462,8 @@ def _beyond(r: Floats, u: Floats, normal: Floats) -> Floats:
 def p_of_signs(d: Reals) -> Floats:
     """Return two-sided p-values of the sums of rows (row, term) under all flips of their signs.
 
-    Daniels' saddlepoint approximation of the tail of ``sum +-|d|``; all flips are counted where at
-    most 10 terms are not 0, and p is at least the share of the most extreme ones. Rows of zeros
+    The tail of ``sum +-|d|`` follows Daniels' saddlepoint approximation. If at most 10 terms are
+    not 0, all flips are counted. p is at least the share of the most extreme flips. Rows of zeros
     have no p-value, NaN.
 
     References
@@ -489,7 +488,7 @@ def _p_of_signs(d: Reals) -> Floats:
     size = size / scale
     total = np.abs((d / scale).sum(axis=1, dtype=float))
     top = size.sum(axis=1, dtype=float)
-    # What a flip of its sign does not move the sum by, in double precision, is no term.
+    # A term is ignored if flipping its sign does not change the sum in double precision.
     terms = (size > _ROUNDING * top[:, np.newaxis]).sum(axis=1)
     root = np.sqrt(np.einsum("ij,ij->i", size, size, dtype=float))
     few, many = known & (terms <= _ENUMERATED), known & (terms > _ENUMERATED)
@@ -498,7 +497,7 @@ def _p_of_signs(d: Reals) -> Floats:
     p[inner] = 2 * _beyond_flips(size[inner], total[inner])
     p[many & (total >= (1 - _ROUNDING) * top)] = 0
     p = np.clip(p, np.exp2(1.0 - np.minimum(terms, 1000)), 1)
-    # The first sign is fixed: the other half of the flips is as far from 0.
+    # The first sign is fixed: the other half of the flips is equally far from 0.
     count = min(_ENUMERATED, d.shape[1])
     enumerated = size[few]
     if count < d.shape[1]:
@@ -510,11 +509,11 @@ def _p_of_signs(d: Reals) -> Floats:
 
 
 def _beyond_flips(size: Reals, total: Floats) -> Floats:
-    """Return the share of flips with such a sum or a larger one, of terms up to 1."""
+    """Return the share of flips with at least this sum, for terms up to 1."""
     squares = np.einsum("ij,ij->i", size, size, dtype=float)
     tilt = total / squares
     active = np.arange(len(size))
-    # The slope of the cumulant function is concave: from the left, Newton's steps stay there.
+    # The slope of the cumulant function is concave: Newton's steps from the left stay there.
     for _ in range(_FLIP_STEPS):
         x, at = size[active], tilt[active]
         tanh = np.tanh(at[:, np.newaxis].astype(x.dtype) * x)
@@ -539,22 +538,23 @@ def p_of_means(
 ) -> Floats:
     """Return p-values of equal means of rows (row, sample), under all divisions into two groups.
 
-    Twice the share of divisions with a sum of the first group as far out on its side. It is
-    approximated by a double saddlepoint: of independent choices with the probability that logistic
-    regression of the group on the sample predicts, given how many are chosen. All divisions are
-    counted where at most 10 samples differ from the others, which are equal, as nulls are.
+    It is twice the share of divisions whose first group has a sum as far out on the same side. A
+    double saddlepoint approximates it: samples are chosen independently, with the probability that
+    logistic regression of the group on the sample predicts, given the number that is chosen. All
+    divisions are counted if at most 10 samples differ from the others, and these are equal, such as
+    nulls.
 
     Parameters
     ----------
     a, b
         Samples of both groups, shapes (row, n) and (row, m).
     good_a, good_b
-        Which of them count, of the same shapes; None for all.
+        Which samples count, same shapes; None for all.
 
     Returns
     -------
     ndarray
-        Shape (row,); NaN where a group is empty or all samples are equal.
+        P-values, shape (row,); NaN where a group is empty or all samples are equal.
 
     References
     ----------
@@ -598,7 +598,7 @@ def _p_of_divisions(x: Reals, good: Mask, first: int) -> Floats:
     share = np.ones(len(z))
     share[few] = _enumerated_divisions(centred[few], good[few], n[few], count[few], first)
     rest = ~few
-    # Sums of equal steps apart, as of atoms: half a step is the correction for continuity.
+    # Sums in equal steps, as of atoms: half a step is the correction for continuity.
     gaps = np.diff(ordered, axis=1)
     step = np.where((gaps > _EQUAL) & np.isfinite(gaps), gaps, np.inf).min(axis=1, initial=np.inf)
     total = np.maximum(total - np.where(np.isfinite(step), step, 0) / 2, 0)
@@ -619,7 +619,7 @@ def _log_choices(n: Array, k: Array) -> Floats:
 
 
 def _enumerated_divisions(x: Reals, good: Mask, n: Counts, count: Counts, first: int) -> Floats:
-    """Return the share of divisions whose sum is as large, of a few samples that are not 0."""
+    """Return the share of divisions with at least this sum, for few samples that are not 0."""
     width = min(_ENUMERATED, x.shape[1])
     at = np.argpartition(-np.where(good, np.abs(x), -1), width - 1, axis=1)[:, :width]
     real = np.take_along_axis(good, at, axis=1)
@@ -627,7 +627,7 @@ def _enumerated_divisions(x: Reals, good: Mask, n: Counts, count: Counts, first:
     chosen = _subsets(width)
     seen = np.where(at < first, value, 0).sum(axis=1, keepdims=True)
     as_far = value @ chosen.T >= seen - 1e-5 * np.abs(value).max(axis=1, keepdims=True)
-    # The other samples are equal: only how many of them are chosen counts.
+    # The other samples are equal: only the number of chosen ones counts.
     others = count - real.sum(axis=1)
     left = n[:, np.newaxis] - np.arange(width + 1)
     weight = np.exp(
@@ -638,7 +638,7 @@ def _enumerated_divisions(x: Reals, good: Mask, n: Counts, count: Counts, first:
 
 
 def _share_of_largest(ordered: Reals, n: Counts, count: Counts) -> Floats:
-    """Return the share of divisions that choose the largest of samples in order."""
+    """Return the share of divisions that choose the largest of ordered samples."""
     border = np.take_along_axis(ordered, (count - n)[:, np.newaxis], axis=1)
     last = np.arange(ordered.shape[1]) < count[:, np.newaxis]
     above = (last & (ordered > border + _EQUAL)).sum(axis=1)
@@ -647,7 +647,7 @@ def _share_of_largest(ordered: Reals, n: Counts, count: Counts) -> Floats:
 
 
 def _beyond_divisions(z: Reals, good: Mask, total: Floats, n: Counts, count: Counts) -> Floats:
-    """Return the share of divisions with such a sum, 0 or more, or a larger one.
+    """Return the share of divisions with at least this sum, which is 0 or more.
 
     The saddlepoint (tilt, level) is the maximum of the log-likelihood of a logistic regression.
     """
@@ -705,27 +705,27 @@ def _cumulant(z: Reals, good: Mask, tilt: Floats, level: Floats) -> Floats:
 
 _SHUFFLES = 199
 _ROWS = 2048
-"""Rows that are shuffled at once."""
+"""Rows that are shuffled together."""
 _COMPONENTS = 6
 _EXCEEDING = 10
-"""Fewer shuffles beyond the statistic say little: the tail is fitted."""
+"""With fewer shuffles beyond the statistic, a distribution is fitted to the tail."""
 _TAIL = 0.2
-"""Share of the shuffles that the tail is fitted to."""
+"""Share of the shuffles to which the tail is fitted."""
 
 
 @dataclass(frozen=True)
 class Shuffles:
-    """Random divisions of samples into two groups, or changes of sides within pairs.
+    """Random divisions of samples into two groups, or swaps within pairs.
 
     Attributes
     ----------
     n
         Samples in each group.
     paired
-        Whether the two of a pair change sides.
+        Whether the two samples of a pair are swapped.
     weights
-        Of pairs, 1 and -1, shape (pair, shuffle); else 1 for those of the first group, shape
-        (sample, shuffle).
+        For pairs, 1 and -1, shape (pair, shuffle); otherwise 1 for the samples of the first group,
+        shape (sample, shuffle).
     """
 
     n: tuple[int, int]
@@ -734,7 +734,7 @@ class Shuffles:
 
     @classmethod
     def draw(cls, n: tuple[int, int], seed: int, *, paired: bool) -> Shuffles:
-        """Draw shuffles; of pairs, both groups have as many samples."""
+        """Draw shuffles; with pairs, both groups have the same size."""
         rng = np.random.default_rng(seed)
         weights: Array
         if paired:
@@ -746,8 +746,8 @@ class Shuffles:
     def p_of_variances(self, a: Reals, b: Reals) -> Floats:
         """Return p-values of equal variances of rows (row, sample), two-sided.
 
-        The statistic is the log of the ratio of the variances; of pairs, the correlation of sum and
-        difference, which is 0 where variances are equal (Pitman 1939, Biometrika 31).
+        The statistic is the log of the ratio of the variances. For pairs, it is the correlation of
+        sum and difference, which is 0 for equal variances (Pitman 1939, Biometrika 31).
         """
 
         def of_rows(a: Reals, b: Reals) -> Floats:
@@ -755,7 +755,7 @@ class Shuffles:
             largest = np.maximum(*(np.abs(x).max(axis=1, initial=0) for x in (a, b)))
             unit = np.where(largest > 0, largest, 1)[:, np.newaxis]
             found = (self._correlation if self.paired else self._log_ratio)(a / unit, b / unit)
-            # What does not vary does not differ.
+            # Samples that do not vary do not differ.
             return self._p_of(*(np.abs(np.nan_to_num(x, nan=0.0)) for x in found))
 
         return _by_rows(of_rows, _ROWS, a, b)
@@ -831,22 +831,22 @@ class Shuffles:
 
 
 def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
-    """Return p-values of statistics of which large ones speak against the hypothesis.
+    """Return p-values of statistics that are large if the hypothesis is wrong.
 
     Parameters
     ----------
-    statistic
+    Statistics, shape (row,).
         Shape (row,).
     shuffled
-        Shape (row, shuffle), under the hypothesis.
+        Statistics under the hypothesis, shape (row, shuffle).
 
     Returns
     -------
     ndarray
-        (b + 1) / (B + 1) where b of B shuffles are as large. That is too coarse for thousands of
-        pixels: where b < 10, it is the share of a generalised Pareto distribution beyond the
-        statistic, fitted to the largest fifth of the shuffles, if that is smaller. A tail lighter
-        than an exponential counts as one.
+        (b + 1) / (B + 1), where b of B shuffles are at least as large. That is too coarse for
+        thousands of pixels. If b < 10, it is the share of a generalised Pareto distribution beyond
+        the statistic, fitted to the largest fifth of the shuffles, if that share is smaller. A tail
+        lighter than an exponential counts as exponential.
 
     References
     ----------
@@ -862,7 +862,7 @@ def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     >>> round(float(p[0]), 2), bool(1e-7 < p[1] < 1e-4)
     (0.64, True)
     """
-    # What is equal but for rounding is as large.
+    # Values that are equal up to rounding count as equally large.
     exceeding = (shuffled >= (statistic * (1 - 1e-5))[:, np.newaxis]).sum(axis=1)
     count = shuffled.shape[1]
     p = np.asarray((exceeding + 1) / (count + 1), np.float64)

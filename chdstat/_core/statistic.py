@@ -1,11 +1,11 @@
-"""Statistics: what is computed of the samples of each pixel, and how an image names it.
+"""Statistics: what is computed from the samples of each pixel, and its names for an image.
 
 A statistic is declared once, in one file, as two frozen dataclasses. Its result, a `Result` made by
-`result`, has a field for each value; `variable` gives a field its label, unit and dims in the
+`result`, has a field for each value. `variable` gives a field its label, unit and dims in the
 dataset of an image, and says which p-values are corrected for the number of pixels. The statistic
-itself, a `Statistic`, has its options as fields and computes a result in `Statistic.measure`.
-`chdstat.summary.runner.run` applies it to any input: an array, a pixel, a histogram, or
-an image, tile by tile.
+itself, a `Statistic`, has its options as fields, and computes a result in `Statistic.measure`.
+`chdstat.summary.runner.run` applies it to an array, a pixel, a histogram, or an image, tile by
+tile.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Found = TypeVar("Found", covariant=True)
 
 @dataclass(frozen=True)
 class Variable:
-    """How the dataset of an image has a field of a result; see `variable`."""
+    """The form of a result's field in the dataset of an image; see `variable`."""
 
     label: str
     dims: tuple[str, ...]
@@ -61,30 +61,30 @@ def variable(
     label, unit
         Attributes ``long_name`` and ``units``. Names that end in ``reason`` are `Reason` codes.
     *dims
-        Dims that follow those of the rows.
+        Dims after those of the rows.
     name
-        In the dataset; by default, that of the field after `Statistic.prefix`.
+        Name in the dataset; by default, that of the field after `Statistic.prefix`.
     pooled
-        Of a p-value: add the q-value over the image, ``q_value`` to ``p_value``.
+        For a p-value: add the q-value over the image, ``q_value`` for ``p_value``.
     rejected
-        Of a pooled p-value: add ``rejected``, 1 where the q-value is at most the statistic's
-        `alpha`; this is its label.
+        For a pooled p-value: label of ``rejected``, which is added: 1 where the q-value is at most
+        the statistic's `alpha`.
     """
     return field(metadata={"variable": Variable(label, dims, unit, name, pooled, rejected)})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(variable,))
 def result(kind: type[Kind]) -> type[Kind]:
-    """Make a class a frozen dataclass of which some fields are variables, as type checkers know."""
+    """Make a class a frozen dataclass with variables among its fields, also for type checkers."""
     return dataclass(frozen=True, repr=False)(kind)
 
 
 class Result(Shown):
-    """What a statistic returns for an array: see `result` and `variable`."""
+    """Result of a statistic for an array: see `result` and `variable`."""
 
     @classmethod
     def declared(cls, prefix: str = "") -> dict[str, tuple[str, Variable]]:
-        """Return the fields that are variables, by their names in a dataset, and what they are."""
+        """Return the fields that are variables, by their names in a dataset."""
         own: Any = fields(cls)  # type: ignore[arg-type]
         known = {f.name: f.metadata["variable"] for f in own if "variable" in f.metadata}
         return {about.name or f"{prefix}{name}": (name, about) for name, about in known.items()}
@@ -96,17 +96,18 @@ class Statistic(Generic[Found]):
     Attributes
     ----------
     result
-        The class of its results.
+        Class of its results.
     description
-        What a progress bar says.
+        Text of a progress bar.
     rows
-        What it measures of an image: each of the channels, or the luminance.
+        Rows of an image: each of the channels, or the luminance.
     binned
-        Whether it takes log histograms, too.
+        Whether it also takes log histograms.
     logarithms
-        Whether it leaves negative samples out.
+        Whether it leaves out negative samples.
     prefix
-        Of the names of its variables. In it, in labels and in `description`, {} is the `subject`.
+        Prefix of the names of its variables. {} stands for the `subject`, in it, in labels and in
+        `description`.
     """
 
     result: ClassVar[type[Result]]
@@ -118,14 +119,14 @@ class Statistic(Generic[Found]):
 
     @property
     def subject(self) -> str:
-        """What is measured, where that is an option, such as the name of a family."""
+        """The measured object, if it is an option, such as the name of a family."""
         return ""
 
     def measure(self, part: Any) -> Found:
-        """Return the result of the rows of a positive part, which is NaN where a reason says why.
+        """Return the result for the rows of a positive part; NaN where a reason says why.
 
-        Call `chdstat.summary.runner.measured`, also for what depends on another statistic of the
-        same rows: it measures once, and lets divisions by 0 and the like pass.
+        Call it through `chdstat.summary.runner.measured`, also for a statistic of the same rows
+        that this one depends on. That measures once, and silences warnings such as divisions by 0.
         """
         raise NotImplementedError
 
@@ -134,7 +135,7 @@ class Statistic(Generic[Found]):
         return self.result.declared(self.prefix.format(self.subject))
 
     def coordinates(self) -> Mapping[str, Sequence[Any] | npt.NDArray[Any] | None]:
-        """Return the coordinates of further dims; None for a dim that is absent."""
+        """Return the coordinates of further dims; None for an absent dim."""
         return {}
 
     def attrs(self) -> Mapping[str, Any]:
@@ -142,7 +143,7 @@ class Statistic(Generic[Found]):
         return {}
 
     def variables(self, found: Any) -> Mapped:
-        """Return a result of the rows of a tile as variables."""
+        """Return a result for the rows of a tile as variables."""
         first = ("channel",) if self.rows == "channels" else ()
         left_out = {dim for dim, names in self.coordinates().items() if names is None}
         return {
@@ -154,7 +155,7 @@ class Statistic(Generic[Found]):
         }
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
-        """Add what is pooled over an image, coordinates, and the names and units of variables."""
+        """Add pooled values over an image, coordinates, and the names and units of variables."""
         labels = {}
         for name, (_, about) in self._declared.items():
             label = about.label.format(self.subject)

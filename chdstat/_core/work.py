@@ -1,12 +1,12 @@
 """Long work: threads or a Dask cluster, interrupts, progress, and results that are kept.
 
-NumPy releases Python's lock while it computes, so one thread for each core, which share memory, is
-enough. With a Dask client, the workers of a cluster take the place of the threads, and all else
-stays. Ctrl-C ends the work in all threads and is never lost.
+NumPy releases Python's lock while it computes, so that one thread per core, with shared memory, is
+enough. With a Dask client, the workers of a cluster replace the threads. Ctrl-C ends the work in
+all threads and is never lost.
 
 A `Cache` keeps results in ``.npz`` files until the samples or the code change: arrays by number,
 and a tree in JSON that says where they belong. The caches of joblib and diskcache are shorter, but
-hold pickles, which run code when they are read; a folder of renders must be safe to pass on.
+hold pickles, which run code when they are read. A folder of renders must be safe to pass on.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ __all__ = [
     "user_cache",
 ]
 
-# Those of the signal module may be called in the main thread only.
+# Functions of the signal module may only be called in the main thread.
 _get_handler = ctypes.pythonapi.PyOS_getsig
 _get_handler.argtypes, _get_handler.restype = [ctypes.c_int], ctypes.c_void_p
 _set_handler = ctypes.pythonapi.PyOS_setsig
@@ -92,11 +92,12 @@ class Interrupted(Exception):  # noqa: N818 - like KeyboardInterrupt, for which 
 class Interrupts:
     """A context in which Ctrl-C stops passes; the former handler is called at its end.
 
-    It prevents two problems. KeyboardInterrupt may be raised anywhere, also while threads are
+    It prevents two problems. KeyboardInterrupt may be raised anywhere, even while threads are
     waited for, and passes that nobody waits for hang the next render. And a scalar pass replaces
-    Python's handler by one of Mitsuba, which on Ctrl-C cancels the pass, restores the handler that
-    it replaced, and calls that. If passes run in several threads, one of them would restore
-    Mitsuba's handler, and the signal would be lost: so `before_pass` restores Python's first.
+    Python's handler by one of Mitsuba's, which on Ctrl-C cancels the pass, restores the handler
+    that it replaced, and calls that. If passes run in several threads, one of them would restore
+    Mitsuba's handler, and the signal would be lost. So `before_pass` restores Python's handler
+    first.
     """
 
     def __enter__(self) -> Interrupts:
@@ -118,7 +119,7 @@ class Interrupts:
             raise Interrupted
 
     def stop(self) -> None:
-        """Let no pass begin any more."""
+        """Allow no further passes."""
         self._stopped.set()
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
@@ -140,7 +141,7 @@ Result = TypeVar("Result")
 
 
 def finished(work: Generator[Any, None, Result]) -> Result:
-    """Do all steps of a piece of work, and return what it returns.
+    """Do all steps of some work, and return its result.
 
     Examples
     --------
@@ -167,7 +168,7 @@ def cores() -> int:
 
 
 def memory() -> int | None:
-    """Return the memory of the machine, or of the container, in bytes; None where it is unknown."""
+    """Return the memory of the machine or container in bytes; None if it is unknown."""
     try:
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (ValueError, OSError, AttributeError):
@@ -180,12 +181,12 @@ def memory() -> int | None:
 
 
 def check_memory(needed: float, what: str, advice: str) -> None:
-    """Refuse what the memory of the machine cannot hold, in words and before the work.
+    """Refuse work that needs more memory than the machine has, before it begins.
 
     Raises
     ------
     InputError
-        If more bytes are needed than there are in all; more than that would not be known to fail.
+        If more bytes are needed than there are in all; less may still fail.
 
     Examples
     --------
@@ -210,16 +211,16 @@ def in_order(
     workers: int | None = None,
     client: Client | None = None,
 ) -> Iterator[Result]:
-    """Yield the results of a function in the order of its items, while `workers` threads compute.
+    """Yield the results of a function in the order of its items, computed by `workers` threads.
 
     About as many results wait for their turn, so that memory stays bounded. An exception of the
-    function is raised where its result would be; nothing new is begun after it. With a Dask client,
-    function and items are sent to its workers, which compute in place of threads.
+    function is raised in place of its result, and no further work begins. With a Dask client, its
+    workers compute instead of threads.
 
     Raises
     ------
     ClusterError
-        If the cluster of the client is lost, or fails `check_workers`.
+        If the client's cluster is lost, or fails `check_workers`.
 
     Examples
     --------
@@ -243,9 +244,9 @@ def in_order(
 # --- clusters -----------------------------------------------------------------------------------
 
 _PATIENCE = 6
-"""Seconds to wait for a scheduler, for its first worker, or for one in place of the last."""
+"""Seconds to wait for a scheduler, its first worker, or a replacement of its last worker."""
 _VERSIONED = ("chdstat", "mitsuba", "numpy", "scipy")
-"""Packages on whose versions results depend."""
+"""Packages whose versions affect results."""
 _LOST = (
     "the Dask cluster was lost while it worked; what is stored is kept: start it again, or work "
     "here, with the same command to resume"
@@ -253,12 +254,12 @@ _LOST = (
 
 
 class Pool:
-    """What works: threads of this process, or the workers of a cluster.
+    """Workers: threads of this process, or those of a cluster.
 
     Attributes
     ----------
     window
-        How many pieces of work to have under way.
+        Pieces of work to keep under way.
     """
 
     def __init__(self, executor: Executor, window: int, client: Client | None = None) -> None:
@@ -276,7 +277,7 @@ class Pool:
         return future.result()
 
     def first_done(self, futures: Collection[Future[Result]]) -> set[Future[Result]]:
-        """Return those that are done, at least one of them, unless nothing works on them."""
+        """Return the futures that are done, at least one, unless nothing works on them."""
         while not (
             done := wait(futures, None if self._client is None else _PATIENCE, FIRST_COMPLETED).done
         ):
@@ -287,7 +288,7 @@ class Pool:
 
 @contextlib.contextmanager
 def pool(workers: int | None = None, client: Client | None = None) -> Iterator[Pool]:
-    """Yield threads, one for each core if `workers` is None, or the workers of a cluster.
+    """Yield threads, one per core if `workers` is None, or the workers of a cluster.
 
     Raises
     ------
@@ -310,7 +311,7 @@ def pool(workers: int | None = None, client: Client | None = None) -> Iterator[P
         check_workers(client)
         window = 2 * max(1, sum(client.ncores().values()))
         with warnings.catch_warnings():
-            # Samples in memory have to travel.
+            # Samples in memory have to be sent.
             warnings.filterwarnings("ignore", "Sending large graph")
             yield Pool(client.get_executor(pure=False), window, client)
     except KilledWorker as error:
@@ -325,7 +326,7 @@ def pool(workers: int | None = None, client: Client | None = None) -> Iterator[P
 
 @contextlib.contextmanager
 def client_of(scheduler: str | None, workers: int | None) -> Iterator[Client | None]:
-    """Yield a client of a Dask scheduler, or of so many workers of this machine, or None.
+    """Yield a client of a Dask scheduler, or of local workers, or None.
 
     Raises
     ------
@@ -360,7 +361,7 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Client | N
 def _unheard_by_children() -> Iterator[None]:
     """Start processes that ignore Ctrl-C, which a terminal sends to all of them.
 
-    Here Ctrl-C is handled when the context ends: a cluster that is interrupted while it starts may
+    Here, Ctrl-C is handled when the context ends: a cluster that is interrupted while it starts may
     never end, and its workers would print tracebacks.
     """
     with Interrupts():
@@ -376,7 +377,7 @@ def _unheard_by_children() -> Iterator[None]:
 
 
 def check_workers(client: Client) -> None:
-    """Refuse a cluster that has no workers, or workers of other versions.
+    """Refuse a cluster without workers, or with workers of other versions.
 
     Raises
     ------
@@ -413,7 +414,7 @@ def _wait_for_workers(client: Client) -> None:
 
 
 _LINE_EVERY = 10.0
-"""Seconds between two lines of progress where no terminal is attached."""
+"""Seconds between two lines of progress without a terminal."""
 
 
 @contextlib.contextmanager
@@ -432,12 +433,12 @@ def track(
     description
         What is being done, a few words.
     total
-        How much there is to do, in `unit`.
+        Total amount, in `unit`.
     unit
-        What is counted; the rate is shown in it per second.
+        What is counted; the rate is shown in units per second.
     show
-        Show the progress, as a bar if the error stream is a terminal and as lines otherwise; None
-        draws the bar only.
+        Show the progress: as a bar if the error stream is a terminal, otherwise as lines. None
+        shows the bar only.
     line_every
         Seconds between two lines.
 
@@ -478,13 +479,13 @@ def track(
 _PAUSE = 1.0
 """Seconds without work after which new work begins."""
 _line_before = _ended = -math.inf
-"""When the last line of progress was written, and when work ended: work of many short pieces has
-lines, too."""
+"""When the last line of progress was written, and when work ended, so that many short pieces of
+work have lines, too."""
 
 
 @contextlib.contextmanager
 def _lines(description: str, total: float, every: float) -> Iterator[Callable[[float], None]]:
-    """Write a line of progress now and then while the context lasts, also where work stands."""
+    """Write a line of progress now and then while the context lasts, even if work stands still."""
     global _line_before, _ended
     start, ended, done = time.monotonic(), threading.Event(), 0.0
     if start > _ended + _PAUSE:
@@ -533,15 +534,14 @@ _ARRAY = "array number"
 
 
 def write_record(path: Path, value: Any) -> Path:
-    """Write results; what was there is replaced when the new file is complete.
+    """Write results; an existing file is replaced when the new one is complete.
 
     Parameters
     ----------
     path
         An ``.npz`` file.
     value
-        A dataclass, or tuples and mappings of such. Numbers of NumPy that stand alone become
-        Python's.
+        A dataclass, or tuples and mappings of dataclasses. Single NumPy numbers become Python's.
 
     Raises
     ------
@@ -602,7 +602,7 @@ def read_record(path: Path, kind: type[Result]) -> Result:
 def _converter() -> Converter:
     from cattrs import Converter
 
-    # What cannot be in a record can still be a type of what an empty mapping would hold.
+    # A type that cannot be in a record may still be the type of an empty mapping's values.
     converter = Converter(structure_fallback_factory=lambda _: _refused)
     # Arrays are found while the tree is read.
     converter.register_structure_hook_func(
@@ -622,12 +622,12 @@ def _refused(item: Any, kind: Any) -> Any:
 
 
 _LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "torch", "pyoidn")
-"""Whose numbers are kept; without the last one, a denoiser, some are missing."""
+"""Packages whose numbers are kept; without the last one, a denoiser, some are missing."""
 
 
 @functools.cache
 def code_digest() -> str:
-    """Return a digest of all code that numbers rest on: what other code computed is not read."""
+    """Return a digest of all code behind the numbers: results of other code are not read."""
     digest = hashlib.sha256(repr([installed(name) for name in _LIBRARIES]).encode())
     package = Path(chdstat.__file__).parent
     for path in sorted(package.rglob("*.py")):
@@ -637,7 +637,7 @@ def code_digest() -> str:
 
 
 def installed(package: str) -> str:
-    """Return the version of an installed package, "" of one that is not there."""
+    """Return the version of an installed package; "" if it is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -645,7 +645,7 @@ def installed(package: str) -> str:
 
 
 def user_cache() -> Path:
-    """Return the folder of the user's cache, which holds what may be computed again."""
+    """Return the folder of the user's cache, whose content can be computed again."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "chdstat")
 
 
@@ -653,16 +653,16 @@ def user_cache() -> Path:
 def checkpoints(
     folder: str | Path | None, identify: Callable[[], str], *inputs: object
 ) -> Iterator[Cache | None]:
-    """Yield what keeps the parts of a long computation until it is whole, then removes them.
+    """Yield a keeper of the parts of a long computation; they are removed when it is complete.
 
     Parameters
     ----------
     folder
-        Where; None keeps nothing.
+        Folder of the parts; None keeps nothing.
     identify
-        Returns what identifies the samples.
+        Returns a text that identifies the samples.
     inputs
-        What else the result depends on, with a `repr` that identifies it.
+        Other inputs of the result, with a `repr` that identifies them.
 
     Examples
     --------
@@ -676,7 +676,7 @@ def checkpoints(
     if folder is None:
         yield None
         return
-    # Workers of a cluster write to it, too, from folders of their own.
+    # Workers of a cluster also write to it, from folders of their own.
     place, options = Path(folder).absolute(), hashlib.sha256(repr(inputs).encode()).hexdigest()
     try:
         place.mkdir(parents=True, exist_ok=True)
@@ -695,7 +695,7 @@ def checkpoints(
 
 _CHECKPOINT = "checkpoint-"
 _held: set[Path] = set()
-"""Folders whose checkpoints stay until what was computed is written."""
+"""Folders whose checkpoints stay until the result is written."""
 
 
 @contextlib.contextmanager
@@ -717,7 +717,7 @@ def kept_until_written(out: Path | None) -> Iterator[Path | None]:
 
 
 def beside(out: Path) -> Path:
-    """Return the folder of the checkpoints of what becomes a file or folder."""
+    """Return the folder of the checkpoints of a future file or folder."""
     return out.with_name(f"{out.name}.checkpoint")
 
 
@@ -733,17 +733,17 @@ def _clear(place: Path) -> None:
 class Cache:
     """Results computed from one store, kept in a folder until the samples or the code change.
 
-    A result that is damaged is computed again. A cache that cannot be written costs time and is no
+    A damaged result is computed again. A cache that cannot be written costs time and is not an
     error.
 
     Parameters
     ----------
     folder
-        Where results are kept; None keeps nothing.
+        Folder of the results; None keeps nothing.
     key
-        What identifies the samples; "", as of samples in memory, keeps nothing.
+        Text that identifies the samples; "", as for samples in memory, keeps nothing.
     most
-        Files in the folder, at most: the oldest are deleted. None for any number.
+        Most files in the folder; the oldest are deleted. None for any number.
 
     Examples
     --------
@@ -766,34 +766,34 @@ class Cache:
         inputs: object = (),
         again: bool = False,
     ) -> Result:
-        """Return a result of a kind that `write_record` takes, computed where it is not there.
+        """Return a result of a kind that `write_record` takes; compute it if it is not there.
 
         Parameters
         ----------
         name, inputs
-            What it is, and what else it depends on, with a `repr` that identifies it.
+            Name of the result, and its other inputs, with a `repr` that identifies them.
         kind
-            Its type, such as ``tuple[Finding, ...]``.
+            Type of the result, such as ``tuple[Finding, ...]``.
         compute
-            Returns it.
+            Returns the result.
         again
-            Compute it though it is there.
+            Compute it even if it is there.
         """
         found = None if again else self.recall(name, kind, inputs=inputs)
         if found is not None:
             return found
         value = compute()
         self.write(_file(name, inputs), lambda path: write_record(path, value))
-        # As it will be read, so that it does not matter where it comes from.
+        # As it will be read, so that its source does not matter.
         back = self.recall(name, kind, inputs=inputs)
         return value if back is None else back
 
     def recall(self, name: str, kind: type[Result], *, inputs: object = ()) -> Result | None:
-        """Return what `record` kept; None where it is not there, or damaged."""
+        """Return what `record` kept; None if it is not there, or damaged."""
         return self.read(_file(name, inputs), lambda path: read_record(path, kind))
 
     def read(self, name: str, read: Callable[[Path], Result]) -> Result | None:
-        """Read a result by its name with a suffix; None where it is not there, or damaged."""
+        """Read a result by its name with a suffix; None if it is not there, or damaged."""
         path = self._path(name)
         if path is None:
             return None
@@ -803,7 +803,7 @@ class Cache:
             return None
 
     def write(self, name: str, write: Callable[[Path], object]) -> None:
-        """Write a result in place of what is there, and of what other code kept."""
+        """Write a result in place of an existing one, and of results of other code."""
         path = self._path(name)
         if path is None:
             return
