@@ -285,7 +285,7 @@ _BOUNDED = 5
 _ABOVE_FLOOR, _BELOW_CEILING, _LOG_CONCAVE = 3.5, 5.0, 9.2
 """Parameters that the distributions of `_edge_scores` count as. With these numbers, at most 5 % of
 samples of hard-edged distributions show more than one mode, and nearly all true modes are found
-(``tests/benchmarks/test_modes.py``)."""
+(``tests/inference/test_modes.py``)."""
 _FLOORS = (0.03, 0.12, 0.4, 1.5)
 """Distances of a floor from the smallest sample, in units of the range of the samples."""
 _NEXT = 3
