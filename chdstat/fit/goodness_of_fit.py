@@ -110,7 +110,7 @@ Fitted: TypeAlias = Fit | Selection
 
 @dataclass(frozen=True, eq=False)
 class GoodnessOfFit(Statistic[Goodness]):
-    """Tests of a family, a fit, or (None) of the best family; options as of `goodness`."""
+    """Tests of a family, a fit, or (None) of the best family; options as in `goodness`."""
 
     result: ClassVar = Goodness
     description: ClassVar = "testing {}"

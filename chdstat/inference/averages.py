@@ -85,8 +85,8 @@ class GaussianityOfMeans(Result):
     statistic, p_value
         Statistic and p-value of the test, shape (..., size); NaN where `reason` says why.
     skewness, kurtosis
-        Shape of all complete averages, not only of those tested, (..., size). With few averages,
-        both are biased towards 0.
+        Skewness and kurtosis of all complete averages, tested or not, shape (..., size). With few
+        averages, both are biased towards 0.
     predicted_skewness, predicted_kurtosis
         Prediction for independent samples: ``skewness / sqrt(N)`` and ``kurtosis / N`` of all
         samples, shape (..., size).

@@ -92,25 +92,29 @@ def render(
     sensor
         Number of the scene's sensor, counted from 0.
     integrator
-        What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
-        settings, such as ``{"type": "path", "rr_depth": 100}``. "guided" is the scene's own, which
-        draws some of its directions where earlier paths have found light (see
-        `chdstat.rendering.guiding`), with the llvm and cuda backends; "auto" does so where these
-        paths show that it pays. Of your own, the name that a plugin registers it by (see
-        `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an object of Mitsuba's, such as
-        one of a class of your own: it renders in this process, with the backend of its variant
-        (with "scalar", the samples of a pixel then depend on how many threads Mitsuba has).
+        Integrator that replaces the scene's own, in one of these forms:
+
+        - Mitsuba's name, or a dict with settings, such as ``{"type": "path", "rr_depth": 100}``.
+        - "guided": the scene's own, which draws some of its directions towards light that earlier
+          paths have found (see `chdstat.rendering.guiding`), with the llvm and cuda backends.
+          "auto" does so if these paths show that it pays.
+        - Your own, by the name under which a plugin registers it (see
+          `chdstat.scenes.load_plugin`); `max_depth` applies to it.
+        - A Mitsuba object, such as one of your own class. It renders in this process, with the
+          backend of its variant. With "scalar", the samples of a pixel then depend on how many
+          threads Mitsuba has.
     crop
-        (x, y, width, height): render this part of the image only, with random numbers of its own.
-        Where `out` holds a crop, give the same `size` and `crop` again to go on.
+        (x, y, width, height): render only this part of the image, with its own random numbers. To
+        continue an `out` with a crop, give the same `size` and `crop` again.
     color
-        "rgb", or how light is transported before it becomes linear sRGB: "spectral", each sample at
-        four random wavelengths, or "mono", one channel that is copied to all three, with llvm and
+        How light is transported before it becomes linear sRGB: "rgb"; "spectral", each sample at
+        four random wavelengths; or "mono", one channel that is copied to all three, with llvm and
         cuda only.
     sampler
-        "independent", whatever the scene names, or one of Mitsuba's that spread the samples of a
-        pixel: "stratified", "multijitter", "orthogonal" or "ldsampler". Then samples depend on each
-        other: `Samples.sequence_means` gives averages that do not.
+        "independent", or one of Mitsuba's samplers that spread the samples of a pixel:
+        "stratified", "multijitter", "orthogonal" or "ldsampler". Spread samples depend on each
+        other; `Samples.sequence_means` gives averages that do not. The scene's own sampler is
+        ignored.
     sequence
         Samples of a pixel that such a sampler spreads together; 16 by default. Each sequence has
         its own random numbers, and `spp` must be a multiple of `sequence`.
@@ -119,8 +123,8 @@ def render(
         `Samples.direct`. The rest is indirect. That takes a tenth more time in rooms, and more
         where paths are short. An `out` with direct light continues with it.
     by_depth
-        Render every sample once more with no more than 2, 3, ... and so many segments:
-        `Samples.depths`. Their differences are the light of each sample by the length of its path;
+        Also render every sample with at most 2, 3, ... and this many segments: `Samples.depths`.
+        Their differences are the light of each sample by the length of its path;
         `chdstat.patterns.attribute` turns them into shares of the mean, the variance and the tail.
     by_light
         Also render every sample with some lights only: `Samples.lights`. Each entry is the name of

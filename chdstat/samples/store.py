@@ -222,7 +222,7 @@ class Store:
         """Return the number of samples of each pixel, shape (y, x), if they differ."""
         if self.adaptive is not None and layout.DENSITY in self._manifest["features"]:
             density = self.density
-            if density is None:  # it is damaged, of which this tells
+            if density is None:  # it is damaged; reading raises the error
                 density = self._read_feature(layout.DENSITY)
             return layout.counts_of(density, self._attributes["spp"], self.adaptive["first"])
         if layout.COUNTS not in self._manifest["features"]:

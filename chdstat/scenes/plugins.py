@@ -186,10 +186,10 @@ def register(plugins: Iterable[Plugin], variant: str) -> None:
 def used(
     plugins: Sequence[Plugin], variant: str, names: set[str], made: Iterable[Any]
 ) -> dict[str, str]:
-    """Return the digests of those plugins that a scene uses, by the names of their files.
+    """Return the digests of the plugins that a scene uses, by the names of their files.
 
-    They have registered one of the scene's `names` of Mitsuba plugins, or the class of an object
-    that was made.
+    A scene uses a plugin that has registered one of the scene's `names` of Mitsuba plugins, or the
+    class of an object that was made.
     """
     modules = {type(thing).__module__ for thing in made}
     return {

@@ -307,7 +307,7 @@ def is_built(value: object) -> bool:
 
 
 def _holds_objects(value: object) -> bool:
-    """Return whether a scene dict holds objects of Mitsuba's, but for those that are data."""
+    """Return whether a scene dict holds Mitsuba objects, apart from data."""
     if isinstance(value, Mapping):
         return any(map(_holds_objects, value.values()))
     return is_built(value) and type(value).__name__ not in ("Bitmap", "VolumeGrid")
