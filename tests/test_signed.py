@@ -11,8 +11,8 @@ import pytest
 import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import Reason
+from chdstat.estimators.held_out import Totals
 from chdstat.estimators.progressive.inputs import Profile
-from chdstat.estimators.validation import Totals
 from chdstat.summary.histograms import linear_support
 
 SIZE, SPP, N = 12, 128, 32

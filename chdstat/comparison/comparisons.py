@@ -41,8 +41,8 @@ from chdstat.comparison.metrics import (
 )
 from chdstat.errors import check_option
 from chdstat.estimators.estimates import check_denoiser
+from chdstat.estimators.held_out import check_spp
 from chdstat.estimators.registry import Model
-from chdstat.estimators.validation import check_spp
 from chdstat.samples import ImageLike, samples_of
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ from chdstat._core.arrays import Array, whole
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import through_denoiser
+from chdstat.estimators.held_out import check_spp
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
-from chdstat.estimators.validation import check_spp
 from chdstat.samples import Samples
 
 __all__ = [

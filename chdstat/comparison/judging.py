@@ -32,10 +32,10 @@ from chdstat.comparison.entries import (
 from chdstat.comparison.metrics import SUMS, counts, errors_of
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
+from chdstat.estimators.held_out import Totals, draw_pixels, judging_pixels
 from chdstat.estimators.order import mean
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import LearnedEstimator, Model, lookup
-from chdstat.estimators.validation import Totals, draw_pixels, judging_pixels
 from chdstat.patterns import Label, classify
 from chdstat.samples import Samples
 

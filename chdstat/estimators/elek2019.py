@@ -35,7 +35,14 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.work import track
 from chdstat.errors import InputError, check_option
-from chdstat.estimators import training, validation
+from chdstat.estimators import training
+from chdstat.estimators.held_out import (
+    PUBLISHED_PIXELS,
+    check_spp,
+    checked_pixels,
+    draw_pixels,
+    training_batches,
+)
 from chdstat.estimators.registry import LearnedEstimator, mean_of_good, register_learned
 from chdstat.samples import Samples
 
@@ -89,7 +96,7 @@ class Preset:
     source: str
     inputs: int = 32
     hidden: tuple[int, ...] = (32, 32, 32)
-    pixels: int = validation.PUBLISHED_PIXELS
+    pixels: int = PUBLISHED_PIXELS
     validation_share: float = 0.1
     iterations: int = 30_000
     learning_rate: float = 0.005
@@ -204,12 +211,12 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         config, shape = self.config, samples.shape[:2]
         wanted = config.iterations if iterations is None else iterations
         wanted = whole("iterations", wanted, least=1)
-        validation.check_spp(samples, config.inputs)
+        check_spp(samples, config.inputs)
         if pixels is None:
-            chosen = validation.draw_pixels(shape, config.pixels, seed=seed)
+            chosen = draw_pixels(shape, config.pixels, seed=seed)
         else:
-            chosen = validation.checked_pixels(pixels, shape)
-        batches, references = validation.training_batches(samples, chosen, config.inputs)
+            chosen = checked_pixels(pixels, shape)
+        batches, references = training_batches(samples, chosen, config.inputs)
         if len(batches) < 2:
             message = (
                 f"training needs at least 2 batches without a bad sample, got {len(batches)} from "

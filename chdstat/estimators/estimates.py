@@ -43,6 +43,7 @@ from chdstat.estimators.default_estimate.candidates import Measured, candidates,
 from chdstat.estimators.default_estimate.lost_light import lost_light
 from chdstat.estimators.default_estimate.mean_weights import Proposal, weight_of_mean
 from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
+from chdstat.estimators.held_out import reordered
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.progressive.errors import check_loss_weight
 from chdstat.estimators.registry import (
@@ -54,7 +55,6 @@ from chdstat.estimators.registry import (
 )
 from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
-from chdstat.estimators.validation import reordered
 from chdstat.io import denoise as run_denoiser
 from chdstat.io import write_image
 from chdstat.io.writing import IMAGES

@@ -24,6 +24,7 @@ from chdstat._core.arrays import Floats, Reals, as_pixels, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import check_option
 from chdstat.estimators import similarity
+from chdstat.estimators.held_out import reordered
 from chdstat.estimators.registry import (
     check_positive,
     check_probability,
@@ -32,7 +33,6 @@ from chdstat.estimators.registry import (
     whole_samples,
 )
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
-from chdstat.estimators.validation import reordered
 
 __all__ = ["Fireflies", "delbracio2014", "rousselle2012", "sakai2024", "shared_patches"]
 

@@ -23,8 +23,8 @@ from chdstat.comparison.entries import choose, estimate_by, takes
 from chdstat.comparison.metrics import SUMS, errors_of
 from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import MLP, Progressive, registry
+from chdstat.estimators.held_out import Totals
 from chdstat.estimators.training import TrainedModel
-from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import BATCHES, Box, PixelIndex
 

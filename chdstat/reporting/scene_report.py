@@ -29,9 +29,9 @@ from chdstat.comparison.entries import (
 )
 from chdstat.errors import InputError, check_option
 from chdstat.estimators import LearnedEstimator, estimate
+from chdstat.estimators.held_out import draw_pixels
 from chdstat.estimators.registry import Estimates, Model
 from chdstat.estimators.training import first_samples
-from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend

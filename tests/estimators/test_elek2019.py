@@ -7,8 +7,8 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, PRESETS, Preset
 from chdstat.estimators.elek2019 import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.held_out import draw_pixels
 from chdstat.estimators.training import write_model
-from chdstat.estimators.validation import draw_pixels
 
 
 def image(height=24, width=24, spp=128, seed=0):

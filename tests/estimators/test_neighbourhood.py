@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from chdstat import estimators
+from chdstat.estimators.held_out import reordered
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 from chdstat.estimators.similarity import (
     ScaledSamples,
@@ -15,7 +16,6 @@ from chdstat.estimators.similarity import (
     histograms,
     window_sum,
 )
-from chdstat.estimators.validation import reordered
 
 ALL = (
     estimators.delbracio2014,

@@ -18,10 +18,10 @@ from chdstat._core.arrays import Image, Indices, generator, is_bad, whole
 from chdstat._core.image_scales import mean_radiance
 from chdstat._core.work import cores, in_order, track
 from chdstat.errors import InputError
+from chdstat.estimators.held_out import check_spp, checked_pixels, draw_pixels, without
 from chdstat.estimators.progressive.errors import FLOOR, ErrorModel, reference_shares, validate
 from chdstat.estimators.progressive.inputs import Profile, describe
 from chdstat.estimators.training import Trained, descend, provenance_of, scene_record, threads
-from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels, without
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:

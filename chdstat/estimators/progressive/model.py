@@ -18,6 +18,7 @@ from scipy import special, stats
 from chdstat._core.arrays import Array, Reals, as_pixels, generator, is_bad, warn_left_out
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError, OtherSceneWarning, StoreError, check_probability
+from chdstat.estimators.held_out import reordered
 from chdstat.estimators.progressive import errors, learning
 from chdstat.estimators.progressive.inputs import Features, describe
 from chdstat.estimators.registry import (
@@ -27,7 +28,6 @@ from chdstat.estimators.registry import (
     register_learned,
 )
 from chdstat.estimators.training import TrainedModel
-from chdstat.estimators.validation import reordered
 from chdstat.samples import Samples, opened, samples_of
 
 __all__ = ["Progressive"]

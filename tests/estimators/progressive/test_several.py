@@ -6,7 +6,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive
-from chdstat.estimators.validation import judging_pixels
+from chdstat.estimators.held_out import judging_pixels
 
 pytestmark = pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 

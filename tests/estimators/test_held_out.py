@@ -5,7 +5,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators.validation import (
+from chdstat.estimators.held_out import (
     Totals,
     batches,
     check_spp,
