@@ -1,11 +1,11 @@
 """Comparison: estimators side by side, on the same samples and against a held-out reference.
 
-`compare` measures estimators on batches of n samples; its `Comparison` holds every measure, the
-`Breakdown` of them by pattern, and `PixelEstimates` to look at one by one. `error_curve` does the
-same for many n, and returns an `ErrorCurve`. `DEFAULT_ESTIMATORS` is what they, `bench`,
-`chdstat.study`, `chdstat.report` and the explorer compare by default. `denoised` puts a denoiser
-after an estimator. `bench` compares on several scenes against converged references, and
-returns a `Bench`. `MEASURES` says what is measured; each measure is an `Interval`.
+`compare` measures estimators on batches of n samples. Its `Comparison` holds all measures, their
+`Breakdown` by pattern, and `PixelEstimates` of single pixels. `error_curve` does the same for many
+n, and returns an `ErrorCurve`. `bench` compares on several scenes against converged references, and
+returns a `Bench`. `denoised` puts a denoiser after an estimator. `DEFAULT_ESTIMATORS` are compared
+by default, also by `chdstat.study`, `chdstat.report` and the explorer. `MEASURES` describes the
+measures; each one is an `Interval`.
 """
 
 from __future__ import annotations

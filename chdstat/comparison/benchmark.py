@@ -1,8 +1,8 @@
 """Benchmark: estimators on several scenes and numbers of samples, against converged references.
 
-`bench` answers what a paper on a new estimator has to: is it better than the others, on every
+`bench` answers the questions of a paper on a new estimator: is it better than the others, on every
 scene, at every number of samples, and at equal time? Its `Bench` holds a `Case` for each scene and
-number of samples. `compare` asks more of one image, and needs no reference beside its samples.
+number of samples. `compare` measures more on one image, and needs no reference besides its samples.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _HAS_FLIP = importlib.util.find_spec("flip_evaluator") is not None
 ERRORS = tuple(name for name in _NAMES if name != "flip" or _HAS_FLIP)
 """Errors that are added up over pixels; FLIP where its package is installed."""
 FORMATS = (".csv", ".tex", ".json", ".pdf")
-"""What a benchmark is written to."""
+"""File formats of a benchmark."""
 _LEAST = 1e-3
-"""Least ratio of errors: where the noise of the reference is subtracted, one may be below 0."""
+"""Lower bound of ratios: an error minus the noise of the reference may be below 0."""
 _SIZE = (128, 128)
 _REFERENCE_SPP = 2048
 _BATCH = 64
@@ -57,9 +57,9 @@ _APART = 2**30
 """Added to the seed of a reference, so that it shares no random number with the samples."""
 _FIREFLY = 3.0
 _CROP = 128
-"""Largest edge in pixels of the images that are kept to be shown."""
+"""Largest edge, in pixels, of the images that are kept for display."""
 _SMALL = 16
-"""Edge in pixels of what is estimated before time is taken."""
+"""Edge, in pixels, of the image that is estimated before time is measured."""
 
 
 def flip(image: Array, reference: Array) -> Array:
@@ -93,22 +93,19 @@ class Case:
     Attributes
     ----------
     scene, spp
-        Which.
-    blocks
-        Blocks of its pixels.
+        Name of the scene, and number of samples. blocks Blocks of its pixels.
     errors
         Sums of the errors of `ERRORS` over each block, by estimator, shape (block, measure).
     bias, fireflies
-        By estimator: the mean error over the mean; the share of pixels at least two stops too
-        bright, as of `chdstat.compare`.
+        By estimator: the mean error divided by the mean reference; the share of pixels at least two
+        stops too bright, as in `chdstat.compare`.
     seconds
-        That each estimate took, by estimator; NaN for finished images.
-    render_seconds
-        That the samples took; NaN where it is unknown.
+        Time of each estimate, by estimator; NaN for finished images. render_seconds Time to render
+        the samples; NaN if unknown.
     images
-        By estimator, and last the "reference": the middle of the image of the first render, at most
-        128 x 128 pixels of linear radiance, (y, x, channel). Only at the least number of samples,
-        where one sees the most; whole images of all cases would fill the memory.
+        By estimator, and last the "reference": the centre of the first render's image, at most 128
+        x 128 pixels of linear radiance, (y, x, channel). Only kept for the smallest number of
+        samples, where differences are largest.
     """
 
     scene: str
@@ -123,7 +120,7 @@ class Case:
 
     @staticmethod
     def average(cases: Sequence[Case]) -> Case:
-        """Return one case of several renders of a scene."""
+        """Average the cases of several renders of a scene."""
 
         def mean(field: str) -> Any:
             values = [getattr(case, field) for case in cases]
@@ -134,7 +131,7 @@ class Case:
         return replace(cases[0], **fields, render_seconds=render_seconds)
 
     def ratios(self, name: str, baseline: str, measure: str, weights: Array) -> Array:
-        """Return the error of an estimator over that of another, of weighted blocks."""
+        """Return the ratio of the errors of two estimators, for weighted blocks."""
         k = ERRORS.index(measure)
         one, other = (weights @ self.errors[n][:, k] for n in (name, baseline))
         return np.asarray(np.maximum(one / other, _LEAST))
@@ -145,13 +142,13 @@ class Case:
         return interval_of(ratios, self.blocks, bounds=(0, np.inf))
 
     def row(self, name: str, baseline: str) -> dict[str, Any]:
-        """Return all numbers of an estimator."""
+        """Return the row of an estimator."""
         pixels = len(self.blocks.of_pixel)
         means = dict(zip(ERRORS, self.errors[name].sum(axis=0) / pixels, strict=True))
         found: dict[str, Any] = {"scene": self.scene, "spp": self.spp, "estimator": name, **means}
         for measure in ERRORS:
             found |= _numbers(f"{measure}_ratio", self.ratio(name, baseline, measure))
-        # The error of a mean falls as the inverse of the time.
+        # The error of a mean is inversely proportional to the time.
         longer = 1 + self.seconds[name] / self.render_seconds
         return found | {
             "mse_equal_time": found["mse_ratio"] * longer,
@@ -168,13 +165,11 @@ class Bench(Shown):
     Attributes
     ----------
     estimators
-        Their names, in the order given.
+        Names of the estimators, in the given order.
     baseline
-        The one whose errors are 1.
-    cases
-        One for each scene and number of samples.
-    left_out
-        Those of `chdstat.comparison.DEFAULT_ESTIMATORS` that do not apply, with the reason.
+        Name of the estimator by whose errors all are divided. cases A `Case` for each scene and
+        number of samples. left_out Names from `chdstat.comparison.DEFAULT_ESTIMATORS` that do not
+        apply, with the reason.
     """
 
     estimators: tuple[str, ...]
@@ -185,9 +180,9 @@ class Bench(Shown):
     def table(self) -> list[dict[str, Any]]:
         """Return a row for each scene, number of samples and estimator.
 
-        Errors and their ratios to those of the baseline with intervals of 95 % over blocks of
-        pixels; ``mse_equal_time``, the ratio times what the estimate adds to the time of the
-        samples; bias; fireflies; seconds.
+        A row has the errors and their ratios to the baseline, with 95 % intervals over blocks of
+        pixels; ``mse_equal_time``, the ratio of the MSE times the time to render and estimate over
+        the time to render; bias; fireflies; and seconds.
         """
         return [
             case.row(name, self.baseline)
@@ -198,7 +193,7 @@ class Bench(Shown):
 
     @cached_property
     def _regions(self) -> tuple[Blocks, dict[str, slice]]:
-        """Blocks of all scenes, and which are each scene's: its cases share their pixels."""
+        """Blocks of all scenes, and the slice of each scene, whose cases share its blocks."""
         first = {case.scene: case.blocks for case in self.cases}
         ends = np.cumsum([0, *map(len, first.values())])
         places = {name: slice(ends[i], ends[i + 1]) for i, name in enumerate(first)}
@@ -211,7 +206,7 @@ class Bench(Shown):
         bounds: tuple[float, float],
         change: Callable[[Array], Array] = np.asarray,
     ) -> Interval[float]:
-        """Return what weighted blocks give of a case, averaged over those of an estimator."""
+        """Average a statistic of weighted blocks over the cases of an estimator."""
         blocks, places = self._regions
 
         def statistic(weights: Array) -> Array:
@@ -225,10 +220,9 @@ class Bench(Shown):
         return interval_of(statistic, blocks, bounds=bounds)
 
     def geometric_mean(self, name: str, measure: str = "mse") -> Interval[float]:
-        """Return the geometric mean of the ratios of an error to the baseline's over all cases.
+        """Return the geometric mean, over all cases, of the ratios of an error to the baseline's.
 
-        With its interval of 95 % over blocks of pixels within these scenes; other scenes may differ
-        by more.
+        The 95 % interval is over blocks of pixels of these scenes; other scenes may differ by more.
         """
 
         def logarithm(case: Case, weights: Array) -> Array:
@@ -250,9 +244,10 @@ class Bench(Shown):
     def summary(self) -> list[dict[str, Any]]:
         """Return a row for each estimator, over all cases.
 
-        Geometric means of the ratios of errors and average ranks of the MSE, each with its
-        interval of 95 %; ``worst``, the largest ratio of the MSE in a case; ``bias``, the largest
-        in size of a case; ``fireflies``, the average of their shares; the number of cases.
+        A row has the geometric means of the ratios of errors and the average rank by MSE, each with
+        its 95 % interval; ``worst``, the largest ratio of the MSE in any case; ``bias``, the
+        largest absolute bias in any case, with its sign; ``fireflies``, the average share; and the
+        number of cases.
         """
         rows = []
         for name in self.estimators:
@@ -271,7 +266,7 @@ class Bench(Shown):
 
     @property
     def notes(self) -> dict[str, str]:
-        """Notes for a reader of the table, as of a `Comparison`."""
+        """Notes for a reader of the table, as in a `Comparison`."""
         return notes(self.estimators, left_out=self.left_out)
 
     def _card(self) -> Card:
@@ -282,12 +277,12 @@ class Bench(Shown):
             facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
         title = f"Benchmark: errors over those of {self.baseline}"
         rows = self.shown(intervals=("mse", "relmse"))
-        for row in rows:  # as wide as a page; SMAPE is in files and in `summary`
+        for row in rows:  # fits a page; SMAPE is in files and in `summary`
             del row[_NAMES["smape"]]
         return Card(title, facts, rows)
 
     def shown(self, *, intervals: Sequence[str] = ERRORS) -> list[dict[str, str]]:
-        """Return the summary as text under titles, these measures with their intervals."""
+        """Return the summary as text under titles, with intervals for some of the measures."""
 
         def ratio(row: Mapping[str, Any], measure: str) -> str:
             ends = f" [{row[f'{measure}_low']:.2f}, {row[f'{measure}_high']:.2f}]"
@@ -316,7 +311,7 @@ class Bench(Shown):
         return pd.DataFrame(self.table())
 
     def to_latex(self) -> str:
-        """Return the summary as LaTeX, for a paper; it needs the package booktabs."""
+        """Return the summary as a LaTeX table, which needs the package booktabs."""
         return latex(self.shown())
 
     def save(self, path: str | Path) -> Path:
@@ -327,7 +322,7 @@ class Bench(Shown):
         Raises
         ------
         InputError
-            If the path ends otherwise, or cannot be written to.
+            If the path has another ending, or cannot be written to.
         """
         target = checked_target(path, *FORMATS)
         if target.suffix == ".pdf":
@@ -360,49 +355,48 @@ def bench(
     folder: str | Path | None = None,
     progress: bool | None = None,
 ) -> Bench:
-    r"""Measure estimators on several scenes, against references of other samples.
+    r"""Measure estimators on several scenes, against references from other samples.
 
-    With p an estimate, y its reference of variance v, and m the mean reference of the scene:
-    ``mse`` is :math:`\overline{(p - y)^2 - v}`, ``relmse``
-    :math:`\overline{((p - y)^2 - v) / (y^2 + 0.01\, m^2)}`, without the noise of the reference, and
-    ``smape`` :math:`\overline{2 |p - y| / (|p| + |y| + 0.01\, m)}`, with it. Where
-    ``flip-evaluator`` is installed (``pip install chdstat[flip]``), ``flip`` is what an observer
-    sees of the differences (Andersson et al. 2021, doi:10.2312/egs.20211015). Pixels without a
+    Let p be an estimate, y its reference with variance v, and m the mean reference of the scene.
+    ``mse`` is :math:`\overline{(p - y)^2 - v}`, ``relmse`` is :math:`\overline{((p - y)^2 - v) /
+    (y^2 + 0.01\, m^2)}`, and ``smape`` is :math:`\overline{2 |p - y| / (|p| + |y| + 0.01\, m)}`.
+    The noise of the reference is subtracted from ``mse`` and ``relmse``, but not from ``smape``. If
+    ``flip-evaluator`` is installed (``pip install chdstat[flip]``), ``flip`` measures how visible
+    the differences are (Andersson et al. 2021, doi:10.2312/egs.20211015). Pixels without a
     reference do not count; where an estimate is no number, it counts as black.
 
     Parameters
     ----------
     scenes
         Names, XML files, stores or `Samples`; a mapping gives them names of your own. Scenes are
-        rendered; of samples that are already there, the first are taken.
+        rendered; from stores and `Samples`, the first samples are taken.
     estimators
         As for `chdstat.compare`; None takes those of `chdstat.comparison.DEFAULT_ESTIMATORS` that
-        train nothing, and says which were left out. One that trains against a reference has no
-        place here: make an `Estimator` of what it has learned. One that takes more samples than a
-        number of `spp` has no row there.
+        train nothing. Estimators that train on a reference are refused: make an `Estimator` of the
+        trained model. An estimator that needs more samples than a number of `spp` has no row there.
     spp
-        Numbers of samples that are estimated from.
+        Numbers of samples to estimate from.
     seeds
-        Renders of each scene, over which errors are averaged.
-    seed
-        Of the first of them.
+        Number of renders of each scene; errors are averaged over them. seed Seed of the first
+        render.
     size
         (width, height) of rendered scenes; None takes 128 x 128.
     references
         By scene: a converged image as an EXR file or an array (y, x, channel), or more samples as
-        `Samples` or a store. The noise of an image is unknown, and part of the errors. Without one,
-        scenes are rendered with another seed; of given samples, and of a reference that has the
-        seed of the samples, those after the first are taken.
+        `Samples` or a store. The noise of an image is unknown and stays part of the errors. By
+        default, scenes are rendered with another seed, and given samples use the rest of their
+        samples as reference. If a reference has the seed of the samples, its first samples are left
+        out, too.
     reference_spp
         Samples of a rendered reference.
     images
-        Finished images of any other program, by name and scene, each the path of an EXR file; with
-        several `spp`, a mapping from these to paths.
+        Finished images of other programs, by name and scene, each the path of an EXR file; with
+        several `spp`, a mapping from `spp` to paths.
     baseline
-        What errors are divided by; None takes the sample mean, or the first where it is missing.
+        Name of the estimator by whose errors all are divided; None takes the sample mean, or the
+        first estimator if that is missing.
     folder
-        Where rendered samples and references are kept, so that a second run has them; None keeps
-        nothing.
+        Folder that keeps rendered samples and references for a second run; None keeps nothing.
     progress
         Show a progress bar; None shows it on a terminal.
 
@@ -413,7 +407,7 @@ def bench(
     Raises
     ------
     InputError
-        If a name or a number is wrong, an image has another size than its scene, an estimator
+        If a name or a number is wrong, the sizes of an image and its scene differ, an estimator
         trains, or there are too few samples.
 
     Examples
@@ -448,7 +442,7 @@ def bench(
             truth = source.reference(name, scene, (references or {}).get(name))
             for i in range(seeds):
                 samples = source.samples(name, scene, i)
-                if not (cases or parts):  # networks are loaded before time is taken
+                if not (cases or parts):  # networks are loaded before time is measured
                     small = samples.isel(y=slice(_SMALL), x=slice(_SMALL))
                     for entry in chosen.entries.values():
                         estimate_by(entry, small.read(), features=small.features)
@@ -467,7 +461,7 @@ def _name(scene: Any) -> str:
 
 @dataclass(frozen=True)
 class _Inputs:
-    """Makes or reads the samples and references of scenes."""
+    """Renders or reads the samples and references of scenes."""
 
     numbers: Sequence[int]
     seed: int
@@ -496,7 +490,7 @@ class _Inputs:
         return found.first(self.numbers[-1])
 
     def reference(self, name: str, scene: Any, given: Any) -> tuple[Array, Array]:
-        """Return a reference (y, x, channel) and its variance, 0 where that is unknown."""
+        """Return a reference (y, x, channel) and its variance, 0 if unknown."""
         more, held = _held(given), _held(scene)
         if more is not None:
             seed, own = more.attrs.get("seed"), range(self.seed, self.seed + self.seeds)
@@ -532,7 +526,7 @@ class _Inputs:
         )
         kept = None
         if self.folder is not None:
-            # Another scene of this name, or other settings, have another file.
+            # Another scene of this name, or other settings, gets another file.
             about = [batches.attrs[k] for k in ("scene_hash", "scene_code", "size", "spp", "seed")]
             digest = hashlib.sha256(repr(about).encode()).hexdigest()[:8]
             kept = Path(self.folder) / f"{name}-reference-{digest}.npz"
@@ -549,7 +543,7 @@ class _Inputs:
 
 
 def _held(given: Any) -> Samples | None:
-    """Return samples that are there, be they given or in a store."""
+    """Return existing samples, given directly or as a store."""
     if isinstance(given, Samples):
         return given
     return open_samples(given) if is_store(given) else None
@@ -623,7 +617,7 @@ def _measured(
 
 
 def _middles(found: Mapping[str, tuple[Array, float]], reference: Array) -> dict[str, Array]:
-    """Return what `Case.images` keeps of the estimates, and of the reference."""
+    """Return the parts of the estimates and of the reference that `Case.images` keeps."""
     starts = [max(0, edge - _CROP) // 2 for edge in reference.shape[:2]]
     middle = tuple(slice(start, start + _CROP) for start in starts)
     images = {name: image for name, (image, _) in found.items()} | {"reference": reference}

@@ -1,10 +1,10 @@
 """Comparisons: estimators side by side on the same batches, against a held-out reference.
 
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
-batch, and measures against the mean of all *other* samples of the pixel
-(`chdstat.comparison.judging`). Its `Comparison` holds every measure with its interval, the
-`Breakdown` those of each pattern, and `PixelEstimates` are a few pixels one by one; they become
-tables, data frames, datasets, LaTeX and JSON.
+batch, and compares the estimate with the mean of all *other* samples of the pixel
+(`chdstat.comparison.judging`). Its `Comparison` holds all measures with intervals, a `Breakdown`
+holds them by pattern, and `PixelEstimates` holds a few pixels one by one. They convert to tables,
+data frames, datasets, LaTeX and JSON.
 """
 
 from __future__ import annotations
@@ -54,21 +54,20 @@ if TYPE_CHECKING:
 __all__ = ["Breakdown", "Comparison", "PixelEstimates", "compare"]
 
 _ALL_CHANNELS = -1
-"""Last place of the channel axis of a measure: the average over channels."""
+"""Index of the average over channels on the channel axis of a measure."""
 
 
 @dataclass(frozen=True, repr=False)
 class PixelEstimates(Shown):
-    """A few pixels that no estimator was trained on, one batch each.
+    """Estimates of a few pixels that trained no estimator, from one batch each.
 
     Attributes
     ----------
     pixels
         Rows (y, x), from dark to bright, shape (pixel, 2).
     estimators, channels
-        Names.
-    reference
-        Mean of all other samples, radiance, shape (pixel, channel).
+        Names of the estimators and of the channels. reference Mean of all other samples, radiance,
+        shape (pixel, channel).
     mean
         Sample mean of the batch, radiance, shape (pixel, channel).
     estimates
@@ -92,7 +91,7 @@ class PixelEstimates(Shown):
         width: Width = "page",
         fig: Figure | None = None,
     ) -> Figure:
-        """Draw them one by one, as `chdstat.viz.pixel_estimates`."""
+        """Draw the pixels one by one, as `chdstat.viz.pixel_estimates` does."""
         from chdstat import viz
 
         ax = None if fig is None else fig.subplots()
@@ -100,7 +99,7 @@ class PixelEstimates(Shown):
         return cast("Figure", drawn.figure)
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per pixel and channel: where, reference, mean, every estimate."""
+        """Return one row per pixel and channel: place, reference, mean, and all estimates."""
         return [
             {
                 "y": int(y),
@@ -122,11 +121,9 @@ class Breakdown(Shown):
     Attributes
     ----------
     labels
-        Names of the labels that occur among the pixels that judge.
+        Names of the labels that occur among the judging pixels.
     estimators, uses_neighbours
-        As of a `Comparison`.
-    pixels
-        Pixels with each label that judge, shape (label,).
+        As in a `Comparison`. pixels Number of judging pixels with each label, shape (label,).
     measures
         By the names of `MEASURES`: intervals over blocks, shape (label, estimator).
     """
@@ -139,19 +136,19 @@ class Breakdown(Shown):
     measures: Mapping[str, Interval[Array]]
 
     def best(self, measure: str = "relmse", *, neighbours: bool = False) -> tuple[str, ...]:
-        """Return the estimator with the smallest error for each label; '' where none has one.
+        """Return the estimator with the smallest error for each label; '' if there is none.
 
         Parameters
         ----------
         measure
             "mse" or "relmse".
         neighbours
-            Whether estimators that look at the pixels around take part.
+            Whether to include estimators that use the pixels around.
 
         Raises
         ------
         InputError
-            If the measure is another.
+            If the measure is neither of these.
         """
         check_option("measure", measure, ("mse", "relmse"))
         value = self.measures[measure].value
@@ -161,7 +158,7 @@ class Breakdown(Shown):
         )
 
     def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
-        """Draw the errors of each pattern, as `chdstat.viz.pattern_breakdown`."""
+        """Draw the errors of each pattern, as `chdstat.viz.pattern_breakdown` does."""
         from chdstat import viz
 
         ax = None if fig is None else fig.subplots()
@@ -171,7 +168,7 @@ class Breakdown(Shown):
         return Card("Breakdown by pattern", table=titled(self.table()))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return a `pandas.DataFrame` as that of a `Comparison`, by label and estimator."""
+        """Return a `pandas.DataFrame` like that of a `Comparison`, by label and estimator."""
         return data_frame_of(self.measures, label=self.labels, estimator=self.estimators)
 
     def table(self) -> list[dict[str, Any]]:
@@ -186,25 +183,25 @@ class Breakdown(Shown):
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Shown):
-    """What `compare` has found; `plot` draws it, `to_latex` is its table for a paper.
+    """Result of `compare`: all measures, estimates and trained models.
 
     Attributes
     ----------
     estimators
-        Names, in the order given.
+        Names of the estimators, in the given order.
     uses_neighbours
-        Which of them look at the pixels around, shape (estimator,): a class of their own, as they
-        see more than n samples.
+        Whether an estimator uses the pixels around, shape (estimator,). Such estimators see more
+        than n samples, so they are a separate class.
     channels
         Names of the channels.
     measures
-        By the names of `MEASURES`: intervals over 8 x 8 blocks of pixels, shape (estimator,
-        channel + 1), the last place being the average over channels. They say how the measure would
-        vary with other parts of such an image.
+        By the names of `MEASURES`: intervals over 8 x 8 blocks of pixels, shape (estimator, channel
+        + 1), with the average over channels last. They show how much the measure varies over the
+        image.
     over_batches
-        The same measures with intervals over batches: how they would vary with other random
-        numbers, in the same pixels. The batches of a pixel share most of their reference.
-        NaN for a single batch.
+        The same measures with intervals over batches: they show how much the measure varies with
+        the random numbers, in the same pixels. The batches of a pixel share most of their
+        reference. NaN for a single batch.
     estimates
         One estimate of the whole image from its first n samples, radiance, float32, shape
         (estimator, y, x, channel).
@@ -216,15 +213,13 @@ class Comparison(Shown):
     reference
         Mean of all good samples, radiance, shape (y, x, channel).
     test_pixels
-        True where no estimator was trained: only these pixels count; shape (y, x).
+        True for the judging pixels, which trained no estimator, shape (y, x).
     n
         Samples per estimate.
     batches
-        Estimates that count, over all test pixels.
-    excluded
-        Estimates of test pixels left out for a bad sample.
-    breakdown
-        The measures by label; None where no labels were given.
+        Number of estimates that count, over all test pixels. excluded Number of estimates of test
+        pixels that were left out because of a bad sample. breakdown The measures by label; None
+        without labels.
     models
         Trained estimators by name.
     provenance
@@ -253,17 +248,18 @@ class Comparison(Shown):
     def notes(self) -> dict[str, str]:
         """Notes for a reader of the table.
 
-        What the default estimate is; which estimators use neighbours; which were left out of
-        `chdstat.comparison.DEFAULT_ESTIMATORS`, and why.
+        They say what the default estimate is, which estimators use neighbours, and which of
+        `chdstat.comparison.DEFAULT_ESTIMATORS` were left out, and why.
         """
         left_out = self.provenance.get("left_out", {})
         return notes(self.estimators, uses_neighbours=self.uses_neighbours, left_out=left_out)
 
     @property
     def reusable_models(self) -> dict[str, Model]:
-        """Those of `models` that take exactly n samples, and so can be used again.
+        """Models that take exactly n samples, which another comparison can reuse.
 
-        Models that take any number of samples were trained for n; train them anew for others.
+        Models that take any number of samples were trained for n; train them anew for other
+        numbers.
         """
         return {
             name: model
@@ -272,10 +268,10 @@ class Comparison(Shown):
         }
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per estimator: its name and every measure, averaged over channels.
+        """Return one row per estimator: its name and all measures, averaged over channels.
 
-        Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
-        over blocks, and the same with ``_over_batches``.
+        The columns ``<measure>_se``, ``_low`` and ``_high`` are the standard error and the interval
+        over blocks; with ``_over_batches``, those over batches.
         """
         over_blocks, over_batches = (
             {name: measure[:, _ALL_CHANNELS] for name, measure in measures.items()}
@@ -316,28 +312,26 @@ class Comparison(Shown):
         width: Width = "page",
         fig: Figure | None = None,
     ) -> Figure:
-        """Draw all measures of all estimators, as `chdstat.viz.estimator_measures`."""
+        """Draw all measures of all estimators, as `chdstat.viz.estimator_measures` does."""
         from chdstat import viz
 
         return viz.estimator_measures(self, channels=channels, width=width, fig=fig)
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
-        """Draw pixels at random from those that judge, with the estimates of each.
+        """Choose judging pixels at random, with their estimates.
 
         Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte Carlo
-        variance reduction", show 25 of them.
+        variance reduction", show 25 such pixels.
 
         Parameters
         ----------
         count
-            How many; fewer where fewer have a reference.
-        seed
-            Where the draw starts.
+            Number of pixels; fewer if fewer have a reference. seed Seed of the random choice.
 
         Raises
         ------
         InputError
-            If `count` is no whole number from 1.
+            If `count` is not an integer from 1.
         """
         whole("count", count, least=1)
         usable = self.test_pixels & np.isfinite(self.first_reference).all(axis=-1)
@@ -357,7 +351,7 @@ class Comparison(Shown):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return measures, per channel and per label too, and provenance, ready for JSON.
+        """Return measures, also by channel and by label, and provenance, ready for JSON.
 
         NaN becomes None.
         """
@@ -385,10 +379,10 @@ class Comparison(Shown):
     def to_dataset(self) -> xr.Dataset:
         """Return measures and images with named dims.
 
-        Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
-        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
-        have dims (label, estimator) and the prefix ``label_``. Attributes that are neither text nor
-        whole numbers are JSON, as files hold them.
+        Measures have dims (estimator, part); a part is a channel or "mean". ``<measure>_se``,
+        ``_low`` and ``_high`` are the standard error and the interval over blocks; with
+        ``_over_batches``, those over batches. Measures by label have dims (label, estimator) and
+        the prefix ``label_``. Attributes that are neither text nor integers are JSON.
         """
         import xarray as xr
 
@@ -452,60 +446,59 @@ def compare(
 ) -> Comparison:
     r"""Measure estimators on the same batches of n samples, against held-out references.
 
-    With p an estimate, y its reference, :math:`\bar x` the mean of its samples, and m the mean
-    reference of the scene, the measures are, for each channel,
+    Let p be an estimate, y its reference, :math:`\bar x` the mean of its samples, and m the mean
+    reference of the scene. For each channel, the measures are
 
-    - ``mse``: :math:`\overline{(p - y)^2}`, and ``mse_ratio``, over that of the sample mean;
+    - ``mse``: :math:`\overline{(p - y)^2}`, and ``mse_ratio``, its ratio to that of the sample
+      mean;
     - ``relmse``: :math:`\overline{(p - y)^2 / (y^2 + 0.01\, m^2)}`, and ``relmse_ratio``;
     - ``improved``: the share with :math:`|p - y| < |\bar x - y|`; ``unchanged``: the share with
-      :math:`p = \bar x` to six digits; what remains got worse;
+      :math:`p = \bar x` to six digits; all others got worse;
     - ``bias``: :math:`\overline{p - y} / \bar y`;
     - ``fireflies``: the share with :math:`p - y > 3 \sqrt{y^2 + 0.01\, m^2}`, at least two stops
-      too bright (a threshold of our own), and ``fireflies_left``, over that of the sample mean.
+      too bright (our own threshold), and ``fireflies_left``, its ratio to that of the sample mean.
 
-    The reference of a batch is the mean of the other samples of its pixel. It is itself noisy: its
-    variance, about n/(spp - n) times that of a batch's mean, is part of every squared error. It
-    makes up n/spp of the squared error of the sample mean. Where all batches estimate, the errors
-    of the sample mean cancel within each pixel: its bias is then 0 by construction.
+    The reference of a batch is the mean of the other samples of its pixel. The reference is noisy:
+    its variance, about n/(spp - n) times the variance of a batch's mean, is part of every squared
+    error, and makes up n/spp of the squared error of the sample mean. If all batches are used, the
+    errors of the sample mean cancel within each pixel, so its bias is 0 by construction.
 
     Parameters
     ----------
     samples
-        The image, as `Samples`, an array (y, x, channel, sample) or the path of a store, at least
-        2 n samples per pixel.
+        The image, as `Samples`, an array (y, x, channel, sample) or the path of a store, with at
+        least 2 n samples per pixel.
     estimators
-        Names of registered estimators, alone or followed by " + OIDN" or " + OIDN features" for
-        Open Image Denoise after them; or entries of your own. None takes those of
+        Names of registered estimators, or entries of your own. " + OIDN" or " + OIDN features"
+        after a name adds Open Image Denoise. None takes those of
         `chdstat.comparison.DEFAULT_ESTIMATORS` that apply to the image and to n: the default
-        estimate first, then the sample mean. An estimator that uses neighbours, as the default
-        estimate does, is given the whole image of each batch with its first-hit features; it is
-        marked, as it sees more than n samples of a pixel.
+        estimate first, then the sample mean. An estimator that uses neighbours gets the whole image
+        of each batch with its first-hit features. It is marked, as it sees more than n samples.
     n
         Samples per estimate.
     seed
-        Draws training and bootstrap.
+        Seed of training and bootstrap.
     max_batches
-        Batches per pixel that estimate, in stored order; None takes all. All samples count for
-        the reference.
+        Number of batches per pixel to estimate from, in stored order; None takes all. All samples
+        are used for the reference.
     model
-        A trained estimator to take in place of training the one of its name, or several by the
-        name of the estimator that they are. Where one was trained on an image of the same size,
-        its pixels do not judge.
+        A trained estimator, used instead of training one of that name; or several by name. If it
+        was trained on an image of the same size, its training pixels do not judge.
     denoise
-        Judge every estimator with Open Image Denoise after it, too: with the image alone, with
-        first-hit features where there are any, and mixed with the estimate by its certainty where
-        it has one.
+        Also judge every estimator followed by Open Image Denoise: with the image alone; with
+        first-hit features if there are any; and mixed with the estimate by its certainty if it has
+        one.
     labels
-        What to break the measures down by: ``label`` of `chdstat.classify` or the dataset itself,
-        codes of `chdstat.patterns.Label`, shape (y, x), or any map with the attributes
-        ``flag_values`` and ``flag_meanings``. "classify" labels these samples. Labels that
-        are computed from the samples to judge bias the breakdown: a pixel may be firefly-dominated
-        because of one batch, which is then easy to improve. Labels of an independent render do not.
+        Labels for the breakdown: ``label`` of `chdstat.classify` or the dataset itself, codes of
+        `chdstat.patterns.Label`, shape (y, x), or any map with the attributes ``flag_values`` and
+        ``flag_meanings``. "classify" labels these samples. Labels that are computed from the judged
+        samples bias the breakdown: a pixel may be firefly-dominated because of one batch, which is
+        then easy to improve. Labels of an independent render do not.
     progress
         Show progress bars; None shows them on a terminal.
     client
-        A Dask client, whose workers estimate, one batch a task, to the same bits; trainings are
-        done here.
+        A Dask client whose workers estimate, one batch per task, with the same result to the bit.
+        Training stays in this process.
 
     Returns
     -------
@@ -515,8 +508,8 @@ def compare(
     ------
     InputError
         If an estimator is unknown, named twice, or does not take n samples; if there are too few
-        samples; if labels do not fit the image; if Open Image Denoise is wanted and missing; if
-        a model is given of an estimator that is not compared; or if no pixel is left to judge by.
+        samples; if labels do not fit the image; if Open Image Denoise is needed but missing; if a
+        model belongs to no compared estimator; or if no judging pixel is left.
 
     Examples
     --------
@@ -551,7 +544,7 @@ def compare(
     np.add.at(by_block, block, sums)
     test = np.zeros(samples.shape[:2], bool)
     test[units.ys, units.xs] = True
-    # float32 is what an image holds, and 1e30 squared is beyond it.
+    # Images are float32, in which 1e30 squared overflows.
     with np.errstate(over="ignore"):
         squared = [np.square(p - errors.reference).astype(np.float32) for p in errors.estimates]
     breakdown = None

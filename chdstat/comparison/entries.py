@@ -1,8 +1,8 @@
-"""Entries: the estimators that take part in a comparison, looked up by name and checked.
+"""Entries: the estimators of a comparison, looked up by name and checked.
 
 `DEFAULT_ESTIMATORS` are compared by default. `Denoised` is an estimator followed by Open Image
-Denoise: use it to see whether a denoiser does better from a better start.
-``compare(..., denoise=True)`` adds every estimator so; `denoised` makes one.
+Denoise: use it to see whether a denoiser profits from a better input. `denoised` makes one;
+``compare(..., denoise=True)`` adds one for every estimator.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ DEFAULT_ESTIMATORS = (
     "median_of_means",
     "elek2019",
 )
-"""What is compared by default: the default estimate; the sample mean, by which errors are divided;
-its denoised image; a robust mean; and the network of the paper."""
+"""Compared by default: the default estimate; the sample mean, by whose errors all are divided; its
+denoised image; a robust mean; and the network of the paper."""
 
 _EDGE = 8
-"""Edge in pixels of the image of equal samples on which an estimator says what it refuses."""
+"""Edge, in pixels, of the constant test image on which an estimator is tried."""
 _SMALLEST, _SHARE = 4, 8
 """By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
 
@@ -65,9 +65,7 @@ class Denoised:
     Attributes
     ----------
     entry
-        What estimates.
-    with_features
-        Whether the denoiser is given albedo and normal of the first hit.
+        The estimator. with_features Whether the denoiser gets albedo and normal of the first hit.
     with_certainty
         Whether the estimate is mixed with the denoised one, weighted by its certainty.
     uses_neighbours
@@ -81,7 +79,7 @@ class Denoised:
 
     @property
     def name(self) -> str:
-        """What it is called by, such as "progressive + OIDN features"."""
+        """Name, such as "progressive + OIDN features"."""
         features = " features" if self.with_features else ""
         return f"{self.entry.name} + OIDN{features}{' certainty' if self.with_certainty else ''}"
 
@@ -94,7 +92,8 @@ def denoised(
 ) -> Denoised:
     """Return an estimator followed by Open Image Denoise, for `chdstat.compare`.
 
-    Where it learns, it shares the training of the estimator itself. Negative estimates count as 0.
+    A learned estimator is trained once, for itself and for its denoised version. Negative estimates
+    count as 0.
 
     Parameters
     ----------
@@ -103,13 +102,13 @@ def denoised(
     with_features
         Give the denoiser albedo and normal of the first hit; the image must have them.
     with_certainty
-        Mix the estimate with the denoised one, ``c estimate + (1 - c) denoised``, where c is its
-        certainty; only for learned estimators whose models predict one.
+        Mix the estimate with the denoised one, ``c estimate + (1 - c) denoised``, where c is the
+        certainty; only for learned estimators that predict one.
 
     Raises
     ------
     InputError
-        If there is no such estimator, or a certainty is wanted of one that does not learn.
+        If there is no such estimator, or `with_certainty` is set for one that does not learn.
 
     References
     ----------
@@ -161,16 +160,15 @@ def entry_of(given: str | Entry) -> Entry:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Estimators that are compared.
+    """The estimators of a comparison.
 
     Attributes
     ----------
     entries
         By name, in the order given.
     left_out
-        Those of `DEFAULT_ESTIMATORS` that do not apply, with the reason.
-    by_default
-        True where the caller named no estimators: one that cannot be trained is then left out.
+        Names from `DEFAULT_ESTIMATORS` that do not apply, with the reason. by_default True if the
+        caller named no estimators; then those that cannot be trained are left out.
     """
 
     entries: Mapping[str, Entry]
@@ -193,13 +191,13 @@ def choose(
     sizes
         Samples per estimate.
     samples
-        The image, on which default estimators train; None where there are several images, and
-        nothing is trained.
+        The image on which default estimators train; None if there are several images and nothing is
+        trained.
 
     Raises
     ------
     InputError
-        If one is unknown, named twice, or takes none of the `sizes`.
+        If an estimator is unknown, named twice, or takes none of the `sizes`.
     """
     found = _entries(estimators)
     if estimators is not None:
@@ -232,7 +230,7 @@ def _entries(estimators: Sequence[str | Entry] | None) -> list[Entry]:
 
 
 def _too_few(entry: Entry, sizes: Sequence[int]) -> str:
-    """Return why an estimator takes none of the numbers of samples; "" where it takes one."""
+    """Return why an estimator takes none of the numbers of samples; "" if it takes one."""
     if any(takes(entry, n) for n in sizes):
         return ""
     least, exact = _taken(entry)
@@ -241,7 +239,7 @@ def _too_few(entry: Entry, sizes: Sequence[int]) -> str:
 
 
 def _refusal(entry: Entry, sizes: Sequence[int], samples: Samples | None) -> str:
-    """Return why an estimator does not apply to an image; "" where it does."""
+    """Return why an estimator does not apply to an image; "" if it does."""
     if isinstance(without_denoiser(entry), LearnedEstimator):
         return "" if samples is not None else "trains on each scene, against a reference"
     channels = 3 if samples is None else samples.shape[2]
@@ -258,7 +256,7 @@ def curve_sizes(
     *,
     sizes: Sequence[int] | None = None,
 ) -> tuple[int, ...]:
-    """Return the N of an error curve in ascending order, checked before any work.
+    """Return the sizes N of an error curve, checked and in ascending order.
 
     Raises
     ------
@@ -290,7 +288,7 @@ def takes(entry: Entry, n: int) -> bool:
 
 
 def _taken(entry: Entry) -> tuple[int, bool]:
-    """Return the fewest samples that an estimator takes, and whether it takes no other number."""
+    """Return the fewest samples that an estimator takes, and whether it only takes that number."""
     own = without_denoiser(entry)
     if isinstance(own, LearnedEstimator):
         return own.inputs or 1, own.inputs is not None
@@ -298,7 +296,7 @@ def _taken(entry: Entry) -> tuple[int, bool]:
 
 
 def without_denoiser(entry: Entry) -> Estimator | LearnedEstimator:
-    """Return the estimator that a denoiser follows, or the estimator itself."""
+    """Return the estimator without the denoiser after it."""
     return entry.entry if isinstance(entry, Denoised) else entry
 
 
@@ -315,15 +313,14 @@ def estimate_by(
     Parameters
     ----------
     entry
-        What estimates; a denoiser follows where it is `Denoised`.
-    x
-        Samples of a whole image, or of as much as it should see.
+        The estimator; if it is `Denoised`, a denoiser follows. x Samples of a whole image, or of
+        the part that the estimator should see.
     features
         First-hit features of the same pixels, for estimators that take them.
     model
-        Of an estimator that learns.
+        Trained model of an estimator that learns.
     at_home
-        Whether the model was trained on this scene; its estimate is then not mixed with the mean.
+        Whether the model was trained on this scene; if so, its estimate is not mixed with the mean.
     """
     own, known = without_denoiser(entry), features or {}
     options = dict(own.options) if isinstance(own, LearnedEstimator) else {}
@@ -352,11 +349,9 @@ def notes(
     Parameters
     ----------
     estimators
-        Names, those of the rows.
-    uses_neighbours
-        Which of them look at the pixels around, shape (estimator,), where that is known.
-    left_out
-        Those of the default estimators that do not apply, with the reason.
+        Names of the estimators in the rows. uses_neighbours Whether each uses the pixels around,
+        shape (estimator,), if known. left_out Default estimators that do not apply, with the
+        reason.
 
     Examples
     --------

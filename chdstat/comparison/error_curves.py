@@ -1,8 +1,7 @@
-"""Error curves: the errors of estimators against the number of samples that they estimate from.
+"""Error curves: the errors of estimators against the number of samples.
 
-`error_curve` compares as `chdstat.compare` does, for many n, and returns an `ErrorCurve`: use it to
-see up to which size an estimator is worth it. The error of an estimator with a constant bias stops
-falling.
+`error_curve` compares as `chdstat.compare` does, for many n, and returns an `ErrorCurve`. Use it to
+see up to how many samples an estimator pays: with a constant bias, its error stops falling.
 """
 
 from __future__ import annotations
@@ -41,24 +40,23 @@ __all__ = ["ErrorCurve", "error_curve"]
 
 @dataclass(frozen=True, repr=False)
 class ErrorCurve(Shown):
-    """What `error_curve` has found.
+    """Result of `error_curve`.
 
     Attributes
     ----------
     estimators, uses_neighbours, models, provenance
-        As of a `Comparison`.
+        As in a `Comparison`.
     sizes
         Samples per estimate, ascending.
     measures
         By the names of `chdstat.comparison.MEASURES`: intervals over blocks, averaged over
         channels, shape (size, estimator); NaN where an estimator does not take so many samples.
     reference_noise
-        For "mse" and "relmse": the error that even a perfect estimator would show, since the
-        reference is noisy; the same unit, shape (size,).
+        For "mse" and "relmse": the error that even a perfect estimator would show because the
+        reference is noisy, in the same unit, shape (size,).
     batches
-        Estimates that count, over all test pixels, shape (size,).
-    test_pixels
-        How many pixels count.
+        Number of estimates that count, over all test pixels, shape (size,). test_pixels Number of
+        test pixels.
     """
 
     _drawn: ClassVar[str] = "errors against the number of samples"
@@ -83,7 +81,7 @@ class ErrorCurve(Shown):
         ]
 
     def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
-        """Draw errors against the number of samples, as `chdstat.viz.error_curves`."""
+        """Draw errors against the number of samples, as `chdstat.viz.error_curves` does."""
         from chdstat import viz
 
         return viz.error_curves(self, width=width, fig=fig)
@@ -92,7 +90,7 @@ class ErrorCurve(Shown):
         return Card("Error curve", table=titled(self.table()))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return a `pandas.DataFrame` as that of a `Comparison`, by n and estimator."""
+        """Return a `pandas.DataFrame` like that of a `Comparison`, by n and estimator."""
         return data_frame_of(self.measures, n=self.sizes, estimator=self.estimators)
 
     def to_dict(self) -> dict[str, Any]:
@@ -115,24 +113,25 @@ def error_curve(
 ) -> ErrorCurve:
     r"""Measure the error of estimators at many numbers of samples, N.
 
-    At every N, batches of N samples estimate, and the mean of the other samples of the pixel is the
-    reference, as in `chdstat.compare`. The variance of a sample is :math:`\sigma^2`; the sample
-    mean shows :math:`\sigma^2 / N + \sigma^2 / (\text{spp} - N)`, of which the second part is the
-    noise of the reference. It is N/spp of the whole, which is how it is known without knowing
-    :math:`\sigma^2`; for relMSE, the same share is an approximation.
+    For every N, estimates from batches of N samples are compared with the mean of the other samples
+    of the pixel, as in `chdstat.compare`. If a sample has the variance :math:`\sigma^2`, the
+    squared error of the sample mean is :math:`\sigma^2 / N + \sigma^2 / (\text{spp} - N)`. The
+    second term is the noise of the reference. It is N/spp of the sum, so it is known without
+    :math:`\sigma^2`. For relMSE, the same share is an approximation.
 
     Parameters
     ----------
     samples
-        The image, as `compare` takes it, at least twice as many samples per pixel as the largest N.
+        The image, as `compare` takes it, with at least twice as many samples per pixel as the
+        largest N.
     estimators
-        As `compare` takes them. Where one does not take N samples, there is no number.
+        As `compare` takes them. An estimator that does not take N samples has NaN there.
     sizes
         N, in any order; None doubles from 4 to an eighth of the samples. An estimator that takes
         none of these numbers adds the fewest samples that it takes.
     seed, max_batches, model, progress, client
-        As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
-        read one by one: `Samples.load` a store first.
+        As for `chdstat.compare`. Pixels that trained a model count for no N. Small batches are read
+        one by one, so `Samples.load` a store first.
 
     Returns
     -------
@@ -141,12 +140,12 @@ def error_curve(
     Raises
     ------
     InputError
-        If `sizes` are not different whole numbers from 1, there are too few samples for them, an
-        estimator takes none of them, or nothing is left to judge by.
+        If `sizes` are not different integers from 1, there are too few samples for them, an
+        estimator takes none of them, or no judging pixel is left.
 
     Examples
     --------
-    The bias of a median stays, so that its error stops falling:
+    The bias of a median remains, so its error stops falling:
 
     >>> import chdstat as chd
     >>> import numpy as np
@@ -172,7 +171,7 @@ def error_curve(
         sums = errors.by_unit
         parts.append(measures_of(sums, seed=seed))
         judged.append(counts(sums).sum())
-        # The reference adds at most the share N / spp of the sample mean's own error.
+        # The reference makes up at most N / spp of the sample mean's error.
         of_mean = sums[:, :2, 0].sum(axis=0).mean(axis=-1) / judged[-1]
         noise.append(of_mean * (n / samples.fewest))
     return ErrorCurve(

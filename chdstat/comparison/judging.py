@@ -1,9 +1,9 @@
-"""Judging: estimators estimate from the same batches, and held-out references judge them.
+"""Judging: compare estimates from the same batches with held-out references.
 
-`trained_candidates` trains what learns, each on as many pixels as it asks for among those that do
-not judge. `Units` are the pixels that judge. They depend on the image and the seed alone, so that
-no row of a table depends on the other estimators; where no estimator was trained on an image of
-this size, all pixels judge. `judge` adds up the errors of every estimator over them.
+`trained_candidates` trains the learned estimators, on pixels that do not judge. `Units` are the
+judging pixels. They depend only on the image and the seed, so no row of a table depends on the
+other estimators; if no estimator was trained on an image of this size, all pixels judge. `judge`
+sums the errors of every estimator over them.
 
 Memory is bounded: one batch of the image, one estimate of it, and sums over blocks of pixels.
 """
@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 Models = Model | Mapping[str, Model] | None
-"""A trained model, or several by the name of the estimator that they are trained for."""
+"""A trained model, or several by the name of their estimator."""
 
 
 # --- who estimates ------------------------------------------------------------------------------
@@ -62,20 +62,19 @@ Models = Model | Mapping[str, Model] | None
 
 @dataclass(frozen=True)
 class Candidates:
-    """Estimators that are ready to estimate an image.
+    """Estimators of an image, trained where they learn.
 
     Attributes
     ----------
     samples
         The image.
     totals
-        Sums over its samples, which references are made of.
+        Sums over its samples, from which references are computed.
     entries
         By name, in the order given.
     models
-        Those that were trained, by name; entries that share a training share a model.
-    at_home
-        Those of the models that were trained on this scene, by name.
+        Trained models by name; entries that share a training share a model. at_home Names of the
+        models that were trained on this scene.
     left_out
         Default estimators that cannot be compared, with the reason.
     """
@@ -89,11 +88,11 @@ class Candidates:
 
     @property
     def uses_neighbours(self) -> npt.NDArray[np.bool_]:
-        """Which of them look at the pixels around, shape (estimator,)."""
+        """Whether each uses the pixels around, shape (estimator,)."""
         return np.array([entry.uses_neighbours for entry in self.entries.values()], bool)
 
     def with_denoised(self) -> Candidates:
-        """Add every way to denoise each of them that the image and its model allow, at the end."""
+        """Append all denoised versions of the estimators that the image and the models allow."""
         entries = dict(self.entries)
         guided = (False, True) if "albedo" in self.samples.features else (False,)
         for entry in self.entries.values():
@@ -105,12 +104,12 @@ class Candidates:
         return replace(self, entries=entries)
 
     def test_units(self, seed: int, labels: npt.NDArray[np.int64] | None = None) -> Units:
-        """Return the pixels that judge: all where no model was trained on an image of this shape.
+        """Return the judging pixels: all if no model was trained on an image of this shape.
 
         Raises
         ------
         InputError
-            If there are none.
+            If there is none.
         """
         shape = self.samples.shape[:2]
         seen = [_seen(model, shape) for model in self.models.values()]
@@ -125,7 +124,7 @@ class Candidates:
         return Units.of(test, labels)
 
     def provenance(self, seed: int, max_batches: int | None) -> dict[str, Any]:
-        """Return scene, samples and settings of a comparison, and what is known of the models."""
+        """Return scene, samples and settings of a comparison, and the provenance of the models."""
         return {
             "scene": self.samples.name,
             "samples": self.samples.attrs,
@@ -146,20 +145,20 @@ def trained_candidates(
     model: Models,
     progress: bool | None,
 ) -> Candidates:
-    """Train what learns, each on as many pixels as it wants, except for the models at hand.
+    """Train the learned estimators, except those with a given model.
 
     Raises
     ------
     InputError
-        If no sample is good, the denoiser is missing, a model is given that no estimator is, or an
-        estimator needs what the image lacks.
+        If no sample is good, the denoiser is missing, a model belongs to no estimator, or an
+        estimator needs features that the image lacks.
     """
     entries, left_out = dict(chosen.entries), dict(chosen.left_out)
     totals = Totals.of(samples)
     if not totals.count.any():
         message = "every sample of the image is bad (NaN or infinite); none can judge"
         raise InputError(message)
-    # What cannot be done is refused before the training.
+    # Check everything before training.
     for entry in entries.values():
         if isinstance(entry, Denoised):
             check_denoiser(samples.shape[2])
@@ -177,7 +176,7 @@ def trained_candidates(
     for name, entry in list(learned.items()):
         if entry.train in trained:
             continue
-        # An estimator that takes any number of samples is trained for the sizes it is judged at.
+        # An estimator that takes any number of samples is trained for the judged sizes.
         options = {} if entry.inputs else {"sizes": tuple(sizes)}
         pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=seed)
         try:
@@ -206,7 +205,7 @@ def trained_candidates(
 
 
 def _given(model: Models, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:
-    """Return the models that are at hand, by the training that they stand for."""
+    """Return the given models by the training that they replace."""
     if model is None:
         return {}
     trainings, found = {entry.train for entry in learned.values()}, {}
@@ -237,7 +236,7 @@ _ACROSS = 8
 
 @dataclass(frozen=True)
 class Units:
-    """Pixels that judge, gathered into units: those of a label in a block of the image.
+    """Judging pixels, grouped into units: the pixels of a label in a block of the image.
 
     Attributes
     ----------
@@ -246,7 +245,7 @@ class Units:
     starts
         Where each unit begins, shape (unit,).
     label, block
-        Of each unit, shape (unit,).
+        Label and block of each unit, shape (unit,).
     """
 
     ys: npt.NDArray[np.intp]
@@ -257,7 +256,7 @@ class Units:
 
     @classmethod
     def of(cls, test: npt.NDArray[np.bool_], labels: npt.NDArray[np.int64] | None = None) -> Units:
-        """Gather the pixels of `test`, in 8 x 8 blocks of the image."""
+        """Group the pixels of `test` by 8 x 8 blocks of the image, and by label."""
         ys, xs = np.nonzero(test)
         label = np.zeros(len(ys), np.int64) if labels is None else labels[ys, xs]
         block = block_numbers(*test.shape, across=_ACROSS)[ys, xs]
@@ -268,7 +267,7 @@ class Units:
         return cls(ys[order], xs[order], starts, label[starts], block[starts])
 
     def __call__(self, image: Array) -> Array:
-        """Return an image's values at the pixels, shape (pixel, ...)."""
+        """Return the values of an image at the pixels, shape (pixel, ...)."""
         return np.asarray(image[self.ys, self.xs])
 
     def sum(self, values: Array) -> Array:
@@ -294,7 +293,7 @@ def labels_of(
     Raises
     ------
     InputError
-        If it is neither, has another shape, or holds codes without a name.
+        If it is none of these, has another shape, or holds codes without a name.
     """
     found: Any = given
     if isinstance(given, str):
@@ -326,20 +325,19 @@ def labels_of(
 
 @dataclass(frozen=True)
 class BatchErrors:
-    """What many estimators did on the same batches.
+    """Summed errors of estimators on the same batches.
 
     Attributes
     ----------
     by_unit, by_batch
-        Sums, see `measures_of`: over batches, one row a unit of pixels, and over pixels, one row a
-        batch; NaN for estimators that do not take so many samples.
+        Sums for `measures_of`: over batches, one row per unit of pixels; and over pixels, one row
+        per batch. NaN for estimators that do not take so many samples.
     excluded
-        Batches of test pixels without a reference.
+        Number of batches of test pixels without a reference.
     estimates
-        Of the whole image from the first batch, of those that take as many, shape (estimator, y, x,
-        channel).
-    mean, reference
-        Of the first batch and of all other samples, shape (y, x, channel).
+        Estimates of the whole image from the first batch, by estimators that take so many samples,
+        shape (estimator, y, x, channel). mean, reference Mean of the first batch and mean of all
+        other samples, shape (y, x, channel).
     """
 
     by_unit: npt.NDArray[np.float64]
@@ -359,11 +357,11 @@ def judge(
     progress: bool | None,
     client: Client | None,
 ) -> BatchErrors:
-    """Let every estimator that takes n samples estimate from the same batches; add up its errors.
+    """Sum the errors of every estimator that takes n samples, on the same batches.
 
-    The image is read with n samples at a time and estimated by one estimator at a time; with a
-    client, each of its workers does so with a batch of its own. Where pixels have different numbers
-    of samples, the batches are those that all have, and the references use the others, too.
+    The image is read with n samples at a time, and one estimator runs at a time; with a client,
+    each worker does so for its own batch. If pixels have different numbers of samples, only batches
+    that all pixels have are used; references use all samples.
 
     Raises
     ------
@@ -377,7 +375,7 @@ def judge(
     by_unit, by_batch = np.zeros((len(units.starts), *sums)), np.zeros((rounds, *sums))
     excluded = 0
     parts = (samples.isel(sample=slice(k * n, (k + 1) * n)) for k in range(rounds))
-    # What travels to workers with every batch holds no samples of others.
+    # The data sent to workers with a batch contains no samples of other batches.
     light = replace(candidates, samples=samples.isel(sample=slice(1)))
     task = partial(_errors_of_batch, light, units, n)
     with track(f"comparing at N = {n}", rounds * height * width, unit="px", show=progress) as told:
@@ -401,7 +399,7 @@ def judge(
 def _errors_of_batch(
     candidates: Candidates, units: Units, n: int, batch: tuple[int, Samples]
 ) -> tuple[Array, int, list[npt.NDArray[np.float32]], Array]:
-    """Let every estimator that takes n samples estimate from one batch, given with its number.
+    """Compute the errors of every estimator that takes n samples on one batch.
 
     Returns
     -------

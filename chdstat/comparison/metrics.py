@@ -1,11 +1,11 @@
-"""Measures of a comparison: how far estimates are from a reference, and how sure that is.
+"""Measures of a comparison: how far estimates are from a reference, with intervals.
 
-`MEASURES` are what a comparison reports. Each is a ratio of sums over units, so that one bootstrap
-over the units serves all of them: `errors_of` returns what is summed, `measures_of` the measures of
-the sums. A unit is a block of pixels with all their batches, or a batch with all its pixels.
-Neighbours see the same light and gain or lose together; therefore, intervals are over blocks
-(Künsch 1989, doi:10.1214/aos/1176347265). `columns_of`, `rows_of` and `data_frame_of` make tables
-of them; `in_words` and `titled` write them for a reader.
+`MEASURES` are the measures that a comparison reports. Each is a ratio of sums over units, so one
+bootstrap over the units serves all of them: `errors_of` returns the summands, `measures_of` the
+measures from the sums. A unit is a block of pixels with all their batches, or a batch with all its
+pixels. Errors of neighbouring pixels are correlated, so intervals are over blocks (Künsch 1989,
+doi:10.1214/aos/1176347265). `columns_of`, `rows_of` and `data_frame_of` make tables; `in_words` and
+`titled` write them for a reader.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ MEASURES = {
 """Long name and unit of every measure."""
 
 SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
-"""What is summed over the estimates of every estimator and channel; the last is 1 for each."""
+"""What is summed over estimates, for every estimator and channel; `count` is 1 per estimate."""
 
 _SUFFIXES = {
     "": ("value", ""),
@@ -85,26 +85,26 @@ _TITLES = {
 }
 _REPLICATES, _AT_ONCE = 1000, 64
 _SAME = 1e-6
-"""Relative difference below which an estimate is the mean, summed in another order."""
+"""Relative difference below which an estimate equals the mean up to the order of summation."""
 _EXACT = 1e-8
-"""Relative squared error up to which a mean has none: samples whose logarithms spread by 1e-4 are
-constant, see `chdstat.patterns.Thresholds`."""
+"""Relative squared error up to which a mean counts as exact: samples whose logarithms spread by
+1e-4 are constant, see `chdstat.patterns.Thresholds`."""
 _FIREFLY = 3.0
 """Excess over the reference, in units of it, from which an estimate is a firefly: two stops."""
 
 
 def counts(sums: Array) -> npt.NDArray[np.int64]:
-    """Return how many estimates of each channel were added, shape (unit,)."""
+    """Return the number of summed estimates of each channel, shape (unit,)."""
     return np.asarray(sums[:, -1, 0, 0], np.int64)
 
 
 def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
     """Return every measure with its interval over units, shape (estimator, channel + 1).
 
-    The last place of the channel axis is the average over channels. The measures of a single unit
-    have no interval. With k units, a percentile interval is too short by the factor
-    sqrt((k - 1) / k), and because it uses normal quantiles in place of Student's (Hesterberg 2015,
-    doi:10.1080/00031305.2015.1089789); it is widened by both, not beyond what the measure can be.
+    The average over channels is last on the channel axis. A single unit gives no interval. With k
+    units, a percentile interval is too short by the factor sqrt((k - 1) / k), and by the ratio of
+    normal quantiles to Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789). It is
+    widened by both, but not beyond the possible values of the measure.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
         By the names of `SUMS`, shape (unit, sum, 1 + estimator, channel); the sample mean is
         estimator 0.
     seed
-        Of the bootstrap.
+        Seed of the bootstrap.
     """
     used, rng, draws = sums[counts(sums) > 0], generator(seed), []
     units = len(used)
@@ -135,10 +135,10 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
 
 
 def relative_squared(error: Array, reference: Array, scene_mean: Array) -> Array:
-    """Return (p - y)^2 / (y^2 + 0.01 m^2) of errors p - y and references y, shape (..., channel).
+    """Return (p - y)^2 / (y^2 + 0.01 m^2) for errors p - y, references y, shape (..., channel).
 
-    `scene_mean` is m, the mean reference of the whole scene, shape (channel,). An error of 0 is 0,
-    even in a scene without light.
+    `scene_mean` is m, the mean reference of the whole scene, shape (channel,). The result is 0 for
+    an error of 0, even in a scene without light.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = error**2 / relative_scale(reference, scene_mean)
@@ -146,25 +146,25 @@ def relative_squared(error: Array, reference: Array, scene_mean: Array) -> Array
 
 
 def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:
-    r"""Return what `SUMS` names of every estimate, shape (pixel, sum, channel).
+    r"""Return the summands named in `SUMS` for every estimate, shape (pixel, sum, channel).
 
-    An estimate p with :math:`|p - \bar x| \le 10^{-6} \bar x` is the sample mean, neither better
-    nor worse. It is a *firefly* where
+    An estimate p with :math:`|p - \bar x| \le 10^{-6} \bar x` counts as unchanged. It is a
+    *firefly* if
 
     .. math:: p - y > 3 \sqrt{y^2 + 0.01\, m^2},
 
-    y being the reference and m the mean reference of the scene: at least two stops too bright,
-    and bright enough to be seen in the scene. The scale is that of relMSE: a firefly has a relative
-    squared error above 9. We know of no published threshold; this one is ours.
+    where y is the reference and m the mean reference of the scene: it is at least two stops too
+    bright, and bright enough to be visible in the scene. A firefly has a relMSE above 9. We know of
+    no published threshold; this one is ours.
 
     Parameters
     ----------
     estimate, mean, reference
-        Radiance, shape (pixel, channel); the mean is that of the samples that the estimate saw.
+        Radiance, shape (pixel, channel); `mean` is the mean of the samples of the estimate.
     scene_mean
         Mean reference of the scene, shape (channel,).
     """
-    # An estimate without end would make NaN of all pixels that are drawn 0 times.
+    # An infinite estimate would give NaN in resamples that draw its pixel 0 times.
     p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
     mean = mean.astype(np.float64)
     error = p - reference
@@ -190,12 +190,12 @@ def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interva
 
 
 def shown_ratio(row: Mapping[str, Any], name: str) -> str:
-    """Return a measure of a row of `Comparison.table`, with its 95 % interval."""
+    """Return a measure from a row of `Comparison.table`, with its 95 % interval."""
     return with_interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
 
 
 def in_words(row: Mapping[str, Any]) -> dict[str, str]:
-    r"""Return a row of a table of estimators as a reader wants it, with 95 % intervals of ratios.
+    r"""Return a row of a table of estimators as text, with 95 % intervals of ratios.
 
     Examples
     --------
@@ -220,7 +220,7 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
 
 
 def columns_of(measures: Measures, *, over_batches: bool = False) -> Columns:
-    """Return the arrays of all intervals with what they are; over batches, without the measures."""
+    """Return the arrays of all intervals with attributes; over batches, without the values."""
     end, where = ("_over_batches", " over batches") if over_batches else ("", "")
     return {
         measure + suffix + end: (
@@ -241,7 +241,7 @@ def described(long_name: str, units: str = "1") -> dict[str, str]:
 def rows_of(
     columns: Columns, estimators: Sequence[str], uses_neighbours: Array, *before: int
 ) -> list[dict[str, Any]]:
-    """Return a flat row for each estimator: what all columns hold of it at a place."""
+    """Return a flat row for each estimator, with the values of all columns at a place."""
     return [
         {"estimator": name, "uses_neighbours": bool(uses_neighbours[k])}
         | {column: float(values[before][k]) for column, (values, _) in columns.items()}
@@ -250,7 +250,7 @@ def rows_of(
 
 
 def data_frame_of(measures: Measures, where: Any = ..., **index: Sequence[Any]) -> pd.DataFrame:
-    """Return measures with their intervals as a data frame, a row for each place of the index."""
+    """Return measures with their intervals as a data frame, with a row per place of the index."""
     import pandas as pd
 
     columns = {
@@ -279,7 +279,7 @@ def _measures(sums: Array) -> Array:
         found = np.stack([*(part / count for part in shares), error / reference])
         found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
         squared, relative, improved, unchanged, firefly, bias = found
-        # The error of the mean of constant samples is rounding: no ratio is taken of it.
+        # The error of a mean of constant samples is rounding, so it has no ratio.
         exact = relative[:, :1] <= _EXACT
         ratios = [np.where(exact, np.nan, part / part[:, :1]) for part in (squared, relative)]
         ratios.append(firefly / firefly[:, :1])

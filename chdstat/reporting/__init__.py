@@ -1,6 +1,6 @@
-"""Report: a scene, or its finished samples, to a PDF of paper quality.
+"""Report: a PDF about a scene or its finished samples.
 
-`report` runs the whole flow and typesets it; it computes nothing of its own.
+`report` runs the whole flow and typesets the results.
 """
 
 from __future__ import annotations

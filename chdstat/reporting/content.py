@@ -1,7 +1,7 @@
-"""Content of reports: from results to words and tables, ready for JSON.
+"""Content of reports: results as text and tables, ready for JSON.
 
-First the report on a scene: `report_content`, and of an analysis alone `analysis_content`. Then
-findings on claims, and the tables of regions, families, patterns and estimators.
+`report_content` is for a report on a scene, `analysis_content` for an analysis alone. Findings on
+claims, and the tables of regions, families, patterns and estimators follow.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ __all__ = [
 ]
 
 Contents = Literal["short", "full", "claims"]
-"""What a report on a scene holds."""
+"""Kinds of a report on a scene."""
 
 PUBLISHED_SPP, PUBLISHED_SIZE = 2000, 800
 """Samples per pixel, and pixels along each edge, of the images of Elek et al. 2019."""
 FEW_SAMPLES, FEW_PIXELS = 32, 64
-"""From fewer samples, no report describes distributions; of fewer pixels, none draws maps."""
+"""Fewest samples for describing distributions, and fewest pixels for drawing maps."""
 _MANY_NULLS = 0.25
-"""Share of null samples from which they are a finding."""
+"""Share of null samples from which a report mentions them."""
 _LITTLE = 5e-4
-"""Share that is written as none."""
+"""Share below which a number counts as none."""
 _TINY = 1e-4
 
 
@@ -149,7 +149,7 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
-    """Return up to four numbers, with 95 % intervals over blocks of pixels where there are some."""
+    """Return up to four numbers, with 95 % intervals over blocks of pixels if possible."""
     scene = found.overview
     of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
     nulls = of_image["null_share"].ends(percent)
@@ -175,9 +175,9 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
 
 
 def _headlines(found: SceneStudy) -> list[dict[str, str]]:
-    """Return at most six findings in plain words, each with what stands behind it.
+    """Return at most six findings in plain words, each with its evidence.
 
-    What is noisy, why, what helps, and by how much.
+    They say what is noisy, why, what helps, and by how much.
     """
     scene, noise = found.overview, found.noise
     if scene.spp < FEW_SAMPLES:
@@ -236,7 +236,7 @@ def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
 
 
 def _which_paths(data: SceneData) -> Iterator[tuple[str, str]]:
-    """Yield which paths and lights make most of the variance, where samples are known by them."""
+    """Yield which paths and lights cause most of the variance, if samples are split by them."""
     samples = data.samples
     known = {"depth": samples.depths, "light": samples.lights}
     for by in ("depth", "light"):
@@ -255,13 +255,13 @@ def _which_paths(data: SceneData) -> Iterator[tuple[str, str]]:
 
 
 def _pixels(label: str) -> str:
-    """Return what to call the pixels of a primary label."""
+    """Return the name of the pixels of a primary label."""
     own = label not in {"black", "undetermined", "other"}
     return f"{called(label)} pixels" if own else f"pixels labelled '{called(label)}'"
 
 
 def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
-    """Yield how far error bars can be trusted, where averages were tested."""
+    """Yield how far error bars can be trusted, if averages were tested."""
     if not any(math.isfinite(share) for share in scene.averages.values()):
         return
     most = max(scene.averages)
@@ -275,13 +275,13 @@ def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
 
 
 def _what_helps(comparison: Comparison) -> Iterator[tuple[str, str]]:
-    """Yield what the default estimate gains over the mean, and which other one gains more."""
+    """Yield what the default estimate gains over the mean, and which estimator gains more."""
     own = _row_of(comparison, DEFAULT_ESTIMATE)
     others = [
         row for row in comparison.table() if row["estimator"] not in (DEFAULT_ESTIMATE, "mean")
     ]
     others = [row for row in others if math.isfinite(row["relmse_ratio"])]
-    # Those that raise the squared error stand back, as they buy the one error with the other.
+    # Estimators that increase the squared error come last: they trade one error for another.
     others = [row for row in others if not row["mse_ratio_low"] > 1] or others
     best = min(others, key=lambda row: row["relmse_ratio"], default=None)
     if own is not None:
@@ -293,7 +293,7 @@ def _what_helps(comparison: Comparison) -> Iterator[tuple[str, str]]:
 
 
 def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
-    """Return what an estimator gains over the mean of n samples, as a finding."""
+    """Return the gain of an estimator over the mean of n samples, as a finding."""
     name = name[0].upper() + name[1:]
     surely = row["mse_ratio_high"] < 1
     equal = f", as of a mean of {n / row['mse_ratio']:.0f} samples" if surely else ""
@@ -311,7 +311,7 @@ def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
 
 
 def _row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
-    """Return the row of an estimator that has errors to speak of; None where there is none."""
+    """Return the row of an estimator, if its errors are known; else None."""
     rows = [] if comparison is None else comparison.table()
     known = (row for row in rows if row["estimator"] == name and math.isfinite(row["mse_ratio"]))
     return next(known, None)
@@ -325,7 +325,7 @@ def _bad_samples(scene: Overview, samples: Samples) -> str:
 
 
 def _deviations(found: SceneStudy) -> list[str]:
-    """Return what was not done as Elek et al. 2019 did it, in words."""
+    """Return deviations from Elek et al. 2019, as sentences."""
     height, width, _, spp = found.data.samples.shape
     there = []
     if spp < PUBLISHED_SPP:
@@ -347,7 +347,7 @@ def _deviations(found: SceneStudy) -> list[str]:
 
 
 def remake_note(samples: Iterable[Samples]) -> str:
-    """Return a note on the scenes that are remakes of the paper's; "" where none is."""
+    """Return a note on scenes that are remakes of the paper's; "" if there are none."""
     found = {s.name: original for s in samples if (original := remake_of(s))}
     if not found:
         return ""
@@ -359,7 +359,7 @@ def remake_note(samples: Iterable[Samples]) -> str:
 
 
 def with_others(found: Mapping[str, Finding]) -> dict[str, Finding]:
-    """Return findings by scene, each followed by those on other estimators."""
+    """Return findings by scene, each followed by the findings on other estimators."""
     rows = {}
     for scene, finding in found.items():
         rows[scene] = finding
@@ -406,7 +406,7 @@ def _p_value(finding: Finding) -> str:
 
 
 def finding_content(finding: Finding) -> dict[str, Any]:
-    """Return one finding with every test that was made, ready for JSON."""
+    """Return one finding with all its tests, ready for JSON."""
     hypothesis = finding.details.get("null_hypothesis", "")
     return {
         "number": finding.number,
@@ -427,7 +427,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
 
 
 def _untested(findings: Iterable[Finding]) -> list[str]:
-    """Return which claims were not tested in a scene and why, those of one reason together."""
+    """Return which claims were not tested in a scene and why, grouped by reason."""
     reasons: dict[str, list[str]] = {
         "compare renders or scenes, as a study does": [
             _numbered(claim) for claim in CLAIMS if not claim.alone
@@ -460,7 +460,7 @@ def _test_content(test: ClaimTest) -> dict[str, str]:
 
 
 def _fit_content(scene: Overview) -> dict[str, str]:
-    """Return how well the families and the log-normal describe the pixels, in numbers."""
+    """Return numbers of how well the families and the log-normal describe the pixels."""
     misfit, skewness = scene.misfit, scene.log_skewness
     return {
         "decided": percent(scene.decided),
@@ -475,7 +475,7 @@ def _fit_content(scene: Overview) -> dict[str, str]:
 
 
 def _region_table(data: SceneData) -> list[dict[str, Any]]:
-    """Return a row for each region, with the numbers of the pixel in its middle."""
+    """Return a row for each region, with numbers of its central pixel."""
     rows = []
     colors = qualitative(len(data.regions))
     for region, color in zip(data.regions, colors, strict=True):
@@ -502,7 +502,7 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
 def _noise_table(noise: Noise, comparison: Comparison | None, pixels: int) -> list[dict[str, str]]:
     """Return a row for each primary label: its share of image and noise, and what helps.
 
-    Labels of few of the `pixels` have no ratio of errors.
+    Labels with few pixels have no ratio of errors.
     """
     by_label = None if comparison is None else comparison.breakdown
     rows = [] if by_label is None else by_label.table()
@@ -529,7 +529,7 @@ def _noise_table(noise: Noise, comparison: Comparison | None, pixels: int) -> li
 
 
 def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
-    """Return the share of each family by both criteria, over all channels."""
+    """Return the share of each family under both criteria, over all channels."""
     criteria = {"bic": "best_family", "held_out": "held_out_best_family"}
     columns = {key: pooled_shares(found, name) for key, name in criteria.items() if name in found}
     return [
@@ -557,7 +557,7 @@ def _pattern_table(scene: Overview) -> list[dict[str, str]]:
 
 
 def atlas_content(found: Atlas) -> dict[str, str]:
-    """Return how many shapes recur, and how far these can be trusted."""
+    """Return how many shapes recur, and how reliable they are."""
     return {
         "count": f"{len(found.share)} shape{'s recur' if len(found.share) > 1 else ' recurs'}",
         "repeatable": percent(found.repeatable),

@@ -1,4 +1,4 @@
-"""Documents: text, tables and figures as a PDF, with Typst; those of a study and of a benchmark."""
+"""Documents: text, tables and figures as a PDF, by Typst; for studies and benchmarks, too."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ __all__ = [
 
 _TEMPLATES = resources.files("chdstat.reporting") / "templates"
 _FONTS = Path(mpl.get_data_path(), "fonts", "ttf")
-"""Text has the family of the figures' lettering, which Matplotlib brings along."""
+"""Fonts of the text: the same as in figures, from Matplotlib."""
 
 
 @dataclass(frozen=True)
 class Document:
-    """What a template is filled with.
+    """Content for a template.
 
     Parameters
     ----------
@@ -74,9 +74,9 @@ def typeset(document: Document, target: Path) -> Path:
     Parameters
     ----------
     document
-        What to typeset.
+        The document.
     target
-        The PDF; it is replaced only when the new one is complete.
+        The PDF; an existing one is replaced when the new one is complete.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def pages_of(path: Path) -> int:
 
 
 def verdicts(study: Study) -> Axes:
-    """Draw the table of verdicts; a dot marks those that another seed repeats."""
+    """Draw the table of verdicts; a dot marks verdicts that another seed repeats."""
     rows = {}
     repeated = {scene.name: scene.repeated for scene in study.scenes}
     for row in study.table():
@@ -125,7 +125,7 @@ def verdicts(study: Study) -> Axes:
 
 
 def overview(study: Study) -> Figure:
-    """Draw all images, each under an exposure of its own."""
+    """Draw all images, each with its own exposure."""
     columns = min(4, len(study.scenes))
     figure = viz.map_grid(len(study.scenes), columns=columns, aspect=0.2 * columns)
     for ax, scene in zip(figure.axes, study.scenes, strict=True):
@@ -220,7 +220,7 @@ _PANELS = 3
 _IMAGES = 5
 """Most images side by side."""
 _LETTERS = 22
-"""Of a name above an image in one line."""
+"""Letters of a name above an image in one line."""
 
 
 def bench_document(found: Bench) -> Document:
@@ -276,7 +276,7 @@ def _curves(found: Bench, measure: str) -> Figure:
 
 
 def _images(case: Case) -> Figure:
-    """Draw what is kept of the estimates of a scene, under the exposure of its reference."""
+    """Draw the kept parts of the estimates of a scene, with the exposure of its reference."""
     stops = display_stops(case.images["reference"])
     height, width = case.images["reference"].shape[:2]
     columns = min(_IMAGES, max(_PANELS, len(case.images)))

@@ -1,7 +1,7 @@
-"""Figures of a scene and of a comparison: results laid out for `chdstat.viz`.
+"""Figures of a scene and of a comparison, drawn by `chdstat.viz`.
 
 `region_figure` and `scene_figures` follow the case study of Elek et al. 2019: regions with their
-CHDs; batches and their means, the brightest firefly, shorter paths, shapes. `save_comparison`
+CHDs, batches and their means, the brightest firefly, shorter paths, and shapes. `save_comparison`
 writes a comparison to a folder, as numbers, maps and figures.
 """
 
@@ -56,13 +56,13 @@ _BATCH, _BATCHES = 32, 64
 _PIXELS = 5
 """Pixels whose batches are shown."""
 _COMPARED = 4
-"""Regions whose CHDs of shorter and of longer paths stand over each other."""
+"""Most regions whose CHDs of shorter and of longer paths are compared."""
 _PAIR = 5.2
 """Width of a figure of two images, in inches."""
 _TITLE = 48
-"""Letters that there is room for above the distribution of a region."""
+"""Most letters above the distribution of a region."""
 _INSETS, _INSET = 2, 6
-"""Parts of an image that are magnified, and their edge as a part of its shorter one."""
+"""Number of magnified parts; their edge is this fraction of the image's shorter edge."""
 
 
 # --- one scene ----------------------------------------------------------------------------------
@@ -71,18 +71,18 @@ _INSETS, _INSET = 2, 6
 def report_figures(
     found: SceneStudy, estimate: Estimates | None, curve: ErrorCurve | None, *, full: bool
 ) -> dict[str, Figure]:
-    """Draw the figures of a report, by name, as far as the scene has what they show.
+    """Draw the figures of a report that the scene has data for, by name.
 
     Parameters
     ----------
     found
         The scene.
     estimate
-        The default estimate of all samples, shown where there is no comparison.
+        The default estimate from all samples, shown without a comparison.
     curve
         Errors against the number of samples.
     full
-        Whether all of them are wanted.
+        Whether to draw all figures.
     """
     data = found.data
     drawn: dict[str, Figure] = {}
@@ -122,7 +122,7 @@ def _marks(data: SceneData) -> list[viz.Mark]:
 
 
 def region_figure(data: SceneData) -> Figure:
-    """Draw the regions of a scene, each with the CHD of the pixel in its middle."""
+    """Draw the regions of a scene, each with the CHD of its central pixel."""
     marks, notes = _marks(data), []
     pixels = [data.samples.pixel(*mark.pixel) for mark in marks]
     for mark, pixel in zip(marks, pixels, strict=True):
@@ -136,7 +136,7 @@ def region_figure(data: SceneData) -> Figure:
 
 
 def _noise_maps(found: xr.Dataset) -> Figure:
-    """Draw how noisy each pixel is, and which pattern it shows first of all."""
+    """Draw the noise and the primary pattern of each pixel."""
     aspect = upright(found.sizes["y"], found.sizes["x"])
     figure = viz.map_grid(2, columns=2, aspect=aspect)
     figure.set_figheight(0.43 * figure.get_figwidth() * aspect + 0.3)  # there is no legend
@@ -149,9 +149,9 @@ def _noise_maps(found: xr.Dataset) -> Figure:
 
 
 def estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figure:
-    """Draw the image from the first samples by estimators, with parts where the mean is far off.
+    """Draw estimates from the first samples, with magnified parts where the mean is far off.
 
-    None of the `names` takes all estimators; the mean comes first, the default estimate second.
+    `names` None takes all estimators; the mean comes first, the default estimate second.
     """
     images = dict(zip(found.estimators, found.estimates, strict=True))
     order = ["mean", DEFAULT_ESTIMATE, *images]
@@ -171,7 +171,7 @@ def estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figur
 
 
 def _noisy_parts(image: npt.ArrayLike, better: npt.ArrayLike) -> list[tuple[slice, slice]]:
-    """Return the parts of an image that have its brightest errors against a better one."""
+    """Return the parts of an image that exceed a better image most."""
     seen, truth = (np.asarray(i, np.float64).mean(axis=-1) for i in (image, better))
     level = float(np.nanmean(truth)) or 1.0  # of excess that is seen, not only in the dark
     excess = np.nan_to_num((seen - truth) / (np.abs(truth) + level))
@@ -189,7 +189,7 @@ def _noisy_parts(image: npt.ArrayLike, better: npt.ArrayLike) -> list[tuple[slic
 
 
 def scene_figures(data: SceneData, *, atlas: Atlas | None = None) -> dict[str, Figure]:
-    """Draw the figures of a scene, by name, as far as it has what they show.
+    """Draw the figures of a scene that it has data for, by name.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
 
 
 def _firefly(data: SceneData) -> Figure | None:
-    """Draw the brightest firefly and the pixel above it, which sees about the same."""
+    """Draw the brightest firefly and the pixel above it, which shows about the same."""
     means, batches = data.summary["batch_means"].values, data.batch_light
     found = brightest_firefly(batches)
     if found is None:
@@ -242,7 +242,7 @@ def _firefly(data: SceneData) -> Figure | None:
 
 
 def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
-    """Draw the view with shorter and with all paths; regions with all their samples together."""
+    """Draw the view with shorter and with all paths, and regions with all samples pooled."""
     renders = {f"up to {depth_of(s)} segments": s for s in (data.samples, shorter)}
     means = (data.summary["mean"].values, summary["mean"].values)
     marks = _marks(data)[:_COMPARED]
@@ -268,7 +268,7 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
     tests = {name: finding.tests for name, finding in with_others(found).items() if finding.tests}
     if tests:
         drawn[f"claim{claim}"] = viz.claim_intervals(tests)
-    # What is about all scenes, or the only one, needs no title.
+    # A finding on all scenes, or on the only one, needs no title.
     titles = found if len(found) > 1 else [""] * len(found)
     shown = {
         title: finding.plot_data
@@ -284,7 +284,7 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
 
 
 def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
-    """Draw the maps of the image, and how averages become Gaussian where there are enough."""
+    """Draw the maps of the image, and how averages become Gaussian if there are enough samples."""
     drawn = {"maps": _maps(found)}
     if scene.averages:
         shares = found["averages_rejected_share"]
@@ -313,7 +313,7 @@ def _maps(found: xr.Dataset) -> Figure:
     named = found["luminance_family"]
     viz.categorical_map(named, title="Best family", shares=False, columns=3, ax=families)
     if averaged:
-        # Of the channel that needs most: -1 where that is more than was tested.
+        # The channel that needs most samples; -1 if more than tested.
         n = found["averages_n_needed"].transpose("y", "x", "channel").values
         more = (n == MORE_THAN_TESTED).any(axis=-1)
         slowest = np.where(more, MORE_THAN_TESTED, n.max(axis=-1))
@@ -325,7 +325,7 @@ def _maps(found: xr.Dataset) -> Figure:
 
 
 def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
-    """Draw everything that a comparison found, by name, as far as it has been measured."""
+    """Draw all figures of a comparison, by name."""
     drawn: dict[str, Any] = {
         "estimates": estimates_of(found),
         "pixels": viz.pixel_estimates(found.draw_pixels()).figure,
@@ -345,29 +345,26 @@ def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[st
 def save_comparison(
     found: Comparison, folder: str | Path, *, curve: ErrorCurve | None = None
 ) -> list[Path]:
-    """Write a comparison to a new folder, which is there when it is complete.
+    """Write a comparison to a new folder, which appears when it is complete.
 
-    ``comparison.json`` holds every measure, ``comparison.zarr`` the estimates and errors as maps,
-    one PDF each figure, ``<name>.safetensors`` each estimator that was trained.
+    ``comparison.json`` holds all measures, ``comparison.zarr`` the estimates and errors as maps.
+    Each figure is a PDF, each trained estimator ``<name>.safetensors``.
 
     Parameters
     ----------
     found
-        What `chdstat.compare` found.
-    folder
-        Where to; nothing may be there.
-    curve
-        What `chdstat.comparison.error_curve` found, to go with it.
+        Result of `chdstat.compare`. folder The folder; it must not exist. curve Result of
+        `chdstat.comparison.error_curve`, written too.
 
     Returns
     -------
     list of Path
-        What was written.
+        The written files.
 
     Raises
     ------
     StoreError
-        If something is there already, or cannot be written.
+        If the folder exists or cannot be written.
     """
     target = unused(folder)
     content = found.to_dict() | ({} if curve is None else {"curve": curve.to_dict()})

@@ -1,7 +1,7 @@
-"""Report on a scene: render, analyse, compare and typeset, with no other input.
+"""Report on a scene: render, analyse, compare and typeset.
 
-The short report needs the patterns of luminance and what needs no training; the full one also tests
-the paper's claims, for which the families of all channels are needed and the network of the paper.
+The short report needs the patterns of luminance and estimators without training. The full report
+also tests the paper's claims, which need the families of all channels and the network of the paper.
 """
 
 from __future__ import annotations
@@ -63,23 +63,22 @@ __all__ = ["published_seconds", "report"]
 
 _SPP = 512
 _IN_MEMORY = 2**29
-"""Samples up to this many bytes are read once and held; larger ones are walked on disk."""
+"""Samples up to this many bytes are read into memory; larger ones are read in blocks."""
 _PILOT = 32
-"""Samples per pixel from which the time of many is told."""
+"""Samples per pixel of the render that predicts the time of a longer one."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
 _ESTIMATES, _BATCHES = 2**15, (2, 4, 16)
-"""Estimates that are enough, and how many of each pixel there are at least in a short and in a full
-report, and at most."""
+"""Enough estimates in all; fewest estimates per pixel in a short and in a full report, and most."""
 _TRAINING: dict[str, dict[str, Any]] = {
     "elek2019": {"patience": 2000},
     "progressive": {"iterations": 1200},
 }
-"""How long networks train, unless all is as published: more takes long and gains little."""
+"""How long networks train, unless as published: more takes long and gains little."""
 _CURVE_SPP = 256
-"""Samples from which errors are shown against N."""
+"""Fewest samples for showing errors against N."""
 _REGIONS = 6
-"""Regions of a short report."""
+"""Most regions of a short report."""
 
 
 def report(
@@ -104,32 +103,32 @@ def report(
     path
         The PDF to write.
     contents
-        "short", for three or four pages on what is noisy, why, and what helps by how much; "full",
-        for the case study of the paper, its claims, families, averages, error curves and trainings
-        as well; or "claims", for the claims of the paper alone.
+        "short": three or four pages on what is noisy, why, and what helps by how much. "full" adds
+        the case study of the paper, its claims, families, averages, error curves and trainings.
+        "claims": only the claims of the paper.
     recipe
-        A recipe file; None takes the scene's own where there is one in the same proportions.
+        A recipe file; None takes the recipe of the scene if it has one with the same aspect ratio.
         Without a recipe, the library chooses a region for each pattern that it finds.
     store
-        Where to keep the rendered samples, so that the next report resumes from them; None keeps
-        them in memory.
+        Store for the rendered samples, from which the next report resumes; None keeps them in
+        memory.
     estimators
-        As for `chdstat.compare`; those that learn are trained on these samples. None takes those
-        that are compared by default; a short report leaves out those that learn.
+        As for `chdstat.compare`; learned estimators are trained on these samples. None takes the
+        default estimators; a short report leaves out learned ones.
     iterations
-        Minibatches of each training; None takes as many as pay: the network of the paper stops
-        where its validation error no longer falls.
+        Minibatches of each training. With None, the network of the paper stops when its validation
+        error no longer falls.
     as_published
         Render and train as Elek et al. 2019 did: 2000 spp, 800 pixels along the longer edge, 30,000
-        minibatches, unless told otherwise. It takes hours; the samples are kept beside the PDF, so
-        that the work resumes.
+        minibatches, unless other options say so. It takes hours; the samples are kept beside the
+        PDF, so that the work can resume.
     progress
         Show progress bars; None shows them on a terminal.
     **settings
-        As for `chdstat.render`: ``spp``, ``size``, ``seed``, ``max_depth``, ``backend`` and the
-        others; the samples must be independent. What is not given is the recipe's, or 512 spp and
-        128 pixels along the longer edge. With samples that are already there, only `spp` may be
-        given: it takes the first ones.
+        As for `chdstat.render`: ``spp``, ``size``, ``seed``, ``max_depth``, ``backend`` and others;
+        the samples must be independent. The defaults are those of the recipe, or 512 spp and 128
+        pixels along the longer edge. With a store or `Samples`, only `spp` may be given: it takes
+        the first samples.
 
     Returns
     -------
@@ -167,14 +166,14 @@ def report(
         samples = samples.load()
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
     report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)
-    # What is analysed is in files beside the report until that is there: it may not fit in memory.
+    # The analysis may not fit in memory: keep it in files beside the report while it is made.
     with kept_until_written(target) as checkpoint:
         document = report_.document(named.regions if named else regions_of(samples), checkpoint)
         return typeset(document, target)
 
 
 def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:
-    """Return what a scene is rendered with; as published, with the size and spp of the paper."""
+    """Return the settings of the render; as published, with the size and spp of the paper."""
     settings = (recipe or recipe_of(scene, spp=_SPP, seed=0)).settings()
     if as_published:
         scale = content.PUBLISHED_SIZE / max(settings["size"])
@@ -186,7 +185,7 @@ def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> 
 def published_seconds(
     scene: Scene, recipe: str | Path | None = None, *, backend: Backend = "auto"
 ) -> float:
-    """Return about how long it takes to render a scene as published, from a small render of it."""
+    """Estimate how long it takes to render a scene as published, from a small render."""
     named = load_recipe(recipe) if recipe else None
     whole = _settings_of(scene, named, as_published=True)
     size = tuple(max(1, length // 8) for length in whole["size"])
@@ -198,7 +197,7 @@ def published_seconds(
 
 @dataclass(frozen=True)
 class _Report:
-    """What a report is about and what it is to hold; as for `report`.
+    """A report on samples, with its options; as for `report`.
 
     Attributes
     ----------
@@ -213,7 +212,7 @@ class _Report:
     progress: bool | None
 
     def document(self, regions: tuple[Region, ...], checkpoint: Path | None) -> Document:
-        """Compute everything that is shown, and return it ready to typeset."""
+        """Compute everything for the report, and return it ready to typeset."""
         samples, full, short = self.samples, self.contents == "full", self.contents == "short"
         about: Any = {"progress": self.progress, "checkpoint": checkpoint}
         dataset = patterns_of(samples, families=not short, **about)
@@ -246,7 +245,7 @@ class _Report:
         return Document("scene_report.typ", entries, drawn)
 
     def compared(self, dataset: xr.Dataset, noise: Noise) -> tuple[Comparison | None, str]:
-        """Return the estimators side by side, or why they cannot be compared."""
+        """Return the comparison of estimators, or why they cannot be compared."""
         samples, estimators = self.samples, self.estimators
         if not noise:
             return None, ""
@@ -271,36 +270,36 @@ class _Report:
 
     @property
     def batches(self) -> int:
-        """Most estimates of each pixel."""
+        """Largest number of estimates of each pixel."""
         height, width = self.samples.shape[:2]
         short, full, most = _BATCHES
         least = short if self.contents == "short" else full
         return max(least, min(-(-_ESTIMATES // (height * width)), most))
 
     def trained(self, estimators: Sequence[str | Entry] | None) -> dict[str, Model]:
-        """Return models that are trained in another way than a comparison trains them."""
+        """Return models that are not trained in the way of a comparison."""
         models, samples = {}, self.samples
         for name in DEFAULT_ESTIMATORS if estimators is None else estimators:
             entry = without_denoiser(entry_of(name))
             if isinstance(entry, LearnedEstimator) and entry.name in self.training:
                 pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=0)
                 options = self.training[entry.name] | {"progress": self.progress}
-                with contextlib.suppress(InputError):  # the comparison says why
+                with contextlib.suppress(InputError):  # the comparison reports why
                     models[entry.name] = entry.train(samples, seed=0, pixels=pixels, **options)
         return models
 
     def estimated(self) -> Estimates | None:
-        """Return the default estimate of all samples; None of those that it cannot take."""
+        """Return the default estimate from all samples; None if it cannot take them."""
         with contextlib.suppress(InputError):
             return estimate(self.samples, progress=self.progress)
         return None
 
     def curve(self, comparison: Comparison) -> ErrorCurve | None:
-        """Return errors of the compared estimators against N; None where there is only one N."""
+        """Return errors of the compared estimators against N; None if there is only one N."""
         if self.samples.spp < _CURVE_SPP:
             return None
         model = comparison.models.get("progressive", next(iter(comparison.models.values()), None))
-        # Another that learns would have to learn again, and takes one N only.
+        # Other learned estimators would need another training, and take only one N.
         others = comparison.models.keys() - {"" if model is None else model.name}
         return error_curve(
             self.samples,
@@ -312,7 +311,7 @@ class _Report:
 
 
 def _by_noise(regions: tuple[Region, ...], noise: Noise) -> tuple[Region, ...]:
-    """Order regions that are called after patterns by the share of the noise that these have."""
+    """Order regions that are named after patterns by the noise of their pattern."""
     rank = {label.replace("_", "-"): i for i, label in enumerate(noise.share)}
     return tuple(sorted(regions, key=lambda region: rank.get(region.name, len(rank))))
 
@@ -320,7 +319,7 @@ def _by_noise(regions: tuple[Region, ...], noise: Noise) -> tuple[Region, ...]:
 def _some(regions: tuple[Region, ...], dataset: xr.Dataset) -> tuple[Region, ...]:
     """Return some of many regions, from the calmest to the noisiest, in their order.
 
-    Those that lie in one pixel are one.
+    Regions in the same pixel count as one.
     """
     spread = dataset["coefficient_of_variation"].values
     regions = tuple({region.center(*spread.shape): region for region in regions}.values())

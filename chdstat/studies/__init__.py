@@ -1,6 +1,6 @@
 """Studies: several scenes rendered, analysed, and tested for all claims of the paper.
 
-`study` runs the whole of it and returns a `Study`, with a table of verdicts, JSON and a PDF.
+`study` returns a `Study`, with a table of verdicts, JSON and a PDF.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A claim of the paper: its words, the function that measures it, and how it becomes a finding."""
+"""A claim of the paper: its text, the function that measures it, and how it becomes a finding."""
 
 from __future__ import annotations
 
@@ -28,23 +28,22 @@ class Claim:
     Attributes
     ----------
     number, name
-        Its place in the order of the study, and a few words.
+        Position in the order of the study, and a short name.
     claim
         One sentence.
     measure
-        The function that measures it: in one scene, or in several.
+        The function that measures it, in one scene or in several.
     spp
-        Samples per pixel below which nothing is measured: 128 for shapes and moments of logarithms,
-        32 for shares, 384 for twelve batches of 32.
+        Fewest samples per pixel: 128 for shapes and moments of logarithms, 32 for shares, 384 for
+        twelve batches of 32.
     across
         Whether it compares scenes.
     paired
         Whether it compares renders of one scene.
     once
-        Whether it needs the whole analysis, a training or a render of its own: it is not repeated
-        with another seed.
-    subject
-        What a verdict is about where that is neither the image nor two renders nor scenes.
+        Whether it needs the whole analysis, a training or its own render; then it is not repeated
+        with another seed. subject What a verdict is about, if it is neither the image nor two
+        renders nor scenes.
     """
 
     number: int
@@ -59,18 +58,18 @@ class Claim:
 
     @property
     def about(self) -> str:
-        """What a verdict is about: its intervals say how the numbers vary over parts of it."""
+        """What a verdict is about; intervals show how the numbers vary over parts of it."""
         kind = "across" if self.across else "paired" if self.paired else "image"
         return self.subject or _ABOUT[kind]
 
     @property
     def method(self) -> str:
-        """How it is measured, in one sentence: the first line of the function that does."""
+        """How it is measured: the first sentence of the measuring function's docstring."""
         return (inspect.getdoc(self.measure) or "").splitlines()[0]
 
     @property
     def alone(self) -> bool:
-        """Whether one render of one scene can tell."""
+        """Whether one render of one scene is enough."""
         return not (self.across or self.paired)
 
     def find(self, data: SceneData, others: Sequence[SceneData] = ()) -> Finding:
@@ -78,7 +77,7 @@ class Claim:
         used = [data, *others] if self.across else [data]
         spp = min(scene.samples.spp for scene in used)
         measured: Any = used if self.across else data
-        # Remakes look like scenes of the paper and are not.
+        # Remakes look like scenes of the paper but are other scenes.
         notes = [
             f"{scene.name} is a remake of the paper's {original}, not that scene."
             for scene in used
@@ -100,11 +99,11 @@ class Claim:
 
 
 ENTERED: dict[int, Claim] = {}
-"""Claims by number, as modules enter them; `chdstat.studies.claims.CLAIMS` has them in order."""
+"""Registered claims by number; `chdstat.studies.claims.CLAIMS` has them in order."""
 
 
 def claim(number: int, name: str, words: str, **options: Any) -> Callable[[Measure], Claim]:
-    """Enter the decorated function as the measure of a claim; `options` as for `Claim`."""
+    """Register the decorated function as the measure of a claim; `options` as for `Claim`."""
 
     def enter(measure: Measure) -> Claim:
         ENTERED[number] = Claim(number, name, words, measure, **options)

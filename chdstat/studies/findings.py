@@ -1,12 +1,12 @@
-"""Findings: how tests of a claim, each with an interval, become its verdict and the reason.
+"""Findings: tests of a claim with intervals, and the verdict and reason that follow from them.
 
-A claim has one test or several; a `ClaimTest` compares the interval of a statistic with the range
-that the claim states. A test is supported where the whole interval lies in that range, not
-supported where all of it lies outside, and otherwise undecided. A claim is supported where all of
-its tests are, not supported where any is not, and otherwise undecided ("cannot tell").
+A claim has one or more tests. A `ClaimTest` compares the interval of a statistic with the range
+that the claim states. A test is supported if the whole interval lies in the range, not supported if
+all of it lies outside, and otherwise undecided. A claim is supported if all of its tests are, not
+supported if any test is not, and otherwise undecided ("cannot tell").
 
-The function that measures a claim returns a `Finding`, or raises `MissingDataError`; the claim says
-which it is, and of which scene.
+The function that measures a claim returns a `Finding`, or raises `MissingDataError`. The claim adds
+its own name and the scene.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ T = TypeVar("T")
 Verdict = Literal["supported", "not supported", "cannot tell"]
 
 _MOST_SPP = 2**20
-"""More samples than these are no advice."""
+"""More samples than this are not recommended."""
 
 
 class MissingDataError(Exception):
@@ -44,14 +44,14 @@ class MissingDataError(Exception):
 
 
 def require(enough: object, needed: str) -> None:
-    """Raise `MissingDataError` where there is not enough to test a claim."""
+    """Raise `MissingDataError` if there is not enough data to test a claim."""
     if not enough:
         message = f"needs {needed}"
         raise MissingDataError(message)
 
 
 def required(value: T | None, needed: str) -> T:
-    """Return a value, or raise `MissingDataError` where it is None."""
+    """Return a value, or raise `MissingDataError` if it is None."""
     if value is None:
         message = f"needs {needed}"
         raise MissingDataError(message)
@@ -59,11 +59,11 @@ def required(value: T | None, needed: str) -> T:
 
 
 def level_of(tests: int) -> float:
-    """Return the level of each of several intervals that hold together (Bonferroni).
+    """Return the level of each of several simultaneous intervals (Bonferroni).
 
-    A claim is supported only if all of its tests are, which alone would need no correction (Berger
-    1982, "Multiparameter hypothesis testing and acceptance sampling", doi:10.2307/1267823); it is
-    not supported if any test is not, which does.
+    A claim is supported only if all of its tests are, which needs no correction (Berger 1982,
+    "Multiparameter hypothesis testing and acceptance sampling", doi:10.2307/1267823). But it is not
+    supported if any test is not, which needs one.
 
     Examples
     --------
@@ -75,17 +75,13 @@ def level_of(tests: int) -> float:
 
 @dataclass(frozen=True)
 class ClaimTest:
-    """One statistic of a claim and the range in which the claim has it.
+    """One statistic of a claim, and the range that the claim states for it.
 
     Attributes
     ----------
     name
-        What the statistic is, in words.
-    interval
-        Its value with an interval, in the same unit; NaN where there is none, infinite where it is
-        open.
-    least, most
-        Range of the claim; infinite where it is open.
+        The statistic in words. interval Its value with an interval; NaN without an interval,
+        infinite at an open end. least, most Range of the claim; infinite at an open end.
     unit
         "1" for pure numbers.
     """
@@ -98,7 +94,7 @@ class ClaimTest:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the interval lies inside the range, outside, or neither."""
+        """Whether the interval lies inside the range, outside of it, or neither."""
         low, high = self.interval.low, self.interval.high
         if low >= self.least and high <= self.most:
             return "supported"
@@ -106,10 +102,10 @@ class ClaimTest:
 
     @property
     def margin(self) -> float:
-        """Distance from the value to an end of the range, over the length of the interval there.
+        """Distance from the value to an end of the range, over the interval's length on that side.
 
-        Of the end that is less sure. Above 1, the interval does not reach it. 0 where the interval
-        is open to that side, NaN without an interval.
+        It is the smaller one for both ends. Above 1, the interval does not reach the end. It is 0
+        if the interval is open on that side, NaN without an interval.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         ends = [end for end in (self.least, self.most) if math.isfinite(end)]
@@ -140,7 +136,7 @@ class ClaimTest:
 
 @dataclass(frozen=True)
 class PlotData:
-    """What a small figure shows.
+    """Data of a small figure.
 
     Attributes
     ----------
@@ -148,9 +144,8 @@ class PlotData:
         "curves": a line for each series; "points": a mark for each place; "bars": one value each,
         named by the series; "map": one image (y, x), named by the series.
     series
-        By name: x and y, each of shape (point,); a bar has its value in y; a map its image (y, x).
-    x_label, y_label
-        What the axes show, with the unit.
+        By name: x and y, each of shape (point,). A bar has its value in y, a map has an image (y,
+        x). x_label, y_label Labels of the axes, with units.
     """
 
     kind: Literal["curves", "points", "bars", "map"] = "curves"
@@ -172,34 +167,27 @@ class Finding(Shown):
     Attributes
     ----------
     tests
-        Tests of all that the claim says, each with its own verdict; their intervals hold together.
-    missing
-        What could not be measured, each as a sentence.
-    p_value
-        Of a null hypothesis that the details name; None where it would mean nothing.
+        Tests of everything that the claim says, each with its verdict; their intervals are
+        simultaneous. missing What could not be measured, as sentences. p_value p-value of the null
+        hypothesis that the details name; None if there is none.
     details
         Further numbers by region or channel, ready for JSON.
     plot_data
-        What its figure draws.
-    model
-        Name of the model that was tested, where there are several: the reason names it.
+        Data of its figure. model Name of the tested model if there are several; the reason names
+        it.
     other_models
         Findings for other models, by name; the verdict does not depend on them.
     few
-        What would narrow a wide interval, if not more samples.
-    number, name
-        Which claim; see `chdstat.studies.claims.CLAIMS`.
+        What would narrow a wide interval, if not more samples. number, name Number and name of the
+        claim in `chdstat.studies.claims.CLAIMS`.
     claim
         One sentence.
     scene
         Name of the scene, or of the scenes.
     about
-        What the verdict is about, in sentences: this image or this model, and not the scene; and
-        which scenes are remakes of the paper's.
-    spp
-        Samples per pixel that were there.
-    disagree
-        What the seeds say where they say the opposite: then there is no verdict.
+        What the verdict is about, in sentences: this image or this model, not the scene in general;
+        and which scenes are remakes of the paper's. spp Samples per pixel. disagree The verdicts of
+        the seeds if they are opposite; then there is no verdict.
     """
 
     tests: tuple[ClaimTest, ...] = ()
@@ -219,19 +207,19 @@ class Finding(Shown):
     disagree: str = ""
 
     def on(self, **about: Any) -> Finding:
-        """Return the finding on a claim in a scene, given by attributes; others as well."""
+        """Return the finding with other attributes, also in the findings for other models."""
         others = {name: other.on(**about) for name, other in self.other_models.items()}
         return replace(self, other_models=others, **about)
 
     @property
     def test(self) -> ClaimTest | None:
-        """The test that decides: the first of the weakest; None where nothing was measured."""
+        """The deciding test: the first of those with the weakest verdict; None without tests."""
         order: tuple[Verdict, ...] = ("not supported", "cannot tell", "supported")
         return min(self.tests, key=lambda test: order.index(test.verdict), default=None)
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict of the weakest test; nothing is supported while something is missing."""
+        """The weakest verdict of the tests; a claim with missing parts is not supported."""
         test = self.test
         if test is None or self.disagree:
             return "cannot tell"
@@ -241,7 +229,7 @@ class Finding(Shown):
 
     @property
     def reason(self) -> str:
-        """What led to the verdict, in one sentence; for "cannot tell" with what would be needed."""
+        """Reason of the verdict, in one sentence; for "cannot tell" with what would be needed."""
         test, verdict = self.test, self.verdict
         if self.disagree:
             return self.disagree
@@ -259,7 +247,7 @@ class Finding(Shown):
         return f"{text[:1].upper()}{text[1:]}."
 
     def _advice(self, test: ClaimTest) -> str:
-        """Return how many samples would decide, if the interval shrinks with their square root."""
+        """Return how many samples would decide, if intervals shrink with their square root."""
         if self.few:
             return f"more {self.few} would decide"
         interval = test.interval
@@ -278,7 +266,7 @@ class Finding(Shown):
         )
 
     def confirmed(self, again: Finding | None) -> Finding:
-        """Return the finding, without a verdict if that of another seed is the opposite one."""
+        """Return the finding, without a verdict if another seed gives the opposite one."""
         if again is None or {self.verdict, again.verdict} != {"supported", "not supported"}:
             return self
         reason = f"Seeds disagree. The first: {self.reason} Another: {again.reason}"
@@ -299,7 +287,7 @@ class Finding(Shown):
         return Card(f"Finding on claim {self.number}, {self.name}, in {self.scene}", facts, rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the plot data, ready for JSON; what is not finite is None."""
+        """Return everything but the plot data, ready for JSON; NaN and infinity are None."""
         test = self.test or ClaimTest(self.name, Interval.unknown())
         interval = {n: getattr(test.interval, n) for n in ("low", "high", "level")}
         as_they_are = ("number", "name", "scene", "claim", "about", "verdict", "reason")

@@ -1,8 +1,8 @@
-"""Log CHDs: distribution functions of log10 radiance, their distances, and noise taken out.
+"""Log CHDs: distribution functions of log10 radiance, and unbiased distances between them.
 
-A distance of two noisy distribution functions is too large even where the CHDs are equal. Each is
-therefore measured from two halves of the samples, and the product of the differences of one half
-and of the other has the true squared distance as its expectation.
+Noise makes the distance of two measured distribution functions too large, even if the CHDs are
+equal. Each function is therefore measured from two halves of the samples. The product of the
+differences in the two halves has the true squared distance as its expectation.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ CHDs are that far apart if the spread of one is 1.5 times that of the other, at 
 which is usual. The paper says "the same" by eye; where the border lies is a choice of ours.
 """
 REACH = 1e5
-"""Factor around its pixel's mean beyond which a sample is out of sight: the paper's log histograms
-reach from 1e-5 to 1e5. In the bathroom, one sample in a thousand has about 1e-17, and would decide
-the moments of logarithms."""
+"""Factor from the pixel's mean beyond which samples are ignored: the paper's log histograms reach
+from 1e-5 to 1e5. In the bathroom, one sample in a thousand has about 1e-17, and would dominate the
+moments of logarithms."""
 LEAST = 16
-"""Positive samples in each half that a distribution function needs."""
+"""Fewest positive samples in each half for a distribution function."""
 _CHUNK = 2048
 """Pixels whose histograms are worked on at once."""
 
@@ -63,7 +63,7 @@ class LogChds:
     Attributes
     ----------
     halves
-        Share of the samples of each half at most at each edge, shape (..., 2, edge); NaN where
+        Share of the samples of each half that are at most each edge, shape (..., 2, edge); NaN if
         there are too few.
     """
 
@@ -76,27 +76,27 @@ class LogChds:
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
-        """Return where there is one, shape (...)."""
+        """Return where the distribution function is known, shape (...)."""
         return np.asarray(np.isfinite(self.halves[..., 0]).all(axis=-1))
 
     @property
     def flat(self) -> LogChds:
-        """Return those of an image (y, x) by pixel, in reading order."""
+        """Return the functions of an image (y, x) as (pixel,), in reading order."""
         return LogChds(self.halves.reshape(-1, *self.halves.shape[2:]))
 
     def __getitem__(self, index: Any) -> LogChds:
-        """Return some of them."""
+        """Return some of the functions."""
         return LogChds(self.halves[index])
 
 
 def aligned(x: npt.NDArray[np.floating[Any]]) -> LogChds:
-    """Return the shapes of positive radiance: around the mean of its logarithms.
+    """Return the shapes of positive radiance: log10 radiance minus its mean.
 
     Parameters
     ----------
     x
-        Radiance, shape (..., sample); zero and NaN take no part. Samples take turns in the halves,
-        each of which is moved by a mean of its own.
+        Radiance, shape (..., sample); 0 and NaN are left out. Samples alternate between the halves,
+        and each half is centred by its own mean.
     """
     rows = visible(x).reshape(-1, x.shape[-1])
     halves = np.stack([_cumulative(rows[:, i::2]) for i in (0, 1)], axis=1)
@@ -104,19 +104,19 @@ def aligned(x: npt.NDArray[np.floating[Any]]) -> LogChds:
 
 
 def of_histograms(dataset: xr.Dataset) -> LogChds:
-    """Return the distribution functions of all pixels, nulls among them, from their histograms.
+    """Return the distribution functions of all pixels, including nulls, from their histograms.
 
     Since samples are exchangeable, a random half of the counts is a random half of the samples.
 
     Parameters
     ----------
     dataset
-        Log histograms, as of `chdstat.summarize`; the channel in the middle counts.
+        Log histograms, from `chdstat.summarize`; the middle channel is used.
 
     Returns
     -------
     LogChds
-        Shape (y, x, 2, edge), edges 0.1 decades apart; not moved.
+        Shape (y, x, 2, edge), edges 0.1 decades apart; not centred.
     """
     channel = dataset.sizes["channel"] // 2
     below, inside, above = (
@@ -126,7 +126,7 @@ def of_histograms(dataset: xr.Dataset) -> LogChds:
     good, rng = dataset["count"].to_numpy(), generator(0)
     halves = np.empty((*good.shape, 2, inside.shape[-1] + 1), dtype=np.float32)
     for ys in spans(len(good), max(1, _CHUNK // good.shape[1])):
-        # What is zero in this channel alone is as dark as a null sample.
+        # Samples that are 0 in this channel only count like null samples.
         dark = np.maximum(good[ys] - inside[ys].sum(axis=-1) - above[ys], below[ys])
         counts = np.concatenate([dark[..., None], inside[ys], above[ys, :, None]], axis=-1)
         half = rng.binomial(counts, 0.5)
@@ -138,7 +138,7 @@ def of_histograms(dataset: xr.Dataset) -> LogChds:
 
 
 def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
-    """Return radiance (..., sample) with 0 for samples that are out of sight, bad ones too."""
+    """Return radiance (..., sample) with 0 for ignored samples and for bad ones."""
     positive = x > 0
     count = np.maximum(positive.sum(axis=-1, keepdims=True), 1)
     mean = np.where(positive, x, 0).sum(axis=-1, keepdims=True, dtype=np.float64) / count
@@ -149,7 +149,7 @@ def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
 def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Floats:
     """Return unbiased squared Cramér distances, in decades; noise may make them negative.
 
-    With F and G of either half, ``sum((F1 - G1) (F2 - G2)) width``.
+    ``sum((F1 - G1) (F2 - G2)) width``, with the functions F and G of both halves.
 
     References
     ----------
@@ -170,7 +170,7 @@ def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Flo
 
 
 def same_shape(name: str, distance: Interval[float]) -> ClaimTest:
-    """Return the test of a Cramér distance up to which shapes count as the same."""
+    """Return the test whether a Cramér distance is small enough for the same shape."""
     return ClaimTest(name, distance, most=SAME_SHAPE, unit="decade^1/2")
 
 
@@ -186,7 +186,7 @@ def _cumulative(rows: Floats) -> Floats:
     log = np.log10(np.where(positive, rows, 1))
     n = positive.sum(axis=1)
     middle = log.sum(axis=1) / np.maximum(n, 1)
-    # A constant that is rounded to either side of an edge would be in two places.
+    # Rounding could put equal values on both sides of an edge.
     place = np.ceil(np.round((log - middle[:, np.newaxis] - EDGES[0]) / WIDTH, 6))
     bins = np.clip(place, 0, len(EDGES)).astype(np.intp)
     below = np.cumsum(counts_by_row(bins, positive, len(EDGES) + 1)[:, :-1], axis=1)
@@ -194,6 +194,6 @@ def _cumulative(rows: Floats) -> Floats:
 
 
 def counts_by_row(bins: npt.NDArray[np.integer[Any]], counted: Mask, size: int) -> Counts:
-    """Return how many of the samples that are counted each bin of a row has, shape (row, size)."""
+    """Return the number of counted samples in each bin of each row, shape (row, size)."""
     place = bins + np.arange(len(bins))[:, np.newaxis] * size
     return np.bincount(place[counted], minlength=len(bins) * size).reshape(len(bins), size)

@@ -1,7 +1,6 @@
 """Studies: several scenes rendered, compared and tested for all claims, and what was found.
 
-`study` runs the whole of it. Its result, a `Study`, has a `SceneStudy` for each scene, a table of
-verdicts, JSON and a PDF.
+`study` returns a `Study`, with a `SceneStudy` for each scene, a table of verdicts, JSON and a PDF.
 """
 
 from __future__ import annotations
@@ -49,17 +48,12 @@ class SceneStudy(Shown):
     Attributes
     ----------
     data
-        Samples, regions, analysis and what they were compared with.
-    findings
-        On every claim about a single scene, in their order.
-    repeated
-        Verdict of another seed by number of the claim, where there is one.
+        Samples, regions, analysis, and the other renders. findings Findings on all claims about a
+        single scene, in order. repeated Verdicts of another seed, by number of the claim.
     chosen
         Whether the library chose the regions.
     atlas
-        Shapes that recur; None where no pixel has one.
-    again
-        Samples of the other seed; None without.
+        Shapes that recur; None if no pixel has one. again Samples of the other seed, or None.
     seconds
         Time of each part of the work, in s.
     notes
@@ -82,7 +76,7 @@ class SceneStudy(Shown):
 
     @property
     def comparison(self) -> Comparison | None:
-        """Estimators side by side; None where the samples cannot judge them."""
+        """Comparison of the estimators; None if the samples cannot judge them."""
         return self.data.comparison
 
     def _card(self) -> Card:
@@ -100,7 +94,7 @@ class SceneStudy(Shown):
 
     @cached_property
     def noise(self) -> Noise:
-        """Where its noise is."""
+        """Where the noise of the scene is."""
         return noise_of(self.data.analysis)
 
     def to_dict(self) -> dict[str, Any]:
@@ -124,7 +118,7 @@ class SceneStudy(Shown):
 
 
 def _provenance(samples: Samples) -> dict[str, Any]:
-    """Return where samples come from, ready for JSON."""
+    """Return the provenance of samples, ready for JSON."""
     known = (str, bool, int, float, list, tuple, Mapping)
     attrs = {k: plain(v) for k, v in samples.attrs.items() if isinstance(v, known)}
     return {**attrs, "shape": list(samples.shape), "store": samples.path and str(samples.path)}
@@ -137,11 +131,8 @@ class Study(Shown):
     Attributes
     ----------
     scenes
-        One by one, in the order given.
-    across
-        Findings on claims that compare scenes.
-    provenance
-        Versions of what was used, and the time of the whole, in s.
+        The scenes, in the given order. across Findings on claims that compare scenes. provenance
+        Versions of the packages, and the total time in s.
     """
 
     scenes: tuple[SceneStudy, ...]
@@ -154,17 +145,17 @@ class Study(Shown):
         return tuple(scene.name for scene in self.scenes)
 
     def finding(self, number: int, scene: str | None = None) -> Finding | None:
-        """Return what was found on a claim, in a scene or, without one, in all of them."""
+        """Return the finding on a claim in a scene, or across all scenes if `scene` is None."""
         findings = self.across
         if scene is not None:
             findings = next((s.findings for s in self.scenes if s.name == scene), ())
         return next((f for f in findings if f.number == number), None)
 
     def table(self) -> list[dict[str, str]]:
-        """Return verdicts, a row for each claim: its number and name, and a column for each scene.
+        """Return a row for each claim, with its number, its name and its verdict in each scene.
 
-        A claim that compares scenes has its verdict in the column "all scenes"; where a claim was
-        not tested, there is an empty string.
+        A claim that compares scenes has its verdict in the column "all scenes". An empty string
+        means not tested.
         """
         rows = []
         for claim in CLAIMS:
@@ -182,7 +173,7 @@ class Study(Shown):
         return Card(f"Study of {', '.join(self.names)}", facts, rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but arrays, ready for JSON; what is not finite is None."""
+        """Return everything but arrays, ready for JSON; NaN and infinity are None."""
         return {
             "provenance": plain(self.provenance),
             "table": self.table(),
@@ -191,7 +182,7 @@ class Study(Shown):
         }
 
     def save_json(self, path: str | Path) -> Path:
-        """Write `to_dict` to a file; an earlier one is replaced when the new one is complete.
+        """Write `to_dict` to a file; an existing file is replaced when the new one is complete.
 
         Raises
         ------
@@ -236,42 +227,41 @@ def study(
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Study:
-    """Render scenes, or take up earlier renders, and test all claims of the paper in them.
+    """Render scenes, or continue earlier renders, and test all claims of the paper in them.
 
     Each scene is rendered up to four times: the image; with paths of at most three segments, at
     half the samples; with another seed, at half the samples; and, unless the scene is a file, with
     Russian roulette from the first segment on, at a quarter of the samples. A `sampler` adds one
-    render, and `integrators` adds up to seven. A finding that another seed contradicts becomes
-    "cannot tell".
+    render, `integrators` adds up to seven. If another seed gives the opposite verdict, the finding
+    becomes "cannot tell".
 
     Parameters
     ----------
     scenes
-        Built-in names, Mitsuba XML files, recipes (``*.toml``), finished stores, scenes or
-        `Samples`, one or several; None takes every built-in scene that has a recipe. Stores and
-        samples stand alone: nothing else is rendered for them.
+        One or several built-in names, Mitsuba XML files, recipes (``*.toml``), finished stores,
+        scenes or `Samples`; None takes every built-in scene that has a recipe. For stores and
+        `Samples`, no further renders are made.
     folder
-        Keeps renders, trained networks and findings. A study continues from what is in the folder,
-        complete or not; repeated, it takes seconds. A store with more samples than asked for is
-        used whole. None writes nothing and keeps everything in memory: all built-in scenes at full
-        size take several GB.
+        Folder for renders, trained networks and findings. A study continues from what the folder
+        holds; when repeated, it takes seconds. A store with more samples than asked for is used
+        whole. None keeps everything in memory: all built-in scenes at full size take several GB.
     spp, size, seed, max_depth, backend
-        As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
-        edge, and seed 1. With samples that are already there, `spp` takes the first ones.
+        As for `chdstat.render`; None takes the values of the recipe, or 1024 spp, 128 pixels along
+        the longer edge, and seed 1. From stores and `Samples`, the first `spp` samples are taken.
     estimators
-        As for `chdstat.compare`; those that learn are trained on each scene. The claims on learning
-        are about "elek2019", which is among the default ones; other learned estimators are tested
-        separately. "progressive" trains for about a minute on each scene.
+        As for `chdstat.compare`; learned estimators are trained on each scene. The claims on
+        learning are about "elek2019", one of the default estimators; other learned estimators are
+        tested separately. "progressive" trains for about a minute on each scene.
     sampler
-        A sampler that spreads samples over pixels, as for `chdstat.render`: each scene is rendered
-        once more with it, 256 or 400 samples, for the claim on correlated samples. With
-        "independent", nothing more is rendered, and that claim stays open.
+        A sampler that spreads samples over pixels, as for `chdstat.render`. Each scene is rendered
+        once more with it, with 256 or 400 samples, for the claim on correlated samples. With
+        "independent", there is no such render, and that claim is not tested.
     integrators
-        Whether scenes are rendered in more ways, at a quarter of the samples: by path guiding,
-        which the scalar backend cannot, and with adaptive counts, for the claims on these; and
-        those that are not files by five more integrators, for the claim on integrators: without
-        Russian roulette, with lights found by sampling surfaces alone, and direct light by sampling
-        lights, surfaces, or both.
+        Whether to render scenes in more ways, at a quarter of the samples: by path guiding (not
+        with the scalar backend) and with adaptive counts, for the claims on these. Scenes that are
+        not files are also rendered by five more integrators, for the claim on integrators: without
+        Russian roulette, with lights found by BSDF sampling alone, and direct light by sampling
+        lights, BSDFs, or both.
     progress
         Show progress bars; None shows them on a terminal.
 

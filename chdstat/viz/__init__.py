@@ -1,10 +1,11 @@
 """Drawing: arrays and results in, Matplotlib axes and figures out.
 
 Nothing here computes statistics, and nothing is saved or shown. A function that draws one panel
-takes ``ax=``, the axes to draw into, and returns them; one that draws several takes ``fig=`` and
-returns the figure. Without them it makes a figure of its own (``ax.figure``), which a notebook
-shows, as wide as ``width=`` says: a column or the page of a paper, or inches. One style holds for
-all (`style`); colours are distinct for colour-blind readers, and fonts are embedded.
+takes ``ax=``, the axes to draw into, and returns them; a function that draws several panels takes
+``fig=`` and returns the figure. Without them, it makes a new figure (``ax.figure``), which a
+notebook shows. ``width=`` is a column or the page of a paper, or a number of inches. All figures
+have the same style (`style`); colours are distinct for colour-blind readers, and fonts are
+embedded.
 """
 
 from __future__ import annotations

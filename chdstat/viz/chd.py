@@ -1,9 +1,9 @@
-"""CHDs: histograms of radiance, linear and logarithmic, with luminance, fits and means.
+"""CHDs: linear and logarithmic histograms of radiance, with luminance, fits and means.
 
 `chd_axes` draws the channels of a pixel, `fits` several fits of one channel. A `Panel` is the CHD
-of one pixel; `chd_pair` draws one, `chd_grid` several: pixels of an image, or the same pixels of
-several renderings side by side. `batch_histograms` follows the first figure of Elek et al. 2019:
-many batches of samples superimposed, and below them the histogram of their means.
+of one pixel. `chd_pair` draws one panel. `chd_grid` draws several: pixels of an image, or the same
+pixels of several renderings side by side. `batch_histograms` follows the first figure of Elek et
+al. 2019: superimposed histograms of many batches, and below them the histogram of their means.
 
 Without samples, `fit_curve` draws the density of fits and mixtures, `tail_curve` how a tail falls,
 `mode_stems` where modes are: a curve for each of a few pixels or channels.
@@ -77,13 +77,13 @@ __all__ = [
 ]
 
 Density = Callable[[Array], Array]
-"""Of the positive samples, per unit of radiance."""
+"""Density of the positive samples, per unit of radiance."""
 
 Channels = str | Sequence[str] | None
-"""Those to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance."""
+"""Channels to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance."""
 
 SCALES: tuple[Scale, ...] = get_args(Scale)
-"""Of radiance: "linear" and "log"."""
+"""Scales of radiance: "linear" and "log"."""
 
 _CURVE_POINTS = 400
 LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
@@ -92,15 +92,15 @@ DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
 MEAN: Any = (0, (3, 2))
 """Dashes of the line of a mean."""
 _ROOM = 1.35
-"""Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
+"""Height of a panel with fits relative to its histogram: a density may be infinite at 0."""
 _BINS = 40
 _VECTOR = 256
-"""Batches that are drawn as outlines; more are an image inside of the figure."""
+"""Most batches that are drawn as outlines; more are drawn as an image inside the figure."""
 _LUMINANCE = "luminance"
 _COLORS = {**CHANNELS, _LUMINANCE: "#333333"}
 _WORDS = {"red": "R", "green": "G", "blue": "B"}
 _LETTERS = 13
-"""Of a title, in an inch."""
+"""Letters of a title per inch."""
 
 
 @style()
@@ -121,23 +121,23 @@ def chd_axes(
         What `chdstat.histogram` returns for one pixel, of shape (channel, bin) or (bin,). A log
         histogram has a log axis of radiance.
     names
-        Of its channels; those called R, G and B, as three channels are by default, have these
-        colours.
+        Names of its channels; channels called R, G and B, as three channels are by default, have
+        these colours.
     channels
-        Those to draw, by name; "red", "green" and "blue" are R, G and B. None draws all.
+        Names of the channels to draw; "red", "green" and "blue" are R, G and B. None draws all.
     fits
-        For each channel of the histogram the density of its positive samples per unit of radiance,
-        such as ``fit.pdf`` of a `chdstat.fit.Fit` of the channel; None draws none.
+        For each channel of the histogram, a density of its positive samples per unit of radiance,
+        such as ``fit.pdf`` of a `chdstat.fit.Fit`; None draws none.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If the histogram is not one of a single pixel, has another number of channels, or not those
-        to draw.
+        If the histogram is not of a single pixel, has another number of channels, or lacks a
+        channel to draw.
 
     Examples
     --------
@@ -152,7 +152,7 @@ def chd_axes(
     colors = dict(zip(rows, colors_of(rows), strict=True))
     shown = {name: rows[name] for name in chosen([*rows], channels)}
     alone = ax is None
-    spine = ax is not None and ax.spines["left"].get_visible()  # those of one's own stay
+    spine = ax is not None and ax.spines["left"].get_visible()  # the user's own spines stay
     ax = axes_in(ax, 1.8, width)
     draw_histograms(ax, shown, colors=[colors[name] for name in shown])
     ax.spines["left"].set_visible(spine)
@@ -168,12 +168,12 @@ def chd_axes(
 
 
 def chosen(names: Sequence[str], channels: Channels) -> list[str]:
-    """Return which of the names of channels are drawn.
+    """Return the names of the channels to draw.
 
     Raises
     ------
     InputError
-        If a channel that is asked for is not there.
+        If one of the channels is missing.
 
     Examples
     --------
@@ -191,12 +191,12 @@ def chosen(names: Sequence[str], channels: Channels) -> list[str]:
 
 
 def one_of(names: Sequence[str], channels: Channels) -> str:
-    """Return which one of the names of channels is drawn where there is room for one.
+    """Return the name of the one channel to draw.
 
     Raises
     ------
     InputError
-        If it is not there, or several are asked for.
+        If it is missing, or there are several.
 
     Examples
     --------
@@ -211,7 +211,7 @@ def one_of(names: Sequence[str], channels: Channels) -> str:
 
 
 def scales_of(scales: Scale | Sequence[Scale]) -> list[Scale]:
-    """Return the scales that are drawn."""
+    """Return the scales to draw."""
     wanted: Sequence[Scale] = [scales] if isinstance(scales, str) else scales
     for scale in wanted:
         check_option("scale", scale, SCALES)
@@ -246,7 +246,7 @@ def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[
     Raises
     ------
     InputError
-        If the histogram is not one of a single pixel, or there are not as many names.
+        If the histogram is not of a single pixel, or the number of names is wrong.
     """
     shape = found.counts.shape
     count = 1 if len(shape) == 1 else shape[0]
@@ -271,26 +271,26 @@ def draw_histograms(
     dashes: Sequence[Any] = ("-",),
     opacity: float = 0.22,
 ) -> tuple[float, float]:
-    """Draw histograms of one scale over each other, over the radiance that holds samples.
+    """Draw histograms of one scale over each other, over the range of radiance with samples.
 
     Parameters
     ----------
     ax
         Where to draw.
     found
-        Histograms of shape (bin,), by their names in the legend.
+        Histograms of shape (bin,), by name in the legend.
     colors, outlines
-        Colours of their areas and, where these are not the same, of their outlines.
+        Colours of the areas, and of the outlines if they differ.
     dashes
-        Line styles of their outlines, in turn.
+        Line styles of the outlines, in turn.
     opacity
-        Of their areas.
+        Opacity of the areas.
 
     Returns
     -------
     tuple of float
-        Ends of the bins that hold samples, or of their decade. The axis goes on to a whole decade,
-        or to 0.
+        Ends of the bins with samples, at least a decade on a log scale. The axis extends to a whole
+        decade, or to 0.
     """
     scale = next(iter(found.values())).scale
     ends: list[float] = []
@@ -323,7 +323,7 @@ def draw_histograms(
 
 
 def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
-    """Draw a density over a histogram, per unit of radiance or per decade as its bins are."""
+    """Draw a density over a histogram, per unit of radiance or per decade like its bins."""
     space = np.geomspace if counted.scale == "log" else np.linspace
     x = space(*ax.get_xlim(), _CURVE_POINTS)
     y = np.full(x.shape, np.nan)
@@ -347,7 +347,7 @@ def draw_means(
 
 
 def colors_of(channels: Sequence[str] | Mapping[str, Any]) -> list[str]:
-    """Return the colours of channels by their names."""
+    """Return the colours of channels."""
     return [_COLORS.get(name, PALETTE[i % len(PALETTE)]) for i, name in enumerate(channels)]
 
 
@@ -360,19 +360,19 @@ class Panel:
     name
         Title.
     linear, log
-        What `chdstat.histogram` returns for the pixel on either scale, of shape (channel, bin).
+        What `chdstat.histogram` returns for the pixel on each scale, of shape (channel, bin).
     channels
-        Names of the channels; None for R, G and B, or for numbers where there are not three. One
-        that is called "luminance" is drawn where it is asked for.
+        Names of the channels; None for R, G and B, or for numbers if there are not three. A channel
+        called "luminance" is only drawn on request.
     fits
-        Density of the positive part of each channel, as for `chd_axes`.
+        Density of the positive samples of each channel, as for `chd_axes`.
     mean
         Mean radiance of each channel, drawn as a dashed line.
     note
         A line of text in the log panel, such as the share of nulls and the fitted family.
     luminance
-        Log histograms of the luminance of the pixel and, after it, of others of its region, of
-        shape (pixel, bin), drawn beside the radiance; None for none. See `with_luminance`.
+        Log histograms of luminance, shape (pixel, bin), first of the pixel, then of other pixels of
+        its region, drawn beside the radiance; None for none. See `with_luminance`.
     """
 
     name: str
@@ -394,14 +394,14 @@ class Panel:
         fits: Sequence[Density | None] = (),
         note: str | None = None,
     ) -> Panel:
-        """Return the CHD of a pixel given by its samples; of three channels with their luminance.
+        """Return the CHD of a pixel from its samples; three channels get their luminance, too.
 
         Parameters
         ----------
         name, channels, fits
             As above.
         x
-            Linear radiance, shape (channel, sample); a sample with a bad channel is left out.
+            Linear radiance, shape (channel, sample); samples with a bad channel are left out.
         note
             As above; None for the share of nulls.
 
@@ -432,7 +432,7 @@ class Panel:
         Raises
         ------
         InputError
-            If one of them is not there.
+            If one of them is missing.
 
         Examples
         --------
@@ -454,8 +454,8 @@ class Panel:
         Parameters
         ----------
         x
-            Linear radiance, shape (pixel, channel, sample): of the pixel and, after it, of others
-            of its region; a sample with a bad channel is left out.
+            Linear radiance, shape (pixel, channel, sample), first of the pixel, then of other
+            pixels of its region; samples with a bad channel are left out.
 
         Raises
         ------
@@ -490,21 +490,22 @@ def chd_grid(
 ) -> Figure:
     """Draw linear and log10 CHDs of several pixels, each framed in the colour of its region.
 
-    A panel that has luminance is followed by it: the pixel in black, others of its region as lines.
+    If a panel has luminance, a further histogram shows it: the pixel in black, other pixels of its
+    region as lines.
 
     Parameters
     ----------
     panels
-        In the order of the marks in the image, so that colours agree. By the names of several
-        renderings of one view, such as its day and its night, the same pixels of each: these stand
-        side by side, without the linear histograms, and a row has one axis of radiance.
+        Panels in the order of the marks in the image, so that colours agree. Or a mapping from
+        renderings of one view, such as day and night, to panels of the same pixels: a row then
+        shows one pixel in all renderings, on one axis of radiance, without linear histograms.
     columns
-        Pixels side by side; each takes two panels, three with luminance. None takes as many as fit,
-        at most two, and as many as there are renderings.
+        Pixels side by side; each takes two panels, or three with luminance. None takes as many as
+        fit, at most two; with several renderings, as many as there are renderings.
     channels, scales
         As for `chd_pair`.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -529,7 +530,7 @@ def chd_grid(
     several, across = len(renderings) > 1, inches(width, fig)
     columns = len(renderings) if several else columns or (1 if narrow(across) else 2)
     kinds: list[Scale] = ["log"] if several else scales_of(scales)
-    # Pixel by pixel, and of each all renderings.
+    # All renderings of a pixel, pixel by pixel.
     shown = [(i, name, those[i].select(channels)) for i in range(max(numbers.values(), default=0))
              for name, those in named.items()]  # fmt: skip
     each = len(kinds) + any(panel.luminance is not None for _, _, panel in shown)
@@ -568,13 +569,13 @@ def chd_pair(
     Parameters
     ----------
     panel
-        The pixel; if it has luminance of its region, that stands beside them.
+        The pixel; if it has luminance of its region, a further panel shows it.
     channels
-        Those to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
+        Channels to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
     scales
         "linear", "log" or both.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -611,7 +612,7 @@ def _draw_pixel(
     leftmost: bool = True,
     color: str = PALETTE[4],
 ) -> None:
-    """Draw a pixel into its axes, which are named if nothing stands below them."""
+    """Draw a pixel into its axes; they get axis labels if no axes are below them."""
     names = [*panel.histograms("log")]
     for ax, scale in zip(axes, scales, strict=False):
         counted = panel.linear if scale == "linear" else panel.log
@@ -625,7 +626,7 @@ def _draw_pixel(
             share_radiance(axes[-2:])
     elif len(axes) > len(scales):
         axes[-1].set_axis_off()
-    # Where both have no room beside each other, the title stands above the note.
+    # Without room for both in a line, the title is above the note.
     pad = 13 if len(title) + len(panel.note) > _LETTERS * room * len(axes) else 3
     axes[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=pad)
     axes[-1].set_title(panel.note, loc="right", pad=3, color="#444444")
@@ -637,7 +638,7 @@ def _quantity(names: Sequence[str]) -> str:
 
 
 def _axis_name(quantity: str, scale: Scale, room: float = math.inf) -> str:
-    """Return what stands below an axis of radiance or luminance, so many inches wide."""
+    """Return the label of an axis of radiance or luminance, `room` inches wide."""
     if scale == "linear":
         return f"{quantity} ({UNIT})" if room > 1.4 else f"{quantity}\n({UNIT})"
     if room > 1.9:
@@ -646,7 +647,7 @@ def _axis_name(quantity: str, scale: Scale, room: float = math.inf) -> str:
 
 
 def _draw_luminance(ax: Axes, found: Histogram, color: str) -> None:
-    """Draw the luminance of a pixel, and over it that of others of its region as lines."""
+    """Draw the luminance of a pixel, and over it other pixels of its region as lines."""
     first, *others = (take_rows(found, i, axis=0) for i in range(len(found.counts)))
     draw_histograms(ax, {"": first}, colors=[_COLORS[_LUMINANCE]])
     for other in others:
@@ -665,11 +666,11 @@ def share_radiance(axes: Sequence[Axes]) -> None:
 
 
 def _name_channels(figure: Figure, ax: Axes, panel: Panel) -> None:
-    """Name the colours: in the axes where these are of radiance alone, else above all."""
+    """Add a legend of the colours: inside the axes, or above all axes if there is luminance."""
     names = [*panel.histograms("log")]
     handles = swatches(dict(zip(names, colors_of(names), strict=True)))
     if panel.luminance is None:
-        if names != [_LUMINANCE]:  # which its axis says
+        if names != [_LUMINANCE]:  # its axis label says so
             ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
         return
     handles += swatches({_LUMINANCE: _COLORS[_LUMINANCE]})
@@ -700,21 +701,21 @@ def fits(
     linear, log
         Histograms of the same samples, for one pixel and channel.
     fitted
-        By name, the density of the positive samples per unit of radiance: ``fit.pdf`` of a
+        Densities of the positive samples per unit of radiance, by name: ``pdf`` of a
         `chdstat.fit.Fit`, of a mixture, or of a SciPy distribution.
     title
         What is shown.
     scales
         "linear", "log" or both.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If a histogram is one of several pixels or channels, or an option is unknown.
+        If a histogram is of several pixels or channels, or an option is unknown.
 
     Examples
     --------
@@ -752,16 +753,16 @@ def batch_histograms(
 ) -> Figure:
     """Draw superimposed histograms of batches and, below, the histogram of their means.
 
-    The axis of the batches ends where 1 % of the samples are brighter: a firefly must not squeeze
-    all others into the first bin.
+    The axis of the batches ends at the 99th percentile of the samples: otherwise a firefly would
+    squeeze all others into the first bin.
 
     Parameters
     ----------
     batches
-        Samples by the name of their pixel, radiance of shape (batch, sample), as many of each. A
-        dashed line is their mean.
+        Radiance of shape (batch, sample) by the name of the pixel, equally many for each. A dashed
+        line is the mean.
     width
-        Of the figure: "column", "page" or inches; a figure of few pixels is not as wide.
+        Width of the figure: "column", "page" or inches; a figure of few pixels is narrower.
     fig
         Where to draw; None makes a figure.
 
@@ -780,7 +781,7 @@ def batch_histograms(
     columns = fitting(across, count, 1.1)
     rows = -(-count // columns)
     figure = page(fig, 2.1 * rows, min(across, 1.74 * max(1, columns)))
-    # Below each row of batches there is one of their means.
+    # Below each row of batches there is a row of their means.
     cells = np.array(grid(figure, 2 * rows * columns, columns)).reshape(rows, 2, columns)
     upper_row, lower_row = cells.swapaxes(0, 1).reshape(2, -1)
     for empty in (*upper_row[count:], *lower_row[count:]):
@@ -792,7 +793,7 @@ def batch_histograms(
         edges = np.linspace(0, max(top, 1.5 * expected), _BINS + 1)
         row = np.repeat(np.arange(len(x)), x.shape[1])
         counts = np.histogram2d(row, x.ravel(), [np.arange(len(x) + 1), edges])[0]
-        # The outlines of all batches, shape (batch, corner, 2), are drawn as one.
+        # The outlines of all batches, shape (batch, corner, 2), are drawn as one collection.
         y = np.pad(np.repeat(counts, 2, axis=1), ((0, 0), (1, 1)))
         outlines = np.stack([np.broadcast_to(np.repeat(edges, 2), y.shape), y], axis=-1)
         upper, lower = upper_row[i], lower_row[i]
@@ -825,14 +826,14 @@ def batch_histograms(
 
 _HEIGHT = 1.7
 _MOST = 6
-"""Rows of a result that have room in one panel."""
+"""Most rows of a result in one panel."""
 _POINTS = 300
 _SEEN = 1e-3
-"""Share of a fit beyond either end of its curve, and of the positive samples below a tail's."""
+"""Share of a fit beyond each end of its curve, and of positive samples beyond the end of a tail."""
 
 
 def _rows(count: int) -> list[dict[str, Any]]:
-    """Return how the curve of each row looks, with its label where there are several.
+    """Return the style of each row's curve, with a label if there are several.
 
     Raises
     ------
@@ -853,7 +854,7 @@ def _rows(count: int) -> list[dict[str, Any]]:
 
 
 def _finished(ax: Axes, looks: Sequence[Any]) -> Axes:
-    """Name the rows; say so where nothing could be drawn."""
+    """Name the rows, or write that nothing could be drawn."""
     if not ax.has_data():
         ax.annotate("not fitted", (0.5, 0.5), xycoords="axes fraction", ha="center")
         ax.set_axis_off()
@@ -866,15 +867,15 @@ def _finished(ax: Axes, looks: Sequence[Any]) -> Axes:
 def fit_curve(found: Fit, *, width: Width = "column", ax: Axes | None = None) -> Axes:
     """Draw the density of a fit or a mixture per decade of radiance, and the share of zeros.
 
-    The area below the curve is 1 minus that share. Components of a single mixture are dotted; its
-    atoms are stems, as high as their share.
+    The area below the curve is 1 minus the share of zeros. The components of a single mixture are
+    dotted; atoms are stems with their share as height.
 
     Parameters
     ----------
     found
         A fit of one or a few rows.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -929,14 +930,14 @@ def _draw_parts(ax: Axes, found: Mixture, x: Array, scale: Array) -> None:
 def tail_curve(found: Tail, *, width: Width = "column", ax: Axes | None = None) -> Axes:
     """Draw the share of the positive samples above each radiance of a tail, on log scales.
 
-    A power law is a straight line. Thin lines are exponential tails that begin alike.
+    A power law is a straight line. Thin lines are exponential tails with the same start.
 
     Parameters
     ----------
     found
         Tails of one or a few rows.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -960,7 +961,7 @@ def tail_curve(found: Tail, *, width: Width = "column", ax: Axes | None = None) 
     for xi, scale, start, share, look in zip(xis, scales, thresholds, shares, looks, strict=True):
         if not (np.isfinite(xi) and scale > 0 and start > 0):
             continue
-        left = np.geomspace(1, _SEEN, _POINTS)  # of the samples in the tail
+        left = np.geomspace(1, _SEEN, _POINTS)  # share of the samples in the tail
         excess = -np.log(left) if abs(xi) < 1e-9 else (left**-xi - 1) / xi
         ax.plot(start + scale * excess, share * left, **look)
         faint: dict[str, Any] = {"color": look["color"], "linewidth": 0.6, "linestyle": ":"}
@@ -973,14 +974,14 @@ def tail_curve(found: Tail, *, width: Width = "column", ax: Axes | None = None) 
 
 @style()
 def mode_stems(found: Modality, *, width: Width = "column", ax: Axes | None = None) -> Axes:
-    """Draw where the modes are, each as high as the share of the samples that belongs to it.
+    """Draw a stem at each mode, with its share of the samples as height.
 
     Parameters
     ----------
     found
         Modes of one or a few rows.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 

@@ -1,7 +1,7 @@
 """Claims: verdicts by scene, intervals against the ranges that claims state, and plots of findings.
 
-`verdict_matrix` draws the verdicts, `claim_intervals` the measured values, `finding_plots` what
-findings show, as small figures side by side.
+`verdict_matrix` draws the verdicts, `claim_intervals` the measured values, `finding_plots` the
+small figures of findings side by side.
 """
 
 from __future__ import annotations
@@ -48,20 +48,20 @@ VERDICTS = {
 """Colour and symbol of each verdict; either is enough to read it."""
 
 _COLUMNS = 4
-"""Plots of findings side by side; one less where each has labels of its own."""
+"""Plots of findings side by side; one less if each has its own labels."""
 _DASHES = ("-", "--", "-.", ":")
 _MARKERS = "os^Dv<>P"
 _MANY_POINTS, _MOST_POINTS = 50, 4000
-"""Points from which they are small and pale, and points that are drawn at most."""
+"""Number of points from which they are small and pale, and the most points that are drawn."""
 _SEEN = 0.005, 0.995
-"""Quantiles of many points that a panel reaches, and somewhat further."""
+"""A panel of many points shows the range between these quantiles, and a little more."""
 _MOST_COLORS = 8
-"""Series that are distinguished; of more, only their scatter is to be seen."""
+"""Most series with colours of their own; of more, only the scatter is visible."""
 _LONG = 26
 _LABEL = 28
-"""Letters of a label along one panel."""
+"""Most letters of a label beside one panel."""
 _LINE = 40
-"""Points of a line that has peaks at all."""
+"""Fewest points of a line that may have peaks."""
 
 
 @style()
@@ -73,10 +73,10 @@ def verdict_matrix(
     Parameters
     ----------
     verdicts
-        By claim, then by scene: "supported", "not supported" or "cannot tell"; where a scene is
-        missing or has "", nothing was tested. A trailing "*" marks what another seed repeated.
+        By claim, then by scene: "supported", "not supported" or "cannot tell"; a missing scene or
+        "" means not tested. A trailing "*" marks a verdict that another seed repeated.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -149,10 +149,9 @@ def claim_intervals(
     Parameters
     ----------
     tests
-        By scene, the tests of one claim. Each statistic has a panel, where scenes without it have
-        a dash.
+        Tests of one claim, by scene. Each statistic has a panel; scenes without it have a dash.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -166,7 +165,7 @@ def claim_intervals(
     across = inches(width, fig)
     columns = fitting(across, min(2, len(kinds)), 2.6)
     height = -(-len(kinds) // columns) * (0.155 * len(tests) + 0.62)
-    # A single panel is not as wide as a page.
+    # A single panel is narrower than a page.
     figure, axes = panels_in(
         fig, len(kinds), columns, height, min(across, 2.2 * (1 + columns)), sharey=True
     )
@@ -179,7 +178,7 @@ def claim_intervals(
 
 
 def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
-    """Draw the intervals of one statistic; the colour of each is that of its verdict."""
+    """Draw the intervals of one statistic, each in the colour of its verdict."""
     test = next(t for t in tests if t is not None)
     intervals = [t.interval for t in tests if t is not None]
     span = _span([v for i in intervals for v in (i.value, i.low, i.high)], test)
@@ -218,15 +217,15 @@ def _span(values: Sequence[float], test: ClaimTest) -> tuple[float, float]:
 def finding_plots(
     shown: Mapping[str, PlotData], *, width: Width = "page", fig: Figure | None = None
 ) -> Figure:
-    """Draw what several findings show, or one finding in several scenes, side by side.
+    """Draw small figures of several findings, or of one finding in several scenes, side by side.
 
     Parameters
     ----------
     shown
-        By title, what to draw: ``plot_data`` of a `chdstat.studies.claims.Finding`. A legend, and
-        labels of the axes, are drawn once where all have the same.
+        ``plot_data`` of a `chdstat.studies.claims.Finding`, by title. The legend and the labels of
+        the axes are drawn only once if all have the same.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -250,7 +249,7 @@ def finding_plots(
     columns = fitting(across, min(most, len(plots)), 2.2 if wordy else 1.6)
     height = 1.45 if len(labels) == 1 else 1.6
     rows = -(-len(plots) // columns)
-    # Few panels are not as wide as a page.
+    # Few panels are narrower than a page.
     wide = across if columns > 2 else min(across, 0.9 + 1.95 * columns)
     figure, axes = panels_in(fig, len(plots), columns, height * rows + 0.42, wide)
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
@@ -272,7 +271,7 @@ def finding_plots(
 
 
 def _draw_legends(figure: Figure, axes: Sequence[Axes]) -> None:
-    """Name the series of each panel where there is room, once where all have the same."""
+    """Name the series of each panel if there is room, and only once if all have the same."""
     named = [ax.get_legend_handles_labels() for ax in axes]
     handles, first = named[0]
     if 1 < len(first) <= 6 and all(names == first for _, names in named):
@@ -285,14 +284,14 @@ def _draw_legends(figure: Figure, axes: Sequence[Axes]) -> None:
 
 
 def _see_points(legend: Legend) -> None:
-    """Make the points of a legend large: in a plot of many, they are small and pale."""
+    """Make the points of a legend large: with many points, they are small and pale."""
     for handle in legend.legend_handles:
         if isinstance(handle, Line2D):
             handle.set(alpha=1, markersize=4.5)
 
 
 def _axis_labels(plot: PlotData) -> tuple[str, str]:
-    """Return the labels of both axes: bars lie, so that their names have room beside them."""
+    """Return the labels of both axes; bars are horizontal, so that there is room for names."""
     return (plot.y_label, plot.x_label) if plot.kind == "bars" else (plot.x_label, plot.y_label)
 
 
@@ -311,7 +310,7 @@ def _look(place: int, number: int, kind: str) -> dict[str, Any]:
 
 
 def _draw_curves(ax: Axes, plot: PlotData) -> None:
-    """Draw a line for each series, over the part of the axis where any of them is not flat."""
+    """Draw a line for each series, over the part of the axis where they are not all flat."""
     spans, heights = [], []
     for i, (name, (x, y)) in enumerate(plot.series.items()):
         look = _look(i, len(plot.series), "curves")
@@ -324,7 +323,7 @@ def _draw_curves(ax: Axes, plot: PlotData) -> None:
     if spans and min(s[0] for s in spans) < max(s[1] for s in spans):
         ax.set_xlim(min(s[0] for s in spans), max(s[1] for s in spans))
     known = np.concatenate(heights)
-    # A few peaks must not squeeze all else: they leave the panel at the top.
+    # A few peaks may leave the panel at the top, so that they do not squeeze all else.
     if known.size >= _LINE and known.max() > 4 * (usual := np.quantile(known, 0.95)) > 0:
         ax.set_ylim(top=1.6 * usual)
 
@@ -340,7 +339,7 @@ def _draw_points(ax: Axes, plot: PlotData) -> None:
     known = np.array([v for _, y in plot.series.values() for v in y], dtype=float)
     known = known[np.isfinite(known)]
     if known.size >= _MANY_POINTS:
-        # A few outliers must not squeeze all else: they leave the panel.
+        # A few outliers may leave the panel, so that they do not squeeze all else.
         low, high = np.quantile(known, _SEEN)
         ax.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
 

@@ -1,9 +1,9 @@
-"""Estimators compared, and curves against the number of samples, on a logarithmic axis.
+"""Comparisons of estimators, and curves against the number of samples.
 
-`pattern_breakdown` draws a measure for each pattern, `estimator_measures` all measures side by
-side, `pixel_estimates` a few pixels one by one, `error_curves` how errors fall with the number of
-samples; `training` draws losses, `coverage` how often intervals contain the reference. `curves`
-draws any quantity against the number of samples, `averages` how averages become Gaussian.
+`pattern_breakdown` draws relMSE by pattern, `estimator_measures` all measures side by side,
+`pixel_estimates` a few pixels one by one, and `error_curves` errors against the number of samples.
+`training` draws losses, `coverage` how often intervals contain the reference. `curves` draws any
+quantity against the number of samples, `averages` how averages become Gaussian.
 """
 
 from __future__ import annotations
@@ -68,33 +68,33 @@ _TITLES = {
     "fireflies_left": "fireflies left",
 }
 _EXTREME = 8.0
-"""Ratios beyond this, or its inverse, have the colour of this."""
+"""Largest ratio of the colour scale; the smallest is its inverse."""
 _FEW = 3.0
-"""Logarithm of the ratio of two numbers between which there is room for several ticks a decade."""
+"""Log range of numbers below which there is room for several ticks per decade."""
 _STARRED = "* uses neighbouring pixels"
 
 
 @style()
 def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | None = None) -> Axes:
-    """Draw relMSE over that of the mean, for each pattern and estimator, as a table with colours.
+    """Draw the ratio of relMSE to that of the mean, by pattern and estimator, as a coloured table.
 
-    The frame marks the smallest error of each pattern among the estimators that look at one pixel.
-    Pale numbers are those whose interval contains 1, the value of the sample mean. Patterns whose
-    mean has no error, as that of constant pixels, have no row.
+    A frame marks the smallest error of each pattern among the estimators of single pixels. Numbers
+    are pale if their interval contains 1, the value of the sample mean. Patterns without an error
+    of the mean, such as constant pixels, have no row.
 
     Parameters
     ----------
     found
         The measures by label.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
     share = found.pixels / max(1, found.pixels.sum())
     ratio, best = found.measures["relmse_ratio"], np.array(found.best("relmse"))
     known = np.isfinite(ratio.value).any(axis=1)
-    known |= ~known.any()  # where nothing is known, all rows say so
+    known |= ~known.any()  # if nothing is known, show all rows
     ratio, best, share = ratio[known], best[known], share[known]
     labels = [found.labels[k] for k in np.flatnonzero(known)]
     ax = axes_in(ax, 1.45 + 0.24 * len(labels), width)
@@ -132,7 +132,7 @@ def pattern_breakdown(found: Breakdown, *, width: Width = "page", ax: Axes | Non
 
 
 def _marked(found: Breakdown | Comparison) -> list[str]:
-    """Return what to call the estimators, with a star behind those that use neighbours."""
+    """Return the names of the estimators, with a star behind those that use neighbours."""
     around = found.uses_neighbours
     return [called(n) + " *" * bool(k) for n, k in zip(found.estimators, around, strict=True)]
 
@@ -147,17 +147,17 @@ def estimator_measures(
 ) -> Figure:
     """Draw all measures of all estimators; a star marks those that use neighbours.
 
-    Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
+    Ratios are to the sample mean, on a logarithmic scale; intervals are over blocks.
 
     Parameters
     ----------
     found
-        What `chdstat.compare` found.
+        Result of `chdstat.compare`.
     channels
-        The channel whose measures are drawn: its name, "red", "green" or "blue"; None for their
-        average over all.
+        The channel whose measures are drawn: its name, "red", "green" or "blue"; None for the
+        average over channels.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -197,7 +197,7 @@ def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str
 
 
 def _draw_shares(ax: Axes, rows: Array, found: Comparison, of: int) -> None:
-    """Draw the shares of estimates that got better, stayed, and got worse, as one bar each."""
+    """Draw the shares of estimates that got better, stayed, and got worse, as one bar."""
     better, same = (found.measures[m].value[:, of] for m in ("improved", "unchanged"))
     ax.barh(rows, better, height=0.7, color=PALETTE[2])
     ax.barh(rows, same, left=better, height=0.7, color="#E4E4E4")
@@ -218,19 +218,19 @@ def pixel_estimates(
 ) -> Axes:
     """Draw a few pixels one by one: reference, sample mean and estimates of one channel.
 
-    This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
-    mean to the reference: an estimate improves where it ends up closer to the black bar. The scale
-    is linear near 0 and logarithmic beyond, so that black pixels have a place.
+    This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines connect the sample
+    mean to the reference: an estimate is better than the mean if it is closer to the black bar. The
+    scale is linear near 0 and logarithmic beyond, so that it includes black pixels.
 
     Parameters
     ----------
     found
-        Pixels and estimates, of `Comparison.draw_pixels`.
+        Pixels and estimates, from `Comparison.draw_pixels`.
     channels
         The channel to draw: its name, "red", "green", "blue" or "luminance"; None for luminance, or
-        the first where there are not three.
+        the first channel if there are not three.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -261,7 +261,7 @@ def pixel_estimates(
     mark: dict[str, Any] = {"facecolors": "white", "edgecolors": "#555555", "linewidths": 0.9}
     ax.scatter(places, mean, s=20, label=f"mean of {found.n}", zorder=3, **mark)
     colors = [PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], *qualitative(len(drawn))]
-    # Marks lie beside each other within a pixel's place.
+    # The marks of a pixel lie side by side.
     offsets = np.linspace(-0.22, 0.22, len(drawn)) if len(drawn) > 1 else [0.0]
     for k, (name, values) in enumerate(drawn):
         label = called(name)
@@ -280,14 +280,14 @@ def pixel_estimates(
 
 
 def _set_radiance_axis(ax: Axes, values: Array) -> None:
-    """Make the y axis linear near 0 and logarithmic beyond, with few and readable ticks."""
+    """Make the y axis linear near 0 and logarithmic beyond, with few readable ticks."""
     positive = values[np.isfinite(values) & (values > 0)]
     knee = float(np.quantile(positive, 0.05)) / 2 if positive.size else 1.0
     ax.set_yscale("asinh", linear_width=knee)
     if (values > 0).all() and positive.max() < 10 * positive.min():
-        # Without two powers of ten among them, the scale has ticks of six digits.
+        # Without two powers of ten in range, tick labels would have six digits.
         ax.yaxis.set_major_locator(MaxNLocator(6))
-    # Numbers between 0 and the knee would be written over each other.
+    # Tick labels between 0 and the knee would overlap.
     ax.yaxis.set_major_formatter(
         FuncFormatter(lambda value, _: "" if 0 < abs(value) < knee else f"{value:g}")
     )
@@ -302,9 +302,10 @@ def training(history: History, *, width: Width = "column", ax: Axes | None = Non
     Parameters
     ----------
     history
-        Of a trained model, its losses and the squared error of the sample mean on the same batches.
+        History of a trained model: its losses, and the error of the sample mean on the same
+        batches.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -319,7 +320,7 @@ def training(history: History, *, width: Width = "column", ax: Axes | None = Non
         ax.axhline(baseline, color=color, linewidth=0.9, ls="--", label=label)
     ax.set(xlabel="iteration", ylabel="squared error", yscale="log")
     ax.set_xlim(left=0)
-    # A few spikes of the optimiser must not squeeze the rest.
+    # A few spikes may leave the axes, so that they do not squeeze the rest.
     ax.set_ylim(top=3 * max(baseline for _, baseline, _ in lines.values()))
     name_ticks(ax.yaxis)
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -340,13 +341,12 @@ def coverage(
     Parameters
     ----------
     levels
-        Probabilities that the intervals state, shape (level,).
-    measured
-        By name, the shares that were measured, shape (level,).
+        Nominal probabilities of the intervals, shape (level,). measured Measured shares by name,
+        shape (level,).
     title
         What is shown.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -398,19 +398,12 @@ def curves(
     numbers
         Numbers of samples, shape (number,).
     panels
-        By title, what a panel shows: by name, a curve of shape (number,). A curve has the same
-        colour and mark in all panels.
-    ylabel
-        What is drawn.
-    level
-        Drawn as a dotted line.
-    columns
-        Panels side by side; fewer where they do not fit.
-    log
-        Give each panel a logarithmic axis of its own, as errors need; otherwise all share one from
-        0 to 1.
+        For each title, curves of shape (number,) by name. A curve has the same colour and mark in
+        all panels. ylabel Label of the y axis. level Level of a dotted line. columns Panels side by
+        side; fewer if they do not fit. log Give each panel its own logarithmic axis, as for errors;
+        otherwise all share one from 0 to 1.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -476,27 +469,24 @@ def averages(
 ) -> Figure:
     """Draw how far averages of N samples are from Gaussian.
 
-    By the central limit theorem, skewness falls as 1 / sqrt(N): on a logarithmic scale this is a
-    straight line of slope -1/2, from which samples that depend on each other depart. Skewness that
-    is not positive is left out.
+    By the central limit theorem, skewness falls as 1 / sqrt(N), a straight line of slope -1/2 on
+    logarithmic scales. Dependent samples deviate from it. Skewness that is not positive is left
+    out.
 
     Parameters
     ----------
     sizes
         N, shape (size,).
     rejected
-        By name of the channel, the share of pixels for whose averages normality is rejected,
-        shape (size,).
+        Share of pixels whose averages are not normal by the test, shape (size,), by name of the
+        channel.
     skewness
-        Quartiles over the pixels of the skewness of averages, shape (3, size).
-    predicted
-        Median over the pixels of the skewness that the central limit theorem predicts, (size,).
-    alpha
-        The false-discovery rate, drawn as a dotted line.
-    channels
-        Which of them: names, "red", "green", "blue" or "luminance"; None for all but luminance.
+        Quartiles, over pixels, of the skewness of averages, shape (3, size). predicted Median, over
+        pixels, of the skewness that the central limit theorem predicts, shape (size,). alpha The
+        false-discovery rate, drawn as a dotted line. channels Channels to draw: names, "red",
+        "green", "blue" or "luminance"; None for all but luminance.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -532,15 +522,15 @@ def averages(
 def error_curves(found: ErrorCurve, *, width: Width = "page", fig: Figure | None = None) -> Figure:
     """Draw MSE and relMSE against the number of samples, on logarithmic scales.
 
-    Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
-    dotted line is the noise of the reference, below which no error can be seen.
+    Bands are intervals over blocks of pixels. Dashed lines are estimators that use neighbours. A
+    dotted line is the noise of the reference: smaller errors cannot be measured.
 
     Parameters
     ----------
     found
-        What `chdstat.comparison.error_curve` found.
+        Result of `chdstat.comparison.error_curve`.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -559,7 +549,7 @@ def error_curves(found: ErrorCurve, *, width: Width = "page", fig: Figure | None
 
 
 def _draw_error_curves(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]) -> None:
-    """Draw one measure of all estimators, the mean in black above the others."""
+    """Draw one measure of all estimators, with the mean in black on top."""
     colors = iter(qualitative(len(names)))
     for k, name in enumerate(found.estimators):
         color = "#111111" if name == "mean" else next(colors)

@@ -1,8 +1,8 @@
-"""Images: linear radiance as a person would see it, with regions, CHDs of these, and errors.
+"""Images: tone-mapped radiance with regions, their CHDs, and errors.
 
-`with_marks` and `region_study` show the regions of an image, the latter with their CHDs, as in the
-case study of Elek et al. 2019; `side_by_side` shows estimates and their errors, `firefly_pair` two
-pixels.
+`with_marks` shows the regions of an image, `region_study` adds their CHDs, as in the case study of
+Elek et al. 2019. `side_by_side` shows estimates and their errors, `firefly_pair` a firefly and its
+neighbour.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ __all__ = [
 _PAIR = (PALETTE[5], PALETTE[4])
 """Colours of two things that are compared."""
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 0.8)))
-"""Of the channels, where the colour is that of the region."""
+"""Line styles of the channels if colours mark regions."""
 _FRAMES = (PALETTE[0], PALETTE[1], PALETTE[2])
 """Colours of parts that are magnified."""
 _OF_IMAGE = 0.43
@@ -85,7 +85,7 @@ _FILLED = 0.55
 _BAR = 0.9
 """Inches of a colour bar with its numbers."""
 _NOTE = 17
-"""Letters of a note, in an inch."""
+"""Letters of a note per inch."""
 _MARGIN = 7
 """Pixels shown around a firefly."""
 
@@ -97,11 +97,11 @@ class Mark:
     Parameters
     ----------
     name
-        What is written beside it.
+        Label of the region.
     ys, xs
         Rows and columns of the region, in pixels.
     pixel
-        (y, x) of the pixel in it whose distribution is shown.
+        (y, x) of the pixel in the region whose distribution is shown.
     """
 
     name: str
@@ -126,11 +126,11 @@ def with_marks(
     image
         Linear radiance, shape (y, x, channel).
     marks
-        Regions; each has its colour of `chdstat.viz.PALETTE`, in order.
+        Regions, coloured by `chdstat.viz.PALETTE` in order.
     exposure
         As in `tonemap`; image and insets share it.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -161,12 +161,12 @@ def with_marks(
 
 
 def one_channel(image: npt.ArrayLike, channels: Channels) -> Array:
-    """Return a channel of an image by its name, or its luminance, of shape (y, x, 1).
+    """Return a channel of an image by name, or its luminance, of shape (y, x, 1).
 
     Raises
     ------
     InputError
-        If it has no such channel, or several are asked for.
+        If it has no such channel, or there are several.
     """
     array = np.asarray(image, np.float64)
     names = ["R", "G", "B"] if array.shape[-1] == 3 else ["channel0"]
@@ -193,7 +193,7 @@ def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
 def _inset(
     ax: Axes, shown: Array, mark: Mark, place: int, *, letters: int = 99, titled: bool = True
 ) -> None:
-    """Show a region and what is around it, with the pixel whose distribution is of interest."""
+    """Show a region and its surroundings, with the pixel whose distribution is shown."""
     color = qualitative(place + 1)[place]
     half = max(4, mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start)
     _magnify(ax, shown, mark.pixel, half)
@@ -229,10 +229,10 @@ def region_study(
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw an image with its regions and, beside or below it, each with the CHD of its pixel.
+    """Draw an image with its regions, and each region with the CHD of its pixel.
 
-    The log CHDs have one axis of radiance. Areas are histograms of the samples that are not null,
-    in the colour of the region where there is one channel.
+    The log CHDs share one axis of radiance. Areas are histograms of the samples that are not null;
+    with one channel, they have the colour of the region.
 
     Parameters
     ----------
@@ -241,20 +241,18 @@ def region_study(
     marks
         Regions, each with the pixel whose distribution is shown.
     panels
-        CHDs of these pixels, in the same order, with what fits and means they have.
-    notes
-        A few words on each region, above its CHD; without, those of the panels.
-    channels, scales
-        Of the CHDs, as for `chd_pair`; None takes luminance where it is known.
+        CHDs of these pixels, in the same order, with their fits and means. notes A few words above
+        the CHD of each region; None takes those of the panels. channels, scales Channels and scales
+        of the CHDs, as for `chd_pair`; None takes luminance if it is known.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If there is no region, not a panel for each, or an option is unknown.
+        If there is no region, a panel is missing, or an option is unknown.
     """
     if not marks or len(panels) != len(marks):
         message = f"expected a panel for each region, got {len(panels)} for {len(marks)}"
@@ -307,7 +305,7 @@ def _lines(found: Mapping[str, Histogram]) -> list[str]:
 
 
 def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
-    """Draw the histogram and the mean of a pixel, in the colour of its region or in theirs."""
+    """Draw the histogram and the mean of a pixel, in the colour of its region or its channels."""
     found = panel.histograms(scale)
     alone = len(found) == 1
     dark = tuple(0.6 * part for part in to_rgb(color))
@@ -322,7 +320,7 @@ def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
 
 
 def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
-    """Return a legend's swatches of what `region_study` draws."""
+    """Return the swatches for the legend of `region_study`."""
     names, seen = [*panels[0].histograms("log")], "samples that are not null"
     handles: list[Artist] = [Patch(color=color, alpha=_FILLED, label=f"{seen}, {names[0]}")]
     if len(names) > 1:
@@ -346,23 +344,22 @@ def side_by_side(
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw images side by side under one exposure, each with its parts and its squared error below.
+    """Draw images side by side with one exposure, with magnified parts and squared errors below.
 
     Parameters
     ----------
     images
-        Linear radiance (y, x, channel) by title, or by the name of an estimator; the last sets the
+        Linear radiance (y, x, channel) by title or name of an estimator; the last one sets the
         exposure.
     errors
         Squared error (y, x) by the same titles; drawn on one logarithmic colour scale.
     insets
-        Rows and columns of parts to magnify below each image; frames mark them there.
+        Rows and columns of parts to magnify below each image; frames mark them in the image.
     notes
-        A line below a title, by the same titles, such as an error.
-    columns
-        Most images in a row; None puts as many as have an inch.
+        A line below each title, by the same titles, such as an error. columns Most images in a row;
+        None takes as many as have an inch each.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 
@@ -384,7 +381,7 @@ def side_by_side(
     each = 0.92 * across / columns * sum(parts) + 0.35
     figure = page(fig, rows * each, width, hspace=0.02, wspace=0.02)
     free = next((title for title in images if title not in errors), None) if errors else ""
-    # Where no cell is free for the colour bar, it has a column of its own.
+    # Without a free cell, the colour bar gets its own column.
     ratios = [across / columns] * columns + [_BAR] * (free is None)
     cells, below = figure.add_gridspec(rows, len(ratios), width_ratios=ratios), {}
     bar = cells[-1, -1].subgridspec(len(parts), 1, height_ratios=parts)[-1]
@@ -422,7 +419,7 @@ def _aspect(part: tuple[slice, slice]) -> float:
 
 
 def _outline(ax: Axes, ys: slice, xs: slice, color: str) -> None:
-    """Frame a part of an image, legibly on any ground."""
+    """Frame a part of an image, visible on any background."""
     corner = (xs.start - 0.5, ys.start - 0.5)
     extent = (xs.stop - xs.start, ys.stop - ys.start)
     for edge, width in (("black", 2.4), (color, 1.4)):
@@ -436,7 +433,7 @@ def _draw_errors(axes: Mapping[str, Axes], errors: Mapping[str, npt.ArrayLike], 
     finite = np.concatenate([d[np.isfinite(d)] for d in decades.values()])
     low, high = np.percentile(finite, (2, 99.5)) if finite.size else (-1.0, 0.0)
     for title, values in decades.items():
-        shown = np.maximum(values, low)  # no error at all is as dark as the least
+        shown = np.maximum(values, low)  # an error of 0 has the darkest colour
         drawn = axes[title].imshow(shown, vmin=low, vmax=high, cmap="magma")
     cax.figure.colorbar(drawn, cax=cax, label="log10 squared error")
 
@@ -455,13 +452,13 @@ def firefly_pair(
     Parameters
     ----------
     image
-        The estimate in which the firefly is seen: linear radiance, shape (y, x, channel).
+        The estimate with the firefly: linear radiance, shape (y, x, channel).
     pixels
-        (y, x) by name: the firefly, then its neighbour.
+        (y, x) of the firefly, then of its neighbour, by name.
     samples
         Of one channel of them, shape (sample,), by the same names.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
 

@@ -1,8 +1,8 @@
-"""Maps: one value, label or colour per pixel, with the scale that reads them.
+"""Maps: one value, label or colour per pixel, with its scale.
 
-`map_grid` makes room for several of them. `atlas` draws the recurring distributions, as a map and
-as small multiples, `contrast` two renders and where they differ, `renders_compared` several renders
-and the CHDs of the same places.
+`map_grid` makes a grid for several maps. `atlas` draws the recurring distributions as a map and as
+small multiples. `contrast` draws two renders and where they differ; `renders_compared` draws
+several renders and the CHDs of the same places.
 """
 
 from __future__ import annotations
@@ -84,15 +84,15 @@ LABEL_COLORS = {
 _MORE = "#D55E00"
 """Colour of more samples than were tested: vermillion of Okabe and Ito, not among `sequential`."""
 _VISIBLE = 0.01
-"""Density, relative to the highest, below which no panel needs to reach."""
+"""Density, relative to the highest, at which panels end."""
 _OF_MAP = 0.4
 """Share of the width that the map takes: the figure then fits below others on a page."""
 _TWO_NAMES = 2.0
-"""Inches of a map below which two names of labels have room side by side."""
+"""Width of a map, in inches, from which two names of labels fit side by side."""
 _LINE, _LINES = 0.16, 3
-"""Height of a line of a legend, in inches, and lines for which there is room."""
+"""Height of a line of a legend, in inches, and number of lines that fit."""
 _HEIGHT = 2.4
-"""Of a figure with a single map, in inches."""
+"""Height of a figure with a single map, in inches."""
 
 
 @style()
@@ -111,16 +111,16 @@ def map_grid(
     number
         Number of maps.
     columns
-        Maps in a row; fewer where they would be less than 1.6 inches wide.
+        Maps in a row; fewer if they would be narrower than 1.6 inches.
     aspect
         Height of the image over its width.
     fig
-        Where to make room; None makes a figure.
+        Where to draw; None makes a figure.
 
     Returns
     -------
     Figure
-        Its ``axes`` are for `value_map`, `categorical_map` and the others here.
+        Pass its ``axes`` to `value_map`, `categorical_map` and the other functions here.
 
     Raises
     ------
@@ -160,14 +160,13 @@ def value_map(
     values
         Shape (y, x); NaN is shown in grey.
     title, unit
-        What is shown, and its unit for the colour bar.
+        Title of the map, and unit for the colour bar.
     limits
-        Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end
-        have its colour.
-    diverging
-        Give numbers below and above 0 colours of their own, and both the larger of the limits.
+        Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end have
+        its colour. diverging Use different colours below and above 0, with the larger limit on both
+        sides.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -188,7 +187,7 @@ def value_map(
 
 
 def names_of(variable: xr.DataArray | npt.ArrayLike) -> dict[int, str]:
-    """Return the names of the values of an integer-coded variable, as text has them.
+    """Return the names of the values of an integer-coded variable, for text.
 
     Raises
     ------
@@ -224,20 +223,17 @@ def categorical_map(
     codes
         Integer labels, shape (y, x).
     names
-        Name of each label; those that occur are in the legend. None takes the names, and the
-        colours of the report, from the attributes of `codes`, such as ``label`` of
-        `chdstat.classify`.
+        Name of each label; the legend shows those that occur. None takes the names from the
+        attributes of `codes`, as those of ``label`` of `chdstat.classify`, with the colours of the
+        report.
     title
         What is shown.
     colors
-        One colour for each label, in the order of `names`; None takes those of
-        `chdstat.viz.PALETTE`, and darker ones beyond its eighth.
-    columns
-        Of the legend; None for 2, or 1 where the map is narrow.
-    shares
-        Write the share of the pixels behind each name.
+        A colour for each label, in the order of `names`; None takes `chdstat.viz.PALETTE`, then
+        darker versions of it. columns Columns of the legend; None for 2, or 1 if the map is narrow.
+        shares Write the share of pixels after each name.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
 
@@ -273,7 +269,7 @@ def categorical_map(
 
 
 def _room(ax: Axes) -> float:
-    """Return how many inches of a figure belong to axes, in the grid that they are part of."""
+    """Return the width of axes, in inches, within the grid of their figure."""
     spec = ax.get_subplotspec()
     across = inches("page", ax.get_figure(root=False))
     return across / spec.get_gridspec().ncols if spec else across * ax.get_position().width
@@ -282,7 +278,7 @@ def _room(ax: Axes) -> float:
 def _draw_labels(
     ax: Axes, labels: npt.NDArray[np.integer[Any]], colors: Sequence[str], title: str
 ) -> None:
-    """Draw labels 0, 1, 2 and so on of pixels in their colours; negative ones are grey."""
+    """Draw the labels 0, 1, 2 and so on in their colours; negative labels are grey."""
     shades = ListedColormap(list(colors)).with_extremes(bad=MISSING)
     norm = BoundaryNorm(np.arange(len(colors) + 1) - 0.5, len(colors))
     shown = np.ma.masked_less(labels, 0)
@@ -302,19 +298,19 @@ def n_needed(
     width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the number of samples that an average of each pixel needs to look Gaussian.
+    """Draw the number of samples from which the averages of each pixel look Gaussian.
 
     Parameters
     ----------
     needed
-        As ``n_needed`` of `chdstat.inference.gaussianity_of_means`, shape (y, x): one of the sizes,
-        -1 for more than the largest, 0 where it is unknown.
+        ``n_needed`` of `chdstat.inference.gaussianity_of_means`, shape (y, x): one of the sizes, -1
+        for more than the largest, 0 if unknown.
     sizes
         The sizes that were tested, shape (size,).
     title
         What is shown.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -346,7 +342,7 @@ def image_map(
     title
         What is shown.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
     """
@@ -360,17 +356,17 @@ def image_map(
 
 @style()
 def atlas(found: Atlas, *, width: Width = "page", fig: Figure | None = None) -> Figure:
-    """Draw where the shapes of an atlas are, and what each looks like.
+    """Draw where the shapes of an atlas occur, and what each looks like.
 
     Numbers in the map mark the most typical pixel of each shape. The panels show the mean density
-    of log10 radiance around the scale of a pixel, and its quartiles over the pixels as a band.
+    of log10 radiance, relative to the scale of each pixel, and its quartiles over pixels as a band.
 
     Parameters
     ----------
     found
-        What `chdstat.atlas` found.
+        Result of `chdstat.atlas`.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -405,8 +401,8 @@ def atlas(found: Atlas, *, width: Width = "page", fig: Figure | None = None) -> 
 
 
 def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
-    """Draw the density of one shape, over the decades that hold the visible part of every shape."""
-    inner = slice(1, -1)  # the outer bins hold all that lies beyond: no density
+    """Draw the density of one shape, over the decades in which any shape is visible."""
+    inner = slice(1, -1)  # the outer bins are open: no density
     low, high = np.moveaxis(found.density_band[k, inner], -1, 0)
     ax.fill_between(found.positions[inner], low, high, color=color, alpha=0.35, linewidth=0)
     ax.plot(found.positions[inner], found.density[k, inner], color=color, linewidth=1.4)
@@ -428,7 +424,7 @@ def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
 # --- renders of one view ------------------------------------------------------------------------
 
 _LETTERS = 16
-"""Of a line of text, in an inch."""
+"""Letters of a line of text per inch."""
 
 
 @style()
@@ -439,21 +435,21 @@ def contrast(
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw the two images, where their means differ, p-values and efficiency, with the conclusion.
+    """Draw two images, where their means differ, p-values and efficiency, with the conclusion.
 
-    A rectangle marks the most significant window, solid where there is a difference. p-values of
-    renders with one mean lie below the line of their histogram, or on it.
+    A rectangle marks the most significant window; it is solid if there is a difference. The
+    histogram of p-values has a line: for renders with the same mean, bars stay at or below it.
 
     Parameters
     ----------
     found
-        What `chdstat.contrast` found.
+        Result of `chdstat.contrast`.
     channels
-        A channel to draw, images in grey: its name, "red", "green", "blue" or "luminance"; None for
-        colours, differences of luminance and p-values of all channels. Efficiency is that of
-        luminance.
+        A channel to draw, with images in grey: its name, "red", "green", "blue" or "luminance".
+        None draws images in colour, differences of luminance, and p-values of all channels.
+        Efficiency is always for luminance.
     width
-        Of the figure: "column", "page" or inches.
+        Width of the figure: "column", "page" or inches.
     fig
         Where to draw; None makes a figure.
     """
@@ -532,21 +528,18 @@ def renders_compared(
 ) -> Figure:
     """Draw renders of one view, how two of them differ, and CHDs of the same places.
 
-    The CHDs of a place stand over each other: log histograms of luminance, dashed at the mean. A
-    render without samples has a dotted line at its luminance.
+    The CHDs of a place are log histograms of luminance, drawn over each other, with a dashed line
+    at the mean. A render without samples has a dotted line at its luminance.
 
     Parameters
     ----------
     images
         Linear radiance (y, x, channel) by the name of the render.
     samples
-        Of some of them, the samples (channel, sample) of each of the marks.
-    marks
-        Places; each has a number in the images, and a CHD.
-    difference
-        Names of two renders: the luminance of the first minus that of the second is drawn, too.
-    exposure
-        As in `tonemap`; all images share it. None suits the first.
+        For all or some renders, the samples (channel, sample) of each mark. marks Places; each has
+        a number in the images, and a CHD. difference Names of two renders; the luminance of the
+        first minus the second is drawn, too. exposure As in `tonemap`; all images share it. None
+        exposes for the first image.
     width
         Of a new figure: "column" or "page" of a paper, or inches.
     fig
@@ -555,7 +548,7 @@ def renders_compared(
     Raises
     ------
     InputError
-        If there is no image, or a render has not as many samples as there are marks.
+        If there is no image, or a render does not have samples for each mark.
 
     Examples
     --------

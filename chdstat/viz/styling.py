@@ -1,10 +1,10 @@
-"""Style: one look for all figures, as a context or decorator that leaves the user's settings alone.
+"""Style: one look for all figures, as a context or decorator that keeps the user's settings.
 
-`page`, `axes_in` and `grid` make the figures and axes that everything is drawn into, as wide as a
-column, a page or what is asked for; where a figure is `narrow`, its panels stand below each other.
-Names that users chose are drawn as they wrote them, in fonts that have their letters: `verbatim`
-goes around every such name, `families` returns the fonts, and `spelt` goes around what saves
-figures. `called` says what the names of estimators, families and patterns are in words.
+`page`, `axes_in` and `grid` make figures and axes, as wide as a column, a page or a number of
+inches. In a `narrow` figure, panels are placed below each other. Names from users are drawn as
+written, in fonts that have their letters: wrap every such name in `verbatim`, and saving in
+`spelt`; `families` returns the fonts. `called` says what the names of estimators, families and
+patterns are in words.
 """
 
 from __future__ import annotations
@@ -79,29 +79,29 @@ WIDTHS = {"column": 3.4, "page": 6.7}
 """Inches of a column of a paper in two columns, and of the text of an A4 page."""
 
 _NARROW = 5.0
-"""Inches below which panels stand below each other."""
+"""Width, in inches, below which panels are placed below each other."""
 
 _UPRIGHT = 1.5
-"""Largest height over width of the room for an image."""
+"""Largest ratio of height to width of the room for an image."""
 
 _LETTERS = 15
-"""Of a title, in an inch."""
+"""Letters of a title per inch."""
 
 HEIGHT = 8.0
-"""Largest height of a figure, in inches: it leaves room on the page for a heading and a caption."""
+"""Largest height of a figure, in inches; it leaves room for a heading and a caption on a page."""
 
 UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
 """Unit of radiance."""
 
 PALETTE = ("#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#4D4D4D")
-"""Eight colours that colour-blind readers can distinguish: those of Okabe and Ito 2008, but a dark
-grey for black."""
+"""Eight colours that colour-blind readers can distinguish: Okabe and Ito 2008, with dark grey
+instead of black."""
 
 MISSING = "#DDDDDD"
 """Colour of pixels without a number."""
 
 CHANNELS = {"R": "#C8423B", "G": "#45B37A", "B": "#2C4F9E"}
-"""Colours of the radiance channels; they differ in lightness, too: one can read them in grey."""
+"""Colours of the radiance channels; they also differ in lightness, for prints in grey."""
 
 _SETTINGS: dict[Any, Any] = {
     "axes.edgecolor": "#444444",
@@ -149,7 +149,7 @@ def style() -> Iterator[None]:
 
 
 class StyledFigure(Figure):
-    """A figure that keeps the style where it is saved, and that a notebook shows.
+    """A figure that keeps the style when it is saved, and that a notebook shows.
 
     Matplotlib reads settings, such as the kind of fonts, when a figure is saved.
     """
@@ -171,7 +171,7 @@ def png_of(figure: Figure) -> bytes:
 
 
 def inches(width: Width, within: Figure | SubFigure | None = None) -> float:
-    """Return how wide a figure is: as asked for, or as the one that is drawn into.
+    """Return the width of a figure in inches: `width`, or that of the figure to draw into.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def inches(width: Width, within: Figure | SubFigure | None = None) -> float:
 
 
 def upright(height: float, width: float) -> float:
-    """Return the height over the width of the room for an image: a tall one is drawn narrower.
+    """Return the ratio of height to width of the room for an image: tall images are drawn narrower.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def upright(height: float, width: float) -> float:
 
 
 def narrow(across: float) -> bool:
-    """Return whether a figure of so many inches has room for few panels side by side."""
+    """Return whether a figure of so many inches is too narrow for panels side by side."""
     return across < _NARROW
 
 
@@ -228,7 +228,7 @@ def page(
     Parameters
     ----------
     fig
-        A figure of the user; None makes one.
+        The user's figure; None makes one.
     height, width
         Size of a new figure; no higher than `HEIGHT` inches.
     wspace, hspace
@@ -243,16 +243,15 @@ def page(
 def two_parts(
     fig: Figure | None, width: Width, height: float, share: float, below: Sequence[float]
 ) -> tuple[Figure, SubFigure, SubFigure]:
-    """Return the figure to draw into and its parts, one below the other where it is narrow.
+    """Return the figure to draw into and its two parts, one below the other if it is narrow.
 
     Parameters
     ----------
     fig, width
         As for `page`.
     height, share
-        Height of a new figure in inches, and the share of its width that the first part takes.
-    below
-        Heights of the parts where one stands below the other.
+        Height of a new figure in inches, and the share of its width for the first part. below
+        Heights of the parts if one is below the other.
     """
     if narrow(inches(width, fig)):
         figure = page(fig, sum(below), width)
@@ -269,7 +268,7 @@ def axes_in(ax: Axes | None, height: float, width: Width) -> Axes:
 
 
 def grow(figure: Figure | SubFigure | None, inches: float) -> None:
-    """Make a figure of ours higher, for a legend; one of the user stays as it is."""
+    """Make a new figure higher, for a legend; the user's figure is not changed."""
     if isinstance(figure, StyledFigure) and inches > 0:
         figure.set_figheight(min(HEIGHT, figure.get_figheight() + inches))
 
@@ -316,38 +315,38 @@ def panels_in(
 
 
 def per_cent(share: float, _tick: float = 0) -> str:
-    """Return a share in whole per cent; axes of shares take it as formatter of their ticks."""
+    """Return a share in whole per cent; also a formatter for ticks."""
     return f"{100 * share:.0f} %"
 
 
 def plain_log(axis: Axis, numbers: Sequence[int] = (1, 2, 5)) -> None:
-    """Give a logarithmic axis ticks at these numbers times powers of ten, written as such."""
+    """Give a logarithmic axis plain tick labels at these numbers times powers of ten."""
     axis.set_major_locator(LogLocator(subs=numbers))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
 
 
 def name_ticks(axis: Axis) -> None:
-    """Give a logarithmic axis of few decades ticks between powers of ten, too."""
+    """Give a logarithmic axis of few decades labels between powers of ten, too."""
     low, high = axis.get_view_interval()
     if high < 20 * low:
         plain_log(axis)
 
 
 def swatches(colors: Mapping[str, str], **look: Any) -> list[Artist]:
-    """Return lines for a legend, by what they are called."""
+    """Return coloured lines for a legend."""
     return [Line2D([], [], color=c, label=verbatim(name), **look) for name, c in colors.items()]
 
 
 def bare(ax: Axes, title: str = "") -> None:
-    """Leave out ticks and frame of axes that show an image."""
+    """Remove ticks and frame from axes that show an image."""
     ax.set(xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
     ax.set_title(title)
 
 
 def qualitative(number: int) -> list[str]:
-    """Return colours for labels: those of `PALETTE`, then darker ones, then all of them again.
+    """Return colours for labels: `PALETTE`, then darker versions, then all of them again.
 
     Examples
     --------
@@ -364,7 +363,7 @@ def _darker(color: str) -> str:
 
 
 def ink_on(color: str) -> str:
-    """Return black, or white where it is read better on a colour.
+    """Return black or white, whichever is more legible on a colour.
 
     Examples
     --------
@@ -409,7 +408,7 @@ def estimator_name(estimator: str) -> str:
 _log = logging.getLogger("chdstat")
 
 _LATIN = ("STIXGeneral", "DejaVu Serif")
-"""Matplotlib brings them along."""
+"""Fonts that come with Matplotlib."""
 _EAST_ASIAN = (
     "Noto Serif CJK SC",
     "Noto Serif CJK JP",
@@ -433,13 +432,13 @@ _EAST_ASIAN = (
     "MS Gothic",
     "Malgun Gothic",
 )
-"""What Linux, macOS and Windows have for Chinese, Japanese and Korean."""
+"""Fonts of Linux, macOS and Windows for Chinese, Japanese and Korean."""
 _SHOWN = 10
 _MISSING = re.compile(r"Glyph (\d+) .*missing from")
 
 
 def verbatim(text: str) -> str:
-    r"""Return what makes Matplotlib draw a text as it is: a dollar sign begins no formula.
+    r"""Escape a text so that Matplotlib draws it as written: a dollar sign begins no formula.
 
     Examples
     --------
@@ -450,7 +449,7 @@ def verbatim(text: str) -> str:
 
 
 def within(text: str, room: float) -> str:
-    """Return a text for Matplotlib, cut to what a line of so many inches holds.
+    """Return a text for Matplotlib, cut to the length of a line of so many inches.
 
     Examples
     --------
@@ -463,18 +462,18 @@ def within(text: str, room: float) -> str:
 
 @functools.cache
 def families() -> tuple[str, ...]:
-    """Return families of fonts that this machine has; a later one has what those before lack."""
+    """Return the font families of this machine; later ones have letters that earlier ones lack."""
     known = set(font_manager.get_font_names())
     return (*_LATIN, *(name for name in _EAST_ASIAN if name in known))
 
 
 _spelling = ContextVar("spelling", default=False)
-"""Whether `spelt` is around already, which then logs the letters of all figures at once."""
+"""Whether an outer `spelt` is active, which logs the letters of all figures at once."""
 
 
 @contextlib.contextmanager
 def spelt() -> Iterator[None]:
-    """Log in one line which letters no font has, where Matplotlib warns of each and each time."""
+    """Log letters that no font has in one line; Matplotlib warns for each letter and figure."""
     if _spelling.get():
         yield
         return
