@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["bench", "compare", "contrast", "estimate", "train"]
 
 _ENDLESS = 2**20
-"""Samples of a pixel of a render that time or an error stops."""
+"""Samples per pixel of a render that is stopped by time or error."""
 _COMPARED = {
     "estimator": "estimator",
     "mse_ratio": "MSE / mean's",
@@ -92,14 +92,14 @@ def estimate(
     model: Annotated[
         Path | None,
         option(
-            "A trained model, as 'train' writes it.",
+            "A trained model, written by 'train'.",
             metavar="FILE",
             unset="candidates are combined",
         ),
     ] = None,
     loss_weight: Annotated[
         float | None,
-        option("Of a progressive model: from 0, least MSE, to 1, least relMSE.", unset="0.5"),
+        option("For a progressive model: from 0, least MSE, to 1, least relMSE.", unset="0.5"),
     ] = None,
     level: Annotated[float, option("Probability of the interval.")] = 0.9,
     denoise: Annotated[bool, option("Denoise the estimate with Open Image Denoise.")] = False,
@@ -120,10 +120,10 @@ def estimate(
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
     Combines the mean and denoised images, pixel by pixel, by their errors on held-out samples, or
-    lets a trained model estimate. An EXR file holds the estimate, and as layers its certainty, the
-    ends of its interval, and the mean of the samples; .npy and .pfm hold its linear radiance, and
-    a .png is tone-mapped. With --while-rendering it is written whenever the number of samples has
-    doubled.
+    applies a trained model. An EXR file has the estimate, and layers for its certainty, the ends of
+    its interval, and the mean of the samples. .npy and .pfm files have its linear radiance; a .png
+    is tone-mapped. With --while-rendering, the file is written at each doubling of the number of
+    samples.
     """
     from chdstat._core.work import kept_until_written
     from chdstat.estimators.estimates import write_estimates
@@ -161,7 +161,7 @@ def estimate(
 
 
 def _drawn(source: str, asked: CommonOptions, *, endless: bool) -> Samples | Rendering:
-    """Return a rendering of a scene, of which no samples are kept."""
+    """Return a rendering of a scene that keeps no samples."""
     from chdstat.rendering import render_batches
     from chdstat.samples import is_store
 
@@ -186,7 +186,7 @@ def compare(
     asked: CommonOptions,
     n: Annotated[int, option("Number of samples per estimate.", "--n")] = 32,
     max_batches: Annotated[
-        int, option("Largest number of batches per pixel that are estimated from.")
+        int, option("Largest number of batches per pixel to estimate from.")
     ] = 16,
     patterns: Annotated[bool, option("Also compare for each pattern of pixels.")] = False,
     denoise: Annotated[bool, option("Also compare after Open Image Denoise.")] = False,
@@ -249,8 +249,8 @@ def contrast(
 ) -> None:
     """Test whether two renders have the same mean, and which is more efficient.
 
-    The exit code is 0 where no difference was found, 3 where one was, and 4 where one cannot tell,
-    as with too few samples. Errors end with 1 or 2.
+    The exit code is 0 if no difference was found, 3 if one was, and 4 if the samples cannot tell,
+    for example because they are too few. Errors end with 1 or 2.
     """
     import chdstat
     from chdstat.reporting.figures import save_figure
@@ -287,7 +287,7 @@ def bench(
         list[int] | None,
         option("Samples per pixel to estimate from; repeat.", unset="16 and 64"),
     ] = None,
-    seeds: Annotated[int, option("Renders of each scene, averaged over.")] = 1,
+    seeds: Annotated[int, option("Number of renders of each scene to average over.")] = 1,
     reference: Annotated[
         list[str] | None,
         option(
@@ -303,7 +303,7 @@ def bench(
             "A finished image of another program, EXR; can be repeated.", metavar="NAME@SCENE=FILE"
         ),
     ] = None,
-    folder: Annotated[Path | None, option("Where renders and references are kept.")] = None,
+    folder: Annotated[Path | None, option("Folder that keeps renders and references.")] = None,
     out: Annotated[
         Path | None, option("Table to write: .csv, .tex, .json, .pdf.", "--out", "-o")
     ] = None,
@@ -340,7 +340,7 @@ def bench(
 
 
 _CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}
-"""Exit codes by what `chdstat contrast` found."""
+"""Exit codes by the outcome of `chdstat contrast`."""
 
 
 def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
@@ -362,7 +362,7 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
 
 
 def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of measures as a report shows them, by the names that commands take."""
+    """Return rows of measures as in a report, with the names that commands take."""
     from chdstat.comparison.metrics import in_words
 
     return [row | in_words(row) for row in rows]

@@ -31,11 +31,11 @@ __all__ = [
 ]
 
 _WIDE = 200
-"""Columns of a pipe or a file, so that lines stay whole."""
+"""Columns of a pipe or a file, so that lines are not wrapped."""
 
 
 def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
-    """Say what samples there are, how large their error is, and what to do with them."""
+    """Describe samples, how large their error is, and what to do with them."""
     path, counts, errors = samples.path, samples.counts, _errors_of(samples)
     if as_json:
         told = {name: error.to_dict() for name, error in errors.items()}
@@ -52,7 +52,7 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
 
 
 def _errors_of(samples: Samples) -> Mapping[str, Any]:
-    """Return by name what error of an adaptive render was predicted, and what it seems to be."""
+    """Return the predicted and the estimated error of an adaptive render, by name."""
     from chdstat.rendering.adaptive import error_of, expected_error
 
     expected = expected_error(samples.attrs)
@@ -67,7 +67,7 @@ def _errors_of(samples: Samples) -> Mapping[str, Any]:
 
 
 def after_render(attrs: Mapping[str, Any], path: Path | None) -> tuple[str, str]:
-    """Return commands that take a store: of samples that depend on each other, not all do."""
+    """Return commands that take a store; for dependent samples, not all do."""
     first = "analyze" if sequence_of(attrs) == 1 else "contrast OTHER.zarr"
     return f"chdstat {first} {path}", f"chdstat explore {path}"
 
@@ -85,7 +85,7 @@ def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:
 
 
 def say_next(quiet: bool, *commands: str) -> None:
-    """Say what to do next, beside the output: nothing of it gets into a pipe."""
+    """Say what to do next, on stderr: it does not get into a pipe."""
     if not quiet:
         typer.echo(f"next: {'  or  '.join(commands)}", err=True)
 
@@ -110,7 +110,7 @@ def print_table(content: Mapping[str, Any]) -> None:
 
 
 def print_notes(notes: Mapping[str, str]) -> None:
-    """Print what belongs to a table, below it."""
+    """Print notes below a table."""
     if notes:
         typer.echo()
         texts = (f"{name}: {text.rstrip('.')}." for name, text in notes.items())
@@ -128,11 +128,8 @@ def print_rows(
     Parameters
     ----------
     rows
-        By the names of the columns; the first stands at the left, others at the right.
-    columns
-        Titles by name; without any, there is no header.
-    text
-        Other columns of text, which stand at the left, too.
+        Values by name of the column; the first column is aligned left, others right. columns Titles
+        by name; without any, there is no header. text Other columns that are aligned left.
     """
     from rich.console import Console
     from rich.table import Table
@@ -151,7 +148,7 @@ def print_rows(
 
 
 def _columns() -> int | None:
-    """Return how long lines may be; None for a pipe or a file, unless COLUMNS says it."""
+    """Return how long lines may be; None for a pipe or a file, unless COLUMNS is set."""
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
     return shutil.get_terminal_size().columns if known else None
 

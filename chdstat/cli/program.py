@@ -58,7 +58,7 @@ __all__ = [
 
 _INTERRUPTED = 130
 _RESUMED = ("render", "import", "study", "--store")
-"""What an interrupted command line names where the same one goes on."""
+"""Commands and options for which the same command line resumes after an interruption."""
 _MEANT = {
     "classify": "analyze",
     "fit": "analyze",
@@ -70,18 +70,18 @@ _MEANT = {
     "benchmark": "bench",
     "version": "--version",
 }
-"""What does the work of commands that one may look for."""
+"""Commands by other names that users may try."""
 
 
 class _Commands(typer.core.TyperGroup):
-    """The commands, with ``help`` for ``--help``, and hints where one looks for another name."""
+    """The commands, with ``help`` for ``--help``, and hints for other names of commands."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line."""
         return super().parse_args(ctx, [*args[1:], "--help"] if args[:1] == ["help"] else args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return a command; tell the one that is meant where there is no such command."""
+        """Return a command; for an unknown name, suggest the command that is meant."""
         name = args[0]
         if name not in self.commands and name in _MEANT:
             ctx.fail(f"No such command {name!r}. It is what 'chdstat {_MEANT[name]}' does.")
@@ -100,9 +100,9 @@ app = typer.Typer(
 
 
 def option(about: str, *names: str, unset: str | None = None, **more: Any) -> Any:
-    """Return an option of a command; `unset` is its default, as the help shows it.
+    """Return an option of a command; the help shows `unset` as its default.
 
-    That of an option whose default is None is "none", unless told.
+    Without `unset`, a default None is shown as "none".
     """
     return typer.Option(*names, help=about, show_default=unset or True, **more)
 
@@ -140,23 +140,23 @@ StorePath = Annotated[
 ]
 
 VIEW = ("spp", "size", "seed", "max_depth", "backend", "define", "plugin")
-"""Those of commands that render a scene."""
+"""Options of commands that render a scene."""
 OUTPUT = ("quiet", "as_json")
-"""Those of commands that print."""
+"""Options of commands that print."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
-    """Options that several commands share, with the values of this call; None if not given.
+    """Options that several commands share, with their values in this call; None if not given.
 
-    Each command names those that it takes; these are the fields of `RenderOptions`, and others.
+    Each command names the options that it takes: fields of `RenderOptions`, and others.
     """
 
     estimator: Annotated[
         list[str] | None,
         option(
             "An estimator to compare, trained here if it learns; can be repeated. "
-            '" + OIDN" behind a name denoises its estimate.',
+            '" + OIDN" after a name denoises its estimate.',
             "-e",
             "--estimator",
             metavar="NAME",
@@ -171,7 +171,7 @@ class CommonOptions:
     spp: Annotated[
         int | None,
         option(
-            "Number of samples per pixel; of a store, the first ones.",
+            "Number of samples per pixel; from a store, the first ones.",
             "--spp",
             unset=f"{RenderOptions.spp} of a scene, all of a store",
         ),
@@ -204,12 +204,12 @@ class CommonOptions:
     ] = None
     color: Annotated[
         Color | None,
-        option("What light is transported as; samples are linear sRGB.", unset=RenderOptions.color),
+        option("How light is transported; samples are linear sRGB.", unset=RenderOptions.color),
     ] = None
     sampler: Annotated[
         SamplerName | None,
         option(
-            "Mitsuba's sampler. Of all but independent, samples of a sequence depend on each "
+            "Mitsuba's sampler. With any but independent, samples of a sequence depend on each "
             "other: only averages of sequences have standard errors.",
             unset=RenderOptions.sampler,
         ),
@@ -217,7 +217,7 @@ class CommonOptions:
     sequence: Annotated[
         int | None,
         option(
-            "Samples that such a sampler spreads together, of which --spp is a multiple.",
+            "Samples that such a sampler spreads together; --spp is a multiple of it.",
             metavar="N",
             unset="16",
         ),
@@ -243,7 +243,7 @@ class CommonOptions:
     store: Annotated[
         Path | None,
         option(
-            "Store in which the samples are kept, and resumed from.",
+            "Store that keeps the samples, and from which a stopped render resumes.",
             "--store",
             metavar="PATH",
             parser=place_of,
@@ -268,14 +268,12 @@ class CommonOptions:
         ),
     ] = None
     overwrite: Annotated[bool, option("Replace an output that is there already.")] = False
-    quiet: Annotated[
-        bool, option("Show no progress, and not what to do next.", "--quiet", "-q")
-    ] = False
+    quiet: Annotated[bool, option("Show neither progress nor next steps.", "--quiet", "-q")] = False
     as_json: Annotated[bool, option("Print JSON for scripts.", "--json")] = False
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Those settings of a render that were given."""
+        """The given settings of a render."""
         parsed = {
             "size": _numbers_in("--size", self.size, "WxH", "128x128"),
             "crop": _numbers_in("--crop", self.crop, "X,Y,WxH", "16,8,64x32"),
@@ -308,7 +306,7 @@ class CommonOptions:
     def samples(self, name: str, *, seed: int | None) -> Samples:
         """Return the samples of a finished store, or render those of a scene.
 
-        `seed` is of the render; None where it is of what is done with a store, too.
+        `seed` is the seed of the render; None if the seed is also used for the work on a store.
         """
         from chdstat.rendering import refuse_render, render
         from chdstat.samples import open as open_store
@@ -322,12 +320,12 @@ class CommonOptions:
         return render(found, **self.settings, out=self.store, progress=self.progress)
 
     def target(self, out: Path, *suffixes: str) -> Path:
-        """Return a file to write, with one of some suffixes, or without any a folder.
+        """Return a file to write, with one of the suffixes; without suffixes, a folder.
 
         Raises
         ------
         InputError, StoreError
-            If it cannot be written, or is there and may not be replaced.
+            If it cannot be written, or exists and may not be replaced.
         """
         path = checked_target(out, *suffixes) if suffixes else local(out)
         if not path.exists():
@@ -342,14 +340,14 @@ class CommonOptions:
         return path
 
     def replaced(self, folder: Path) -> Path:
-        """Return a folder that `target` allows to write, after removing what is there."""
+        """Return a folder that `target` allows to write, after removing an existing one."""
         if self.overwrite:
             remove(folder)
         return folder
 
     @contextlib.contextmanager
     def client(self) -> Iterator[Client | None]:
-        """Yield a client of the workers that are asked for, None for threads."""
+        """Yield a client of the requested workers, None for threads."""
         from chdstat._core.work import client_of
 
         with client_of(self.scheduler, self.workers) as client:
@@ -363,10 +361,10 @@ _SHARED = signature(CommonOptions, eval_str=True).parameters
 def command(
     example: str, *shared: str, name: str | None = None, **unset: str
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Enter a function as a command of the application.
+    """Register a function as a command of the application.
 
-    The command takes the parameters of the function but `asked`, and the `shared` options, which
-    the function gets as `asked`. `unset` names what the help says of options that are not given.
+    The command takes the parameters of the function except `asked`, and the `shared` options, which
+    the function gets as `asked`. `unset` maps options to the defaults that the help shows.
     """
 
     def enter(function: Callable[..., None]) -> Callable[..., None]:
@@ -389,7 +387,7 @@ def command(
 def _parameter(declared: Parameter, unset: str | None) -> Parameter:
     """Return a parameter as typer takes it, with its default as the help shows it.
 
-    A truth value is an option that is given or not, without one that takes it back.
+    A truth value is an option without its negation.
     """
     kind, how = get_args(declared.annotation)
     if isinstance(how, OptionInfo):
@@ -410,7 +408,7 @@ def _load_plugins(files: list[Path] | None) -> None:
 
 
 def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
-    """Return what was given as ``KEY=VALUE``."""
+    """Return options of the form ``KEY=VALUE``."""
     pairs = {}
     for text in given or []:
         key, equals, value = text.partition("=")
@@ -422,7 +420,7 @@ def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
 
 
 def _numbers_in(option: str, text: str | None, form: str, example: str) -> tuple[int, ...] | None:
-    """Return the numbers in a text; each capital letter of the form stands for one."""
+    """Return the numbers in a text; each capital letter of the form is one number."""
     if text is None:
         return None
     found = re.fullmatch(re.sub("[A-Z]", "([0-9]{1,9})", form), text.lower())

@@ -181,13 +181,14 @@ def study(
     ] = None,
     out: Annotated[Path | None, option("The PDF to write.", "--out", "-o")] = None,
     store: Annotated[
-        Path, option("Folder of stores that are kept, and resumed from.", metavar="FOLDER")
+        Path,
+        option("Folder that keeps the stores, from which the study resumes.", metavar="FOLDER"),
     ] = Path("renders/out"),
     sampler: Annotated[
         SamplerName,
         option(
-            "Sampler of one more render of each scene, for the claim on correlated samples; of "
-            "independent ones, there is none."
+            "Sampler of one more render of each scene, for the claim on correlated samples; with "
+            "independent, there is no such render."
         ),
     ] = "independent",
     integrators: Annotated[
@@ -238,12 +239,12 @@ def explore(
     asked: CommonOptions,
     reference: Annotated[
         Path | None,
-        option("Store that errors are measured against.", unset="the source's own samples"),
+        option("Store against which errors are measured.", unset="the source's own samples"),
     ] = None,
     model: Annotated[
         list[Path] | None, option("A trained estimator to show; can be repeated.")
     ] = None,
-    maps: Annotated[Path | None, option("Maps that 'chdstat analyze -o' wrote, to show.")] = None,
+    maps: Annotated[Path | None, option("Maps from 'chdstat analyze -o' to show.")] = None,
     port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 5006,
     browser: Annotated[
         bool, option("Open the page in the browser.", "--browser/--no-browser")

@@ -47,8 +47,8 @@ def render(
     light: Annotated[
         list[str] | None,
         option(
-            "Also store what each sample has by this light alone; a pattern such as 'lamp-*' is a "
-            "group of them. Repeat it for several.",
+            "Also store the part of each sample from this light; a pattern such as 'lamp-*' is a "
+            "group of lights. Can be repeated.",
             metavar="NAME",
         ),
     ] = None,
@@ -62,8 +62,8 @@ def render(
     adaptive: Annotated[
         bool,
         option(
-            "Draw samples where they are needed: --spp is their mean number, a quarter of which "
-            "tells how noisy each pixel is."
+            "Draw samples where they are needed. --spp is their mean number; a quarter of them "
+            "measures how noisy each pixel is."
         ),
     ] = False,
     error: Annotated[
@@ -181,12 +181,12 @@ def import_samples(
     ] = None,
     averaged: Annotated[
         int | None,
-        option("Samples that each value is the average of.", min=1, unset="the files' own"),
+        option("Number of samples that each value averages.", min=1, unset="the files' own"),
     ] = None,
     sequence: Annotated[
         int | None,
         option(
-            "Samples of a pixel that depend on each other, as stratified ones do.",
+            "Number of samples of a pixel that depend on each other, as stratified ones do.",
             metavar="N",
             min=1,
             unset="none: independent",
@@ -195,8 +195,8 @@ def import_samples(
     scene: Annotated[
         str | None, option("Name of the scene.", unset="the files', or OUT's of several files")
     ] = None,
-    renderer: Annotated[str | None, option("What rendered it.", unset="unknown")] = None,
-    seed: Annotated[int | None, option("Seed that it was rendered with.", unset="unknown")] = None,
+    renderer: Annotated[str | None, option("Name of the renderer.", unset="unknown")] = None,
+    seed: Annotated[int | None, option("Seed of the render.", unset="unknown")] = None,
     unit: Annotated[str | None, option("Unit of radiance.", unset="W sr-1 m-2")] = None,
     append: Annotated[bool, option("Add the samples to those of the store.")] = False,
 ) -> None:

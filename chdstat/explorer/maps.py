@@ -55,7 +55,7 @@ _ERROR, _FILE = "error:", "file:"
 _BATCH, _MOST_BATCHES = 32, 16
 """Samples of an estimate, and batches at most, in maps of errors."""
 _DECADES = 8.0
-"""Of a colour bar, at most."""
+"""Most ticks of a colour bar."""
 _TILE, _CELL = 16, 8
 """Pixels of a tile and of a cell, of which one pixel is computed first."""
 _COARSE_SHARE = 0.05

@@ -60,7 +60,7 @@ CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
 PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
 """After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
 _SOURCE_COLORS = tuple(PIXEL_COLORS[i] for i in (3, 2, 5, 4, 1, 0))
-"""Of stores that are compared: others than those of the first pixels."""
+"""Colours of compared stores, different from those of the first pixels."""
 LIGHT = {
     BLENDED: "#4a4f55",
     **dict(zip(CHANNEL_COLORS.values(), ("#b3261e", "#0f7039", "#1257b0"), strict=True)),

@@ -1,9 +1,8 @@
 """Server: the explorer on the loopback interface, from start to stop.
 
-It serves before there is anything to show: until the scene or store is open and its first image
-drawn, a notice without Bokeh says how far that is, and shows as much of a coarse image as is there.
-So this module imports what the page needs only where it is used, while another process loads the
-scene.
+The server starts at once. Until the scene or store is open and its first image is drawn, it shows a
+notice without Bokeh, with the progress and the finished part of a coarse image. So this module
+imports Bokeh and the page only where they are used, while another process loads the scene.
 """
 
 from __future__ import annotations
@@ -48,35 +47,33 @@ if TYPE_CHECKING:
 __all__ = ["DEFAULT_PORT", "Explorer", "Startup", "explore"]
 
 DEFAULT_PORT = 5006
-"""Of the command line, so that an address stays the same from day to day."""
+"""Default port of the command line, so that the address stays the same."""
 _ADDRESS = "127.0.0.1"
 Explored = str | Path | dict[str, Any] | Scene | Samples
 """A store or its path, samples in memory, a scene, or the path of an EXR image."""
 _HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
-"""What this machine calls itself in the header of a request."""
+"""Names of this machine in the header of a request."""
 _EVERY = 3000
-"""Milliseconds between two looks at a store that is still being written."""
+"""Milliseconds between two checks of a store that is still being written."""
 _BANDS = 4
-"""Parts that the coarse image is drawn in."""
+"""Number of parts in which the coarse image is drawn."""
 
 
 class Startup:
-    """How far a source is.
+    """Progress of opening a source.
 
     Parameters
     ----------
     name
-        Of the store or scene.
+        Name of the store or scene.
 
     Attributes
     ----------
     text
         What is being done.
     image
-        As much of the coarse image as is drawn, as the file of a PNG image in base64; empty for
-        nothing.
-    shared
-        What all pages share; None until the source is open.
+        The finished part of the coarse image, as a PNG file in base64; empty for nothing. shared
+        State that all pages share; None until the source is open.
     done
         Whether pages can be served.
 
@@ -114,14 +111,14 @@ class Startup:
 
 
 class Explorer(contextlib.AbstractContextManager["Explorer"]):
-    """A running explorer, as `explore` returns it; a notebook shows the page itself.
+    """A running explorer, returned by `explore`; a notebook shows its page.
 
-    Use it as a context, call `stop` when done, or `wait` in a script that does nothing else.
+    Use it in a ``with`` block, call `stop` when done, or `wait` in a script that does nothing else.
 
     Attributes
     ----------
     port
-        The port that is served.
+        Port of the server.
     url
         Address of the page.
     """
@@ -152,9 +149,9 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
             self._startup.shared.stop()
 
     def wait(self) -> None:
-        """Serve until Ctrl-C or SIGTERM, which end it cleanly; for the main thread."""
-        # From here on the process is the server's. What is loaded stays, and to look through it for
-        # garbage again and again would hold up a click by a tenth of a second.
+        """Serve until Ctrl-C or SIGTERM; call it in the main thread."""
+        # From here on, the process only serves. Garbage collection over everything that is loaded
+        # would delay a click by a tenth of a second.
         gc.collect()
         gc.freeze()
         stopped = threading.Event()
@@ -224,31 +221,27 @@ def explore(
 ) -> Explorer:
     """Serve a page on which a click on a pixel shows its distribution.
 
-    It is served to this machine alone, from a thread: the call returns at once. In a notebook, the
-    last expression of a cell shows the page in its place.
+    Only this machine can open the page. The server runs in a thread, so the call returns at once.
+    In a notebook, the last expression of a cell shows the page.
 
     Parameters
     ----------
     source
         A store or its path, samples in memory, or anything that `chdstat.load_scene` takes: a scene
-        is drawn coarsely, and each pixel sampled when it is picked. Or several of one size, to be
-        compared: stores, EXR images, and a scene as the first. Samples are compared in pairs where
-        two stores have the same seed, and so the same random numbers.
+        is drawn coarsely, and a pixel is sampled when it is selected. Several sources of the same
+        size are compared: stores, EXR images, and a scene as the first. If two stores have the same
+        seed, and so the same random numbers, their samples are compared in pairs.
     reference
-        A store of the same scene with more samples: errors of estimators are measured against it,
-        instead of against the samples that an estimate does not see. If it has the seed of the
-        source, its first samples are those of the source, and only the further ones count.
-    models
-        Trained estimators, or their files: shown among the estimates, with certainty and interval
-        where they say them.
-    maps
-        Maps that were computed before, as ``chdstat analyze -o`` writes them: they are in the menu.
-    port
-        Where to listen; 0 takes a free one.
+        A store of the same scene with more samples. Errors of estimators are measured against it,
+        instead of against the samples that an estimate does not use. If it has the seed of the
+        source, the samples that both have in common do not count. models Trained estimators, or
+        their files, shown among the estimates, with certainty and interval if they have them. maps
+        Maps from ``chdstat analyze -o``, added to the menu. port Port of the server; 0 takes a free
+        one.
     browser
         Open the page in the web browser.
     size, seed, max_depth
-        Of a scene, as for `chdstat.render`.
+        For a scene only, as for `chdstat.render`.
 
     Returns
     -------
@@ -260,7 +253,7 @@ def explore(
     InputError
         If the port is taken, the sources do not fit each other, or there are more than nine.
     StoreError, SceneError, RenderError
-        If the source or a model cannot be read, or the scene not rendered.
+        If the source or a model cannot be read, or the scene cannot be rendered.
 
     Examples
     --------

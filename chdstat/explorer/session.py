@@ -1,9 +1,9 @@
-"""Session: one page, its commands, the image that it shows and the results of its selection.
+"""Session: one page, its commands, its image and the results of its selection.
 
-Every command is checked, and what it cannot do becomes a message on the page. Results of the
-selection are computed in the thread of clicks: panels are shown while tables are still computed,
-only the newest selection is worked on, and slow estimates follow after a pause. A pixel of a scene
-gets more samples for as long as it is selected.
+Every command is checked; errors become messages on the page. Results of the selection are computed
+in the thread of clicks: panels are shown before tables are finished, only the newest selection is
+computed, and slow estimates follow after a pause. A pixel of a scene gets more samples as long as
+it is selected.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ _PAUSE = 250
 _LOOK = 0.4
 """Seconds of sampling between two updates of the selected pixel of a scene."""
 _OWN_ACCORD = -1
-"""In place of the number of a command, for an update that follows from none."""
+"""Number of an update that does not follow from a command."""
 
 _LOOKS = frozenset({"map", "limits", "exposure", "tone", "gamma"})
-"""Options that change the image, and nothing of the selection."""
+"""Options that change the image, but not the results of the selection."""
 
 T = TypeVar("T")
 Found = tuple[SelectionPlots, dict[str, Table], list[ScoredEstimate]] | None
@@ -55,7 +55,7 @@ Check = Callable[[], None]
 
 
 class Stopped(Exception):  # noqa: N818 - not an error
-    """Nobody waits for the result any more."""
+    """The result is no longer needed."""
 
 
 class Session:
@@ -66,7 +66,7 @@ class Session:
     document
         The Bokeh document of the page.
     shared
-        State that it has in common with other pages.
+        State that all pages share.
     arguments
         The query of its address: values by name.
     """
@@ -167,7 +167,7 @@ class Session:
             self._show_map()
 
     def _want(self) -> None:
-        """Wait for the map of the view, or say why there is none."""
+        """Request the map of the view, or say why there is none."""
         self._refused = ""
         try:
             self._shared.want(self, self.view if self._visible else View())
@@ -195,13 +195,13 @@ class Session:
         self._draw_more()
 
     def _on_visible(self, *, on: bool) -> None:
-        """Take note of whether anyone can see the page, and so waits for its map."""
+        """Note whether the page is visible, and so needs its map."""
         self._visible = bool(on)
         self._want()
         self._draw_more()
 
     def _on_goodness(self) -> None:
-        """Test the fits of the active place, which takes seconds; send the share that is done."""
+        """Test the fits of the active place, which takes seconds, and send the progress."""
         plots = self._shown
         if plots is None or self._is_new:
             message = "nothing is selected: click a pixel before testing its fits"
@@ -219,7 +219,7 @@ class Session:
         self._add("goodness", work)
 
     def _on_near(self, *, y: int, x: int) -> None:
-        """Read the pixels around the pointer, so that they are there when one is clicked."""
+        """Read the pixels around the pointer, before one of them is clicked."""
         for source in self._shared.sources:
             if isinstance(source, StoreSource):
                 with suppress(RuntimeError):  # the explorer is closing
@@ -265,7 +265,7 @@ class Session:
 
     @property
     def _exposure(self) -> float:
-        """Stops that the image is shown with."""
+        """Exposure of the image, in stops."""
         exposure = self.view.exposure
         return self._shared.overalls[0].exposure if exposure is None else exposure
 
@@ -273,11 +273,11 @@ class Session:
     def _means(self) -> list[Any]:
         """Mean radiance of the images, shape (y, x, channel)."""
         means = [overall.mean for overall in self._shared.overalls]
-        # Where nothing is drawn yet there is no error.
+        # Parts without samples yet have no error.
         return [m if np.isfinite(m).any() else np.zeros_like(m) for m in means]
 
     def _coarse(self) -> list[str]:
-        """Return what the page has of its images in its HTML, as PNG files in base64."""
+        """Return the images for the HTML of the page, as PNG files in base64."""
         look = self._exposure, self.view.tone, self.view.gamma
         return [coarse_png(isolated(m, self.view.channel), *look) for m in self._means]
 
@@ -303,7 +303,7 @@ class Session:
             self._show_image()
 
     def _show_map(self) -> None:
-        """Show what there is of the map and how far it is, or take it away."""
+        """Show the finished part of the map and its progress, or remove the map."""
         said = self._refused
         found = None if said or self.view.map == "image" else self._shared.map(self.view)
         if self.view.map != "image" and not said and (found is None or found.done < 1):
@@ -367,7 +367,7 @@ class Session:
         return self._found(view, check)
 
     def _check(self) -> Check:
-        """Return what raises `Stopped` once there is a newer selection."""
+        """Return a function that raises `Stopped` once there is a newer selection."""
         generation = self._generation
 
         def check() -> None:

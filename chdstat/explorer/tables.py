@@ -1,6 +1,6 @@
 """Tables: the numbers of a selection as text, ready for a page.
 
-Of one place, a table has a column for each channel; of several pixels, one for each pixel.
+For one place, a table has a column per channel; for several pixels, a column per pixel.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """View: what one page of the explorer shows, as a value that fits into an address.
 
-A view says which pixels or which region are selected and how they are looked at; it knows nothing
-of samples. Each action of a person is a function from a view to the next one. `View.query` writes
-an address and `parse_view` reads it; parts that it cannot follow become a note, and it follows the
-others.
+A view holds the selected pixels or region and all display options, but no samples. Each user action
+is a function from a view to the next view. `View.query` writes an address and `parse_view` reads
+it; invalid parts of an address become a note, and the other parts are used.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ __all__ = [
 
 MOST_PIXELS = 6
 MOST_IMAGES = 9
-"""As many as there are digits to choose them by."""
+"""Most images: one for each digit key."""
 FITS = ("best", *FAMILIES, "mixture")
-"""What can be drawn over the histograms."""
+"""Fits that can be drawn over the histograms."""
 TONES = ("srgb", "reinhard", "filmic")
 BATCH_SIZES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-"""N of the averages whose distribution is shown, and of estimates."""
+"""Numbers N of samples for averages and estimates."""
 BATCHES = 4
-"""Averages of N at least: of fewer, there is no distribution, and nothing to score estimates by."""
+"""Fewest averages of N: with fewer, there is no distribution, and no score of estimates."""
 _CHOICES: Mapping[str, Sequence[object]] = {
     "families": FITS,
     "batch": BATCH_SIZES,
@@ -51,7 +50,7 @@ _CHOICES: Mapping[str, Sequence[object]] = {
     "reference": (None, *range(MOST_IMAGES)),
 }
 _RANGES = {"exposure": (-32.0, 32.0, "stops"), "gamma": (0.1, 10.0, "as an exponent")}
-"""Ends and unit of what is any number between them."""
+"""Ends and unit of options that are any number in a range."""
 _MAP_CHARACTERS = set("abcdefghijklmnopqrstuvwxyz0123456789_:")
 
 PixelIndex = tuple[int, int]
@@ -69,24 +68,18 @@ class View:
     active
         Index of the pixel that tables describe and that arrow keys move.
     region
-        (top, left, bottom, right) of the selected box, the last two exclusive; then there are no
-        pixels.
-    map
-        Name of the map in the place of the image; "image" for the image itself.
-    limits
-        Ends of the colour bar of a map of numbers; None for those that suit the map.
+        (top, left, bottom, right) of the selected box, the last two exclusive; then `pixels` is
+        empty. map Name of the map that is shown instead of the image; "image" for the image itself.
+        limits Ends of the colour bar of a map of numbers; None for automatic ends.
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
         Some of `FITS`, drawn over the histograms.
     batch
-        N of the averages whose distribution is shown.
-    exposure
-        Stops; None for automatic.
+        N of the averages. exposure Stops; None for automatic.
     tone, gamma
-        One of `TONES`, and the exponent by which it is brightened after that, 1 for none.
-    shown, reference
-        Of several images, those that are looked at and compared with, from 0; None for the last.
+        One of `TONES`, and a gamma exponent after it, 1 for none. shown, reference Indices of the
+        shown image and of the one to compare with, from 0; None for the last image.
 
     Examples
     --------
@@ -112,7 +105,7 @@ class View:
     reference: int | None = None
 
     def pick(self, y: int, x: int, *, add: bool = False) -> View:
-        """Select a pixel; with `add`, beside the others, or no more if it is one of them.
+        """Select a pixel; with `add`, add it to the selection, or remove it if it is selected.
 
         Raises
         ------
@@ -131,7 +124,7 @@ class View:
         return replace(self, pixels=pixels, active=len(pixels) - 1, region=None)
 
     def drop(self, index: int) -> View:
-        """Take a pixel out of the selection."""
+        """Remove a pixel from the selection."""
         pixels = self.pixels[:index] + self.pixels[index + 1 :]
         return replace(self, pixels=pixels, active=max(0, min(self.active, len(pixels) - 1)))
 
@@ -140,14 +133,14 @@ class View:
         return replace(self, active=index) if 0 <= index < len(self.pixels) else self
 
     def box(self, region: Box) -> View:
-        """Select a region; one of a single pixel selects that."""
+        """Select a region; a region of one pixel selects the pixel."""
         top, left, bottom, right = region
         if (bottom - top, right - left) == (1, 1):
             return self.pick(top, left)
         return replace(self, pixels=(), active=0, region=region)
 
     def move(self, dy: int, dx: int, height: int, width: int) -> View:
-        """Move the active pixel inside the image, but not onto another selected one."""
+        """Move the active pixel inside the image, but not onto another selected pixel."""
         if not self.pixels:
             return self
         y, x = self.pixels[self.active]
@@ -190,7 +183,7 @@ class View:
         return replace(self, **{option: value})
 
     def of_samples(self, spp: int) -> View:
-        """Lower N to what so many samples allow.
+        """Lower N to the largest number that so many samples allow.
 
         Examples
         --------
@@ -201,7 +194,7 @@ class View:
         return replace(self, batch=max(allowed, default=1))
 
     def of_images(self, count: int) -> tuple[int, int]:
-        """Return which of so many images is looked at, and which it is compared with.
+        """Return the indices of the shown image and of the one to compare with, of `count` images.
 
         Examples
         --------
@@ -212,7 +205,7 @@ class View:
         return min(self.shown, last), last if self.reference is None else min(self.reference, last)
 
     def query(self) -> str:
-        """Return the part of the address after '?', without what is the default."""
+        """Return the part of the address after '?', without default values."""
         pairs: list[tuple[str, object]] = [("p", f"{y},{x}") for y, x in self.pixels]
         if self.pixels and self.active != len(self.pixels) - 1:
             pairs.append(("a", self.active))
@@ -251,12 +244,12 @@ def box_between(
 
 
 def check_sources(sources: Sequence[object]) -> None:
-    """Refuse more images than have a key, or none.
+    """Check that there is at least one image, and no more than there are keys.
 
     Raises
     ------
     InputError
-        If there are.
+        If there are none, or too many.
     """
     if not 1 <= len(sources) <= MOST_IMAGES:
         message = f"the explorer shows from 1 to {MOST_IMAGES} stores or images, got {len(sources)}"
@@ -305,13 +298,13 @@ OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "i": ("shown", lambda text: _integers(text, 1)[0]),
     "ref": ("reference", lambda text: _integers(text, 1)[0]),
 }
-"""By name in an address: the option that it sets, and how its text is read."""
+"""Options by name in an address, and how their text is read."""
 
 
 def parse_view(
     arguments: Mapping[str, Sequence[str]], height: int, width: int
 ) -> tuple[View, list[str]]:
-    """Return the view that an address asks for, and what of it could not be followed.
+    """Return the view of an address, and notes on its invalid parts.
 
     Parameters
     ----------
@@ -334,7 +327,7 @@ def parse_view(
                 view = _followed(view, key, text, height, width)
             except InputError as error:
                 notes.append(str(error))
-    # The page itself knows how it is zoomed, how opaque a map is, and what stands side by side.
+    # Zoom, opacity of maps and side-by-side display are handled by the page itself.
     unknown = sorted(arguments.keys() - {*keys, "z", "o", "side"})
     notes += [f"the address has {name!r}, which means nothing here" for name in unknown]
     return view, notes
