@@ -55,7 +55,7 @@ __all__ = [
 ]
 
 BLENDED = "#d0d3d6"
-"""Luminance, and whatever is no channel."""
+"""Colour of luminance, and of everything that is not a channel."""
 CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
 PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
 """After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
@@ -72,7 +72,7 @@ LIGHT = {
         )
     ),
 }
-"""What these colours are on a light ground."""
+"""Colours on a light background instead of these."""
 _PATTERNS = ("solid", "6 6", "2 4 6 4", "2 4", "12 4", "6 4 2 4 2 4", "12 4 2 4")
 DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4 2 4"}
 """Line dashes of fits by name: lengths of lines and gaps, as Bokeh and SVG read them."""
@@ -88,7 +88,7 @@ Extent = tuple[float, float]
 _POINTS = 160
 _QUANTILES = (np.arange(100) + 0.5) / 100
 _ROW_HEIGHT = 0.78
-"""Of a density among others, of the distance between rows."""
+"""Height of a density, relative to the distance between rows."""
 
 
 @dataclass(frozen=True)

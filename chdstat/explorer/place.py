@@ -1,9 +1,9 @@
 """Statistics of one place, each computed when it is first used.
 
-A place is a pixel, or a region whose samples are pooled. Luminance goes along as one more channel,
-so that each fit, test and mode is found once for all of them. `goodness` tests by bootstrap whether
-each family describes a place. It takes seconds, not the time of a click: it reports its progress,
-and its caller may end it. So does `suggest`, which looks for places worth a first look.
+A place is a pixel, or a region whose samples are pooled. Luminance is treated as one more channel,
+so each fit, test and mode is computed once for all of them. `goodness` tests by bootstrap whether
+each family describes a place; `suggest` finds pixels worth a first look. Both take longer than a
+click: they report their progress, and the caller may stop them.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _OF_FIRST = {"part", "_positive", "patterns"}
 RESAMPLES = 199
 _POINTS = 96
 MOST_TESTED = 4096
-"""Samples that are tested: replicates of a region's would take minutes."""
+"""Most samples that are tested: replicates for all samples of a region would take minutes."""
 
 FINITE = {0: "suspect", 1: "cannot tell", 2: "yes"}
 """Whether a variance is finite, by the codes of `finite_variance`."""
@@ -331,9 +331,9 @@ def first_pixel(overall: Overall) -> PixelIndex:
 def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, PixelIndex]]]]:
     """Look for a pixel with a long tail, one with several modes and one that is null-heavy.
 
-    Yields the share that is done, and in the end what was found. Of a grid of pixels, those whose
-    pattern is surest: the lower end of the interval of its statistic is the largest. What no pixel
-    of the grid has is left out.
+    Yields the progress, and in the end the pixels. They are chosen from a grid by the surest
+    pattern: the largest lower end of the interval of its statistic. Patterns that no pixel of the
+    grid has are left out.
 
     Parameters
     ----------

@@ -190,7 +190,7 @@ class Passes:
 _MOST_FILES = 64
 _FIRST_SPP = 64
 _SHOWN_EVERY = 0.5
-"""Of the time since drawing began, between two times that the image is shown, and 0.4 s more."""
+"""The image is shown again after 0.4 s plus this share of the time since drawing began."""
 
 T = TypeVar("T")
 Listener = Callable[[str], None]

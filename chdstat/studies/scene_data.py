@@ -1,7 +1,7 @@
 """Data of one scene, as the claims read them.
 
-`SceneData` holds samples, regions, and what else a claim compares them with; `PixelSet` holds the
-pixels of regions, and returns statistics of values at them with intervals.
+`SceneData` holds samples, regions, and the renders that claims compare them with. `PixelSet` holds
+the pixels of regions, and returns statistics of values at these pixels, with intervals.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ DIRECT = "direct light, both"
 QUANTILES_NEED = 100
 """Positive samples that a quantile at 1 % or 99 % needs."""
 _GUIDED_NEEDS = 64
-"""Samples of a pixel, of which tails and skewness say something."""
+"""Fewest samples of a pixel for tails and skewness."""
 
 
 def largest_interval(intervals: Sequence[Interval[float]], *, level: float) -> Interval[float]:
-    """Return the largest of several; its ends are the largest of ends that hold together."""
+    """Return the largest of several intervals; its ends are the largest of simultaneous ends."""
     value, low, high = (max(getattr(i, end) for i in intervals) for end in ("value", "low", "high"))
     return Interval(value, low, high, level)
 
 
 def known_mean(values: Array) -> float:
-    """Return the mean of what is finite; NaN of nothing."""
+    """Return the mean of the finite values; NaN if there is none."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else math.nan
 
@@ -74,7 +74,7 @@ def logs(values: Floats) -> Floats:
 def positive_quantiles(x: Floats, levels: Sequence[float]) -> Floats:
     """Return quantiles of positive samples (pixel, sample), shape (level, pixel).
 
-    NaN of fewer than `QUANTILES_NEED` of them.
+    NaN if there are fewer than `QUANTILES_NEED`.
     """
     ordered = np.sort(np.where(x > 0, x, np.inf), axis=1)
     n = (x > 0).sum(axis=1)
@@ -99,7 +99,7 @@ def fold_of(blocks: Blocks, *, across: int, folds: int) -> Counts:
 
 
 def means_by_region(values: Floats, blocks: Blocks) -> Callable[[Floats], Floats]:
-    """Return what maps weights of blocks to the mean of values (pixel,) over each region."""
+    """Return a function from weights of blocks to the mean of values (pixel,) over each region."""
     sums, count = blocks.sums(values), blocks.sums(np.ones(len(values)))
     member = (blocks.region[:, np.newaxis] == np.unique(blocks.region)).astype(np.float64)
     return lambda weights: ((weights * sums) @ member) / ((weights * count) @ member)
@@ -109,18 +109,16 @@ def means_by_region(values: Floats, blocks: Blocks) -> Callable[[Floats], Floats
 class PixelSet:
     """Pixels of one region or several, one after the other.
 
-    Statistics of values at the pixels come with intervals over blocks; NaN takes no part.
+    Statistics of values at the pixels have intervals over blocks; NaN is left out.
 
     Attributes
     ----------
     names
-        Of the regions.
-    y, x
-        Where the pixels are, shape (pixel,).
+        Names of the regions. y, x Positions of the pixels, shape (pixel,).
     region
         Region of each pixel, shape (pixel,).
     blocks
-        Blocks of them to resample.
+        Blocks of the pixels, for resampling.
     level
         Coverage of the intervals.
     """
@@ -179,7 +177,7 @@ class PixelSet:
     def ratio(
         self, x: Floats, y: Floats, bounds: tuple[float, float] = (-math.inf, math.inf)
     ) -> Interval[float]:
-        """Return the sum of x over that of y, shapes (pixel,), of the pixels that have both."""
+        """Return the sum of x over the sum of y, shapes (pixel,), over the pixels with both."""
         known = np.isfinite(x + y)
         used = self if known.all() else self[known]
         above, below = used.blocks.sums(x[known]), used.blocks.sums(y[known])
@@ -188,8 +186,8 @@ class PixelSet:
     def slope(self, x: Floats, y: Floats, *, instrument: Floats | None = None) -> Interval[float]:
         """Return the slope of y on x, ``cov(y, z) / cov(x, z)``.
 
-        Least squares take x itself for the instrument z. Noise in x flattens that slope; an
-        instrument that follows x and shares no noise with x and y does not let it.
+        With least squares, the instrument z is x itself; noise in x then flattens the slope. An
+        instrument that follows x, but shares no noise with x and y, avoids this.
 
         Parameters
         ----------
@@ -231,12 +229,12 @@ class PixelSet:
 
 @dataclass(frozen=True)
 class SceneData:
-    """One scene: its samples, regions, and what they are compared with.
+    """One scene: its samples, its regions, and the renders that they are compared with.
 
     Attributes
     ----------
     name
-        Name of the scene: what is expected of nulls depends on it.
+        Name of the scene; the expected share of nulls depends on it.
     samples
         The image.
     regions
@@ -259,10 +257,10 @@ class SceneData:
     given_shorter
         What `chdstat.summarize` returned for `shorter`; None to compute it when it is needed.
     comparison
-        Estimators side by side on this scene, a learned one among them.
+        Comparison of estimators on this scene, including a learned one.
     complexity
-        Any measure of how complex the scene is, the same for all scenes; None to take the share of
-        neighbouring pixels that see different surfaces.
+        Any measure of the complexity of scenes; None takes the share of neighbouring pixels that
+        see different surfaces.
 
     Examples
     --------
@@ -329,7 +327,7 @@ class SceneData:
 
     @cached_property
     def with_guided(self) -> tuple[SceneData, SceneData]:
-        """Image and guided one at equally many samples, of which alone they can be compared.
+        """The image and the guided one, with equally many samples, so that they can be compared.
 
         Raises
         ------
@@ -356,14 +354,14 @@ class SceneData:
         Parameters
         ----------
         phenomenon, which
-            What they show, and the words for it where there is none.
+            The phenomenon, and the words for the missing region.
         tests
-            Tests of the claim, whose intervals are to hold together.
+            Number of tests of the claim, whose intervals are simultaneous.
 
         Raises
         ------
         MissingDataError
-            If there is none; it says `which` region is needed.
+            If there is none; the message says `which` region is needed.
         """
         chosen = [region for region in self.regions if region.phenomenon == phenomenon]
         require(chosen, f"a region {which}")

@@ -1,9 +1,9 @@
 """Shapes of CHDs compared: between pixels, regions, channels, scenes and integrators.
 
 `permuted` tests whether two integrators differ at all in the shapes that they give the pixels of a
-scene; `squares` measures by how much, with an interval of its own. `drawn` draws as many positive
-samples of every pixel of every scene: a distribution function is the smoother, and shows the more
-modes, the more samples there are, so that scenes with other shares of nulls would differ by that.
+scene; `squares` measures by how much, with an interval of its own. `drawn` draws equally many
+positive samples from every pixel of every scene: with more samples, a distribution function is
+smoother and shows more modes, so scenes with different shares of nulls would differ.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 SHAPE_NEEDS = 32
-"""Positive samples that the shape of a pixel needs."""
+"""Fewest positive samples for the shape of a pixel."""
 
 
 # --- in one image ---------------------------------------------------------------------------------
@@ -60,13 +60,13 @@ def log_skewness(x: Floats) -> Floats:
 
 
 def standard_logs(x: Floats) -> Floats:
-    """Return logarithms less their mean over their deviation; NaN where x is not positive."""
+    """Return standardised logarithms; NaN where x is not positive."""
     log = np.log(np.where(x > 0, x, np.nan))
     n = np.maximum((x > 0).sum(axis=-1, keepdims=True), 1)
     log -= np.nansum(log, axis=-1, keepdims=True) / n
     deviation = np.sqrt(np.nansum(log**2, axis=-1, keepdims=True) / n)
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Equal radiance has rounding errors for a deviation, and no shape.
+        # The deviation of equal radiance is rounding: there is no shape.
         return np.asarray(np.where(deviation > 1e-6, log / deviation, np.nan))
 
 
@@ -85,7 +85,7 @@ def channel_shift(x: Floats, pixels: PixelSet) -> Interval[float]:
 
 
 def _mean_shape(shapes: LogChds, blocks: Blocks) -> Callable[[Floats], LogChds]:
-    """Return what maps weights of blocks to the mean of shapes (pixel, ...)."""
+    """Return a function from weights of blocks to the mean of shapes (pixel, ...)."""
     sums, count = blocks.sums(shapes.halves), blocks.sums(np.ones(len(shapes.halves)))
 
     def mean(weights: Floats) -> LogChds:
@@ -98,7 +98,7 @@ def _mean_shape(shapes: LogChds, blocks: Blocks) -> Callable[[Floats], LogChds]:
 def pooled_distance(
     shapes: Sequence[LogChds], blocks: Sequence[Blocks], *, level: float
 ) -> Interval[float]:
-    """Return the distance between the mean shapes of two patches, with halves against noise."""
+    """Return the distance between the mean shapes of two patches, unbiased by halves."""
     known = [of_patch[chds.known] for chds, of_patch in zip(shapes, blocks, strict=True)]
     first = len(known[0])
     means = [_mean_shape(s[s.known], of_patch) for s, of_patch in zip(shapes, known, strict=True)]
@@ -158,7 +158,7 @@ def shape_spread(shapes: LogChds, pixels: PixelSet) -> Interval[float]:
 def common_count(scenes: Sequence[SceneData], *, least: int) -> int:
     """Return a number of positive samples that half of the pixels of every scene have.
 
-    Of pixels that have any, and of the channel in the middle; not less than `least`.
+    Only pixels with positive samples count, in the middle channel; at least `least`.
     """
     counts = [_positive(data) for data in scenes]
     middles = [np.median(n[n > 0]) if n.any() else 0 for n in counts]
@@ -166,7 +166,7 @@ def common_count(scenes: Sequence[SceneData], *, least: int) -> int:
 
 
 def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Floats, Blocks]:
-    """Draw `n` positive samples of pixels spread over the image, of the channel in the middle.
+    """Draw `n` positive samples of pixels spread over the image, in the middle channel.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Flo
     n
         Samples of each pixel; pixels with fewer are left out.
     pixels
-        How many, at most, as many in each of `across` x `across` blocks of the image.
+        Most pixels, equally many in each of `across` x `across` blocks of the image.
     across
         Blocks along each side.
 
@@ -209,9 +209,9 @@ _AT_ONCE = 64
 def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
     """Return squared distances between the shapes of two renders of a view, shape (pixel,).
 
-    In each pixel, as many positive samples of each render count as the one with fewer has; those of
-    the other are drawn at random. Where both have the same shape, their four halves are then
-    exchangeable, and the distance is as likely to be above 0 as below.
+    In each pixel, both renders use the same number of positive samples, the smaller of the two;
+    from the other render they are drawn at random. If both have the same shape, their four halves
+    are exchangeable, and the distance is as likely to be above 0 as below.
 
     Parameters
     ----------
@@ -240,9 +240,9 @@ def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
 def squares_of_pairs(one: Samples, two: Samples) -> Floats:
     """Return squared distances of renders that share random numbers, shape (pixel,).
 
-    As `squares`, but a half is every other sample of both: of halves drawn separately from each
-    render, the first of one would be correlated with the second of the other, and distances be too
-    small.
+    Like `squares`, but the halves are alternating samples of both renders. If halves were drawn
+    separately, the first half of one render would be correlated with the second half of the other,
+    and distances would be too small.
     """
     rng, spp, middle = generator(0), min(one.spp, two.spp), one.shape[2] // 2
     halves = []
@@ -258,11 +258,11 @@ def squares_of_pairs(one: Samples, two: Samples) -> Floats:
 
 
 def _equally_many(datasets: Sequence[xr.Dataset], rng: np.random.Generator) -> Iterator[xr.Dataset]:
-    """Yield log histograms with as many positive samples in each pixel, the fewest of them."""
+    """Yield log histograms with equally many positive samples in each pixel."""
     counts = [dataset["log_counts"].to_numpy().astype(np.int64) for dataset in datasets]
     fewest = np.minimum(*(c.sum(axis=-1) for c in counts))
     for dataset, c in zip(datasets, counts, strict=True):
-        # Multivariate hypergeometric: bin after bin, from what is left.
+        # Multivariate hypergeometric: bin after bin, from the remaining samples.
         chosen, rest, left = np.empty_like(c), c.sum(axis=-1), fewest.copy()
         for i in range(c.shape[-1]):
             rest -= c[..., i]
@@ -280,9 +280,9 @@ def _squared(renders: Sequence[Image]) -> Floats:
 def permuted(squared: Sequence[Floats]) -> float:
     """Return the p-value of no difference between two integrators in any pixel.
 
-    The statistic is the mean over pixels, of all scenes given. Where there is no difference, one
-    half of the samples of each pixel may change sides, which turns the sign of its distance; pixels
-    are rendered independently. So random signs give the null distribution, exactly.
+    The statistic is the mean over the pixels of all scenes. Without a difference, one half of the
+    samples of each pixel may be exchanged between the integrators, which changes the sign of its
+    distance; pixels are rendered independently. So random signs give the exact null distribution.
 
     Parameters
     ----------

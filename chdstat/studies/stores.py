@@ -1,8 +1,8 @@
-"""Stores of a study: its scenes, their renders in one folder, and what was computed from them.
+"""Stores of a study: its scenes, their renders in one folder, and cached results.
 
-The name of a store holds its scene and a digest of everything else that its samples depend on but
-for their number: a render that was stopped resumes, and more samples append. Analyses, summaries
-and comparisons are kept beside the store until the samples or the code change.
+The name of a store contains its scene and a digest of everything that its samples depend on, except
+their number. So a stopped render resumes, and more samples are appended. Analyses, summaries and
+comparisons are kept beside the store until the samples or the code change.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SHORT = 3
 """Longest path, in segments, of the shorter ones: two bounces, as in the case study of Elek et al.
 2019, which compares two with five."""
 ROULETTE = 1
-"""Segment from which on the other integrator plays Russian roulette: it solves the same equation
+"""First segment at which the other integrator plays Russian roulette: it solves the same equation
 with other samples. `volpath` in place of `path` would not do: without media, its shapes of CHDs are
 those of `path`.
 """
@@ -63,15 +63,15 @@ _DIRECT = {"direct light, lights": (1, 0), "direct light, BSDFs": (0, 1), DIRECT
 _NEVER = 2**20
 _EARLY = "early roulette"
 _POINTS = ("point", "spot", "directional", "projector", "directionalarea", "sunsky")
-"""Lights that no ray is known to meet by chance."""
+"""Lights that no ray meets by chance."""
 _LEAST = 128
-"""Samples of the renders to compare with, at least; else a half or a quarter of those of the image.
+"""Fewest samples of the renders to compare with; else a half or a quarter of those of the image.
 """
 SPREAD = {"stratified": 16, "multijitter": 16, "orthogonal": 25, "ldsampler": 16}
 """Samples of a sequence, by sampler."""
 _SEQUENCES = 16
 _IN_MEMORY = 2**29
-"""Bytes of samples that are read once, as they are walked several times."""
+"""Samples up to this many bytes are read into memory, as they are used several times."""
 
 StudySource = str | Path | Mapping[str, Any] | Scene | Samples
 
@@ -83,13 +83,13 @@ class StudyScene:
     Attributes
     ----------
     name
-        Of the scene; no two of a study have the same.
+        Name of the scene; unique within a study.
     source
         The scene to render, or samples that are rendered already.
     recipe
         How to render it; None for samples.
     regions
-        Where to look; none for those that the library chooses.
+        Regions of the image; none lets the library choose.
     """
 
     name: str
@@ -109,12 +109,14 @@ def scenes_of(
         Built-in names, Mitsuba XML files, recipes (``*.toml``), finished stores, scenes or samples,
         one or several; None takes every built-in scene that has a recipe.
     settings
-        Size, spp, seed and max_depth in place of those of recipes; of stores, the first spp.
+        Size, spp, seed and max_depth instead of those of recipes; from stores, the first spp are
+        taken.
 
     Raises
     ------
     InputError
-        If there is none, one comes twice, or a recipe is wrong; the message names file and key.
+        If there is no scene, a scene is given twice, or a recipe is wrong; the message names file
+        and key.
     SceneError, StoreError
         If a scene or a store cannot be read.
     """
@@ -151,7 +153,7 @@ def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
 
 
 def _distinct(scenes: Sequence[StudyScene]) -> Iterator[StudyScene]:
-    """Yield scenes, a further one of the same name with its number; the same scene is refused."""
+    """Yield scenes, with numbers to make names unique; the same scene twice is refused."""
     names, known = list[str](), list[object]()
     for scene in scenes:
         source = scene.source
@@ -167,16 +169,16 @@ def _distinct(scenes: Sequence[StudyScene]) -> Iterator[StudyScene]:
 
 @dataclass(frozen=True)
 class Stores:
-    """The folder that holds the renders of a study, and what was computed from them.
+    """The folder with the renders of a study and cached results.
 
     Attributes
     ----------
     folder
-        Where they lie; None keeps them in memory.
+        The folder; None keeps everything in memory.
     backend, progress
         As for `chdstat.render`.
     sampler
-        The sampler of one more render, of samples that are spread over pixels; "independent" for
+        Sampler of one more render, with samples that are spread over pixels; "independent" for
         none.
     integrators
         Whether to render by other integrators, by path guiding and with adaptive counts, too.
@@ -189,9 +191,9 @@ class Stores:
     integrators: bool = False
 
     def renders(self, scene: StudyScene) -> tuple[SceneData, Samples | None]:
-        """Return the renders of a scene, and of another seed; what is not there yet is rendered.
+        """Return the renders of a scene, and one with another seed; missing ones are rendered.
 
-        Samples that were given stand alone.
+        For given samples, there are no other renders.
         """
         source, recipe = scene.source, scene.recipe
         if isinstance(source, Samples) or recipe is None:
@@ -202,7 +204,7 @@ class Stores:
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
 
         def more(number: int, spp: int, what: Scene = source, **how: Any) -> Samples:
-            """Render with a seed of its own: tests of a difference take samples for independent."""
+            """Render with its own seed: tests of a difference assume independent samples."""
             settings = {**recipe.settings(), "spp": spp, "seed": seed + number, **how}
             return self._rendered(what, settings)
 
@@ -241,11 +243,11 @@ class Stores:
         return render(scene, **settings, out=out, **about)
 
     def cache(self, samples: Samples) -> Cache:
-        """Return the cache of what was computed from samples; of samples in memory, none is."""
+        """Return the cache of results from samples; for samples in memory, there is none."""
         return Cache(self.folder, cache_key(samples))
 
     def analysis(self, samples: Samples) -> xr.Dataset:
-        """Return what `chdstat.analyze` does, from the cache where it is there."""
+        """Return the result of `chdstat.analyze`, from the cache if possible."""
 
         def analysed(checkpoint: Path | None) -> xr.Dataset:
             return analyze(_at_hand(samples), progress=self.progress, checkpoint=checkpoint)
@@ -253,7 +255,7 @@ class Stores:
         return self._dataset(samples, "analysis", analysed)
 
     def summary(self, samples: Samples) -> xr.Dataset:
-        """Return what `chdstat.summarize` does, from the cache where it is there."""
+        """Return the result of `chdstat.summarize`, from the cache if possible."""
         return self._dataset(
             samples, "summary", lambda _: summarize(samples, progress=self.progress)
         )
@@ -289,7 +291,7 @@ class Stores:
     def comparison(
         self, samples: Samples, estimators: Sequence[str | Entry] | None, labels: xr.DataArray
     ) -> Comparison:
-        """Return what `chdstat.compare` does; what was trained on these samples serves again.
+        """Return the result of `chdstat.compare`; models trained on these samples are reused.
 
         Raises
         ------
@@ -329,7 +331,7 @@ def _at_hand(samples: Samples) -> Samples:
 
 
 def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
-    """Return the samples of a store that needs no renderer any more; None of any other."""
+    """Return the samples of a store that is already complete; None for any other."""
     if not path.exists():
         return None
     try:
@@ -343,7 +345,7 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
 
 
 def _variants(scene: Scene, samples: Samples) -> dict[str, Scene]:
-    """Return the scene with integrators that sample paths in other ways; none of a file."""
+    """Return the scene with integrators that sample paths in other ways; none for a file."""
     used, source = dict(samples.attrs["integrator"]), scene.source
     kinds = ("path", "volpath")
     if used.get("type") not in kinds or not isinstance(source, Mapping):
@@ -369,7 +371,7 @@ def _variants(scene: Scene, samples: Samples) -> dict[str, Scene]:
 
 
 def without_emitter_sampling(source: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return a scene whose lights are found by sampling BSDFs alone; None where that misses some.
+    """Return a scene whose lights are found by BSDF sampling alone; None if that misses some.
 
     Lights of weight 0 are never sampled, and multiple importance sampling knows. Mitsuba
     refuses a scene with these alone, so that one light is sampled that has no radiance.

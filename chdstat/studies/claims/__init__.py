@@ -1,9 +1,9 @@
 """Claims of the paper, and a few of ours, as numbers with intervals and verdicts, on any scene.
 
-`CLAIMS` lists them, each with the function that measures it. `SceneData` holds what is known of a
-scene, and `find` tests all claims on it and returns a `Finding` for each.
+`CLAIMS` lists them, each with the function that measures it. `SceneData` holds the data of a scene.
+`find` tests all claims on it and returns a `Finding` for each.
 
-The decorator `chdstat.studies.claim.claim` enters a claim, in any module of this folder.
+The decorator `chdstat.studies.claim.claim` registers a claim, in any module of this folder.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ for _leaf in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_leaf.name}")
 CLAIMS = tuple(ENTERED[number] for number in sorted(ENTERED))
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
-Carlo variance reduction", in the order of the study; from 30 on, claims of ours, about path guiding
-and adaptive sampling, which it leaves for later."""
+Carlo variance reduction", in the order of the study. From 30 on, they are our own, about path
+guiding and adaptive sampling, which the paper leaves for later."""
 
 
 def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
-    """Test all claims of the paper in one scene, with other scenes to compare it with.
+    """Test all claims of the paper in one scene, compared with other scenes if there are any.
 
-    A claim is *supported* where the whole interval of each of its tests lies within the range that
-    the claim states, *not supported* where that of any lies wholly outside, and otherwise
-    undecided. Regions that show one phenomenon are taken together, each as a stratum.
-    Intervals are of a bootstrap over blocks of pixels; those of the tests of one claim
-    hold together at 95 % (Bonferroni). A verdict is about the image at hand, or what was trained on
-    it; `Finding.about` says which, and whether the scene is a remake of the paper's. Nothing is
-    corrected between claims: each has a chance of 5 % of a wrong verdict.
+    A claim is *supported* if the intervals of all its tests lie within the ranges that the claim
+    states, *not supported* if any interval lies wholly outside, and otherwise undecided. Regions
+    with the same phenomenon are combined, each as a stratum. Intervals come from a bootstrap over
+    blocks of pixels; for the tests of one claim, they hold simultaneously at 95 % (Bonferroni). A
+    verdict is about the image at hand, or about a model that was trained on it; `Finding.about`
+    says which, and whether the scene is a remake of the paper's. There is no correction between
+    claims: each has a 5 % chance of a wrong verdict.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     Returns
     -------
     list of Finding
-        One for each of `CLAIMS`, in their order. Where something is lacking, the verdict is
-        "cannot tell", and the reason names it.
+        A finding for each of `CLAIMS`, in order. If data are missing, the verdict is "cannot tell",
+        and the reason names them.
 
     Raises
     ------

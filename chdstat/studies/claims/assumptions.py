@@ -1,13 +1,13 @@
 """Assumptions that denoisers make about noise and radiance, tested (claim 13).
 
-The paper holds that four of them fail: that noise is spatially uniform and additive, that averages
-are Gaussian, that variance follows feature buffers, that radiance is regular.
+The paper claims that four of them fail: noise is spatially uniform and additive, averages are
+Gaussian, variance follows feature buffers, and radiance is regular.
 
 `uniformity` tests whether the noise of pixels has one variance. `explained_by_features` measures
-how much of the variance map first-hit features predict. `growing` and `with_room` allow for samples
-that are missing: skewness and kurtosis rest on the rare bright samples of a tail, most of which a
-pixel has not seen. Both are too small, and grow with the number of samples, so that it is safe to
-say that they lie above a limit, but not that they lie below one.
+how much of the variance map first-hit features predict. `growing` and `with_room` allow for missing
+samples: skewness and kurtosis depend on the rare bright samples of a tail, most of which a pixel
+has not seen. Both are underestimated and grow with the number of samples. So it is safe to say that
+they lie above a limit, but not below one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def explained_by_features(
     Parameters
     ----------
     data
-        With the features; None is returned without them.
+        Scene with features; None is returned without them.
     batches
         Means of batches, shape (pixel, batch).
     whole
@@ -50,8 +50,9 @@ def explained_by_features(
     Returns
     -------
     tuple
-        Cross-validated R^2 over the share that is not noise, below 0 where features mislead; and
-        that share, the correlation between two halves of the samples, stepped up to all of them.
+        Cross-validated R^2 divided by the share that is not noise (below 0 if features mislead);
+        and that share, from the correlation between two halves of the samples, corrected to all
+        samples.
 
     References
     ----------
@@ -96,19 +97,19 @@ def explained_by_features(
 Growing = tuple[Floats, Floats, Floats]
 
 _SLOWEST = 0.8
-"""Ratio of successive gains that is believed, at least: with gamma and log-normal samples it lies
-between 0.6 and 0.9, and smaller where noise makes it so."""
+"""Smallest assumed ratio of successive gains: for gamma and log-normal samples it lies between 0.6
+and 0.9; noise may make it smaller."""
 
 
 def growing(x: Reals, good: Mask, statistic: Callable[[Moments], Floats]) -> Growing:
-    """Return a moment of quarters, of halves and of all of the samples.
+    """Return a moment of the quarters, of the halves and of all samples.
 
     Parameters
     ----------
     x, good
-        Samples, shape (pixel, ..., sample), and those that count.
+        Samples, shape (pixel, ..., sample), and a mask of those that count.
     statistic
-        Reads it off the moments.
+        Computes the statistic from the moments.
 
     Returns
     -------
@@ -123,13 +124,13 @@ def growing(x: Reals, good: Mask, statistic: Callable[[Moments], Floats]) -> Gro
 
 
 def with_room(median: Interval[float], grown: Growing) -> Interval[float]:
-    """Return a median over pixels with room above for the samples that are missing.
+    """Return a median over pixels, with the upper end raised for missing samples.
 
-    Of a quarter, half and all of the samples, the median gains d1 and then d2. If each doubling
-    gains d2 / d1 = r of the one before, all that are to come gain d2 r / (1 - r): Aitken's
-    extrapolation ("On Bernoulli's numerical solution of algebraic equations", 1926,
-    doi:10.1017/S0370164600022070). Where gains do not shrink, there is no upper end. The noise of
-    the median counts as a gain, too.
+    From a quarter to half of the samples the median gains d1, and from half to all it gains d2. If
+    each doubling gains r = d2 / d1 times the gain before, all further doublings gain d2 r / (1 -
+    r): Aitken's extrapolation ("On Bernoulli's numerical solution of algebraic equations", 1926,
+    doi:10.1017/S0370164600022070). If gains do not shrink, there is no upper end. The noise of the
+    median counts as a gain, too.
 
     Examples
     --------
@@ -161,7 +162,7 @@ def _median(values: Floats) -> float:
 
 
 _TINY = float(np.finfo(np.float64).tiny)
-"""What underflows is no proof: p-values are never 0."""
+"""Smallest p-value: an underflow does not make it 0."""
 
 
 def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
@@ -170,8 +171,8 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
     Parameters
     ----------
     batches
-        Means of batches, shape (pixel, batch). The noise of the last one, its distance from the
-        mean of the others, is what is tested: pixels are rendered independently.
+        Means of batches, shape (pixel, batch). The noise of the last batch, its distance from the
+        mean of the others, is tested: pixels are rendered independently.
     blocks
         Groups of pixels for Levene's test.
 
@@ -203,9 +204,9 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
 
 
 _AVERAGED = 32
-"""Samples of an average, as many as the paper's model sees."""
+"""Samples of an average, as many as the paper's model takes."""
 _STEPS = 0.05
-"""share of the steps that are the largest; of Gaussian steps, they would hold 0.28."""
+"""Share of steps that counts as the largest; of Gaussian steps, these would hold 0.28."""
 _LEAST = 12
 """Batches of samples that are needed."""
 

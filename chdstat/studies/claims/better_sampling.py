@@ -1,14 +1,14 @@
 """Claims on better sampling: what path guiding and adaptive counts do to distributions.
 
-Elek, Thomas and Forbes 2019 leave path guiding to later work. A guide draws directions where light
-comes from (Müller, Gross and Novák, "Practical path guiding for efficient light-transport
-simulation", 2017, doi:10.1111/cgf.13227), so that fewer paths should find none, and fewer find much
-more than the others. Renders are compared at equally many samples: of more, tails look heavier.
-Rare bright samples that have not been seen make tails look lighter, too, mostly those of the
-integrator that finds them less often.
+Elek, Thomas and Forbes 2019 leave path guiding to later work. A guide draws directions from which
+light comes (Müller, Gross and Novák, "Practical path guiding for efficient light-transport
+simulation", 2017, doi:10.1111/cgf.13227). So fewer paths should find no light, and fewer should
+find much more than the others. Renders are compared at equally many samples, since tails look
+heavier with more samples. Rare bright samples that have not been seen make tails look lighter,
+mostly those of the integrator that finds them less often.
 
-Adaptive counts change no distribution: the error of a mean is that of one sample over the root of
-their number. What is claimed is about that.
+Adaptive counts change no distribution, only the error of the mean: that of one sample divided by
+the root of their number. The claim is about this error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _TAIL_PIXELS = 1024
 _LONG = 0.25
 """Tail index from which the sample variance has an infinite variance of its own."""
 _LITTLE = 0.01
-"""Of a share, an index or a decade: below it, nothing became less."""
+"""Smallest change of a share, an index or in decades that counts as a decrease."""
 
 
 # --- path guiding ---------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def _means(values: Floats) -> dict[str, float]:
     once=True,
 )
 def averages(data: SceneData) -> Finding:
-    """Compare the samples that averages need to be Gaussian, as the square of skewness has them."""
+    """Compare the samples that averages need to be Gaussian, from squares of skewness."""
     own, guided = data.with_guided
     ratio = samples_ratio(guided.summary, own.summary, data.whole())
     name = "log samples until averages are Gaussian, guided over own"
@@ -103,7 +103,7 @@ def averages(data: SceneData) -> Finding:
 
 
 def _time_ratio(data: SceneData) -> float | None:
-    """Return the time of a guided sample over that of one without; None where it is not known.
+    """Return the time of a guided sample over that of a plain one; None if it is unknown.
 
     Kernels are compiled within the time of a render; a guide is trained before it.
     """
@@ -126,9 +126,9 @@ def _time_ratio(data: SceneData) -> float | None:
 def counts(data: SceneData) -> Finding:
     """Compare the spread of relative standard errors over pixels, as logarithms.
 
-    It does not depend on how many samples there are in all. Deviations are those of the image, for
-    either spread: what their noise adds to both draws the ratio towards 1, and not beyond. The
-    counts know nothing of it, as another seed decided them.
+    It does not depend on the total number of samples. Both spreads use the deviations of the image:
+    their noise moves the ratio towards 1, but not beyond. The counts are independent of this noise,
+    as another seed decided them.
     """
     adaptive = required(data.adaptive, "the same scene rendered with adaptive=True")
     numbers = required(adaptive.counts, "pixels with different numbers of samples")

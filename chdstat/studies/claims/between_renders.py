@@ -1,14 +1,14 @@
 """Claims that compare renders: longer paths, integrators, spread samples, and other scenes.
 
-Of integrators: an average of n samples has the skewness of one sample over the root of n, so that
-the n which makes it nearly Gaussian is proportional to the square of that skewness. Times n, the
-time of a sample is the time until averages are Gaussian; of two integrators, only the ratio
+For integrators: the skewness of an average of n samples is that of one sample divided by the root
+of n. So the n that makes it nearly Gaussian is proportional to the squared skewness. This n times
+the time of a sample is the time until averages are Gaussian. Only the ratio of two integrators
 matters.
 
-Of spread samples: equation 4 of the paper bounds the variance of an average by that of independent
-samples, as samples which a sampler spreads over a pixel have negative covariances. Sequences of
-such a sampler are replications of one average, and their samples have the distribution of
-independent ones, so that one render shows both variances.
+For spread samples: equation 4 of the paper bounds the variance of an average by that of independent
+samples, because samples that are spread over a pixel have negative covariances. Sequences of such a
+sampler are replications of one average, and their samples have the same distribution as independent
+ones. So one render shows both variances.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ __all__ = ["complexity", "correlated", "cost", "integrators", "lengths", "sample
 
 _LEVELS = (0.01, 0.5, 0.99)
 _TIMING = 1.7
-"""Factor that a ratio of times may be wrong by: one time has no interval of its own. Three renders
-of each of five scenes, on a machine that did other things, too, differed by up to 1.6."""
+"""Factor by which a ratio of times may be wrong: a single time has no interval. Three renders of
+each of five scenes, on a busy machine, differed by up to 1.6."""
 _NO_TIMES = "needs times of the renders, by the scalar backend"
 
 
@@ -119,11 +119,11 @@ def _shorter(data: SceneData) -> tuple[Samples, xr.Dataset]:
 def _changes(long: xr.Dataset, short: xr.Dataset) -> dict[str, Floats]:
     """Return what longer paths add, each of shape (y, x, channel).
 
-    Support is the decades between the quantiles at 1 % and 99 % of positive radiance, tail those
-    between the median and 99 %: unlike extremes and moments, they do not grow with the number of
-    samples, of which shorter paths have fewer that are positive. Variance counts nulls, too.
-    Skewness is (high + low - 2 median) / (high - low) of radiance, in [-1, 1] (Hinkley, "On power
-    transformations to symmetry", 1975, doi:10.1093/biomet/62.1.101).
+    Support is the distance between the quantiles at 1 % and 99 % of positive radiance, tail the
+    distance between the median and 99 %, both in decades. Unlike extremes and moments, they do not
+    grow with the number of positive samples, of which shorter paths have fewer. Variance includes
+    nulls. Skewness is (high + low - 2 median) / (high - low) of radiance, in [-1, 1] (Hinkley, "On
+    power transformations to symmetry", 1975, doi:10.1093/biomet/62.1.101).
     """
     after, before = _quantiles(long), _quantiles(short)
     low, middle, high = np.moveaxis(after - before, -1, 0)
@@ -159,9 +159,8 @@ def _quantiles(dataset: xr.Dataset) -> Floats:
 def _seconds_per_sample(samples: Samples) -> float | None:
     """Return the time to render and store one sample, in s, all cores together.
 
-    The time of a render has no loading of the scene in it. Backends that compile for each render do
-    that within it, and the seconds of compiling cannot be separated: None for all but the
-    scalar backend.
+    The time of a render does not include loading the scene. But it includes compilation, which
+    cannot be separated: None for all but the scalar backend.
     """
     seconds: Any = samples.attrs.get("render_seconds")
     if not seconds or samples.attrs.get("backend") != "scalar":
@@ -208,9 +207,9 @@ _SLOWEST, _FASTEST = "time until averages are Gaussian", "samples until averages
 _DIFFERENT = 0.02
 """Cramér distance, root of its mean square over pixels, from which shapes are different.
 
-As of two log-normal CHDs of which one has a spread a tenth larger, at a third of a decade: that
-takes a fifth more samples for the same error in the logarithm. Smaller differences may
-exist, and a test with enough samples would find them, but they change nothing in practice.
+Two log-normal CHDs are this far apart if the spread of one is a tenth larger, at a third of a
+decade. It then needs a fifth more samples for the same error in the logarithm. A test with enough
+samples would find smaller differences, too, but they do not matter in practice.
 """
 
 
@@ -290,7 +289,7 @@ def samples_ratio(one: xr.Dataset, two: xr.Dataset, whole: PixelSet) -> Interval
 # --- correlated samples ---------------------------------------------------------------------------
 
 _SEQUENCES = 8
-"""Sequences that a variance of averages needs."""
+"""Fewest sequences for a variance of averages."""
 _SHUFFLES = 999
 
 
@@ -356,8 +355,8 @@ def variances(spread: Samples) -> Floats:
     """Return variances of the luminance of a pixel, relative to its squared mean.
 
     Let B be n times the variance of averages of n samples, and W the variance within sequences.
-    Whatever the correlation of samples, (B + (n - 1) W) / n is the variance of a single one without
-    bias; of independent samples B is, too. A firefly adds as much to both.
+    Then (B + (n - 1) W) / n is an unbiased variance of a single sample, whatever the correlation;
+    for independent samples, B is, too. A firefly adds equally to both.
 
     Parameters
     ----------
@@ -396,9 +395,9 @@ def variances(spread: Samples) -> Floats:
 def p_of_independence(x: Floats) -> tuple[Floats, float]:
     """Return p-values that samples of a sequence are independent, from both sides.
 
-    Independent samples may be put into sequences in any order: the variance of the averages is
-    compared with that of shuffled samples, which makes the p-value exact, with any tail and nulls.
-    All pixels are shuffled alike, so that the p-value of their sum is exact, too.
+    Independent samples may be grouped into sequences in any order. So the variance of the averages
+    is compared with that of shuffled samples. The p-value is exact, with any tail and with nulls.
+    All pixels are shuffled in the same way, so the p-value of their sum is exact, too.
 
     Parameters
     ----------
@@ -408,8 +407,8 @@ def p_of_independence(x: Floats) -> tuple[Floats, float]:
     Returns
     -------
     ndarray, float
-        Of each pixel, shape (pixel,), NaN where all samples are equal or one is bad; and of the sum
-        over pixels of the variances of averages over those of samples.
+        p-values of each pixel, shape (pixel,), NaN if all samples are equal or one is bad; and the
+        p-value of the sum, over pixels, of the ratios of both variances.
 
     References
     ----------
@@ -476,7 +475,7 @@ def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
 
 # --- complexity of scenes -------------------------------------------------------------------------
 
-# Modes are counted among equally many samples everywhere: the more there are, the more are seen.
+# Modes are counted among equally many samples everywhere: with more samples, more modes are found.
 _SCENES = 5
 """Scenes that a rank correlation needs: of fewer, even perfect order has p above 1/100."""
 _MODES_PIXELS = 1024
@@ -525,7 +524,7 @@ def complexity(scenes: Sequence[SceneData]) -> Finding:
 def scene_complexity(data: SceneData) -> float:
     """Return the given complexity, or the share of neighbours that see different surfaces.
 
-    That is what a camera can tell: 0 for a bare wall, near 1 for foliage. NaN without features.
+    It is 0 for a bare wall and near 1 for foliage. NaN without features.
     """
     if data.complexity is not None:
         return float(data.complexity)
@@ -629,7 +628,7 @@ def _scene_accuracy(
 ) -> tuple[Interval[float], list[list[float]]]:
     """Return the accuracy of a classifier of shapes, and its table of shares by scene.
 
-    Each scene comes with shapes, (pixel, edge), and the blocks that its pixels lie in.
+    For each scene, there are shapes (pixel, edge) and the blocks of its pixels.
 
     Extremely randomised trees (Geurts, Ernst and Wehenkel 2006, doi:10.1007/s10994-006-6226-1) see
     shapes without place or scale, each of as many positive samples: of more, a shape is smoother,

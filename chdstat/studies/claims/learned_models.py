@@ -1,9 +1,9 @@
-"""Learning: what the learned model is worth, and whether it is the mean where there is no pattern.
+"""Learning: how good the learned model is, and whether it is the mean if there is no pattern.
 
-The claims (15, 16, and 32 on guided samples) are about the model of the paper, `PAPER`, and so are
-the verdicts; other estimators that learned are tested in the same way. Elek et al. 2019, section 6:
-without identifiable patterns, such a model "should gracefully reduce to the baseline solution", the
-sample average.
+The claims (15, 16, and 32 on guided samples) and verdicts are about the model of the paper,
+`PAPER`. Other learned estimators are tested in the same way. Elek et al. 2019, section 6: without
+identifiable patterns, such a model "should gracefully reduce to the baseline solution", the sample
+average.
 """
 
 from __future__ import annotations
@@ -102,11 +102,11 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Finding:
 def early_gain(history: Any, *, level: float) -> Interval[float]:
     """Return the gain over the mean early in training, over that at its end.
 
-    A gain is the validation baseline less the validation loss. What is early is the first record
-    after a tenth of the iterations, the end the mean of the last tenth of the records. The interval
-    takes the scatter of records for independent, with the deviation that successive differences
-    have (von Neumann 1941, doi:10.1214/aoms/1177731677). Where the end is worse than the mean, the
-    share is 0; where it may be better or worse, it is not known.
+    A gain is the validation baseline minus the validation loss. "Early" is the first record after a
+    tenth of the iterations, the end is the mean of the last tenth of the records. The interval
+    assumes that records scatter independently, with the deviation of successive differences (von
+    Neumann 1941, doi:10.1214/aoms/1177731677). If the end is worse than the mean, the share is 0;
+    if it may be better or worse, the share is unknown.
     """
     gain = np.asarray(history.validation_baseline - history.validation_loss, dtype=np.float64)
     # Fewer than ten records do not say how far losses scatter.
@@ -174,8 +174,8 @@ FACTORS = (2.0**-10, 2.0**10)
 ROUNDING = 1e-4
 """Relative change up to which estimates are the same: single precision leaves 1e-7 to 1e-6."""
 _EDGE, _EDGE_OF_CONSTANTS, _EDGE_TO_LEARN = 64, 16, 16
-"""Edge in pixels of what is estimated, at most: of the image, of constant ones, and by those that
-learn anew with every call, which takes them minutes."""
+"""Largest edge, in pixels, of the estimated part: of the image, of constant images, and for
+estimators that learn anew with every call, which takes minutes."""
 _FEWER_LEVELS = (LEVELS[0], 1.0, LEVELS[-1])
 
 
@@ -226,7 +226,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Finding:
     moved = {"reversed": changes(lambda part: np.ascontiguousarray(part[..., ::-1]))}
     if not anew:
         moved["drawn"] = changes(_shuffled)
-    # What falls out of single precision is no other unit any more.
+    # Values beyond single precision cannot be another unit.
     sizes = np.abs(x[np.isfinite(x) & (x != 0)]).astype(np.float64)
     tiny, huge = np.finfo(np.float32).tiny, np.finfo(np.float32).max
     factors = [f for f in FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
@@ -241,7 +241,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Finding:
             _largest(by, scale) for by in scaled.values()
         ],
     }
-    # These are known exactly: nothing is drawn in them.
+    # These values are known exactly: nothing is random.
     known = {name: max(values) for name, values in largest.items() if values}
     level = level_of(3)
     tests = (ClaimTest(n, Interval(v, v, v, level), most=ROUNDING) for n, v in known.items())
@@ -323,7 +323,7 @@ def _over(change: Floats, step: Floats) -> float:
 # --- guided samples -------------------------------------------------------------------------------
 
 _SAME = 1.1
-"""Factor that an error over the mean's may be larger by on other samples, and hold."""
+"""Factor by which the error over the mean's may grow on other samples."""
 
 
 @claim(
