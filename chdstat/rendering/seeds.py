@@ -27,9 +27,9 @@ A scalar image takes 2^12 of the 2^32 numbers for each sample of each tile. That
 spp at 1920 x 1080 pixels, and 512 spp at 3840 x 2160. A wavefront has 64 times the number of
 chunks: billions.
 
-The user's seed shuffles passes in another order: two seeds share about spp samples of a pixel in a
-million. It shifts the numbers of chunks and of single pixels by a multiple of the golden section of
-their range, which spreads small seeds evenly.
+The user's seed shuffles passes in another order. Two seeds share about spp / 10^6 of the samples of
+a pixel. The seed shifts the numbers of chunks and of single pixels by a multiple of the golden
+section of their range, which spreads small seeds evenly.
 """
 
 from __future__ import annotations

@@ -81,8 +81,8 @@ def linear_support(
     """Return the linear support that the first 50 draws set.
 
     It is the interval that their good, non-null samples span, padded by 25 % of its length at both
-    ends. One value v, or values too near to each other for bins that floating point distinguishes,
-    give [0.75 v, 1.25 v]; where there is no sample to go by, or v = 0, there is no support.
+    ends. If all values equal v, or are too close for floating point to tell the bins apart, the
+    support is [0.75 v, 1.25 v]. There is no support without such samples, or if v = 0.
 
     Parameters
     ----------
