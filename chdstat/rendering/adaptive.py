@@ -111,7 +111,7 @@ class Adaptive:
         spp: int,
         held: Mapping[str, Any] | None,
     ) -> Adaptive:
-        """Return the plan for a render, or None if it is not adaptive.
+        """Return the plan of an adaptive render.
 
         Parameters
         ----------
@@ -424,8 +424,8 @@ def error_of(
     measure
         "relMSE" or "MSE".
     percentile
-        Percentile over the pixels of their expected error, instead of the image's: 95 % do not
-        exceed the error for 95.
+        Return the error that this percentage of the pixels does not exceed, such as 95, instead of
+        the image's.
 
     Examples
     --------
