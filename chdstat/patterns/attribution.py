@@ -92,7 +92,7 @@ def attribute(
     known = image.depths if by == "depth" else image.lights
     if not known:
         kind, advice = _ASKED[by]
-        message = f"these samples are not known by {kind}; render them with {advice}"
+        message = f"these samples are not divided by {kind}; render them with {advice}"
         raise InputError(message)
     spp = min(part.spp for part in known.values())
     dim = "segments" if by == "depth" else "light"

@@ -107,7 +107,7 @@ class Sequences:
         if sampler == "independent":
             if length is not None:
                 message = (
-                    f"sequence is of samplers that spread samples ({', '.join(names[1:])}), got "
+                    f"sequence is for samplers that spread samples ({', '.join(names[1:])}), got "
                     f"{length} with independent ones; leave it out, or name such a sampler"
                 )
                 raise InputError(message)

@@ -53,8 +53,8 @@ def check_single(samples: Samples) -> None:
     averaged = int(samples.attrs.get("averaged", 1))
     if averaged > 1:
         message = (
-            f"expected single samples, got averages of {averaged}, whose distribution is another; "
-            "summarize and contrast take them"
+            f"expected single samples, got averages of {averaged}, which have another "
+            "distribution; summarize and contrast take them"
         )
         raise InputError(message)
 

@@ -379,7 +379,7 @@ class Store:
             message = "it is an older one, with fewer samples"
             raise DamageError(message)
         if content and checksum(self.chunk_file(chunk).read_bytes()[:length]) != told:
-            message = "its checksum is another"
+            message = "its checksum does not match"
             raise DamageError(message)
 
     def _damaged_chunks(
@@ -439,7 +439,7 @@ class Store:
         file = self.path / layout.feature_file(name, about["shape"])
         try:
             if checksum(file.read_bytes()) != about["checksum"]:
-                message = "its checksum is another"
+                message = "its checksum does not match"
                 raise DamageError(message)
             place, metadata = zarr_store(self.path), layout.feature_metadata(about["shape"])
             return np.asarray(layout.array(place, f"features/{name}", metadata)[...])
