@@ -404,7 +404,7 @@ def fit(
     - Radiance above the support counts as the last bin.
     - The likelihood is that at the centres of the bins.
 
-    Where most samples lie outside of the support, there is no fit (`OUTSIDE`).
+    If most samples lie outside the support, there is no fit (`OUTSIDE`).
 
     Examples
     --------

@@ -444,7 +444,7 @@ def _independent(largest: Floats) -> float:
 
 @np.errstate(all="ignore")
 def _log_p(largest: Floats, windows: float) -> Floats:
-    """Return the log probability that the largest of so many normal numbers is at least this."""
+    """Return the log probability that the largest of `windows` normal numbers is at least this."""
     below = np.log1p(-2 * special.ndtr(-np.maximum(largest, _ROUNDING)))
     # A probability that is too small for a float becomes 0.
     return np.asarray(np.log(-np.expm1(windows * below)))

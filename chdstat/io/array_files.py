@@ -81,7 +81,7 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
     Warned of
         Copies.
     Ignored
-        Other arrays, Python objects, and members that are no arrays.
+        Other arrays, Python objects, and members that are not arrays.
     Refused
         As of arrays; several largest arrays, unless exactly one is called "samples" or "radiance";
         missing names.

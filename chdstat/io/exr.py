@@ -637,15 +637,15 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     -----
     Read
         Float and half; scanlines and tiles; every lossless or lossy compression; several parts; R,
-        G and B, in capitals or not, also as ``red``, ``green``, ``blue``; else ``Y``; else the only
+        G and B, in any case, also as ``red``, ``green``, ``blue``; else ``Y``; else the only
         layer of such channels, or ``variable``; the number of averaged samples.
     Converted
-        Data windows: placed in the display window, 0 outside of them; colours of other primaries:
-        to linear Rec. 709; ``X``, ``Y``, ``Z`` without a layer: CIE XYZ to linear Rec. 709.
+        Data windows: placed in the display window, 0 outside. Colours of other primaries: to linear
+        Rec. 709. ``X``, ``Y``, ``Z`` without a layer: CIE XYZ to linear Rec. 709.
     Warned of
-        Both conversions of colours; several parts of colours, the first of which is called like no
-        image; overscan, which is cut; a colour space that is not known or not linear;
-        chromaticities that are none; pixels that are no squares; half floats of 65504 or infinity;
+        Both conversions of colours; several parts with colours, if the name of the first does not
+        mark it as the image; overscan, which is cut; a colour space that is unknown or not linear;
+        invalid chromaticities; pixels that are not square; half floats of 65504 or infinity;
         copies.
     Ignored
         Alpha, other layers, levels but the first of mipmaps, ``whiteLuminance``, ``expTime``,

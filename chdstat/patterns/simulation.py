@@ -162,8 +162,9 @@ _HALVINGS = 60
 _REACH = 300.0
 """Natural logarithm of the radiance from which the bisection starts, in both directions."""
 _GRID = 1000
-"""Points at which maxima of the density are counted, up to so many standard deviations away:"""
+"""Points at which maxima of the density are counted."""
 _WIDE = 5.0
+"""Standard deviations up to which the points reach."""
 
 
 @dataclass(frozen=True)

@@ -833,12 +833,12 @@ def _content(samples: Samples) -> str:
 
 
 def _interrupted(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> Store:
-    """Return a store of the same samples that lacks some: its writing was stopped, or is damaged.
+    """Return a store of the same samples that lacks some: it was interrupted or is damaged.
 
     Raises
     ------
     StoreError
-        If it is none.
+        If it holds other samples, or lacks none.
     """
     held, what = Store.open(path), "other samples"
     if held.attrs.get("content") == attrs["content"] and held.shape == samples.shape:
