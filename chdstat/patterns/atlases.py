@@ -119,11 +119,12 @@ class Atlas(Shown):
     stability: float
 
     def _card(self) -> Card:
-        return Card(f"Atlas of {len(self.share)} shapes", {
+        return Card(f"Atlas of {len(self.share)} shape{'s' * (len(self.share) != 1)}", {
             "share of the pixels": each(with_interval, self.share, *self.share_interval.T),
             "share of nulls": self.null_share,
             "typical pixels": self.medoids,
-            "repeatable, stability": f"{percent(self.repeatable)}, {number(self.stability)}",
+            "variation that repeats": percent(self.repeatable),
+            "Rand index of halves": number(self.stability),
         })  # fmt: skip
 
 

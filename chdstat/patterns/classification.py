@@ -28,7 +28,7 @@ from chdstat._core.arrays import (
     label_variables,
     place_attributes,
 )
-from chdstat._core.display import Shown, percent
+from chdstat._core.display import Card, Shown, number, percent, with_interval
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
@@ -164,6 +164,23 @@ class Patterns(Result):
     )
     label: npt.NDArray[np.int8] = variable("what the pixel is first of all")
     reason: npt.NDArray[np.int8] = variable("why there is no positive part to look at")
+
+    def _card(self) -> Card:
+        first = [Label(int(code)).name.lower() for code in np.ravel(self.label)]
+        if len(first) > 1:
+            shares = {name: percent(first.count(name) / len(first)) for name in sorted({*first})}
+            held = {name: percent(float(flag.mean())) for name, flag in self.flags.items()}
+            return Card(f"Patterns of {len(first)} rows", {"label": shares, "flags": held})
+        rows = []
+        for name, flag in self.flags.items():
+            low, high = np.ravel(self.intervals.get(name, np.full(2, np.nan)))
+            value, p = self.statistics[name], self.p_values.get(name, np.array(np.nan))
+            shown = with_interval(value.item(), low, high)
+            holds = "yes" if flag.any() else "no"
+            rows.append(
+                {"pattern": name, "holds": holds, "statistic": shown, "p": number(p.item())}
+            )
+        return Card("Patterns", {"label": first[0]}, rows)
 
 
 _DEFAULT = Thresholds()

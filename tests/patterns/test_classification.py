@@ -1,5 +1,7 @@
 """Patterns: clear cases are found, the false discovery rate holds, labels follow their order."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -366,3 +368,10 @@ def test_choosing_works_on_a_single_pixel():
     label = xr.DataArray(np.full((1, 1), Label.BLACK), dims=("y", "x"), attrs=FLAGS)
     (region,) = choose_regions(xr.Dataset({"label": label}))
     assert region.pixels(1, 1) == (slice(0, 1), slice(0, 1))
+
+
+def test_patterns_are_read_by_name():
+    x = np.random.default_rng(0).gamma(2.0, size=(2, 1, 128))
+    x[1] = 0
+    assert re.search(r"label  black\n.*\n  null_heavy +yes +1\.00", repr(classify(x[1])))
+    assert re.search(r"label +.*black 50\s%", repr(classify(x)))
