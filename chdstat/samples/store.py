@@ -65,6 +65,8 @@ __all__ = [
 _ALL = slice(None)
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes that decide whether the samples of two stores share random numbers."""
+_FILES = (".exr", ".npy", ".npz", ".nc", ".pfm", ".png", ".hdr", ".jpg")
+"""Suffixes of files that are no stores."""
 _OF_A_STORE = (
     *("scene_hash", "scene_code", "scene_files", "plugins"),
     *("appended", "manifest", "schema_version"),
@@ -119,10 +121,18 @@ class Store:
 
         Raises
         ------
+        InputError
+            If the folder would be called like a file of another kind.
         StoreError
             If something else is there, another process makes a store there, or it cannot be
             written.
         """
+        if path.suffix.lower() in _FILES:
+            message = (
+                f"a store of samples is a folder, such as {path.with_suffix('.zarr').name}, got "
+                f"{path.name}; 'chdstat estimate' and chdstat.io.write_image write images"
+            )
+            raise InputError(message)
         kept = {**attrs, "schema_version": layout.SCHEMA_VERSION}
         kept.pop("manifest", None)
         manifest = {"shape": list(shape), "complete": 0, "features": {}, "direct": False}

@@ -83,6 +83,12 @@ def test_samples_are_appended_behind_those_that_are_there(tmp_path):
         chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
 
 
+def test_a_store_is_not_called_like_an_image(tmp_path):
+    with pytest.raises(InputError, match=r"such as own\.zarr, got own\.exr; .* write images"):
+        chd.Samples.from_array(RADIANCE).save(tmp_path / "own.exr")
+    assert not list(tmp_path.iterdir())
+
+
 def test_saving_again_repairs_what_is_damaged(tmp_path):
     samples = chd.Samples.from_array(RADIANCE)
     samples.save(tmp_path / "own.zarr")
