@@ -205,8 +205,8 @@ def _checked_file(path: Path) -> tuple[str, Path]:
     if path.suffix.lower() != ".xml":
         message = f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}"
         raise SceneError(message)
-    name = path.parent.name if path.stem == "scene" else path.stem
-    return name, path.resolve()
+    path = path.absolute()  # of a link as of a file: Mitsuba looks for others beside the link
+    return path.parent.name if path.stem == "scene" else path.stem, path
 
 
 def _nothing_at(path: Path) -> str:

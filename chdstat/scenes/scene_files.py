@@ -59,7 +59,7 @@ def _find(name: str, folders: list[Path]) -> Path | None:
     """Return the file that Mitsuba takes for a name: in these folders, or in its own places."""
     own = (folder / name for folder in folders)
     places = itertools.chain(own, map(_found_by_mitsuba, [name]))
-    return next((place.resolve() for place in places if is_file(place)), None)
+    return next(filter(is_file, places), None)
 
 
 def _search(folders: list[Path], name: str, beside: Path) -> None:
@@ -69,10 +69,11 @@ def _search(folders: list[Path], name: str, beside: Path) -> None:
 
 
 def _note(files: dict[str, Path], name: str, path: Path | None) -> None:
-    """Record a file; another file with the same name is numbered."""
+    """Record a file, the one behind a link; another file with the same name is numbered."""
     if path is not None:
+        file = path.resolve()
         names = itertools.chain([name], (f"{name} ({i})" for i in itertools.count(2)))
-        next(n for n in names if files.setdefault(n, path) == path)
+        next(n for n in names if files.setdefault(n, file) == file)
 
 
 def digest_of(path: Path) -> str:

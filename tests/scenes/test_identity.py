@@ -169,6 +169,31 @@ def test_files_are_found_in_all_that_mitsuba_takes(tmp_path, image, before, sky,
     assert chd.render(source, spp=1, **SETTINGS).read().max() == 1
 
 
+def test_what_a_link_names_is_looked_for_beside_the_link(tmp_path, monkeypatch):
+    """As Mitsuba does it, for scenes and includes."""
+    sky = ENVMAP.format("tex.exr")
+    include = "<include filename='a.xml'/>"
+    for folder, value in (("parts", 2.0), ("rooms", 1.0)):
+        write(tmp_path / folder / "tex.exr", value)
+        (tmp_path / folder / "b.xml").write_text("<scene version='3.0.0'/>")
+    target = scene(tmp_path, include + sky)
+    target.rename(tmp_path / "parts/scene.xml")
+    again = "<scene version='3.0.0'><include filename='b.xml'/></scene>"
+    (tmp_path / "parts/a.xml").write_text(again)
+    for name in ("scene.xml", "a.xml"):
+        (tmp_path / "rooms" / name).symlink_to(f"../parts/{name}")
+    monkeypatch.chdir(tmp_path / "rooms")
+    found = load_scene("scene.xml")
+    assert found.name == "rooms"
+    assert found.described() == {
+        "scene.xml": tmp_path / "parts/scene.xml",
+        "a.xml": tmp_path / "parts/a.xml",
+        "b.xml": tmp_path / "rooms/b.xml",
+        "tex.exr": tmp_path / "rooms/tex.exr",
+    }
+    assert chd.render(found, spp=1, **SETTINGS).read().max() == 1
+
+
 def test_the_tables_of_a_metal_are_files_of_the_scene(tmp_path):
     body = (
         "<shape type='sphere'><bsdf type='conductor'><string name='material' value='{}'/>"
