@@ -87,7 +87,16 @@ def test_rare_light_that_may_be_anywhere_is_given_back():
 
 def test_light_of_one_place_is_given_to_no_other():
     image, asked = rare_light(part=1 / 16, events=400)
-    assert (lost_light(*asked) / image)[0].max() < 0.2
+    found = (lost_light(*asked) / image)[0]
+    assert found[:, 48:].max() < 0.02
+    assert found.mean() < 0.3  # of 1
+
+
+def test_the_part_of_the_image_that_rare_light_falls_on_gets_it():
+    image, asked = rare_light(part=1 / 2, events=4000)
+    found = (lost_light(*asked) / image)[0]
+    assert found[:, :16] == pytest.approx(2, rel=0.2)
+    assert found[:, 48:].max() < 0.2
 
 
 def test_what_may_be_noise_and_what_is_certain_get_nothing():

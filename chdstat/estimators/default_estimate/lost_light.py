@@ -8,8 +8,9 @@ Whether that is right depends on where the light belongs. That of a lamp or a ca
 samples have found belongs to some pixels, and no other must get any. So the image is cut into
 blocks of several sizes, down to the pixel, and what a block lacks by one half of the samples is
 multiplied by what it lacks by the other half, of which the noise is independent. Where light is
-equally rare everywhere, the mean of these products is the square of what the image lacks; the more
-it exceeds that, the less is given back. Empirical Bayes estimates of rates in regions use the same
+equally rare everywhere, the mean of these products is the square of what the image lacks. Where the
+largest blocks differ, each gets more or less, as far as its own noise allows; the more the smaller
+ones differ, the less is given back. Empirical Bayes estimates of rates in regions use the same
 moments (Marshall 1991, "Mapping disease and mortality rates using empirical Bayes estimators",
 doi:10.2307/2347593): there cases are counted and the unit is a population, here it is radiance.
 """
@@ -82,19 +83,29 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
         return np.zeros((3, *share.shape))
     rate, variance = lacking.sum(dtype=np.float64) / total, doubt / total**2
     alike = max(rate**2, np.prod([half.sum(dtype=np.float64) for half in halves]) / total**2)
-    found, sure = alike, alike
+    found, sure = alike, [alike]
     for edge in _BLOCKS:
         one, other, radiance = (_sums(image, edge) for image in (*halves, unit))
         products, norm = np.vdot(one, other), np.square(radiance).sum()
         found = max(found, products / norm)
-        sure = max(sure, (products - _NOISE * 2 * edge * doubt / np.sqrt(unit.size)) / norm)
-    given = 0.0
-    if rate**2 > _NOISE * variance:
-        given = (rate - _NOISE * variance / rate) * alike / sure
-    likely = max(rate, np.sqrt(variance))
-    shape = likely**2 / (variance + found - alike)
-    low, high = special.gammaincinv(shape, (0.5 - level / 2, 0.5 + level / 2)) * likely / shape
-    return np.stack([x * share for x in (given, max(given - low, 0), max(high - given, 0))])
+        sure.append((products - _NOISE * 2 * edge * doubt / np.sqrt(unit.size)) / norm)
+    # The largest blocks have rates of their own, drawn to that of the image.
+    explained = max(sure[:2])
+    lit = np.maximum(_sums(unit, _BLOCKS[0]), 1e-12 * total)
+    own = np.maximum(variance * total / lit, _sums(noise, _BLOCKS[0]) / lit**2)
+    trusted = (explained - alike) / (explained - alike + own)
+    apart = trusted * (_sums(lacking, _BLOCKS[0]) / lit - rate)
+    significant = rate - _NOISE * variance / rate if rate**2 > _NOISE * variance else 0.0
+    given = (significant + apart) * explained / max(sure)
+    likely = np.maximum(rate + apart, np.sqrt(variance))
+    shape = likely**2 / (variance + trusted * own + found - explained)
+    low, high = (special.gammaincinv(shape, 0.5 + p / 2) * likely / shape for p in (-level, level))
+    maps = (given, np.maximum(given - low, 0), np.maximum(high - given, 0))
+    places = np.meshgrid(
+        *((np.arange(n) + 0.5) / _BLOCKS[0] - 0.5 for n in unit.shape), indexing="ij"
+    )
+    smooth = (ndimage.map_coordinates(x, places, order=1, mode="nearest") for x in maps)
+    return np.stack([x[..., np.newaxis] * share for x in smooth])
 
 
 def _sums(image: Reals, edge: int) -> Reals:
