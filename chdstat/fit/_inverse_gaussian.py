@@ -36,6 +36,9 @@ from chdstat.fit.family import (
 
 __all__ = ["INVERSE_GAUSSIAN"]
 
+_NARROW = 1e-6
+"""Squared coefficient of variation below which quantiles are those of a log-normal distribution."""
+
 
 def _estimate(part: Part, *_search: object) -> Estimate:
     mu, inverse = of_rows(part, INVERSE_GAUSSIAN.minimum, 2, _moments).reshape(2, *part.n.shape)
@@ -69,10 +72,17 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
 
 
 class _InverseGaussian(type(stats.invgauss)):  # type: ignore[misc]
-    """SciPy's distribution has a NaN density where a factor overflows a double; here it is 0."""
+    """SciPy's distribution has a NaN density where a factor overflows a double; here it is 0.
+
+    Its quantiles are far off where samples are nearly equal; those of a log-normal are exact there.
+    """
 
     def _pdf(self, x: Floats, mu: Floats) -> Floats:
         return np.asarray(np.exp(self._logpdf(x, mu)))
+
+    def _ppf(self, q: Floats, mu: Floats) -> Floats:
+        narrow = stats.lognorm.ppf(q, np.sqrt(np.log1p(mu)), scale=mu / np.sqrt(1 + mu))
+        return np.asarray(np.where(mu < _NARROW, narrow, super()._ppf(q, mu)))
 
 
 _DISTRIBUTION = _InverseGaussian(name="invgauss", a=0.0)
