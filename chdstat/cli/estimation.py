@@ -106,7 +106,7 @@ def estimate(
     while_rendering: Annotated[bool, option("Estimate from a render; keep no samples.")] = False,
     seconds: Annotated[
         float | None,
-        option("While rendering: stop after so many seconds.", "--time", unset="all samples"),
+        option("While rendering: stop after this many seconds.", "--time", unset="all samples"),
     ] = None,
     relative_error: Annotated[
         float | None,

@@ -229,9 +229,9 @@ def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     share = scene.patterns["firefly_dominated"]
     if share > 0 and noise.label != "firefly_dominated":
         yield (
-            f"One sample decides {percent(share)} of the pixels.",
-            "This sample carries so much of the sum that the mean of the pixel is too bright with "
-            "it, or too dark without it.",
+            f"In {percent(share)} of the pixels, one sample decides.",
+            "It carries so much of their sum that their mean is too bright with it, or too dark "
+            "without it.",
         )
 
 
