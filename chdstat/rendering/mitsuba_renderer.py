@@ -371,10 +371,11 @@ class MitsubaRenderer:
             described = self._asked.integrator.branch(0)
             check_variant(described)
             made = self._given.value if self._given else described.make()
-            if not isinstance(made, self._mi.SamplingIntegrator):
+            name = self._given.kind if self._given else self.integrator["type"]
+            if not isinstance(made, self._mi.SamplingIntegrator) or made.aov_names():
                 message = (
-                    f"integrator {self.integrator['type']!r} does not sample pixel by pixel; use "
-                    "one that does, such as path, volpath or direct"
+                    f"integrator {name!r} does not sample pixel by pixel, or not radiance alone; "
+                    "use one that does, such as path, volpath or direct"
                 )
                 raise RenderError(message)
             if self._given is None:
