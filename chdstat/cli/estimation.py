@@ -9,16 +9,16 @@ import typer
 
 from chdstat._core.files import place_of
 from chdstat.cli import output
-from chdstat.cli.program import (
+from chdstat.cli.options import (
     OUTPUT,
     VIEW,
     CommonOptions,
     SceneOrStore,
     StorePath,
-    command,
     option,
     pairs_of,
 )
+from chdstat.cli.program import command
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:

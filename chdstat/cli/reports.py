@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from chdstat.cli import output
-from chdstat.cli.program import (
+from chdstat.cli.options import (
     OUTPUT,
     VIEW,
     CommonOptions,
     SceneOrStore,
     StorePath,
-    command,
     option,
     pairs_of,
 )
+from chdstat.cli.program import command
 from chdstat.errors import InputError, check_option
 from chdstat.rendering.seeds import SamplerName
 
