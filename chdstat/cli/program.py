@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from copy import copy
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, cleandoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_args
 
@@ -93,7 +93,10 @@ def command(
 
         options = [_parameter(one, unset.get(one.name)) for one in taken]
         run.__signature__ = Signature(options)  # type: ignore[attr-defined]
-        return app.command(name, epilog=f"Example: chdstat {example}")(run)
+        paragraphs = cleandoc(function.__doc__ or "").split("\n\n")
+        # Typer would keep the line breaks of the docstring.
+        about = "\n\n".join(" ".join(text.split()) for text in paragraphs)
+        return app.command(name, help=about, epilog=f"Example: chdstat {example}")(run)
 
     return enter
 

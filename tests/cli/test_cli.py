@@ -38,6 +38,8 @@ STORE = "a finished store"
 def test_every_command_has_an_example_its_defaults_and_a_flag_for_scripts(run, name):
     assert name in run("--help")[1]
     assert "Example: chdstat" in run(name, "--help")[1]
+    paragraphs = COMMANDS[name].help.split("\n\n")
+    assert not any("\n" in text for text in paragraphs), "a terminal breaks lines where it ends"
     for option in COMMANDS[name].params:
         optional = option.param_type_name == "option" and not option.is_flag and not option.required
         if optional:
