@@ -9,7 +9,8 @@ import typer
 
 from chdstat._core.files import place_of
 from chdstat.cli import output
-from chdstat.cli.options import (
+from chdstat.cli.program import command
+from chdstat.cli.shared_options import (
     OUTPUT,
     VIEW,
     CommonOptions,
@@ -18,7 +19,6 @@ from chdstat.cli.options import (
     option,
     pairs_of,
 )
-from chdstat.cli.program import command
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,23 +11,15 @@ from collections.abc import Callable
 from copy import copy
 from inspect import Parameter, Signature, cleandoc, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_args
+from typing import Annotated, Any, TextIO, get_args
 
 import typer
 import typer.core
 from typer.models import OptionInfo
 
 from chdstat import __version__
-from chdstat.cli.options import SHARED, CommonOptions
-from chdstat.errors import (
-    ChdstatError,
-    InputWarning,
-    LeftOutWarning,
-    OtherSceneWarning,
-)
-
-if TYPE_CHECKING:
-    pass
+from chdstat.cli.shared_options import SHARED, CommonOptions
+from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning, OtherSceneWarning
 
 __all__ = ["app", "command", "main"]
 

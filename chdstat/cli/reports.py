@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from chdstat.cli import output
-from chdstat.cli.options import (
+from chdstat.cli.program import command
+from chdstat.cli.shared_options import (
     OUTPUT,
     VIEW,
     CommonOptions,
@@ -18,7 +19,6 @@ from chdstat.cli.options import (
     option,
     pairs_of,
 )
-from chdstat.cli.program import command
 from chdstat.errors import InputError, check_option
 from chdstat.rendering.seeds import SamplerName
 

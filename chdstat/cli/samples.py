@@ -10,8 +10,8 @@ import typer
 
 from chdstat._core.files import is_remote, place_of
 from chdstat.cli import output
-from chdstat.cli.options import OUTPUT, VIEW, CommonOptions, SceneName, StorePath, option
 from chdstat.cli.program import command
+from chdstat.cli.shared_options import OUTPUT, VIEW, CommonOptions, SceneName, StorePath, option
 from chdstat.errors import ChdstatError, InputError
 
 __all__ = ["export", "import_samples", "include", "info", "render"]

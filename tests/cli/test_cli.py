@@ -16,7 +16,7 @@ from typer.main import get_command
 
 import chdstat as chd
 import chdstat.samples
-from chdstat.cli import main, options, program
+from chdstat.cli import main, program, shared_options
 from chdstat.rendering import RenderOptions
 
 ROOT = Path(chd.__file__).parent
@@ -109,9 +109,11 @@ LIBRARY = {
 def test_options_of_a_render_are_the_fields_of_its_options():
     """An option that is not given is no argument: the library knows what holds then."""
     fields = signature(RenderOptions).parameters
-    assert fields.keys() < signature(options.CommonOptions).parameters.keys()
-    assert options.CommonOptions().settings == {}
-    asked = options.CommonOptions(size="12x8", crop="1,2,3x4", integrator='{"type": "path"}', spp=3)
+    assert fields.keys() < signature(shared_options.CommonOptions).parameters.keys()
+    assert shared_options.CommonOptions().settings == {}
+    asked = shared_options.CommonOptions(
+        size="12x8", crop="1,2,3x4", integrator='{"type": "path"}', spp=3
+    )
     settings = {"spp": 3, "size": (12, 8), "integrator": {"type": "path"}, "crop": (1, 2, 3, 4)}
     assert asked.settings == settings
     for option in COMMANDS["render"].params:
