@@ -603,7 +603,7 @@ def _converter() -> Converter:
     from cattrs import Converter
 
     # A type that cannot be in a record may still be the type of an empty mapping's values.
-    converter = Converter(structure_fallback_factory=lambda _: _refused)
+    converter = Converter(structure_fallback_factory=lambda _: _refused, forbid_extra_keys=True)
     # Arrays are found while the tree is read.
     converter.register_structure_hook_func(
         _is_array,

@@ -128,8 +128,11 @@ def print_rows(
     Parameters
     ----------
     rows
-        Values by name of the column; the first column is aligned left, others right. columns Titles
-        by name; without any, there is no header. text Other columns that are aligned left.
+        Values by name of the column; the first column is aligned left, others right.
+    columns
+        Titles by name; without any, there is no header.
+    text
+        Other columns that are aligned left.
     """
     from rich.console import Console
     from rich.table import Table

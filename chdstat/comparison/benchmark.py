@@ -93,15 +93,18 @@ class Case:
     Attributes
     ----------
     scene, spp
-        Name of the scene, and number of samples. blocks Blocks of its pixels.
+        Name of the scene, and number of samples.
+    blocks
+        Blocks of its pixels.
     errors
         Sums of the errors of `ERRORS` over each block, by estimator, shape (block, measure).
     bias, fireflies
         By estimator: the mean error divided by the mean reference; the share of pixels at least two
         stops too bright, as in `chdstat.compare`.
     seconds
-        Time of each estimate, by estimator; NaN for finished images. render_seconds Time to render
-        the samples; NaN if unknown.
+        Time of each estimate, by estimator; NaN for finished images.
+    render_seconds
+        Time to render the samples; NaN if unknown.
     images
         By estimator, and last the "reference": the centre of the first render's image, at most 128
         x 128 pixels of linear radiance, (y, x, channel). Only kept for the smallest number of
@@ -167,9 +170,11 @@ class Bench(Shown):
     estimators
         Names of the estimators, in the given order.
     baseline
-        Name of the estimator by whose errors all are divided. cases A `Case` for each scene and
-        number of samples. left_out Names from `chdstat.comparison.DEFAULT_ESTIMATORS` that do not
-        apply, with the reason.
+        Name of the estimator by whose errors all are divided.
+    cases
+        A `Case` for each scene and number of samples.
+    left_out
+        Names from `chdstat.comparison.DEFAULT_ESTIMATORS` that do not apply, with the reason.
     """
 
     estimators: tuple[str, ...]
@@ -377,8 +382,9 @@ def bench(
     spp
         Numbers of samples to estimate from.
     seeds
-        Number of renders of each scene; errors are averaged over them. seed Seed of the first
-        render.
+        Number of renders of each scene; errors are averaged over them.
+    seed
+        Seed of the first render.
     size
         (width, height) of rendered scenes; None takes 128 x 128.
     references

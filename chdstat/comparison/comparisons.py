@@ -66,8 +66,9 @@ class PixelEstimates(Shown):
     pixels
         Rows (y, x), from dark to bright, shape (pixel, 2).
     estimators, channels
-        Names of the estimators and of the channels. reference Mean of all other samples, radiance,
-        shape (pixel, channel).
+        Names of the estimators and of the channels.
+    reference
+        Mean of all other samples, radiance, shape (pixel, channel).
     mean
         Sample mean of the batch, radiance, shape (pixel, channel).
     estimates
@@ -123,7 +124,9 @@ class Breakdown(Shown):
     labels
         Names of the labels that occur among the judging pixels.
     estimators, uses_neighbours
-        As in a `Comparison`. pixels Number of judging pixels with each label, shape (label,).
+        As in a `Comparison`.
+    pixels
+        Number of judging pixels with each label, shape (label,).
     measures
         By the names of `MEASURES`: intervals over blocks, shape (label, estimator).
     """
@@ -217,9 +220,11 @@ class Comparison(Shown):
     n
         Samples per estimate.
     batches
-        Number of estimates that count, over all test pixels. excluded Number of estimates of test
-        pixels that were left out because of a bad sample. breakdown The measures by label; None
-        without labels.
+        Number of estimates that count, over all test pixels.
+    excluded
+        Number of estimates of test pixels that were left out because of a bad sample.
+    breakdown
+        The measures by label; None without labels.
     models
         Trained estimators by name.
     provenance
@@ -326,7 +331,9 @@ class Comparison(Shown):
         Parameters
         ----------
         count
-            Number of pixels; fewer if fewer have a reference. seed Seed of the random choice.
+            Number of pixels; fewer if fewer have a reference.
+        seed
+            Seed of the random choice.
 
         Raises
         ------

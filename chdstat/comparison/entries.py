@@ -65,7 +65,9 @@ class Denoised:
     Attributes
     ----------
     entry
-        The estimator. with_features Whether the denoiser gets albedo and normal of the first hit.
+        The estimator.
+    with_features
+        Whether the denoiser gets albedo and normal of the first hit.
     with_certainty
         Whether the estimate is mixed with the denoised one, weighted by its certainty.
     uses_neighbours
@@ -167,8 +169,9 @@ class Chosen:
     entries
         By name, in the order given.
     left_out
-        Names from `DEFAULT_ESTIMATORS` that do not apply, with the reason. by_default True if the
-        caller named no estimators; then those that cannot be trained are left out.
+        Names from `DEFAULT_ESTIMATORS` that do not apply, with the reason.
+    by_default
+        True if the caller named no estimators; then those that cannot be trained are left out.
     """
 
     entries: Mapping[str, Entry]
@@ -313,8 +316,9 @@ def estimate_by(
     Parameters
     ----------
     entry
-        The estimator; if it is `Denoised`, a denoiser follows. x Samples of a whole image, or of
-        the part that the estimator should see.
+        The estimator; if it is `Denoised`, a denoiser follows.
+    x
+        Samples of a whole image, or of the part that the estimator should see.
     features
         First-hit features of the same pixels, for estimators that take them.
     model
@@ -349,9 +353,11 @@ def notes(
     Parameters
     ----------
     estimators
-        Names of the estimators in the rows. uses_neighbours Whether each uses the pixels around,
-        shape (estimator,), if known. left_out Default estimators that do not apply, with the
-        reason.
+        Names of the estimators in the rows.
+    uses_neighbours
+        Whether each uses the pixels around, shape (estimator,), if known.
+    left_out
+        Default estimators that do not apply, with the reason.
 
     Examples
     --------

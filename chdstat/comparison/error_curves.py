@@ -55,8 +55,9 @@ class ErrorCurve(Shown):
         For "mse" and "relmse": the error that even a perfect estimator would show because the
         reference is noisy, in the same unit, shape (size,).
     batches
-        Number of estimates that count, over all test pixels, shape (size,). test_pixels Number of
-        test pixels.
+        Number of estimates that count, over all test pixels, shape (size,).
+    test_pixels
+        Number of test pixels.
     """
 
     _drawn: ClassVar[str] = "errors against the number of samples"

@@ -73,8 +73,9 @@ class Candidates:
     entries
         By name, in the order given.
     models
-        Trained models by name; entries that share a training share a model. at_home Names of the
-        models that were trained on this scene.
+        Trained models by name; entries that share a training share a model.
+    at_home
+        Names of the models that were trained on this scene.
     left_out
         Default estimators that cannot be compared, with the reason.
     """
@@ -336,8 +337,9 @@ class BatchErrors:
         Number of batches of test pixels without a reference.
     estimates
         Estimates of the whole image from the first batch, by estimators that take so many samples,
-        shape (estimator, y, x, channel). mean, reference Mean of the first batch and mean of all
-        other samples, shape (y, x, channel).
+        shape (estimator, y, x, channel).
+    mean, reference
+        Mean of the first batch and mean of all other samples, shape (y, x, channel).
     """
 
     by_unit: npt.NDArray[np.float64]

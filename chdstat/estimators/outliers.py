@@ -100,9 +100,10 @@ def zirr2018_pixel(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -
         Samples, shape (..., channel, sample), 1 or 3 channels. Samples with a NaN or infinite
         channel are left out.
     kappa
-        Number of samples that confirm a brightness, larger than 0. unit Radiance of the lowest
-        layer's brightness; None exposes all given pixels together so that their log-average is
-        0.18.
+        Number of samples that confirm a brightness, larger than 0.
+    unit
+        Radiance of the lowest layer's brightness; None exposes all given pixels together so that
+        their log-average is 0.18.
 
     Returns
     -------

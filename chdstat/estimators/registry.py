@@ -130,7 +130,9 @@ class Estimator(Shown):
     Attributes
     ----------
     name
-        Registered name. function The function itself.
+        Registered name.
+    function
+        The function itself.
     source
         Author, year, DOI.
     label
@@ -199,9 +201,11 @@ class LearnedEstimator(Shown):
     Attributes
     ----------
     name
-        Registered name. train ``train(samples, *, seed, iterations, pixels, progress)`` returns a
-        trained `Model`. If the model takes any number of samples, ``train`` also takes ``sizes``,
-        the numbers to estimate from.
+        Registered name.
+    train
+        ``train(samples, *, seed, iterations, pixels, progress)`` returns a trained `Model`. If the
+        model takes any number of samples, ``train`` also takes ``sizes``, the numbers to estimate
+        from.
     source
         Author, year, DOI.
     label, place

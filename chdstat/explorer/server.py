@@ -234,10 +234,14 @@ def explore(
     reference
         A store of the same scene with more samples. Errors of estimators are measured against it,
         instead of against the samples that an estimate does not use. If it has the seed of the
-        source, the samples that both have in common do not count. models Trained estimators, or
-        their files, shown among the estimates, with certainty and interval if they have them. maps
-        Maps from ``chdstat analyze -o``, added to the menu. port Port of the server; 0 takes a free
-        one.
+        source, the samples that both have in common do not count.
+    models
+        Trained estimators, or their files, shown among the estimates, with certainty and interval
+        if they have them.
+    maps
+        Maps from ``chdstat analyze -o``, added to the menu.
+    port
+        Port of the server; 0 takes a free one.
     browser
         Open the page in the web browser.
     size, seed, max_depth

@@ -69,17 +69,23 @@ class View:
         Index of the pixel that tables describe and that arrow keys move.
     region
         (top, left, bottom, right) of the selected box, the last two exclusive; then `pixels` is
-        empty. map Name of the map that is shown instead of the image; "image" for the image itself.
-        limits Ends of the colour bar of a map of numbers; None for automatic ends.
+        empty.
+    map
+        Name of the map that is shown instead of the image; "image" for the image itself.
+    limits
+        Ends of the colour bar of a map of numbers; None for automatic ends.
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
         Some of `FITS`, drawn over the histograms.
     batch
-        N of the averages. exposure Stops; None for automatic.
+        N of the averages.
+    exposure
+        Stops; None for automatic.
     tone, gamma
-        One of `TONES`, and a gamma exponent after it, 1 for none. shown, reference Indices of the
-        shown image and of the one to compare with, from 0; None for the last image.
+        One of `TONES`, and a gamma exponent after it, 1 for none.
+    shown, reference
+        Indices of the shown image and of the one to compare with, from 0; None for the last image.
 
     Examples
     --------

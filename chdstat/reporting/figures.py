@@ -353,8 +353,11 @@ def save_comparison(
     Parameters
     ----------
     found
-        Result of `chdstat.compare`. folder The folder; it must not exist. curve Result of
-        `chdstat.comparison.error_curve`, written too.
+        Result of `chdstat.compare`.
+    folder
+        The folder; it must not exist.
+    curve
+        Result of `chdstat.comparison.error_curve`, written too.
 
     Returns
     -------

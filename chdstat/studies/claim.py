@@ -42,8 +42,9 @@ class Claim:
         Whether it compares renders of one scene.
     once
         Whether it needs the whole analysis, a training or its own render; then it is not repeated
-        with another seed. subject What a verdict is about, if it is neither the image nor two
-        renders nor scenes.
+        with another seed.
+    subject
+        What a verdict is about, if it is neither the image nor two renders nor scenes.
     """
 
     number: int

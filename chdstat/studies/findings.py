@@ -80,8 +80,11 @@ class ClaimTest:
     Attributes
     ----------
     name
-        The statistic in words. interval Its value with an interval; NaN without an interval,
-        infinite at an open end. least, most Range of the claim; infinite at an open end.
+        The statistic in words.
+    interval
+        Its value with an interval; NaN without an interval, infinite at an open end.
+    least, most
+        Range of the claim; infinite at an open end.
     unit
         "1" for pure numbers.
     """
@@ -145,7 +148,9 @@ class PlotData:
         named by the series; "map": one image (y, x), named by the series.
     series
         By name: x and y, each of shape (point,). A bar has its value in y, a map has an image (y,
-        x). x_label, y_label Labels of the axes, with units.
+        x).
+    x_label, y_label
+        Labels of the axes, with units.
     """
 
     kind: Literal["curves", "points", "bars", "map"] = "curves"
@@ -168,26 +173,34 @@ class Finding(Shown):
     ----------
     tests
         Tests of everything that the claim says, each with its verdict; their intervals are
-        simultaneous. missing What could not be measured, as sentences. p_value p-value of the null
-        hypothesis that the details name; None if there is none.
+        simultaneous.
+    missing
+        What could not be measured, as sentences.
+    p_value
+        p-value of the null hypothesis that the details name; None if there is none.
     details
         Further numbers by region or channel, ready for JSON.
     plot_data
-        Data of its figure. model Name of the tested model if there are several; the reason names
-        it.
+        Data of its figure.
+    model
+        Name of the tested model if there are several; the reason names it.
     other_models
         Findings for other models, by name; the verdict does not depend on them.
     few
-        What would narrow a wide interval, if not more samples. number, name Number and name of the
-        claim in `chdstat.studies.claims.CLAIMS`.
+        What would narrow a wide interval, if not more samples.
+    number, name
+        Number and name of the claim in `chdstat.studies.claims.CLAIMS`.
     claim
         One sentence.
     scene
         Name of the scene, or of the scenes.
     about
         What the verdict is about, in sentences: this image or this model, not the scene in general;
-        and which scenes are remakes of the paper's. spp Samples per pixel. disagree The verdicts of
-        the seeds if they are opposite; then there is no verdict.
+        and which scenes are remakes of the paper's.
+    spp
+        Samples per pixel.
+    disagree
+        The verdicts of the seeds if they are opposite; then there is no verdict.
     """
 
     tests: tuple[ClaimTest, ...] = ()

@@ -114,7 +114,9 @@ class PixelSet:
     Attributes
     ----------
     names
-        Names of the regions. y, x Positions of the pixels, shape (pixel,).
+        Names of the regions.
+    y, x
+        Positions of the pixels, shape (pixel,).
     region
         Region of each pixel, shape (pixel,).
     blocks

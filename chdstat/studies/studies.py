@@ -48,12 +48,17 @@ class SceneStudy(Shown):
     Attributes
     ----------
     data
-        Samples, regions, analysis, and the other renders. findings Findings on all claims about a
-        single scene, in order. repeated Verdicts of another seed, by number of the claim.
+        Samples, regions, analysis, and the other renders.
+    findings
+        Findings on all claims about a single scene, in order.
+    repeated
+        Verdicts of another seed, by number of the claim.
     chosen
         Whether the library chose the regions.
     atlas
-        Shapes that recur; None if no pixel has one. again Samples of the other seed, or None.
+        Shapes that recur; None if no pixel has one.
+    again
+        Samples of the other seed, or None.
     seconds
         Time of each part of the work, in s.
     notes
@@ -131,7 +136,10 @@ class Study(Shown):
     Attributes
     ----------
     scenes
-        The scenes, in the given order. across Findings on claims that compare scenes. provenance
+        The scenes, in the given order.
+    across
+        Findings on claims that compare scenes.
+    provenance
         Versions of the packages, and the total time in s.
     """
 

@@ -341,8 +341,9 @@ def coverage(
     Parameters
     ----------
     levels
-        Nominal probabilities of the intervals, shape (level,). measured Measured shares by name,
-        shape (level,).
+        Nominal probabilities of the intervals, shape (level,).
+    measured
+        Measured shares by name, shape (level,).
     title
         What is shown.
     width
@@ -399,9 +400,16 @@ def curves(
         Numbers of samples, shape (number,).
     panels
         For each title, curves of shape (number,) by name. A curve has the same colour and mark in
-        all panels. ylabel Label of the y axis. level Level of a dotted line. columns Panels side by
-        side; fewer if they do not fit. log Give each panel its own logarithmic axis, as for errors;
-        otherwise all share one from 0 to 1.
+        all panels.
+    ylabel
+        Label of the y axis.
+    level
+        Level of a dotted line.
+    columns
+        Panels side by side; fewer if they do not fit.
+    log
+        Give each panel its own logarithmic axis, as for errors; otherwise all share one from 0 to
+        1.
     width
         Width of the figure: "column", "page" or inches.
     fig
@@ -481,10 +489,13 @@ def averages(
         Share of pixels whose averages are not normal by the test, shape (size,), by name of the
         channel.
     skewness
-        Quartiles, over pixels, of the skewness of averages, shape (3, size). predicted Median, over
-        pixels, of the skewness that the central limit theorem predicts, shape (size,). alpha The
-        false-discovery rate, drawn as a dotted line. channels Channels to draw: names, "red",
-        "green", "blue" or "luminance"; None for all but luminance.
+        Quartiles, over pixels, of the skewness of averages, shape (3, size).
+    predicted
+        Median, over pixels, of the skewness that the central limit theorem predicts, shape (size,).
+    alpha
+        The false-discovery rate, drawn as a dotted line.
+    channels
+        Channels to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
     width
         Width of the figure: "column", "page" or inches.
     fig

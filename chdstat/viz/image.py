@@ -241,9 +241,11 @@ def region_study(
     marks
         Regions, each with the pixel whose distribution is shown.
     panels
-        CHDs of these pixels, in the same order, with their fits and means. notes A few words above
-        the CHD of each region; None takes those of the panels. channels, scales Channels and scales
-        of the CHDs, as for `chd_pair`; None takes luminance if it is known.
+        CHDs of these pixels, in the same order, with their fits and means.
+    notes
+        A few words above the CHD of each region; None takes those of the panels.
+    channels, scales
+        Channels and scales of the CHDs, as for `chd_pair`; None takes luminance if it is known.
     width
         Width of the figure: "column", "page" or inches.
     fig
@@ -356,8 +358,9 @@ def side_by_side(
     insets
         Rows and columns of parts to magnify below each image; frames mark them in the image.
     notes
-        A line below each title, by the same titles, such as an error. columns Most images in a row;
-        None takes as many as have an inch each.
+        A line below each title, by the same titles, such as an error.
+    columns
+        Most images in a row; None takes as many as have an inch each.
     width
         Width of the figure: "column", "page" or inches.
     fig

@@ -163,8 +163,9 @@ def value_map(
         Title of the map, and unit for the colour bar.
     limits
         Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end have
-        its colour. diverging Use different colours below and above 0, with the larger limit on both
-        sides.
+        its colour.
+    diverging
+        Use different colours below and above 0, with the larger limit on both sides.
     width
         Width of the figure: "column", "page" or inches.
     ax
@@ -230,8 +231,11 @@ def categorical_map(
         What is shown.
     colors
         A colour for each label, in the order of `names`; None takes `chdstat.viz.PALETTE`, then
-        darker versions of it. columns Columns of the legend; None for 2, or 1 if the map is narrow.
-        shares Write the share of pixels after each name.
+        darker versions of it.
+    columns
+        Columns of the legend; None for 2, or 1 if the map is narrow.
+    shares
+        Write the share of pixels after each name.
     width
         Width of the figure: "column", "page" or inches.
     ax
@@ -536,10 +540,13 @@ def renders_compared(
     images
         Linear radiance (y, x, channel) by the name of the render.
     samples
-        For all or some renders, the samples (channel, sample) of each mark. marks Places; each has
-        a number in the images, and a CHD. difference Names of two renders; the luminance of the
-        first minus the second is drawn, too. exposure As in `tonemap`; all images share it. None
-        exposes for the first image.
+        For all or some renders, the samples (channel, sample) of each mark.
+    marks
+        Places; each has a number in the images, and a CHD.
+    difference
+        Names of two renders; the luminance of the first minus the second is drawn, too.
+    exposure
+        As in `tonemap`; all images share it. None exposes for the first image.
     width
         Of a new figure: "column" or "page" of a paper, or inches.
     fig

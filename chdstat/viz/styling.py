@@ -250,7 +250,8 @@ def two_parts(
     fig, width
         As for `page`.
     height, share
-        Height of a new figure in inches, and the share of its width for the first part. below
+        Height of a new figure in inches, and the share of its width for the first part.
+    below
         Heights of the parts if one is below the other.
     """
     if narrow(inches(width, fig)):

@@ -88,7 +88,9 @@ class Learned(Trained):
     Attributes
     ----------
     network, error_model
-        The network, and the model of its errors. unit Mean radiance of the training image.
+        The network, and the model of its errors.
+    unit
+        Mean radiance of the training image.
     marks
         Some of the training samples and their pixels, from `TrainingSet.marks`. They recognise an
         image that is given as an array, without provenance.
