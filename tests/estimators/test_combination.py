@@ -113,6 +113,15 @@ def test_what_may_be_noise_and_what_is_certain_get_nothing():
     assert found[45:].max() < 1e-3 < 0.3 < found[20].min()
 
 
+def test_an_image_that_is_its_mean_lacks_nothing():
+    image = np.ones((40, 33, 3))
+    parts = [Proposal(image, image, 0.3 * image, image) for _ in range(3)]
+    found, less, more = lost_light(parts, np.full_like(image, 16), np.ones((40, 33, 1)), 0.9)
+    assert (found == 0).all()
+    assert (less == 0).all()
+    assert ((more > 0) & (more < 0.05)).all()  # the sum of 1320 pixels is known to .3 / sqrt(1320)
+
+
 def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, reference):
     truth, _ = reference
     measured = Measured.of(samples)

@@ -96,7 +96,7 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
     trusted = (explained - alike) / (explained - alike + own)
     apart = trusted * (_sums(lacking, _BLOCKS[0]) / lit - rate)
     significant = rate - _NOISE * variance / rate if rate**2 > _NOISE * variance else 0.0
-    given = (significant + apart) * explained / max(sure)
+    given = (significant + apart) * (explained / max(sure) if explained else 0)
     likely = np.maximum(rate + apart, np.sqrt(variance))
     shape = likely**2 / (variance + trusted * own + found - explained)
     low, high = (special.gammaincinv(shape, 0.5 + p / 2) * likely / shape for p in (-level, level))
