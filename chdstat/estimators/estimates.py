@@ -24,7 +24,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -684,15 +684,7 @@ def _combine_measured(
         # Nothing is denoised: propose the limited mean, with the interval of the mean.
         weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
         half = ends[1] - mean
-    proposed = [
-        Proposal(
-            _weighted(weights, images),
-            np.nan_to_num(start["mean"]),
-            error_of_mean,
-            np.nan_to_num(start["shared_shape"]),
-        )
-        for images, start, error_of_mean in zip(made, measured.starts, measured.errors, strict=True)
-    ]
+    proposed = _proposals(weights, made, measured)
     del made
     half = np.maximum(
         half, stats.norm.ppf(0.5 + level / 2) * _spread(proposed[1], proposed[2], unit)
@@ -732,6 +724,21 @@ def _combine_measured(
         least=in_its_unit(_floor(mean, error, measured.count)),
         spp=int(measured.count.max(initial=0)),
     )
+
+
+def _proposals(
+    weights: Image, made: Sequence[Mapping[str, Image]], measured: Measured
+) -> list[Proposal]:
+    """Return the weighted candidates of all samples and of each half, beside the means."""
+    return [
+        Proposal(
+            _weighted(weights, images),
+            np.nan_to_num(start["mean"]),
+            error,
+            np.nan_to_num(start["shared_shape"]),
+        )
+        for images, start, error in zip(made, measured.starts, measured.errors, strict=True)
+    ]
 
 
 @register(

@@ -1,18 +1,20 @@
-"""Lost light: what the mean of an image has more than the image that is proposed in its place.
+"""Lost light: the light by which the mean of an image exceeds the image that is proposed.
 
 Denoisers and limits of fireflies take rare bright samples away, and with them light that belongs to
-the image. No pixel can tell what it lost, but all together they can: the sum of the image is known
-from its samples. `lost_light` gives back what is missing of that sum, in proportion to radiance.
+the image. A single pixel cannot tell how much it lost. All pixels together can, since the sum of
+the image is known from its samples. `lost_light` gives the missing part of that sum back, in
+proportion to radiance.
 
-Whether that is right depends on where the light belongs. That of a lamp or a caustic which few
-samples have found belongs to some pixels, and no other must get any. So the image is cut into
-blocks of several sizes, down to the pixel, and what a block lacks by one half of the samples is
-multiplied by what it lacks by the other half, of which the noise is independent. Where light is
-equally rare everywhere, the mean of these products is the square of what the image lacks. Where the
-largest blocks differ, each gets more or less, as far as its own noise allows; the more the smaller
-ones differ, the less is given back. Empirical Bayes estimates of rates in regions use the same
-moments (Marshall 1991, "Mapping disease and mortality rates using empirical Bayes estimators",
-doi:10.2307/2347593): there cases are counted and the unit is a population, here it is radiance.
+That is right only if all pixels lost light in proportion to radiance. The light of a lamp or a
+caustic that few samples have found belongs to a few pixels, and the others must not get it. So the
+image is cut into blocks of several sizes, down to the pixel. What a block lacks according to one
+half of the samples is multiplied by what it lacks according to the other half, whose noise is
+independent. Where light is equally rare everywhere, the mean of these products is the square of
+what the image lacks. If the largest blocks differ, each gets more or less, as far as its own noise
+allows. The more the smaller blocks differ, the less is given back. Empirical Bayes estimates of
+rates in regions use the same moments (Marshall 1991, "Mapping disease and mortality rates using
+empirical Bayes estimators", doi:10.2307/2347593): there cases are counted and the unit is a
+population, here it is radiance.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ _AROUND = 2.0
 
 
 def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: float) -> Reals:
-    """Return what is given back to each pixel, and how far an interval of it reaches to each side.
+    """Return the light that each pixel gets back, and how far its interval reaches to each side.
 
     Parameters
     ----------
@@ -45,21 +47,21 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
     count
         Samples of each pixel, shape (y, x, channel).
     moved
-        How far pixels are moved from the mean to the proposal, from 0 to 1, shape (y, x, 1) or (y,
-        x, channel). What stays the mean has lost nothing.
+        Weight of the proposal beside the mean, from 0 to 1, shape (y, x, 1) or (y, x, channel). A
+        pixel of weight 0 stays the mean and has lost nothing.
     level
-        Probability of the interval. What pixels lack, over their radiance, is taken for gamma
-        distributed: its variance is that of the mean of all and that between blocks.
+        Probability of the interval. The light that pixels lack, divided by their radiance, counts
+        as gamma distributed; its variance is that of the image's mean plus that between blocks.
 
     Returns
     -------
     ndarray
-        What is given back, and how far the interval reaches below and above it, shape (3, y, x,
+        The light given back, and how far the interval reaches below and above it, shape (3, y, x,
         channel).
 
     Examples
     --------
-    An image that is .3 too dark everywhere gets that back. One that lacks as much, but in a corner,
+    An image that is too dark by .3 everywhere gets that back. One that lacks as much in a corner
     gets hardly anything:
 
     >>> image, corner = 0.7 * np.ones((32, 32, 1)), np.zeros((32, 32, 1))
@@ -72,7 +74,7 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
     0.0
     """
     whole = proposed[0]
-    # Light that no sample varies by is known.
+    # Where samples hardly vary, the light is known.
     spread = ndimage.gaussian_filter(np.square(whole.error) * count, (_AROUND, _AROUND, 0))
     share = np.minimum(np.abs(whole.image), np.sqrt(spread)) * moved
     # The channels of a sample vary together: add their errors, not their variances.
@@ -89,7 +91,7 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
         products, norm = np.vdot(one, other), np.square(radiance).sum()
         found = max(found, products / norm)
         sure.append((products - _NOISE * 2 * edge * doubt / np.sqrt(unit.size)) / norm)
-    # The largest blocks have rates of their own, drawn to that of the image.
+    # The largest blocks have rates of their own, shrunk towards that of the image.
     explained = max(sure[:2])
     lit = np.maximum(_sums(unit, _BLOCKS[0]), 1e-12 * total)
     own = np.maximum(variance * total / lit, _sums(noise, _BLOCKS[0]) / lit**2)
