@@ -20,8 +20,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import Floats, Reals, as_pixels, whole
+from chdstat._core.arrays import Floats, Reals, as_pixels, is_bad, whole
 from chdstat._core.image_scales import exposure_unit
+from chdstat._core.moments import Moments
 from chdstat.errors import check_option
 from chdstat.estimators import similarity
 from chdstat.estimators.held_out import reordered
@@ -30,7 +31,6 @@ from chdstat.estimators.registry import (
     check_probability,
     known_features,
     register,
-    whole_samples,
 )
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 
@@ -470,12 +470,8 @@ def rousselle2012(
 
 def _mean_and_error(x: npt.NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
     """Return the mean of whole good samples and its squared error; NaN for fewer than 2."""
-    kept, good = whole_samples(x)
-    n = np.count_nonzero(good, axis=-1)[..., np.newaxis]
-    mean = kept.sum(axis=-1, dtype=np.float64) / np.maximum(n, 1)
-    apart = np.where(good[..., np.newaxis, :], kept - mean[..., np.newaxis], 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return mean, np.square(apart).sum(axis=-1) / (n * np.where(n > 1, n - 1, np.nan))
+    moments = Moments.of(x, ~is_bad(x).any(axis=-2, keepdims=True))
+    return moments.mean, np.square(moments.standard_error)
 
 
 def _edge_patch_mean(image: Floats, radius: int) -> Floats:

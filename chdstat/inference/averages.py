@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, as_samples, chunks, first_of, is_bad
+from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
 from chdstat._core.resampling import Z_95
 from chdstat._core.statistic import Result, Statistic, result, variable
@@ -547,16 +548,11 @@ def _of_lognormal(x: npt.NDArray[Any], good: Mask) -> Floats:
     most of the kurtosis lies beyond the largest of them.
     """
     positive = good & (x > 0)
-    n, of = np.count_nonzero(positive, axis=-1), np.count_nonzero(good, axis=-1)
-    log = np.log(np.where(positive, x, 1), dtype=np.float64)
-    log -= (log.sum(axis=-1) / n)[:, np.newaxis]
-    log *= positive
-    square = log * log
-    variance = np.vecdot(log, log) / n
-    skewness = np.vecdot(log, square) / n / variance**1.5
-    kurtosis = np.vecdot(square, square) / n / variance**2 - 3
-    clear = np.abs([skewness / np.sqrt(6 / n), kurtosis / np.sqrt(24 / n)]).max(axis=0) > _GAUSSIAN
-    most = variance * (1 + _CERTAIN * np.sqrt(2 / n))
+    log = Moments.of(np.log(np.where(positive, x, 1), dtype=np.float64), positive)
+    n, of = log.count, np.count_nonzero(good, axis=-1)
+    scores = [log.skewness / np.sqrt(6 / n), log.kurtosis / np.sqrt(24 / n)]
+    clear = np.abs(scores).max(axis=0) > _GAUSSIAN
+    most = log.m2 / n * (1 + _CERTAIN * np.sqrt(2 / n))
     moments = [n / of * np.exp(j * j * most / 2) for j in range(1, 5)]
     return np.where(clear, np.nan, np.abs(_standardised(*moments)))
 

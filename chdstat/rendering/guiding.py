@@ -176,26 +176,6 @@ class Guide:
             below=np.ascontiguousarray(leaves[:, 1]),
         )
 
-    def cells_at(self, positions: npt.ArrayLike) -> npt.NDArray[np.intp]:
-        """Return the numbers of the cells at positions (n, 3)."""
-        codes = _place_codes(positions, self.box)
-        return np.asarray(np.searchsorted(self.cells, codes, side="right") - 1)
-
-    def density(self, positions: npt.ArrayLike, directions: npt.ArrayLike) -> Floats:
-        """Return the density per solid angle of unit vectors (n, 3) at positions (n, 3)."""
-        cells = self.cells_at(positions)
-        seen, growth = _seen_from_center(
-            (np.asarray(positions) - self.centers[cells]) * self.nearness[cells, np.newaxis],
-            np.asarray(directions),
-        )
-        keys = _keys(np.repeat(np.arange(len(self.cells)), np.diff(self.first)), self.leaves)
-        leaf = np.searchsorted(keys, _keys(cells, _direction_codes(seen)), side="right") - 1
-        is_last = leaf + 1 == self.first[cells + 1]
-        after = np.minimum(leaf + 1, len(self.leaves) - 1)
-        probability = np.where(is_last, 1.0, self.below[after]) - self.below[leaf]
-        size = np.where(is_last, _DIRECTIONS, self.leaves[after].astype(float)) - self.leaves[leaf]
-        return np.asarray(growth * probability * _DIRECTIONS / size / _SPHERE)
-
 
 NOTHING = Guide(
     box=np.zeros((2, 3), np.float32),
@@ -229,14 +209,7 @@ class Paths(NamedTuple):
 
 
 def uniform(low: npt.ArrayLike, high: npt.ArrayLike) -> Guide:
-    """Return a guide without knowledge: one cell, in which all directions are equally likely.
-
-    Examples
-    --------
-    >>> guide = uniform((0, 0, 0), (1, 1, 1))
-    >>> bool(guide.density([[0.5, 0.5, 0.5]], [[0, 0, 1]]) == 1 / (4 * np.pi))
-    True
-    """
+    """Return a guide without knowledge: one cell, in which all directions are equally likely."""
     zero = np.zeros(1, np.uint32)
     box = np.array([low, high], np.float32)
     nothing = np.zeros(1, np.float32)

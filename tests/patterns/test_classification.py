@@ -283,23 +283,19 @@ def test_labels_of_regions_agree_with_their_neighbours():
     samples = simulate(["gamma", "bimodal", "constant", "null-heavy"], shape=(16, 16), spp=256)
     found = chd.classify(samples, progress=False)["label_agreement"]
     assert found.attrs["kappa"] > 0.7
-    assert found.attrs["z"] > 20
     assert found[2:6, 2:6].mean() > 0.9
 
 
-def test_expectation_and_deviation_are_those_of_shuffled_labels():
-    # 4000 permutations: the mean is right to 4 standard errors, the deviation to 4 of 1.1 %.
+def test_expectation_is_that_of_shuffled_labels():
     rng = np.random.default_rng(10)
     labels = rng.choice(4, p=[0.5, 0.3, 0.15, 0.05], size=(9, 7))
     known = rng.random((9, 7)) < 0.85
     found = agreement(labels, known)
-    shares = np.empty(4000)
-    for i in range(4000):
+    shares = np.empty(1000)
+    for i in range(1000):
         labels[known] = rng.permutation(labels[known])
         shares[i] = agreement(labels, known).observed
-    deviation = (found.observed - found.expected) / found.z
-    assert abs(shares.mean() - found.expected) < 4 * deviation / np.sqrt(4000)
-    assert shares.std() == pytest.approx(deviation, rel=0.045)
+    assert abs(shares.mean() - found.expected) < 4 * shares.std() / np.sqrt(1000)
 
 
 def test_agreement_of_known_maps():
@@ -309,7 +305,6 @@ def test_agreement_of_known_maps():
     one = agreement(np.zeros((5, 5), dtype=int))
     assert one.share.min() == 1
     assert np.isnan(one.kappa)
-    assert np.isnan(one.z)
     lonely = np.zeros((3, 3), dtype=bool)
     lonely[1, 1] = True
     assert np.isnan(agreement(checkers[:3, :3], lonely).share).all()

@@ -17,6 +17,7 @@ from scipy import special, stats
 
 from chdstat._core.arrays import Array, Reals, as_pixels, generator, is_bad, warn_left_out
 from chdstat._core.image_scales import mean_radiance
+from chdstat._core.moments import Moments
 from chdstat.errors import InputError, OtherSceneWarning, StoreError, check_probability
 from chdstat.estimators.held_out import reordered
 from chdstat.estimators.progressive import errors, learning
@@ -474,13 +475,10 @@ def _student(rows: Array, mean: Reals, level: float) -> tuple[Reals, Reals, Arra
 
     If no sample is negative, the interval does not reach below 0.
     """
-    good = ~is_bad(rows)
-    n = good.sum(axis=-1)
-    apart = np.where(good, rows, mean[..., np.newaxis]) - mean[..., np.newaxis]
-    error = np.sqrt(np.square(apart).sum(axis=-1) / np.maximum(n * (n - 1), 1))
-    reach = special.stdtrit(np.maximum(n - 1, 1), (1 + level) / 2) * error
-    signed = np.where(good, rows, 0).min(axis=-1) < 0
-    low = np.where(signed, mean - reach, np.maximum(mean - reach, 0))
+    moments = Moments.of(rows, ~is_bad(rows))
+    error = np.nan_to_num(moments.standard_error)
+    reach = special.stdtrit(np.maximum(moments.count - 1, 1), (1 + level) / 2) * error
+    low = np.where(moments.minimum < 0, mean - reach, np.maximum(mean - reach, 0))
     return low, mean + reach, error == 0
 
 
