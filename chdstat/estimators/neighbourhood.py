@@ -470,7 +470,7 @@ def rousselle2012(
 
 def _mean_and_error(x: npt.NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
     """Return the mean of whole good samples and its squared error; NaN for fewer than 2."""
-    moments = Moments.of(x, ~is_bad(x).any(axis=-2, keepdims=True))
+    moments = Moments.of(x, np.asarray(~is_bad(x).any(axis=-2, keepdims=True)))
     return moments.mean, np.square(moments.standard_error)
 
 
