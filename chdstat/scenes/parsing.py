@@ -136,7 +136,9 @@ class ParsedScene:
         config = _config()
         config.parallel = parallel
         with _naming(self.name, "build"), _resolving(self.resolver):
-            return mi.parser.instantiate(config, self.state)
+            # Mitsuba puts the objects into the state: here, into a copy that ends with this call.
+            # After a failure, lights would outlive their shapes, and end the process later.
+            return mi.parser.instantiate(config, mi.parser.ParserState(self.state))
 
     def references(self, index: int) -> list[tuple[str, int]]:
         """Return the names and nodes of everything that a node holds."""

@@ -83,3 +83,17 @@ def test_what_mitsuba_would_crash_on_is_refused():
     scene["plane"] = {"type": "mesh", "vertices": np.zeros((3, 3))}
     with pytest.raises(SceneError, match="a mesh needs vertices and faces; 'plane' has no faces"):
         Scene("broken", scene).load()
+
+
+def test_a_scene_that_cannot_be_built_leaves_no_light_without_its_shape(draw):
+    # While an error is held, as notebooks do, such a light would end the process in later renders.
+    from chdstat.scenes.parsing import parse
+
+    scene = plane_below_sky({"type": "diffuse"})
+    scene["lamp"] = {"type": "sphere", "emitter": {"type": "area"}}
+    scene["plane"] = {"type": "ply", "filename": "missing.ply"}
+    parsed = parse(Scene("broken", scene))
+    held = [parsed.references(i) for i in range(len(parsed.state.nodes))]
+    with pytest.raises(SceneError, match="file not found"):
+        parsed.make()
+    assert held == [parsed.references(i) for i in range(len(parsed.state.nodes))]
