@@ -76,7 +76,7 @@ def train(
     about = {"estimator": estimator, "iterations": int(trained.history.iteration[-1])}
     output.say_written(target, as_json=asked.as_json, **(about if asked.as_json else {}))
     image = target.with_suffix(".exr")
-    output.say_next(asked.quiet, f"chdstat estimate {source} --model {target} -o {image}")
+    output.say_next(asked.quiet, ("estimate", source, "--model", target, "-o", image))
 
 
 @command(
@@ -225,7 +225,7 @@ def compare(
         output.print_json(found.to_dict() | curves)
     else:
         _print_comparison(found, errors)
-    output.say_next(asked.quiet, f"chdstat estimate {store} -o {store.with_suffix('.exr')}")
+    output.say_next(asked.quiet, ("estimate", store, "-o", store.with_suffix(".exr")))
 
 
 @command("contrast path.zarr changed.zarr -o contrast.pdf", "seed", "overwrite", *OUTPUT)
@@ -250,7 +250,7 @@ def contrast(
     """Test whether two renders have the same mean, and which is more efficient.
 
     The exit code is 0 if no difference was found, 3 if one was, and 4 if the samples cannot tell,
-    for example because they are too few. Errors end with 1 or 2.
+    for example because they are too few. An error ends with 2.
     """
     import chdstat
     from chdstat.reporting.figures import save_figure
@@ -267,7 +267,7 @@ def contrast(
         output.print_sentences([found.conclusion])
         typer.echo()
         output.print_table(found.table())
-    output.say_next(asked.quiet, f"chdstat explore {a} {b}")
+    output.say_next(asked.quiet, ("explore", a, b))
     if code := _CODES[found.outcome]:
         raise typer.Exit(code)
 
@@ -336,7 +336,7 @@ def bench(
         output.print_json(found.to_dict())
     else:
         typer.echo(found)
-    output.say_next(asked.quiet, f"chdstat compare STORE -e {found.estimators[-1]} --patterns")
+    output.say_next(asked.quiet, ("compare", "STORE", "-e", found.estimators[-1], "--patterns"))
 
 
 _CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -66,10 +67,10 @@ def _errors_of(samples: Samples) -> Mapping[str, Any]:
     return {f"predicted_{about}": expected, f"estimated_{about}": estimated}
 
 
-def after_render(attrs: Mapping[str, Any], path: Path | None) -> tuple[str, str]:
-    """Return commands that take a store; for dependent samples, not all do."""
-    first = "analyze" if sequence_of(attrs) == 1 else "contrast OTHER.zarr"
-    return f"chdstat {first} {path}", f"chdstat explore {path}"
+def after_render(attrs: Mapping[str, Any], path: Path | None) -> Iterator[tuple[object, ...]]:
+    """Yield commands that take a store; for dependent samples, not all do."""
+    yield ("analyze", path) if sequence_of(attrs) == 1 else ("contrast", "OTHER.zarr", path)
+    yield "explore", path
 
 
 def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:
@@ -84,10 +85,11 @@ def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:
     typer.echo(f"wrote {path}{about}")
 
 
-def say_next(quiet: bool, *commands: str) -> None:
-    """Say what to do next, on stderr: it does not get into a pipe."""
+def say_next(quiet: bool, *commands: Iterable[object]) -> None:
+    """Say which commands to type next, on stderr: it does not get into a pipe."""
     if not quiet:
-        typer.echo(f"next: {'  or  '.join(commands)}", err=True)
+        told = [shlex.join(["chdstat", *map(str, words)]) for words in commands]
+        typer.echo(f"next: {'  or  '.join(told)}", err=True)
 
 
 def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
@@ -144,7 +146,9 @@ def print_rows(
         table.add_column(title, justify=side, no_wrap=index == 0)
     for row in rows:
         table.add_row(*(_readable(row[key]) for key in shown))
-    console = Console(highlight=False, markup=False, width=_columns() or _WIDE)
+    console = Console(highlight=False, markup=False, width=_WIDE)
+    if columns_there := _columns():  # a number is never cut: lines get longer in place of it
+        console.width = max(columns_there, console.measure(table).minimum)
     with console.capture() as captured:
         console.print(table)
     typer.echo("\n".join(line.rstrip() for line in captured.get().splitlines()))

@@ -24,6 +24,8 @@ from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning, OtherScen
 __all__ = ["app", "command", "main"]
 
 _INTERRUPTED = 130
+_TO_MEND = 2
+"""Exit code of errors that a user can act on, as of wrong options; a crash ends with 1."""
 _RESUMED = ("render", "import", "study", "--store")
 """Commands and options for which the same command line resumes after an interruption."""
 _MEANT = {
@@ -177,7 +179,7 @@ def main() -> None:
     except ChdstatError as error:
         if "--debug" in sys.argv:
             raise
-        _fail(str(error), 1)
+        _fail(str(error), _TO_MEND)
     except SystemExit as ended:
         if ended.code == _INTERRUPTED:  # what typer makes of Ctrl-C
             resumed = any(word in _RESUMED for word in sys.argv)
@@ -187,9 +189,10 @@ def main() -> None:
         if "--debug" in sys.argv:
             raise
         name = reprlib.repr(error.filename) if error.filename else ""
-        _fail(f"{error.strerror or error}: {name}".rstrip(": "), 1)
+        _fail(f"{error.strerror or error}: {name}".rstrip(": "), _TO_MEND)
     except MemoryError:
-        _fail("out of memory; use a smaller --size or --spp, or keep samples in a store", 1)
+        message = "out of memory; use a smaller --size or --spp, or keep samples in a store"
+        _fail(message, _TO_MEND)
 
 
 def _shown_once() -> Callable[..., None]:

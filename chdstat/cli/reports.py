@@ -81,7 +81,7 @@ def analyze(
         typer.echo()
         columns = {"name": "best family", "bic": "by BIC", "held_out": "by held-out likelihood"}
         output.print_rows(found["families"], columns)
-    output.say_next(asked.quiet, f"chdstat explore {store}", f"chdstat compare {store}")
+    output.say_next(asked.quiet, ("explore", store), ("compare", store))
 
 
 def _thresholds_of(given: list[str] | None) -> Thresholds:
@@ -158,7 +158,7 @@ def report(
         **asked.settings,
     )
     output.say_written(path, as_json=asked.as_json, pages=pages_of(path))
-    output.say_next(asked.quiet, f"chdstat explore {asked.store or source}")
+    output.say_next(asked.quiet, ("explore", asked.store or source))
 
 
 @command(
@@ -224,7 +224,7 @@ def study(
         found.save_pdf(out)
         typer.echo(f"wrote {out}, {pages_of(out)} pages", err=asked.as_json)
     first = found.scenes[0].name
-    output.say_next(asked.quiet, f"chdstat report {first} -o {first}.pdf")
+    output.say_next(asked.quiet, ("report", first, "-o", f"{first}.pdf"))
 
 
 @command("explore path.zarr guided.zarr", "size", "seed", "max_depth", "define", "plugin")
@@ -300,7 +300,9 @@ def list_names(
         if kind is None:
             typer.echo("\n" * (number > 0) + f"{title}:")
         output.print_table(rows)
-    output.say_next(False, "chdstat render SCENE -o s.zarr", "chdstat compare s.zarr -e ESTIMATOR")
+    output.say_next(
+        False, ("render", "SCENE", "-o", "s.zarr"), ("compare", "s.zarr", "-e", "ESTIMATOR")
+    )
 
 
 @command("doctor", "as_json")
@@ -319,4 +321,4 @@ def doctor(
         memory = found.pop("memory_gib")
         named = {name.replace("_", " "): value for name, value in found.items()}
         output.print_table(named | {"memory": None if memory is None else f"{memory} GiB"})
-    output.say_next(False, "chdstat render cornell-box -o box.zarr")
+    output.say_next(False, ("render", "cornell-box", "-o", "box.zarr"))

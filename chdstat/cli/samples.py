@@ -244,25 +244,27 @@ def include(asked: CommonOptions) -> None:
         typer.echo(folder)
 
 
-@command("export maps.zarr --as exr -o maps.exr", "overwrite", *OUTPUT)
+@command("export maps.zarr -o maps.exr", "overwrite", *OUTPUT)
 def export(
     source: Annotated[
         Path,
         typer.Argument(metavar="MAPS", parser=place_of, help="What 'chdstat analyze -o' wrote."),
     ],
-    out: Annotated[Path, option("File to write.", "--out", "-o")],
-    kind: Annotated[
-        Literal["exr", "netcdf"], option("Layers of an EXR file (.exr), or netCDF (.nc).", "--as")
-    ],
+    out: Annotated[Path, option("File to write, .exr or .nc.", "--out", "-o")],
     asked: CommonOptions,
+    kind: Annotated[
+        Literal["exr", "netcdf"] | None,
+        option("Layers of an EXR file (.exr), or netCDF (.nc).", "--as", unset="by the suffix"),
+    ] = None,
 ) -> None:
     """Write maps in the formats of other programs."""
     import chdstat
     from chdstat.io.writing import open_maps
 
-    write = chdstat.io.write_maps if kind == "exr" else chdstat.io.write_netcdf
-    target = asked.target(out, ".exr" if kind == "exr" else ".nc")
-    file = write(open_maps(source), target)
+    suffixes = {None: [".exr", ".nc"], "exr": [".exr"], "netcdf": [".nc"]}[kind]
+    target = asked.target(out, *suffixes)
+    exr = target.suffix.lower() == ".exr"
+    file = (chdstat.io.write_maps if exr else chdstat.io.write_netcdf)(open_maps(source), target)
     if asked.as_json:
         output.print_json({"files": [str(file)]})
     elif not asked.quiet:
@@ -290,9 +292,7 @@ def info(
             "run the same 'chdstat render' or import again to repair them"
         )
         raise ChdstatError(message)
-    if found["pending_chunks"]:
-        output.say_next(asked.quiet, "the same 'chdstat render' or import again, which resumes")
-    else:
+    if not found["pending_chunks"]:
         output.say_next(asked.quiet, *output.after_render(found, store))
 
 
@@ -306,7 +306,8 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
     if found["pending_chunks"]:
         state = (
             f"stopped: every pixel has {there} of {wanted} samples, and "
-            f"{found['pending_chunks']} chunks are missing"
+            f"{found['pending_chunks']} chunks are missing; the same 'chdstat render' or import "
+            "resumes"
         )
     files = "all there; --verify reads them, too"
     if "damaged" in found:

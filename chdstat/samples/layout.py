@@ -345,10 +345,12 @@ def attributes_of(path: Path) -> dict[str, Any]:
         found.append(attributes)
     version = found[0].get("schema_version") if isinstance(found[0], dict) else None
     if version in (None, SCHEMA_VERSION):
-        why = (
-            "it holds maps or what another program wrote, or both zarr.json and its copy "
-            "radiance/zarr.json are damaged"
-        )
+        why = "both zarr.json and its copy radiance/zarr.json are damaged"
+        if not exists(path / "radiance"):
+            why = (
+                f"it holds no samples; 'chdstat explore STORE --maps {path}' shows maps, and "
+                f"'chdstat import {path} -o OUT' takes arrays of samples"
+            )
         raise incomplete(path, why)
     message = f"{path} has schema version {version}, this chdstat reads {SCHEMA_VERSION}" + (
         "; render it again, or convert it with chdstat 0.1: chdstat convert OLD -o NEW"

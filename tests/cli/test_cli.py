@@ -16,7 +16,7 @@ from typer.main import get_command
 
 import chdstat as chd
 import chdstat.samples
-from chdstat.cli import main, program, shared_options
+from chdstat.cli import main, output, program, shared_options
 from chdstat.rendering import RenderOptions
 
 ROOT = Path(chd.__file__).parent
@@ -65,7 +65,7 @@ def test_samples_that_depend_on_each_other_are_named_contrasted_and_refused(run,
     assert "averages of 16" in out
     for command in (("analyze",), ("compare",), ("report", "-o", tmp_path / "r.pdf")):
         code, _, err = run(command[0], path, *command[1:])
-        assert code == 1
+        assert code == 2
         assert "expected independent samples" in err
 
 
@@ -175,8 +175,8 @@ def test_info_says_that_a_render_was_stopped(run, store, monkeypatch):
     monkeypatch.setattr(chd.samples, "inspect", lambda *_, **__: stopped)
     code, out, err = run("info", store)
     assert code == 0
-    assert "stopped: every pixel has 8 of 16 samples, and 2 chunks are missing" in out
-    assert err == "next: the same 'chdstat render' or import again, which resumes\n"
+    assert "stopped: every pixel has 8 of 16 samples, and 2 chunks are missing; the same" in out
+    assert not err
 
 
 def test_analyze_speaks_in_sentences_and_writes_maps(run, store, tmp_path, monkeypatch):
@@ -186,7 +186,7 @@ def test_analyze_speaks_in_sentences_and_writes_maps(run, store, tmp_path, monke
     assert code == 0
     assert (target / "zarr.json").exists()
     code, _, err = run("analyze", store, "-o", target, "-q")
-    assert code == 1
+    assert code == 2
     assert "nothing was overwritten" in err
     code, whole, err = run("analyze", store, "-o", target, "--overwrite")
     assert code == 0
@@ -206,11 +206,11 @@ def test_nothing_but_an_output_is_overwritten(run, store, tmp_path):
     (tmp_path / "thesis/text.tex").write_text("years of work")
     for target in (tmp_path / "thesis", store):
         code, _, err = run("analyze", store, "-o", target, "--overwrite", "-q")
-        assert code == 1
+        assert code == 2
         assert "is no output of this command; remove it yourself" in err
     assert (tmp_path / "thesis/text.tex").exists()
     code, _, err = run("render", "cornell-box", "-o", store, "--overwrite")
-    assert code == 1
+    assert code == 2
     assert "a store of samples is resumed or appended to" in err
 
 
@@ -229,7 +229,7 @@ def test_contrast_has_an_outcome_an_exit_code_and_a_page(run, store, tmp_path):
     code, out, _ = run("contrast", store, store)
     assert (code, out.split(":")[0]) == (4, "Cannot tell")
     code, out, err = run("contrast", store, again, "--seconds", "1e9")
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert "render more of them" in err
 
 
@@ -245,7 +245,7 @@ def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
     assert written >= {"comparison.json", "comparison.zarr", "measures.pdf", "pixels.pdf"}
     assert written >= {"breakdown.pdf", "curve.pdf", "estimates.pdf"}
     code, _, err = run(*asked, "-o", target)
-    assert code == 1
+    assert code == 2
     assert "nothing was overwritten" in err
 
 
@@ -254,7 +254,7 @@ def test_a_model_is_trained_and_estimates(run, store, tmp_path):
     asked = ("train", store, "-o", model, "--iterations", 3, "-q")
     assert run(*asked)[:2] == (0, f"wrote {model}\n")
     code, _, err = run(*asked)
-    assert code == 1
+    assert code == 2
     assert "exists; nothing was overwritten. Give another path, or --overwrite" in err
     asked = (*asked[:-1], "--json", "--overwrite")
     code, out, err = run(*asked)
@@ -336,7 +336,7 @@ def test_bad_input_ends_with_a_message_and_no_traceback(
 ):
     monkeypatch.chdir(tmp_path)
     code, out, err = run(*(store if argument is STORE else argument for argument in arguments))
-    assert code == 1
+    assert code == 2
     assert message in err
     assert "Traceback" not in out + err
     assert list(tmp_path.iterdir()) == []
@@ -350,7 +350,7 @@ def test_bad_input_ends_with_a_message_and_no_traceback(
         (("compare", STORE), "a"),
         (("contrast", STORE, STORE), "a.pdf"),
         (("estimate", STORE), "a.png"),
-        (("export", "maps.zarr", "--as", "exr"), "a.exr"),
+        (("export", "maps.zarr"), "a.exr"),
         (("report", STORE), "a.pdf"),
         (("study", STORE), "a.pdf"),
         (("train", STORE), "a.safetensors"),
@@ -360,7 +360,7 @@ def test_what_is_there_is_not_overwritten_unasked(run, store, tmp_path, argument
     (tmp_path / name).write_text("mine")
     asked = [store if argument is STORE else argument for argument in arguments]
     code, out, err = run(*asked, "-o", tmp_path / name)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert "exists; nothing was overwritten. Give another path, or --overwrite" in err
     assert (tmp_path / name).read_text() == "mine"
     (option,) = (o for o in COMMANDS[arguments[0]].params if o.name == "overwrite")
@@ -393,10 +393,10 @@ def test_damage_is_found_and_named(run, store, tmp_path):
     shard = path / "radiance/c/0/0/0/0"
     shard.write_bytes(shard.read_bytes()[:-40])
     code, out, err = run("info", path, "--verify", "--json")
-    assert code == 1
+    assert code == 2
     assert json.loads(out)["damaged"] == [str(shard)]
     assert "1 damaged file(s)" in err
-    assert run("analyze", path, "-q")[0] == 1
+    assert run("analyze", path, "-q")[0] == 2
 
 
 def test_debug_shows_the_traceback(monkeypatch):
@@ -433,13 +433,13 @@ def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
     code, out, _ = run("info", tmp_path / "a.zarr")
     assert "those of other pixels decided how many" in out
     code, _, err = run("render", *view, "--spp", 20, "--error", 1e-3, "--percentile", 90)
-    assert code == 1
+    assert code == 2
     assert "decided for the error of the whole image, not of 90 % of the pixels" in err
     other = ("-o", tmp_path / "b.zarr", "--spp", 16, "--error", 1e-3, "--percentile", 90)
     _, out, _ = run("render", *view, *other)
     assert "estimated relative error of 90 % of pixels" in out
     code, _, err = run("render", *view, "--summary-only", "--error", 0.1)
-    assert code == 1
+    assert code == 2
     assert "--summary-only keeps no samples" in err
 
 
@@ -457,5 +457,19 @@ def test_commands_take_different_numbers_of_samples_or_the_first_of_each(
         code, _, err = run(name, "own.zarr", *options, *spp)
         assert code == 0, err
     code, _, err = run(name, "own.zarr", *options, "--spp", 32)
-    assert code == 1
+    assert code == 2
     assert "24" in err
+
+
+def test_tables_cut_no_number_where_the_terminal_is_narrow(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "12")
+    output.print_rows([{"a": "median_of_means", "b": "1.20 [0.876, 1.64]"}], {"a": "", "b": "b"})
+    assert capsys.readouterr().out.split() == ["b", "median_of_means", "1.20", "[0.876,", "1.64]"]
+
+
+def test_commands_to_type_next_quote_paths_with_spaces(capsys):
+    output.say_next(False, ("explore", Path("my box.zarr")), ("compare", "STORE"))
+    assert (
+        capsys.readouterr().err
+        == "next: chdstat explore 'my box.zarr'  or  chdstat compare STORE\n"
+    )

@@ -48,12 +48,17 @@ def test_attributes_that_netcdf_has_no_type_for_are_json(tmp_path):
 def test_the_command_exports_maps(tmp_path, run):
     store, found = SAMPLES.save(tmp_path / "x.zarr").path, tmp_path / "maps.zarr"
     chd.summarize(SAMPLES).to_zarr(found, consolidated=False)
-    for kind, name in {"exr": "d.exr", "netcdf": "e.nc"}.items():
-        code, out, _ = run("export", found, "--as", kind, "-o", tmp_path / name)
+    for name in ("d.exr", "e.nc"):
+        code, out, _ = run("export", found, "-o", tmp_path / name)
         assert (code, (tmp_path / name).exists(), name in out) == (0, True, True)
-    code, _, err = run("export", store, "--as", "exr", "-o", tmp_path / "f.exr")
-    assert code == 1
-    assert "holds samples, not maps" in err
+    for given, name, message in (
+        ((store,), "f.exr", "holds samples, not maps"),
+        ((found, "--as", "exr"), "f.nc", "must end in .exr, got"),
+        ((found,), "f.png", r"must end in .exr, .nc, got"),
+    ):
+        code, _, err = run("export", *given, "-o", tmp_path / name)
+        assert code == 2
+        assert message in err
 
 
 IMAGE = np.random.default_rng(3).gamma(0.5, size=(5, 7, 3)).astype(np.float32)
