@@ -336,7 +336,7 @@ def bench(
         output.print_json(found.to_dict())
     else:
         typer.echo(found)
-    output.say_next(asked.quiet, ("compare", "STORE", "-e", found.estimators[-1], "--patterns"))
+    output.say_next(asked.quiet, ("compare", "STORE", "--patterns"))
 
 
 _CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}

@@ -43,7 +43,10 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
         mean = samples.spp if counts is None else float(counts.mean())
         print_json({**samples.attrs, "path": str(path), "spp": mean, **told})
     else:
-        (height, width), number = samples.shape[:2], f"{samples.spp} samples per pixel"
+        (height, width), number = (
+            samples.shape[:2],
+            f"{samples.spp} sample{'s' * (samples.spp > 1)} per pixel",
+        )
         if counts is not None:
             number += f" at most, {samples.fewest} at least, {counts.mean():.0f} on average"
         typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {number}")

@@ -272,7 +272,10 @@ class Bench(Shown):
     @property
     def notes(self) -> dict[str, str]:
         """Notes for a reader of the table, as in a `Comparison`."""
-        return notes(self.estimators, left_out=self.left_out)
+        own = {name: sum(name in case.errors for case in self.cases) for name in self.estimators}
+        every = len(self.cases)
+        absent = {name: f"in {every - n} of {every} cases" for name, n in own.items() if n < every}
+        return notes(self.estimators, left_out={**self.left_out, **absent})
 
     def _card(self) -> Card:
         scenes, spp = {c.scene: None for c in self.cases}, {c.spp: None for c in self.cases}

@@ -171,7 +171,9 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
         label = f"squared error of the default estimate over the mean's, {found.comparison.n} "
         shown.append((number(row["mse_ratio"]), f"{label}samples", f"{low} to {high}"))
     names = ("value", "label", "interval")
-    return [dict(zip(names, row, strict=True)) for row in shown if row[0] != "—"]
+    # An interval whose ends read as the value says nothing more.
+    rows = [(v, label, "" if ends == f"{v} to {v}" else ends) for v, label, ends in shown]
+    return [dict(zip(names, row, strict=True)) for row in rows if row[0] != "—"]
 
 
 def _headlines(found: SceneStudy) -> list[dict[str, str]]:
@@ -218,7 +220,9 @@ def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
 
 
 def _nulls(scene: Overview) -> Iterator[tuple[str, str]]:
-    if scene.null_share >= _MANY_NULLS:
+    if scene.null_share == 1:
+        yield "No sample finds light.", "The scene has no emitter, or the camera sees none of it."
+    elif scene.null_share >= _MANY_NULLS:
         yield (
             f"{percent(scene.null_share)} of all samples find no light.",
             "They cost as much as the others: sampling the lights better would help.",

@@ -136,12 +136,19 @@ def overview(study: Study) -> Figure:
 def study_document(study: Study) -> Document:
     """Return a study, ready to typeset."""
     drawn: dict[str, Any] = {"verdicts": verdicts(study).figure, "overview": overview(study)}
-    claims = {}
+    claims, untested = [], dict[tuple[str, ...], list[str]]()
     for claim in CLAIMS:
         columns = {name: study.finding(claim.number, name) for name in study.names}
         columns[ACROSS] = study.finding(claim.number)
-        claims[claim] = {name: finding for name, finding in columns.items() if finding is not None}
-        drawn |= claim_figures(claim.number, claims[claim])
+        found = {name: finding for name, finding in columns.items() if finding is not None}
+        told, figures = claim_content(claim, found), claim_figures(claim.number, found)
+        drawn |= figures
+        if figures:
+            claims.append(told)
+            continue
+        for row in told["rows"]:
+            why = row["reason"], *row["scenes"]
+            untested.setdefault(why, []).append(f"{claim.number} {claim.name}")
     for i, scene in enumerate(study.scenes):
         shown = scene_figures(scene.data, atlas=scene.atlas)
         if scene.data.regions:
@@ -150,7 +157,12 @@ def study_document(study: Study) -> Document:
     words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
     content = {
         "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],
-        "claims": [claim_content(claim, found) for claim, found in claims.items()],
+        "number": len(CLAIMS),
+        "claims": claims,
+        "untested": [
+            {"scenes": scenes, "reason": reason, "claims": ", ".join(names)}
+            for (reason, *scenes), names in untested.items()
+        ],
         "verdicts": VERDICTS,
         "counts": {verdict: words.count(verdict) for verdict in VERDICTS},
         "provenance": {k: str(v) for k, v in study.provenance.items()},

@@ -59,7 +59,7 @@ _COMPARED = 4
 """Most regions whose CHDs of shorter and of longer paths are compared."""
 _PAIR = 5.2
 """Width of a figure of two images, in inches."""
-_TITLE = 48
+_TITLE = 46
 """Most letters above the distribution of a region."""
 _INSETS, _INSET = 2, 6
 """Number of magnified parts; their edge is this fraction of the image's shorter edge."""

@@ -694,7 +694,7 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Plugins": ", ".join(f"{n} ({digest})" for n, digest in attrs.get("plugins", {}).items()),
         "Integrator": f"{kind} ({settings})" if settings else kind,
         "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
-        f"{spp} samples per pixel{' at most' * ('adaptive' in attrs)}",
+        f"{spp} sample{'s' * (spp > 1)} per pixel{' at most' * ('adaptive' in attrs)}",
         "Random numbers": ", ".join(numbers),
         "Light": {"spectral": "spectral, samples in linear sRGB", "mono": "of one channel"}.get(
             attrs.get("color", ""), ""

@@ -58,6 +58,8 @@ _SEEN = 0.005, 0.995
 _MOST_COLORS = 8
 """Most series with colours of their own; of more, only the scatter is visible."""
 _LONG = 26
+_LETTERS = 17
+"""Letters of a title per inch."""
 _LABEL = 28
 """Most letters of a label beside one panel."""
 _LINE = 40
@@ -164,20 +166,21 @@ def claim_intervals(
     kinds = list(dict.fromkeys(kind for row in known.values() for kind in row))
     across = inches(width, fig)
     columns = fitting(across, min(2, len(kinds)), 2.6)
-    height = -(-len(kinds) // columns) * (0.155 * len(tests) + 0.62)
-    # A single panel is narrower than a page.
-    figure, axes = panels_in(
-        fig, len(kinds), columns, height, min(across, 2.2 * (1 + columns)), sharey=True
-    )
+    across = min(across, 2.2 * (1 + columns))  # a single panel is narrower than a page
+    letters = int((_LETTERS * across - max(map(len, tests), default=0)) / columns)
+    titles = [textwrap.fill(name, max(letters, _LABEL)) for name, *_ in kinds]
+    lines = max((title.count("\n") for title in titles), default=0)
+    height = -(-len(kinds) // columns) * (0.155 * (len(tests) + lines) + 0.62)
+    figure, axes = panels_in(fig, len(kinds), columns, height, across, sharey=True)
     for i, (ax, kind) in enumerate(zip(axes, kinds, strict=True)):
-        _draw_intervals(ax, [row.get(kind) for row in known.values()])
+        _draw_intervals(ax, [row.get(kind) for row in known.values()], titles[i])
         ax.tick_params(axis="y", length=0, labelleft=i % columns == 0)
     axes[0].set_yticks(range(len(tests)), map(verbatim, tests))
     axes[0].set_ylim(len(tests) - 0.4, -0.6)
     return figure
 
 
-def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
+def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None], title: str) -> None:
     """Draw the intervals of one statistic, each in the colour of its verdict."""
     test = next(t for t in tests if t is not None)
     intervals = [t.interval for t in tests if t is not None]
@@ -200,7 +203,7 @@ def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
             ax.plot(found.interval.value, i, "o", color=color, **look)
     ax.set_xlim(*span)
     written = "" if test.unit == "1" else f" ({test.unit.replace('^1/2', '$^{1/2}$')})"
-    ax.set_title(test.name + written, loc="left", wrap=True)
+    ax.set_title(title + written, loc="left")
 
 
 def _span(values: Sequence[float], test: ClaimTest) -> tuple[float, float]:

@@ -324,7 +324,9 @@ def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
 def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
     """Return the swatches for the legend of `region_study`."""
     names, seen = [*panels[0].histograms("log")], "samples that are not null"
-    handles: list[Artist] = [Patch(color=color, alpha=_FILLED, label=f"{seen}, {names[0]}")]
+    handles: list[Artist] = [
+        Patch(color=color, alpha=_FILLED, label=f"{seen}, {names[0]}".removesuffix(", channel0"))
+    ]
     if len(names) > 1:
         shades = zip(names, colors_of(names), strict=True)
         handles = swatches({f"{seen}, {name}": shade for name, shade in shades})
