@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.display import percent
 from chdstat.analysis import save
 from chdstat.explorer import Explorer, selection
 from chdstat.explorer.maps import IMAGES
@@ -133,7 +132,7 @@ def test_a_click_shows_the_distribution(person, store_path):
     assert one.chips == ["1: y 20 x 10"]
     assert one.query == {"p": ["20,10"]}
     null = (pixel == 0).all(axis=0).mean()
-    assert one.text("#note-log").startswith(f"{percent(null)} null · 0 bad")
+    assert one.text("#note-log").startswith(f"{100 * null:.0f}\N{NO-BREAK SPACE}% null · 0 bad")
     assert "sample mean" in one.text("#estimates")
     assert one.text("#headline h2").startswith("Pixel · y 20, x 10 · 64 samples")
     assert not one.page.locator("#statistics").is_visible()

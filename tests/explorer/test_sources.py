@@ -13,9 +13,6 @@ import numpy.typing as npt
 import pytest
 
 import chdstat as chd
-from chdstat._core import work
-from chdstat._core.arrays import luminance
-from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
 from chdstat.explorer.maps import IMAGES, MAPS, map_kind, walk
@@ -30,11 +27,10 @@ from chdstat.explorer.sources import (
     pooled,
     stream,
 )
-from chdstat.fit.tail import TailIndex
 from chdstat.patterns import classify
 from chdstat.rendering import render_pixels
 from chdstat.rendering.options import Job, RenderOptions
-from chdstat.summary.runner import measured
+from tests.luminance import LUMINANCE
 
 ARRAYS = dict[str, npt.NDArray[Any]]
 
@@ -154,9 +150,9 @@ def test_maps_say_what_the_library_says(flames):
     source = StoreSource(flames)
     labels = classify(flames, progress=False)["label"]
     np.testing.assert_array_equal(ended(walk(source, "pattern")), labels)
-    part = PositivePart.of_pixels(flames.read()[3:5], rows="luminance")
-    tail, found = measured(part, TailIndex()), ended(walk(source, "tail_index"))
-    np.testing.assert_allclose(found[3:5], tail.xi, rtol=1e-6)
+    tail = chd.fit.tail_index(np.einsum("yxcs,c->yxs", flames.read()[3:5], LUMINANCE))
+    found = ended(walk(source, "tail_index"))
+    np.testing.assert_allclose(found[3:5], tail.xi, atol=1e-5)
     finite = ended(walk(source, "finite_variance"))[3:5]
     np.testing.assert_array_equal(finite == 2, tail.variance_trusted)
     np.testing.assert_array_equal(finite == 1, tail.variance_unidentified)
@@ -187,7 +183,7 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
     assert len(calls) == 2
     asked(samples, "y")
     with monkeypatch.context() as patch:
-        patch.setattr(work, "code_digest", lambda: "another")
+        patch.setattr("chdstat._core.work.code_digest", lambda: "another")
         asked(samples, "x")
     shutil.rmtree(own_store)
     again = chd.render("cornell-box", spp=samples.spp, size=(8, 8), seed=9, out=own_store)
@@ -272,7 +268,7 @@ def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
         accumulator = ImageAccumulator(1, 1)
         accumulator.add(x[:, i : i + 1, :, :n])
         whole.put(slice(0, 1), slice(i, i + 1), accumulator.overall())
-    light = luminance(x.astype(float))[0]
+    light = np.einsum("yxcs,c->yxs", x.astype(float), LUMINANCE)[0]
     own = light[0], light[1, :16]
     expected = [y.std(ddof=1) / y.mean() / np.sqrt(len(y)) for y in own]
     assert whole.relative_error[0] == pytest.approx(expected, rel=1e-5)

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from upath import UPath
 
 import chdstat as chd
-from chdstat._core.files import place_of
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_pixels, renders
 from chdstat.rendering.backend import activate, probe
@@ -421,7 +421,7 @@ def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monke
 
 @pytest.mark.parametrize("where", ["{}/s.zarr", "memory://unborn/s.zarr"])
 def test_nothing_is_left_where_nothing_could_be_drawn(tmp_path, monkeypatch, where):
-    out, draw, failed = place_of(where.format(tmp_path)), MitsubaRenderer.chunk, ["whole"]
+    out, draw, failed = UPath(where.format(tmp_path)), MitsubaRenderer.chunk, ["whole"]
 
     def failing(renderer: MitsubaRenderer, chunk: Any, **options: Any) -> Any:
         if ("direct" if renderer.integrator["max_depth"] == 2 else "whole") in failed:

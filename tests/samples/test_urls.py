@@ -17,7 +17,6 @@ from upath import UPath
 
 import chdstat as chd
 import chdstat.samples
-from chdstat._core import files
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 
@@ -70,7 +69,7 @@ def workers() -> Iterator[Client]:
 
 def test_a_store_is_rendered_read_and_grows(either, expected, monkeypatch):
     for name in ("Lock", "_partial"):  # nothing is locked, and nothing written beside
-        monkeypatch.setattr(files, name, None)
+        monkeypatch.setattr(f"chdstat._core.files.{name}", None)
     made = chd.render("cornell-box", spp=70, out=either, direct=True, **SETTINGS)
     assert str(made.path) == either
     assert np.array_equal(chd.open(either).read(), expected.first(70).read())
