@@ -8,12 +8,8 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat import patterns
-from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED
-from chdstat.fit.selection import FamilySelection
-from chdstat.fit.tail import TailIndex
-from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.patterns import (
     CHD,
     PATTERNS,
@@ -26,8 +22,6 @@ from chdstat.patterns import (
     simulate,
     truth_of,
 )
-from chdstat.patterns.classification import Classification
-from chdstat.summary.runner import measured
 
 SPP = 1024
 FAMILY_FLAGS = ("gamma_like", "lognormal_like")
@@ -209,17 +203,6 @@ def test_what_the_samples_cannot_tell_is_said():
     unidentified = image["variance_unidentified"]
     np.testing.assert_array_equal(unidentified.values.ravel(), found.variance_unidentified)
     assert "do not identify" in unidentified.attrs["long_name"]
-
-
-def test_results_that_are_there_are_not_computed_again():
-    x = clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
-    part = PositivePart.of_pixels(x, rows="luminance")
-    statistics = FamilySelection(), TailIndex(), ModalMixture(), Modes()
-    first = [measured(part, statistic) for statistic in statistics]
-    found = measured(part, Classification())
-    assert all(measured(part, s) is one for s, one in zip(statistics, first, strict=True))
-    for name, value in classify(x).statistics.items():
-        np.testing.assert_array_equal(found.statistics[name], value)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
