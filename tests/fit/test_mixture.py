@@ -350,14 +350,6 @@ def test_the_likelihood_tells_atoms_from_the_rest():
     assert result.log_likelihood == pytest.approx(float(rest.log_likelihood) + among)
 
 
-def test_a_clamp_is_an_atom():
-    x = np.random.default_rng(21).lognormal(size=(50, 512))
-    result = mixture(np.minimum(x, 4.0))
-    np.testing.assert_array_equal(result.k, 1)
-    np.testing.assert_array_equal(result.atoms[:, 0], 4)
-    np.testing.assert_allclose(result.atom_weights[:, 0], (x >= 4).mean(axis=-1))
-
-
 @pytest.mark.parametrize(
     "round_",
     [

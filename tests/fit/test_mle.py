@@ -13,18 +13,10 @@ from tests.fit import families_by_scipy as by_scipy
 FAMILY_NAMES = sorted(FAMILIES)
 
 
-def scipy_log_density(family, x, p):
-    return by_scipy.log_density(family, x, p)
-
-
 def typical(family, rng, shape, nulls=0.0):
     """Draw samples of a family, some of them null."""
     x = 3 * by_scipy.typical(family).rvs(shape, random_state=rng)
     return np.where(rng.random(shape) < nulls, 0, x)
-
-
-def sparse(rng, shape, nulls=0.4):
-    return typical("gamma", rng, shape, nulls)
 
 
 @pytest.mark.parametrize("k", [0.01, 0.1, 1.0, 30.0, 990.0, 1010.0, 1e4])
@@ -58,7 +50,7 @@ def test_gamma_shape_of_nearly_equal_samples():
 def test_log_likelihood_is_that_of_all_good_samples(family):
     x = np.concatenate([np.zeros(30), typical(family, np.random.default_rng(5), 70)])
     fit = chd.fit.fit(x, family)
-    density = scipy_log_density(family, x[30:], fit.parameters).sum()
+    density = by_scipy.log_density(family, x[30:], fit.parameters).sum()
     expected = density + 30 * np.log(0.3) + 70 * np.log(0.7)
     count = len(fit.parameters) + 1
     assert fit.log_likelihood == pytest.approx(expected, rel=1e-12)
@@ -134,7 +126,7 @@ def test_distribution_functions_agree(family):
 
 
 def test_gamma_model_has_the_mean_of_the_samples():
-    x = sparse(np.random.default_rng(13), (6, 300))
+    x = typical("gamma", np.random.default_rng(13), (6, 300), nulls=0.4)
     np.testing.assert_allclose(chd.fit.gamma(x).mean(), x.mean(axis=-1), rtol=1e-9)
 
 
@@ -171,7 +163,7 @@ def test_extreme_parameters_do_not_warn(family):
 
 def test_draws_follow_the_model_they_come_from():
     # Kolmogorov-Smirnov at 1e-4 on the positive part, z-test at 4 sigma on the nulls.
-    fit = chd.fit.gamma(sparse(np.random.default_rng(14), 500))
+    fit = chd.fit.gamma(typical("gamma", np.random.default_rng(14), 500, nulls=0.4))
     draws = fit.rvs(20_000, seed=1)
     zero = float(fit.zero_share)
     assert abs((draws == 0).mean() - zero) < 4 * np.sqrt(zero * (1 - zero) / draws.size)
