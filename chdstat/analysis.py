@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Image, Seed, flag_names, is_bad, plain, seed_number, whole
-from chdstat._core.files import release, unused, writing
+from chdstat._core.files import checkpoints, release, unused, writing
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.resampling import Blocks, Interval, mean_of, quantile_of, wilson
 from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
-from chdstat._core.work import checkpoints, in_order
+from chdstat._core.work import in_order
 from chdstat.errors import InputError
 from chdstat.fit.goodness_of_fit import GoodnessOfFit
 from chdstat.fit.mixtures import MixtureFit

@@ -15,7 +15,8 @@ from xarray.testing import assert_allclose
 
 import chdstat as chd
 from chdstat._core import work
-from chdstat._core.work import beside, client_of, in_order
+from chdstat._core.files import beside
+from chdstat._core.work import client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
 from chdstat.estimators import combine

@@ -5,14 +5,22 @@ its suffix, and moved when it is complete. Its writer holds a lock on it (``floc
 system releases whenever the process ends. A locked file thus belongs to a living process. An
 unlocked one was left by a process that was killed, and the next process that writes to the same
 place removes it. A URL names a place that fsspec reaches, where nothing is locked.
+
+A `Cache` keeps results in ``.npz`` files until the samples or the code change: arrays by number,
+and a tree in JSON that says where they belong. The caches of joblib and diskcache are shorter, but
+hold pickles, which run code when they are read. A folder of renders must be safe to pass on.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import functools
+import glob
+import hashlib
 import importlib
 import importlib.metadata
+import json
 import math
 import mmap
 import os
@@ -21,26 +29,36 @@ import shutil
 import socket
 import tempfile
 import uuid
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, TypeGuard, cast
+from collections.abc import Callable, Iterator
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar, cast, get_origin
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from upath import UPath
 
+import chdstat
 from chdstat.errors import InputError, StoreError
 
+if TYPE_CHECKING:
+    from cattrs import Converter
+
 __all__ = [
+    "Cache",
     "Lock",
+    "beside",
     "check_claim",
     "checked_target",
+    "checkpoints",
     "checksum",
     "exists",
     "free_disk",
+    "installed",
     "is_exr",
     "is_path",
     "is_remote",
+    "kept_until_written",
     "local",
     "locked",
     "place_of",
@@ -53,6 +71,7 @@ __all__ = [
     "sweep",
     "tail",
     "unused",
+    "user_cache",
     "writing",
     "zarr_store",
 ]
@@ -536,3 +555,300 @@ def free_disk(path: Path) -> int | None:
     existing = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     usage = shutil.disk_usage(existing)
     return usage.free if usage.total else None
+
+
+Result = TypeVar("Result")
+_ARRAY = "array number"
+
+
+def write_record(path: Path, value: Any) -> Path:
+    """Write results; an existing file is replaced when the new one is complete.
+
+    Parameters
+    ----------
+    path
+        An ``.npz`` file.
+    value
+        A dataclass, or tuples and mappings of dataclasses. Single NumPy numbers become Python's.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from chdstat._core.resampling import Interval
+    >>> found = Interval(*np.arange(6.0).reshape(3, 2))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_record(Path(folder, "found.npz"), {"mse": found})
+    ...     read_record(path, dict[str, Interval[npt.NDArray[Any]]])["mse"].high
+    array([4., 5.])
+    """
+    arrays: list[npt.NDArray[Any]] = []
+
+    def written(item: Any) -> Any:
+        if isinstance(item, np.ndarray) and not item.dtype.hasobject:
+            arrays.append(item)
+            return {_ARRAY: len(arrays) - 1}
+        if isinstance(item, np.generic):
+            return item.item()
+        message = f"a record holds numbers, words and arrays, not {type(item).__name__}"
+        raise TypeError(message)
+
+    tree = json.dumps(_converter().unstructure(value), default=written)
+    with writing(path) as partial, partial.open("wb") as file:
+        np.savez(file, *arrays, tree=np.array(tree))
+    return path
+
+
+def read_record(path: Path, kind: type[Result]) -> Result:
+    """Read results of a kind, such as ``tuple[Finding, ...]``.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged, or holds something else.
+    """
+    from cattrs.errors import BaseValidationError
+
+    try:
+        with np.load(path, allow_pickle=False) as file:
+
+            def found(item: dict[str, Any]) -> Any:
+                return file[f"arr_{item[_ARRAY]}"] if item.keys() == {_ARRAY} else item
+
+            tree = json.loads(str(file["tree"]), object_hook=found)
+        return _converter().structure(tree, kind)
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile, BaseValidationError) as error:
+        message = f"{path} is no record of {kind}: {error}"
+        raise StoreError(message) from error
+
+
+@functools.cache
+def _converter() -> Converter:
+    from cattrs import Converter
+
+    # A type that cannot be in a record may still be the type of an empty mapping's values.
+    converter = Converter(structure_fallback_factory=lambda _: _refused, forbid_extra_keys=True)
+    # Arrays are found while the tree is read.
+    converter.register_structure_hook_func(
+        _is_array,
+        lambda item, kind: item if isinstance(item, np.ndarray) else _refused(item, kind),
+    )
+    return converter
+
+
+def _is_array(kind: Any) -> bool:
+    return get_origin(kind) is np.ndarray
+
+
+def _refused(item: Any, kind: Any) -> Any:
+    message = f"expected {kind}, got {type(item).__name__}"
+    raise ValueError(message)
+
+
+_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "torch", "pyoidn")
+"""Packages whose numbers are kept; without the last one, a denoiser, some are missing."""
+
+
+@functools.cache
+def code_digest() -> str:
+    """Return a digest of all code behind the numbers: results of other code are not read."""
+    digest = hashlib.sha256(repr([installed(name) for name in _LIBRARIES]).encode())
+    package = Path(chdstat.__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def installed(package: str) -> str:
+    """Return the version of an installed package; "" if it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def user_cache() -> Path:
+    """Return the folder of the user's cache, whose content can be computed again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "chdstat")
+
+
+@contextlib.contextmanager
+def checkpoints(
+    folder: str | Path | None, identify: Callable[[], str], *inputs: object
+) -> Iterator[Cache | None]:
+    """Yield a keeper of the parts of a long computation; they are removed when it is complete.
+
+    Parameters
+    ----------
+    folder
+        Folder of the parts; None keeps nothing.
+    identify
+        Returns a text that identifies the samples.
+    inputs
+        Other inputs of the result, with a `repr` that identifies them.
+
+    Examples
+    --------
+    >>> with scratch() as folder:
+    ...     with checkpoints(folder / "parts", lambda: "box-32", 0.05) as kept:
+    ...         found = kept.record("first", int, lambda: 1 + 1)
+    ...     found, (folder / "parts").exists()
+    (2, False)
+    """
+    if folder is None:
+        yield None
+        return
+    # Workers of a cluster also write to it, from folders of their own.
+    place, options = Path(folder).absolute(), hashlib.sha256(repr(inputs).encode()).hexdigest()
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"cannot keep checkpoints in {place}: {error.strerror}; give another folder"
+        raise StoreError(message) from error
+    try:
+        yield Cache(place, f"{_CHECKPOINT}{identify()}-{options[:12]}")
+    except BaseException:
+        with contextlib.suppress(OSError):
+            place.rmdir()  # if nothing was kept
+        raise
+    if place not in _held:
+        _clear(place)
+
+
+_CHECKPOINT = "checkpoint-"
+_held: set[Path] = set()
+"""Folders whose checkpoints stay until the result is written."""
+
+
+@contextlib.contextmanager
+def kept_until_written(out: Path | None) -> Iterator[Path | None]:
+    """Yield the folder of the checkpoints of an output, which stay while the context lasts."""
+    place = None if out is None else beside(out).absolute()
+    if place is None:
+        yield None
+        return
+    _held.add(place)
+    try:
+        yield place
+    except InputError:  # the same again would fail again
+        _clear(place)
+        raise
+    finally:
+        _held.discard(place)
+    _clear(place)
+
+
+def beside(out: Path) -> Path:
+    """Return the folder of the checkpoints of a future file or folder."""
+    return out.with_name(f"{out.name}.checkpoint")
+
+
+def _clear(place: Path) -> None:
+    """Remove checkpoints, and their folder unless it holds anything else."""
+    for pattern in (f"{_CHECKPOINT}*.npz", f".{_CHECKPOINT}*.partial.npz"):
+        for file in place.glob(pattern):
+            remove(file)
+    with contextlib.suppress(OSError):
+        place.rmdir()
+
+
+class Cache:
+    """Results computed from one store, kept in a folder until the samples or the code change.
+
+    A damaged result is computed again. A cache that cannot be written costs time and is not an
+    error.
+
+    Parameters
+    ----------
+    folder
+        Folder of the results; None keeps nothing.
+    key
+        Text that identifies the samples; "", as for samples in memory, keeps nothing.
+    most
+        Most files in the folder; the oldest are deleted. None for any number.
+
+    Examples
+    --------
+    >>> with scratch() as folder:
+    ...     cache = Cache(folder, "box-32")
+    ...     cache.record("sum", int, lambda: 1 + 1), cache.record("sum", int, lambda: 1 / 0)
+    (2, 2)
+    """
+
+    def __init__(self, folder: Path | None, key: str, *, most: int | None = None) -> None:
+        self.folder, self._key, self._most = folder if key else None, key, most
+
+    def record(
+        self,
+        name: str,
+        kind: type[Result],
+        compute: Callable[[], Result],
+        *,
+        inputs: object = (),
+        again: bool = False,
+    ) -> Result:
+        """Return a result of a kind that `write_record` takes; compute it if it is not there.
+
+        Parameters
+        ----------
+        name, inputs
+            Name of the result, and its other inputs, with a `repr` that identifies them.
+        kind
+            Type of the result, such as ``tuple[Finding, ...]``.
+        compute
+            Returns the result.
+        again
+            Compute it even if it is there.
+        """
+        found = None if again else self.recall(name, kind, inputs=inputs)
+        if found is not None:
+            return found
+        value = compute()
+        self.write(_file(name, inputs), lambda path: write_record(path, value))
+        # As it will be read, so that its source does not matter.
+        back = self.recall(name, kind, inputs=inputs)
+        return value if back is None else back
+
+    def recall(self, name: str, kind: type[Result], *, inputs: object = ()) -> Result | None:
+        """Return what `record` kept; None if it is not there, or damaged."""
+        return self.read(_file(name, inputs), lambda path: read_record(path, kind))
+
+    def read(self, name: str, read: Callable[[Path], Result]) -> Result | None:
+        """Read a result by its name with a suffix; None if it is not there, or damaged."""
+        path = self._path(name)
+        if path is None:
+            return None
+        try:
+            return read(path)
+        except (OSError, KeyError, ValueError, RuntimeError, StoreError):
+            return None
+
+    def write(self, name: str, write: Callable[[Path], object]) -> None:
+        """Write a result in place of an existing one, and of results of other code."""
+        path = self._path(name)
+        if path is None:
+            return
+        any_code = glob.escape(path.stem.removesuffix(code_digest()))
+        for old in path.parent.glob(f"{any_code}*{path.suffix}"):
+            remove(old)
+        with contextlib.suppress(OSError, StoreError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(path)
+            files = sorted(path.parent.glob(f"*{path.suffix}"), key=lambda f: -f.stat().st_mtime)
+            for old in files[self._most :] if self._most else ():
+                remove(old)
+
+    def _path(self, name: str) -> Path | None:
+        if self.folder is None:
+            return None
+        file = PurePath(name)
+        return self.folder / f"{self._key}-{file.stem}-{code_digest()}{file.suffix}"
+
+
+def _file(name: str, inputs: object) -> str:
+    return f"{name}-{hashlib.sha256(repr(inputs).encode()).hexdigest()[:12]}.npz"

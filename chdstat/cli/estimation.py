@@ -125,7 +125,7 @@ def estimate(
     is tone-mapped. With --while-rendering, the file is written at each doubling of the number of
     samples.
     """
-    from chdstat._core.work import kept_until_written
+    from chdstat._core.files import kept_until_written
     from chdstat.estimators.estimates import write_estimates
     from chdstat.estimators.training import load_model
     from chdstat.io.writing import IMAGES

@@ -49,7 +49,7 @@ def analyze(
 ) -> None:
     """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat._core.work import kept_until_written
+    from chdstat._core.files import kept_until_written
     from chdstat.analysis import overview, save
 
     if out is not None:

@@ -85,7 +85,7 @@ def render(
     nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
     """
     import chdstat
-    from chdstat._core.work import kept_until_written
+    from chdstat._core.files import kept_until_written
     from chdstat.analysis import save
     from chdstat.rendering import render_batches
 

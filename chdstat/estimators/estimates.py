@@ -36,8 +36,8 @@ from scipy import ndimage, special, stats
 
 from chdstat import __version__
 from chdstat._core.arrays import Image, Reals, as_pixels
-from chdstat._core.files import checked_target
-from chdstat._core.work import check_memory, checkpoints
+from chdstat._core.files import checked_target, checkpoints
+from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
 from chdstat.estimators.default_estimate.lost_light import lost_light

@@ -22,8 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import luminance
-from chdstat._core.files import is_exr
-from chdstat._core.work import Cache, user_cache
+from chdstat._core.files import Cache, is_exr, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.explorer.maps import (

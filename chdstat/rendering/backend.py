@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from chdstat._core.work import Cache, cores, installed, memory, user_cache
+from chdstat._core.files import Cache, installed, user_cache
+from chdstat._core.work import cores, memory
 from chdstat.errors import InputError, RenderError, check_option
 
 __all__ = [

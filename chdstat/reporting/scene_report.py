@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 import numpy as np
 
 from chdstat._core.arrays import whole
-from chdstat._core.files import checked_target
-from chdstat._core.work import kept_until_written
+from chdstat._core.files import checked_target, kept_until_written
 from chdstat.analysis import Noise, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.entries import (

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Image, LeftOut, Mapped, spans
-from chdstat._core.files import release, room
-from chdstat._core.work import Cache, in_order, track
+from chdstat._core.files import Cache, release, room
+from chdstat._core.work import in_order, track
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.files import release, room
-from chdstat._core.work import Cache, kept_until_written
+from chdstat._core.files import Cache, kept_until_written, release, room
 from chdstat.analysis import analyze, save
 from chdstat.comparison import DEFAULT_ESTIMATORS, Comparison, compare
 from chdstat.comparison.entries import Entry, entry_of, without_denoiser

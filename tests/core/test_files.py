@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.files import Lock, replacing, room, scratch, sweep
-from chdstat._core.work import in_order, read_record, track, write_record
+from chdstat._core.files import Lock, read_record, replacing, room, scratch, sweep, write_record
+from chdstat._core.work import in_order, track
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas

@@ -183,7 +183,7 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
     assert len(calls) == 2
     asked(samples, "y")
     with monkeypatch.context() as patch:
-        patch.setattr("chdstat._core.work.code_digest", lambda: "another")
+        patch.setattr("chdstat._core.files.code_digest", lambda: "another")
         asked(samples, "x")
     shutil.rmtree(own_store)
     again = chd.render("cornell-box", spp=samples.spp, size=(8, 8), seed=9, out=own_store)

@@ -349,7 +349,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
     assert told == as_before
     assert again.table() == once.table()
     with monkeypatch.context() as patch:
-        patch.setattr("chdstat._core.work.code_digest", lambda: "another")
+        patch.setattr("chdstat._core.files.code_digest", lambda: "another")
         patch.setattr(stores, "analyze", refuse)
         with pytest.raises(pytest.fail.Exception, match="done again"):
             study("cornell-box", folder=copy, **TINY)
