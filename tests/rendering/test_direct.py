@@ -9,17 +9,11 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
-from chdstat.rendering.backend import probe
 from chdstat.samples import inspect
 from chdstat.samples.store import Store
 from tests.stops import stopped
 
 DIRECT = "direct"
-
-BACKENDS = [
-    "scalar",
-    pytest.param("llvm", marks=pytest.mark.skipif(not probe("llvm").works, reason="none")),
-]
 
 
 def render(scene: Any = "cornell-box", **options: Any) -> chd.Samples:
@@ -35,7 +29,6 @@ def direct_of(samples: chd.Samples) -> np.ndarray:
     return samples.direct.read()
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_direct_light_is_part_of_every_sample(backend):
     """Bit for bit the same paths: no sample of it is brighter, and those that end there agree."""
     samples = render(backend=backend)
