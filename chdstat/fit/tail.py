@@ -404,7 +404,7 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
     Parameters
     ----------
     distribution
-        Frozen SciPy distribution; its parameters may be arrays.
+        Frozen SciPy distribution, or another with `ppf` and `pdf`; its parameters may be arrays.
     share
         Probability of the tail, in (0, 1).
 
@@ -429,9 +429,9 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
     array([0.02, 0.3 , 0.58])
     """
     _check(share, 0.0, 0.5)
-    u = np.asarray(distribution.isf(share), dtype=np.float64)
-    ends = (distribution.logpdf(u * np.exp(sign * _STEP)) for sign in (1, -1))
-    slope = np.subtract(*ends) / (2 * _STEP) / u
+    u = np.asarray(distribution.ppf(1 - share), dtype=np.float64)
+    ends = (distribution.pdf(u * np.exp(sign * _STEP)) for sign in (1, -1))
+    slope = np.log(np.divide(*ends)) / (2 * _STEP) / u
     # With f' = f (log f)', the derivative is -1 - (1 - F) (log f)' / f.
     return np.asarray(-1 - share * slope / distribution.pdf(u))
 

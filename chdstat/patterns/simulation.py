@@ -25,6 +25,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE
 from chdstat.errors import InputError, check_option
+from chdstat.fit.tail import effective_tail_index
 from chdstat.patterns.classification import Classification, Label
 from chdstat.patterns.definitions import PATTERNS, Thresholds, firefly_limit
 from chdstat.samples import Samples
@@ -126,12 +127,6 @@ class Component:
             log = -0.5 * self._z(x) ** 2 - np.log(np.sqrt(2 * np.pi) * self.shape * x)
             return np.asarray(np.exp(log))
         return np.where(x == self.median, np.inf, 0.0)
-
-    def slope(self, x: Floats) -> Floats:
-        """Return the derivative of the density."""
-        if self.family == "gamma":
-            return np.asarray(self.pdf(x) * ((self.shape - 1) / x - 1 / self.scale))
-        return np.asarray(-self.pdf(x) * (1 + self._z(x) / self.shape) / x)
 
     def mean_below(self, x: float) -> float:
         """Return E[X; X <= x]: the part of the expectation up to `x`."""
@@ -335,22 +330,17 @@ class CHD:
     def penultimate_index(self, share: float = 0.1) -> float:
         """Return the tail index that excesses over the quantile ``1 - share`` show.
 
-        ``xi(u) = d/du (1 - F(u)) / f(u) = -1 - (1 - F(u)) f'(u) / f(u)^2`` is the index of the
-        closest generalised Pareto distribution at a finite threshold. Within a grafted tail, it is
-        the tail index itself.
-
-        References
-        ----------
-        Smith, "Estimating tails of probability distributions", 1987, doi:10.1214/aos/1176350499.
+        Within a grafted tail, it is the tail index itself; elsewhere, see
+        `chdstat.fit.tail.effective_tail_index`.
         """
         if self.is_constant:
             return np.nan
         if self.tail_index is not None and share <= self.tail_share:
             return self.tail_index
-        u = _quantile(partial(self._of_body, "cdf"), np.asarray(1 - share))
-        return float(-1 - share * self._of_body("slope", u) / self._of_body("pdf", u) ** 2)
+        body = replace(self, tail_index=None, null_share=0.0)
+        return float(effective_tail_index(body, share))
 
-    def _of_body(self, what: Literal["pdf", "cdf", "slope"], x: Floats) -> Floats:
+    def _of_body(self, what: Literal["pdf", "cdf"], x: Floats) -> Floats:
         parts = [getattr(component, what)(x) for component in self.body]
         return np.tensordot(self._weights, parts, axes=1)
 
