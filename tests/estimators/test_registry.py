@@ -1,7 +1,5 @@
 """The registry: what is entered is found, by name and as an attribute."""
 
-import inspect
-
 import numpy as np
 import pytest
 
@@ -66,23 +64,3 @@ def test_its_row_says_what_it_is_called_and_where_it_stands():
 def test_an_unknown_name_is_refused_with_what_there_is():
     with pytest.raises(InputError, match=r"'men'.*mean"):
         estimators.lookup("men")
-
-
-def test_what_looks_at_other_pixels_or_channels_says_so():
-    """An estimate that changes with other pixels or channels has the flag."""
-    x = np.random.default_rng(1).lognormal(0, 2, size=(3, 3, 3, 32))
-    x[..., :2] = 2000.0
-    pixels, channels = x.copy(), x.copy()
-    pixels[0], pixels[2], pixels[1, ::2] = 0, 0, 0
-    channels[1, 1, 0] = channels[1, 1, 0, ::-1] * 1000
-    for name in estimators.names("fixed"):
-        entry = estimators.lookup(name)
-        # The exposure of an image depends on all of it, and is not what is asked here.
-        has_unit = "unit" in inspect.signature(entry.function).parameters
-        options = {"unit": 1.0} if has_unit else {}
-        before = entry(x, **options)[1, 1, 1]
-        by_pixels = entry(pixels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)
-        by_channels = entry(channels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)
-        assert not by_pixels or entry.uses_neighbours, name
-        assert not by_channels or entry.joint_channels, name
-        assert by_pixels or name not in ("zirr2018", "decoro2010")
