@@ -9,11 +9,6 @@ from chdstat import estimators
 from chdstat.estimators.order import balance
 
 
-def test_mean_is_that_of_numpy_over_the_last_axis():
-    x = np.random.default_rng(0).gamma(1, size=(4, 3, 32))
-    assert estimators.mean(x) == pytest.approx(x.mean(axis=-1))
-
-
 def test_dtype_of_the_samples_is_kept_and_its_rounding_is_not_added_up():
     x = np.full(2**22, 0.1, np.float32)
     x[0] = 1e6

@@ -156,12 +156,6 @@ def test_chunks_do_not_show():
     np.testing.assert_array_equal(h.counts, np.histogram(x, bins=h.edges)[0])
 
 
-def test_scaling_radiance_scales_the_support_and_keeps_the_counts(radiance):
-    h, scaled = (histogram(radiance * f, scale="linear") for f in (np.float32(1), np.float32(8)))
-    np.testing.assert_array_equal(scaled.counts, h.counts)
-    np.testing.assert_allclose(scaled.low, 8 * h.low)
-
-
 def test_extreme_radiance_is_counted_without_warnings():
     x = np.array([1e-45, 1e-40, 3e-39, 1e38, 3.3e38], dtype=np.float32)
     assert total(histogram(x)) == 5
