@@ -95,17 +95,6 @@ def test_the_mean_is_the_unit_of_the_ratios(found):
     assert alone.table()[0]["mse_ratio"] == both.table()[1]["mse_ratio"] > 1
 
 
-def test_an_estimate_that_holds_the_reference_of_a_leaky_protocol_is_not_free_of_error():
-    # The mean of all samples of a pixel is what a leaky protocol takes for the reference, so there
-    # its error would be 0. Here, with two batches of means a and b, (a + b)/2 is judged by b: half
-    # of the error a - b of the sample mean, a quarter when squared.
-    samples = image(spp=64)
-    truth = samples.read().mean(axis=-1)
-    leak = own("leak", lambda x: truth[: x.shape[0]])
-    row = chd.compare(samples, [leak]).table()[0]
-    assert row["mse_ratio"] == pytest.approx(0.25, rel=1e-4)
-
-
 def test_images_are_one_estimate_of_the_first_samples(found, model):
     x = image().read()
     assert found.estimates.shape == (3, 20, 16, 3)

@@ -177,11 +177,6 @@ def test_results_come_in_the_order_of_the_items():
     assert list(in_order(first_waits, range(8), workers=4)) == list(range(8))
 
 
-def test_several_work_at_once():
-    both = threading.Barrier(2, timeout=10)  # passes only if two are at work
-    assert list(in_order(lambda i: both.wait() >= 0 and i, range(2), workers=2)) == [0, 1]
-
-
 def test_an_error_is_raised_in_its_place_and_ends_the_work():
     begun = []
 

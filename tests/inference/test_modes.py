@@ -72,12 +72,6 @@ def test_dip_of_two_equal_spikes_is_a_quarter():
     np.testing.assert_allclose(result.weights[:2], 0.5, atol=1e-6)
 
 
-def test_dip_of_evenly_spaced_samples_is_the_least():
-    result = chd.modality(np.logspace(-2, 2, 50))
-    assert float(result.dip) == pytest.approx(1 / 100)
-    assert float(result.dip_p_value) > 0.99
-
-
 @pytest.mark.parametrize("spp", [20, 75, 300, 1500])
 def test_p_values_are_those_of_diptest(spp):
     # It interpolates linearly between quantiles that are up to 10 % apart.
