@@ -1,4 +1,4 @@
-"""Statistics behind the findings: intervals that cover, distances without noise, fair p-values.
+"""Statistics behind the findings: slopes, distances without noise, fair p-values, verdicts.
 
 Seeds are fixed. For other seeds, each test that counts would fail with a probability below 1e-3:
 its bound lies more than three standard errors of a binomial share from what is expected.
@@ -11,17 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
-from statsmodels.stats.multitest import multipletests
 
 import chdstat as chd
 from chdstat._core.resampling import (
     Blocks,
     Interval,
-    holm,
-    interval_of,
-    largest_of,
-    mean_of,
-    q_values,
     quantile_of,
 )
 from chdstat.studies.claims import CLAIMS, ClaimTest, SceneData
@@ -39,95 +33,12 @@ from chdstat.studies.shape_distances import (
     squares_of_pairs,
 )
 
-# --- intervals ----------------------------------------------------------------------------------
+# --- slopes -------------------------------------------------------------------------------------
 
 
 def pixels(blocks, level=0.95):
     none = np.zeros(len(blocks.of_pixel), dtype=np.int64)
     return PixelSet(("image",), none, none, none, blocks, level)
-
-
-def field(rng, blocks):
-    """Draw pixels whose neighbours share most of what they are."""
-    shared = rng.normal(size=len(blocks))
-    return shared[blocks.of_pixel] + 0.5 * rng.normal(size=len(blocks.of_pixel))
-
-
-@pytest.mark.parametrize("statistic", [mean_of, quantile_of])
-def test_intervals_cover_where_neighbours_resemble_each_other(statistic):
-    rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
-    found = [statistic(field(rng, blocks), blocks) for _ in range(150)]
-    assert np.mean([f.low <= 0 <= f.high for f in found]) > 0.9
-
-
-def test_pixels_taken_for_independent_would_not_cover():
-    rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
-    alone = Blocks(np.arange(144), np.zeros(144, dtype=np.int64))
-    found = [mean_of(field(rng, blocks), alone) for _ in range(50)]
-    assert np.mean([f.low <= 0 <= f.high for f in found]) < 0.75
-
-
-def test_regions_are_given_and_their_differences_are_no_noise():
-    two = Blocks.join([Blocks.grid(8, 8), Blocks.grid(8, 8)])
-    values = np.repeat([0.0, 100.0], 64) + np.random.default_rng(0).normal(size=128)
-    found = mean_of(values, two)
-    assert found.high - found.low < 1
-
-
-def test_few_blocks_have_no_interval_and_missing_pixels_take_no_part():
-    found = mean_of(np.arange(4.0), Blocks.grid(2, 2))
-    assert found.value == 1.5
-    assert np.isnan([found.low, found.high]).all()
-    blocks, values = Blocks.grid(8, 8), np.random.default_rng(0).normal(size=(64, 3))
-    values[::2] = np.nan
-    assert mean_of(values, blocks).value == pytest.approx(np.nanmean(values))
-    for statistic in (mean_of, quantile_of):
-        assert np.isnan(statistic(values * np.nan, blocks).value)
-    assert np.isnan(interval_of(lambda w: np.full(len(w), np.nan), blocks).low)
-
-
-def test_more_sure_is_wider():
-    blocks, values = Blocks.grid(8, 8), np.random.default_rng(0).normal(size=64)
-    narrow, wide = (mean_of(values, blocks, level=level) for level in (0.8, 0.99))
-    assert wide.low < narrow.low < narrow.high < wide.high
-    assert 1 - level_of(4) == pytest.approx(0.05 / 4)
-
-
-def test_blocks_of_some_pixels_keep_their_company():
-    some = Blocks.grid(4, 4, across=2)[np.array([0, 1, 15])]
-    assert some.of_pixel.tolist() == [0, 0, 1]
-    assert len(some) == 2
-
-
-@pytest.mark.parametrize("ways", [2, 4])
-def test_the_least_of_equal_numbers_is_not_told_from_them(ways):
-    """A verdict that is wrong in 2.5 % is so in more than 11 of 150 with a probability of 1e-3."""
-    rng, blocks = np.random.default_rng(ways), Blocks.grid(24, 24, across=8)
-
-    def lead(weights, sums):
-        shares = weights @ sums / 576
-        return shares[:, :1] - shares[:, 1:]
-
-    below, naive = 0, 0
-    for _ in range(150):
-        sums = blocks.sums(np.eye(ways)[rng.choice(ways, size=576)])
-        below += interval_of(lambda w, s=sums: lead(w, s), blocks).high < 0
-        if ways == 4:
-            naive += interval_of(lambda w, s=sums: lead(w, s).min(axis=1), blocks).high < 0
-    assert below <= 11
-    assert naive > 11 or ways < 4  # expected 21: the least of equal numbers is biased
-
-
-def test_a_true_lead_is_seen():
-    rng, blocks = np.random.default_rng(0), Blocks.grid(24, 24, across=8)
-    values = np.array([0.0, 0.1, 0.1]) + 0.3 * rng.normal(size=(576, 3))
-    sums = blocks.sums(values) / 576
-    found = interval_of(lambda w: w @ sums, blocks)
-    assert found.value == pytest.approx(0, abs=0.04)
-    assert interval_of(lambda w: w @ sums + 0.1, blocks).low > 0
-    assert interval_of(lambda w: w @ sums - 0.1, blocks).high < 0
-    largest = largest_of(lambda w: -(w @ sums), blocks)
-    assert (largest.low, largest.high) == (-found.high, -found.low)
 
 
 def test_slopes_with_an_instrument_are_not_flattened_by_noise():
@@ -291,26 +202,6 @@ def test_what_cannot_be_tested_has_no_p_value_and_adjusts_none():
     assert all(np.isnan(p) for p in uniformity(np.ones((64, 12)), Blocks.grid(8, 8)).values())
 
 
-def test_adjusted_p_values_are_those_of_statsmodels():
-    p = np.random.default_rng(0).random(9) ** 3
-    np.testing.assert_allclose(holm(p), multipletests(p, method="holm")[1])
-    with_nan = holm(np.insert(p, 4, np.nan))
-    assert np.isnan(with_nan[4])
-    np.testing.assert_array_equal(np.delete(with_nan, 4), holm(p))
-
-
-def test_q_values_control_the_false_discoveries():
-    rng = np.random.default_rng(12)
-    p = np.concatenate([rng.random(900), rng.random(100) * 1e-6]).reshape(20, 50)
-    p[0, 0] = np.nan
-    q = q_values(p)
-    assert np.isnan(q[0, 0])
-    assert (q.ravel()[900:] < 0.05).all()
-    assert (q.ravel()[:900] < 0.05).sum() < 20
-    stacked = q_values(np.stack([p, np.ones_like(p)], axis=-1))
-    np.testing.assert_array_equal(stacked[..., 0], q)
-
-
 def test_features_that_fix_the_variance_explain_all_but_noise():
     rng = np.random.default_rng(0)
     depth = rng.uniform(0, 1, size=(40, 40)).astype(np.float32)
@@ -440,6 +331,7 @@ def test_a_claim_is_as_strong_as_its_weakest_part():
     assert Finding((bad,), ("needs light",)).verdict == "not supported"
     assert Finding((good, open_)).test is open_
     assert Finding().test is None
+    assert 1 - level_of(4) == pytest.approx(0.05 / 4)
 
 
 def test_json_has_no_numbers_that_are_none():
