@@ -202,12 +202,3 @@ def test_wrong_input_is_refused():
     ):
         with pytest.raises(InputError, match=message):
             call()
-
-
-def test_the_label_is_the_first_flag_that_holds_or_is_open():
-    labels = [label.name.lower() for label in Label]
-    for chd in random_chds(60, seed=4):
-        found = truth(chd)
-        first = next(name for name in labels if found.flags.get(name, False) in (True, None))
-        open_ = found.flags[first] is None
-        assert found.label == (Label.UNDETERMINED if open_ else Label[first.upper()])
