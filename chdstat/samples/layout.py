@@ -412,7 +412,7 @@ def incomplete(path: Path, why: str) -> StoreError:
 
 
 @contextlib.contextmanager
-def writing(path: Path) -> Iterator[None]:
+def disk_errors(path: Path) -> Iterator[None]:
     """Turn the system's errors about a disk into advice for the user."""
     try:
         yield

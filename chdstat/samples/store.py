@@ -137,7 +137,7 @@ class Store:
         kept.pop("manifest", None)
         manifest = {"shape": list(shape), "complete": 0, "features": {}, "direct": False}
         manifest["identity"] = layout.identity(kept, shape)
-        with layout.writing(path):
+        with layout.disk_errors(path):
             if exists(path) and not path.is_dir():
                 raise layout.occupied(path)
             path.mkdir(parents=True, exist_ok=True)
@@ -167,7 +167,7 @@ class Store:
             raise StoreError(message)
         if not writable:
             return cls(path, layout.attributes_of(path))
-        with layout.writing(path):
+        with layout.disk_errors(path):
             lock = locked(path, layout.LOCK)
             store = cls(path, layout.attributes_of(path), lock)
             store._save()
@@ -500,7 +500,7 @@ class Store:
         self._encoder[chunk.ys, chunk.xs, :, chunk.ss] = block
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
-        with layout.writing(self.path):
+        with layout.disk_errors(self.path):
             samples = chunk.shape[2] if self.adaptive is None else int(self._full[chunk.index])
             labelled = layout.labelled(content, self._manifest["identity"], chunk, samples)
             layout.put(self.path / key, labelled)
@@ -518,7 +518,7 @@ class Store:
         held = {**self._manifest, "shape": list(self.shape), "complete": complete}
         self._change(layout.with_parts(held, parts), **attrs)
         if self._attributes != before:
-            with layout.writing(self.path):
+            with layout.disk_errors(self.path):
                 self._save()
 
     def spent(self, seconds: float) -> None:
@@ -537,7 +537,7 @@ class Store:
         if self._stored().any():
             return
         if is_remote(self.path):
-            with layout.writing(self.path):
+            with layout.disk_errors(self.path):
                 cast("Any", self.path).rmdir(recursive=True)
         else:
             remove(self.path)
@@ -557,13 +557,13 @@ class Store:
         self._lay_out()
         complete = self.complete_spp()  # of counts that grew, fewer than before
         self._change({"shape": list(self.shape), "complete": complete})
-        with layout.writing(self.path):
+        with layout.disk_errors(self.path):
             self._save()
 
     def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
         """Let pixels have different numbers of samples from now on, `spp` on average."""
         if self.density is None:
-            with layout.writing(self.path):
+            with layout.disk_errors(self.path):
                 self._write_feature(layout.DENSITY, density)
         elif spp <= self._attributes["spp"]:
             return
@@ -579,7 +579,7 @@ class Store:
     def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
         """Write features that are missing or damaged, or why there are none."""
         if self.lacks_features:
-            with layout.writing(self.path):
+            with layout.disk_errors(self.path):
                 for name, image in features.items():
                     self._write_feature(name, image)
                 self._save()
