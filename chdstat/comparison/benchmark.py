@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ERRORS", "FORMATS", "Bench", "Case", "bench", "flip"]
 
-Scenes = Sequence[str | Path | Samples] | Mapping[str, Any]
+Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
 
 _NAMES = {"mse": "MSE", "relmse": "relMSE", "smape": "SMAPE", "flip": "FLIP"}
@@ -376,7 +376,7 @@ def bench(
     Parameters
     ----------
     scenes
-        Names, XML files, stores or `Samples`; a mapping gives them names of your own. Scenes are
+        Names, XML files, stores or `Samples`, one or several; a mapping names them. Scenes are
         rendered; from stores and `Samples`, the first samples are taken.
     estimators
         As for `chdstat.compare`; None takes those of `chdstat.comparison.DEFAULT_ESTIMATORS` that
@@ -442,7 +442,12 @@ def bench(
     if baseline in chosen.entries and not takes(chosen.entries[baseline], numbers[0]):
         message = f"the baseline, {baseline}, takes more than {numbers[0]} samples; give more spp"
         raise InputError(message)
+    if isinstance(scenes, (str, Path, Samples)):
+        scenes = [scenes]
     named = scenes if isinstance(scenes, Mapping) else {_name(scene): scene for scene in scenes}
+    if not named:
+        message = "a benchmark needs at least one scene, got none"
+        raise InputError(message)
     source = _Inputs(numbers, seed_number(seed), seeds, size or _SIZE, reference_spp, folder)
     cases: list[Case] = []
     with track("benchmark", len(named) * seeds, unit="render", show=progress) as advance:

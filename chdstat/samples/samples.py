@@ -929,7 +929,8 @@ def _cut(dim: str, places: range, index: _Index) -> slice:
         place = operator.index(index)
         kept = range(place % length, place % length + 1) if -length <= place < length else range(0)
     if not kept or kept.step < 0:
-        message = f"{dim} must lie within {-length} to {length - 1} and go forward, got {index!r}"
+        forward = " and go forward" * isinstance(index, slice)
+        message = f"{dim} must lie within {-length} to {length - 1}{forward}, got {index!r}"
         raise InputError(message)
     return _as_slice(kept)
 
