@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, Reals, batch_rows, chunks
+from chdstat._core.arrays import Array, Counts, Floats, Mask, Reals, chunks
 from chdstat._core.positive import LogStatistics, Part, PositivePart
 from chdstat.errors import Reason
 from chdstat.fit.families import estimate_part, get_family
@@ -66,43 +66,66 @@ class Atoms:
 
     Attributes
     ----------
+    part
+        The rows.
     values
         Radiance of each atom, shape (..., atom); NaN where a row has fewer atoms.
     counts
         Samples of each atom, same shape; 0 where a row has fewer atoms.
-    rest
-        The continuous rest, with the shape of the part.
-    tied
-        Whether any samples of the row were equal, shape (...). If not, the rest is the part itself.
     discrete
         Whether the positive samples are only a few values, without a continuous rest, shape (...).
+    tied
+        Whether any samples of the row are equal, shape (...). If not, all of them are the rest.
+    rest
+        The continuous rest of the tied rows only, shape (row,).
     """
 
+    part: Part
     values: Floats
     counts: Counts
-    rest: Part
-    tied: Mask
     discrete: Mask
+    tied: Mask
+    rest: Part
 
     @classmethod
     def none(cls, part: Part) -> Atoms:
         """Return no atoms, for a histogram: its bins are wider than a value."""
         shape = part.n.shape
         values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
-        return cls(values, counts, part, *np.zeros((2, *shape), dtype=bool))
+        nowhere = np.zeros(shape, dtype=bool)
+        return cls(part, values, counts, nowhere, nowhere, take_part(part, np.zeros(0, np.intp)))
 
-    def reason(self, part: Part, minimum: int) -> npt.NDArray[np.int8]:
+    @property
+    def n(self) -> Counts:
+        """Samples of the continuous rest of each row, shape (...)."""
+        return _put(self.part.n, self.tied, self.rest.n)
+
+    @property
+    def log_mean(self) -> Floats:
+        """Mean of their logarithms, shape (...)."""
+        of_rest = self.rest.log_statistics.log_mean
+        return _put(self.part.log_statistics.log_mean, self.tied, of_rest)
+
+    def reason(self, minimum: int) -> npt.NDArray[np.int8]:
         """Return `Reason` codes of rows without a continuous rest of at least `minimum` samples."""
-        whole, rest = part.reason(minimum), self.rest.reason(minimum)
-        gone = self.discrete | (rest != Reason.OK) & (self.rest.n < part.n)
+        whole = self.part.reason(minimum)
+        rest = _put(whole, self.tied, self.rest.reason(minimum))
+        gone = self.discrete | (rest != Reason.OK) & (self.n < self.part.n)
         return np.where(whole == Reason.OK, np.where(gone, Reason.TIED, rest), whole)
 
-    def log_likelihood(self, n: Counts) -> Floats:
-        """Return the log-likelihood of which of n samples are at which atom, or none, (...)."""
-        others = n - self.counts.sum(axis=-1)
-        parts = np.concatenate([self.counts, others[..., np.newaxis]], axis=-1)
-        total = np.maximum(n, 1)[..., np.newaxis]
-        return np.asarray(special.xlogy(parts, parts / total).sum(axis=-1))
+    def log_likelihood(self) -> Floats:
+        """Return the log-likelihood of which samples are at which atom, or at none, (...)."""
+        n = self.part.n[..., np.newaxis]
+        others = n - self.counts.sum(axis=-1, keepdims=True)
+        parts = np.concatenate([self.counts, others], axis=-1)
+        return np.asarray(special.xlogy(parts, parts / np.maximum(n, 1)).sum(axis=-1))
+
+    def rest_of_all(self) -> Part:
+        """Return the continuous rest of all rows, with the shape of the part."""
+        if not (isinstance(self.part, PositivePart) and isinstance(self.rest, PositivePart)):
+            return self.part
+        rows = np.flatnonzero(self.tied)
+        return with_rows(self.part, rows, self.rest.x, self.rest.positive)
 
 
 def split(part: Part) -> Atoms:
@@ -115,34 +138,38 @@ def split(part: Part) -> Atoms:
     >>> x = np.random.default_rng(1).lognormal(size=200)
     >>> x[:20] = 3.0  # a lamp
     >>> atoms = split(PositivePart.of(x))
-    >>> atoms.values[:2], atoms.counts[:2], int(atoms.rest.n)
+    >>> atoms.values[:2], atoms.counts[:2], int(atoms.n)
     (array([ 3., nan]), array([20,  0]), 180)
     """
+    none = Atoms.none(part)
     if not isinstance(part, PositivePart):
-        return Atoms.none(part)
-    shape, samples = part.n.shape, part.x.shape[-1]
-    ascending, n = part.sorted.reshape(-1, samples), part.n.reshape(-1)
-    equal = (ascending[:, 1:] == ascending[:, :-1]) & np.isfinite(ascending[:, 1:])
+        return none
+    ascending = part.sorted
+    equal = (ascending[..., 1:] == ascending[..., :-1]) & np.isfinite(ascending[..., 1:])
     tied = equal.any(axis=-1)
-    values = np.full((n.size, MOST_ATOMS), np.nan)
-    counts = np.zeros((n.size, MOST_ATOMS), dtype=np.int64)
-    discrete, rest = np.zeros(n.size, dtype=bool), part
-    rows = np.flatnonzero(tied)
-    if rows.size:
-        x = batch_rows(part.x, shape, rows).astype(np.float64)
-        positive = batch_rows(part.positive, shape, rows)
-        for piece in chunks(len(rows), samples):
-            at = rows[piece]
-            found = _split_rows(x[piece], positive[piece], n[at])
-            values[at], counts[at], discrete[at], x[piece], positive[piece] = found
-        rest = with_rows(part, rows, x, positive)
+    rest = take_part(part, np.flatnonzero(tied))
+    x, positive = rest.x.astype(np.float64), rest.positive
+    values, counts = none.values[tied], none.counts[tied]
+    discrete = none.discrete[tied]
+    for rows in chunks(len(x), x.shape[-1]):
+        found = _split_rows(x[rows], positive[rows], rest.n[rows])
+        values[rows], counts[rows], discrete[rows], x[rows], positive[rows] = found
+    n = np.count_nonzero(positive, axis=-1).astype(np.int64)
     return Atoms(
-        values=values.reshape(*shape, MOST_ATOMS),
-        counts=counts.reshape(*shape, MOST_ATOMS),
-        rest=rest,
-        tied=tied.reshape(shape),
-        discrete=discrete.reshape(shape),
+        part,
+        values=_put(none.values, tied, values),
+        counts=_put(none.counts, tied, counts),
+        discrete=_put(none.discrete, tied, discrete),
+        tied=tied,
+        rest=replace(rest, x=x, positive=positive, n=n),
     )
+
+
+def _put(whole: Array, tied: Mask, of_rest: Array) -> Array:
+    """Return values of all rows with those of the tied ones replaced."""
+    found = np.array(whole)
+    found[tied] = of_rest
+    return found
 
 
 def with_rows(part: PositivePart, rows: Counts, x: Reals, positive: Mask) -> PositivePart:
@@ -362,35 +389,37 @@ _IMPUTATIONS, _LAMP = 12, 0.1
 fitted tail must explain: below it, the atom is a lamp, not a clamp."""
 
 
-def before_clamps(part: Part, atoms: Atoms, family: str) -> Part:
-    """Return the continuous rest, with clamped samples replaced by likely values above the clamp.
+def before_clamps(atoms: Atoms, family: str) -> Atoms:
+    """Replace clamped samples by likely values above the clamp, which become part of the rest.
 
     One component is fitted; clamped samples become the quantiles of its tail above the clamp; the
     component is fitted again, and so on. Rows without a clamp stay as they are.
     """
-    if not isinstance(part, PositivePart) or not isinstance(atoms.rest, PositivePart):
-        return atoms.rest
-    top = part.largest
-    held = np.where(atoms.values == top[..., np.newaxis], atoms.counts, 0).sum(axis=-1)
-    rows = np.flatnonzero((held > 0) & ~atoms.discrete)
+    part, rest = atoms.part, atoms.rest
+    if not isinstance(part, PositivePart) or not isinstance(rest, PositivePart):
+        return atoms
+    tied, top = np.flatnonzero(atoms.tied), part.largest[atoms.tied]
+    at_top = atoms.values[atoms.tied] == top[:, np.newaxis]
+    held = np.where(at_top, atoms.counts[atoms.tied], 0).sum(axis=-1)
+    rows = np.flatnonzero((held > 0) & ~atoms.discrete[atoms.tied])
     if not rows.size:
-        return atoms.rest
-    described, rest, whole = get_family(family), take_part(atoms.rest, rows), take_part(part, rows)
-    top, held = top.reshape(-1)[rows], held.reshape(-1)[rows]
-    clamped = whole.positive & ~rest.positive & (whole.x == top[:, np.newaxis])
-    parameters = estimate_part(rest, described)[0].parameters
-    clamped &= (described.distribution(parameters).sf(top) * rest.n > _LAMP * held)[:, None]
+        return atoms
+    described, some, whole = get_family(family), take_part(rest, rows), take_part(part, tied[rows])
+    top, held = top[rows], held[rows]
+    clamped = whole.positive & ~some.positive & (whole.x == top[:, np.newaxis])
+    parameters = estimate_part(some, described)[0].parameters
+    clamped &= (described.distribution(parameters).sf(top) * some.n > _LAMP * held)[:, None]
     row, at = np.nonzero(clamped)
     share = (np.cumsum(clamped, axis=-1)[row, at] - 0.5) / held[row]
     filled = replace(
-        rest,
-        x=rest.x.copy(),
-        positive=rest.positive | clamped,
-        n=rest.n + np.count_nonzero(clamped, axis=-1),
+        some,
+        x=some.x.copy(),
+        positive=some.positive | clamped,
+        n=some.n + np.count_nonzero(clamped, axis=-1),
     )
     for _ in range(_IMPUTATIONS):
         law = described.distribution({name: value[row] for name, value in parameters.items()})
         filled.x[row, at] = law.isf(share * law.sf(top[row]))
         filled = replace(filled)
         parameters = estimate_part(filled, described)[0].parameters
-    return with_rows(atoms.rest, rows, filled.x, filled.positive)
+    return replace(atoms, rest=with_rows(rest, rows, filled.x, filled.positive))

@@ -154,7 +154,7 @@ class GoodnessOfFit(Statistic[Goodness]):
             fit = self.fit
             _check_fit(part, fit)
         if isinstance(fit, Mixture):
-            part = split(part).rest
+            part = split(part).rest_of_all()
         reason = fit.reason.copy()
         values = np.full((3, *part.n.shape, len(self.tests)), np.nan)
         for family, parameters, rows, _ in _cases(fit, given):

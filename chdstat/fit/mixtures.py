@@ -28,7 +28,7 @@ from chdstat.fit.families import (
     get_family,
     zero_log_likelihood,
 )
-from chdstat.fit.family import halves_of, take_part
+from chdstat.fit.family import halves_of
 from chdstat.fit.groups import SampleGroups
 from chdstat.fit.search import EFFORTS, Effort, Piece, log_likelihood, log_samples, score, search
 from chdstat.summary.runner import Source, of_source, run
@@ -254,8 +254,8 @@ class ChosenMixtures:
 
     Parameters
     ----------
-    part, atoms
-        The positive samples and their atoms; the search is over the continuous rest.
+    atoms
+        The atoms of the rows; the search is over the continuous rest.
     reason
         Why rows are not searched, shape (...).
     largest
@@ -266,7 +266,6 @@ class ChosenMixtures:
         Scores, shape (row, component); None for BIC.
     """
 
-    part: Part
     atoms: Atoms
     reason: npt.NDArray[np.int8]
     largest: int
@@ -274,9 +273,9 @@ class ChosenMixtures:
     held_out: Floats | None = None
 
     def __post_init__(self) -> None:
-        size = self.part.n.size, self.largest
+        size = self.reason.size, self.largest
         ok = (self.reason == Reason.OK)[..., np.newaxis]
-        allowed = _allowed_components(self.atoms.rest, self.largest) & ok
+        allowed = _allowed_components(self.atoms, self.largest) & ok
         self._allowed = allowed.reshape(size)
         if self.held_out is not None:
             self.held_out = np.where(self._allowed, self.held_out, np.nan)
@@ -317,18 +316,19 @@ class ChosenMixtures:
 
     def search_rest(self, family: MixtureFamily, effort: Effort) -> None:
         """Search rows with equal samples: what is left of them without atoms."""
-        tied = np.flatnonzero(self.atoms.tied & (self.reason == Reason.OK))
-        rest, every = take_part(self.atoms.rest, tied), np.ones(len(tied), dtype=bool)
-        for piece, solutions in search(rest, every, family, self.largest, effort=effort):
+        tied = np.flatnonzero(self.atoms.tied)
+        usable = (self.reason == Reason.OK)[self.atoms.tied]
+        for piece, solutions in search(
+            self.atoms.rest, usable, family, self.largest, effort=effort
+        ):
             self.enter(replace(piece, rows=tied[piece.rows]), solutions)
 
     def result(self, family: MixtureFamily) -> Mixture:
         """Return the chosen mixtures."""
-        part, atoms, largest = self.part, self.atoms, self.largest
-        shape, n = part.n.shape, atoms.rest.n
-        jacobian = -n * atoms.rest.log_statistics.log_mean
-        others = zero_log_likelihood(part) + atoms.log_likelihood(part.n)
-        values = self._likelihoods.reshape(*shape, largest) + (jacobian + others)[..., np.newaxis]
+        atoms, largest, part = self.atoms, self.largest, self.atoms.part
+        shape, n = part.n.shape, atoms.n
+        others = zero_log_likelihood(part) + atoms.log_likelihood() - n * atoms.log_mean
+        values = self._likelihoods.reshape(*shape, largest) + others[..., np.newaxis]
         k = self._k.reshape(shape)
         further = 3 * np.arange(largest) * log_samples(n)[..., np.newaxis]
         penalty = 2 * np.log(n)[..., np.newaxis] + further
@@ -365,13 +365,13 @@ class ChosenMixtures:
         )
 
 
-def _allowed_components(part: Part, largest: int) -> Mask:
+def _allowed_components(atoms: Atoms, largest: int) -> Mask:
     """Return which numbers of components are allowed, shape (..., component).
 
     A mixture needs as many samples as parameters, and no more components than bins.
     """
-    k = np.arange(1, largest + 1)
-    enough = part.n[..., np.newaxis] >= 3 * k - 1
+    k, part = np.arange(1, largest + 1), atoms.part
+    enough = atoms.n[..., np.newaxis] >= 3 * k - 1
     if isinstance(part, PositivePart):
         return enough
     return np.asarray(enough & (np.count_nonzero(part.counts > 0, axis=-1)[..., np.newaxis] >= k))
@@ -418,20 +418,21 @@ class MixtureFit(ParametricFit[Mixture]):
         k, family, effort = self.k, self.family, self.effort
         largest = self.max_k if k is None else k
         atoms = split(part)
-        reason = atoms.reason(part, 3 * min(largest, 2) - 1)
+        reason = atoms.reason(3 * min(largest, 2) - 1)
         if k is not None:
-            least = _allowed_components(atoms.rest, k)[..., k - 1]
+            least = _allowed_components(atoms, k)[..., k - 1]
             reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
         held_out = None
         if self.criterion == "held_out":
-            if not isinstance(atoms.rest, PositivePart):
+            rest = atoms.rest_of_all()
+            if not isinstance(rest, PositivePart):
                 message = (
                     "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
                 )
                 raise InputError(message)
-            held_out = _held_out(atoms.rest, reason == Reason.OK, family, largest, effort)
-        atoms = replace(atoms, rest=before_clamps(part, atoms, family))
-        chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
+            held_out = _held_out(rest, reason == Reason.OK, family, largest, effort)
+        atoms = before_clamps(atoms, family)
+        chosen = ChosenMixtures(atoms, reason, largest, k=k, held_out=held_out)
         whole = (reason == Reason.OK) & ~atoms.tied
         for found in search(part, whole, family, largest, effort=effort):
             chosen.enter(*found)

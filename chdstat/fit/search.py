@@ -103,7 +103,7 @@ EFFORTS: dict[Effort, Plan] = {
         loss=np.inf,
     ),
     "thorough": Plan(
-        rows=512,
+        rows=1024,
         groups=64,
         windows=((1,), (2,), (4,), (8,), (16,), (32,)),
         rounds=((4, 2), (8, 1)),

@@ -30,7 +30,7 @@ of uniform samples, simulated by tools/make_dip_table.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
@@ -466,9 +466,9 @@ class ModalMixture(MixtureFit):
     def measure(self, part: Any) -> Mixture:
         """Return the mixtures of each row; this also finds the modes."""
         atoms = split(part)
-        reason = atoms.reason(part, _MINIMUM)
-        atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
-        chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
+        reason = atoms.reason(_MINIMUM)
+        chosen = ChosenMixtures(before_clamps(atoms, "lognormal"), reason, MODES)
+        apart = atoms.tied.reshape(-1)
 
         def enter(piece: Piece, solutions: list[Solution]) -> None:
             at = np.flatnonzero(~apart[piece.rows])

@@ -389,7 +389,7 @@ def test_what_is_spread_stays_between_its_neighbours_and_in_order():
     x = rounded(np.random.default_rng(24).lognormal(size=(30, 400)), 6)
     x[:, ::7] = 0
     atoms = split(PositivePart.of(x))
-    rest = atoms.rest
+    rest = atoms.rest_of_all()
     assert ((x > 0) >= rest.positive).all()
     np.testing.assert_array_equal(rest.n + atoms.counts.sum(axis=-1), (x > 0).sum(axis=-1))
     for row in range(30):
