@@ -50,6 +50,7 @@ from chdstat.estimators.registry import (
     Estimates,
     check_positive,
     check_probability,
+    interval_of_mean,
     mean_of_good,
     register,
 )
@@ -73,7 +74,6 @@ __all__ = [
     "combination",
     "combine",
     "estimate",
-    "interval_of_mean",
     "refine",
     "write_estimates",
 ]
@@ -807,27 +807,6 @@ def _spread(one: Proposal, other: Proposal, unit: Image) -> Image:
     apart = np.square((one.image - other.image) / (2 * unit[..., np.newaxis])).mean(axis=-1)
     around = ndimage.gaussian_filter(apart, _AROUND, mode="nearest")
     return np.asarray((np.sqrt(around) * unit)[..., np.newaxis])
-
-
-def interval_of_mean(
-    mean: Reals, error: Reals, count: Reals, level: float, *, signed: bool
-) -> Reals:
-    """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
-
-    Means of positive samples are taken as gamma distributed with the shape k = (mean / error)^2.
-    That is exact for exponential samples and nearly true for k equal samples among many nulls
-    (Garwood 1936, doi:10.1093/biomet/28.3-4.437). For few samples, k is multiplied by the squared
-    ratio of the normal quantile to Student's. Signed samples get Student's interval.
-    """
-    tails = np.array((0.5 + level / 2, 0.5 - level / 2))
-    n = np.maximum(count.astype(np.float64) - 1, 1)
-    student = special.stdtrit(n, tails[0])
-    ends = np.stack([mean - student * error, mean + student * error])
-    skewed = (mean > 0) & (error > 1e-3 * mean) & (not signed)
-    m, of_error = mean[skewed], error[skewed]
-    k = np.square(m / of_error * (special.ndtri(tails[0]) / student[skewed]))
-    ends[:, skewed] = m * k / np.maximum(special.gammaincinv(k, tails[:, np.newaxis]), 1e-30)
-    return ends
 
 
 def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:

@@ -24,6 +24,7 @@ from typing import Any, ClassVar, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
 from chdstat._core.arrays import (
     Floats,
@@ -52,6 +53,7 @@ __all__ = [
     "converge",
     "estimate_rows",
     "forget",
+    "interval_of_mean",
     "known_features",
     "lookup",
     "mean_of_good",
@@ -347,6 +349,27 @@ def mean_of_good(x: npt.NDArray[np.floating[Any]]) -> Floats:
         return np.asarray(total / (~bad).sum(axis=-1))
 
 
+def interval_of_mean(
+    mean: Reals, error: Reals, count: Reals, level: float, *, signed: bool
+) -> Reals:
+    """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
+
+    Means of positive samples are taken as gamma distributed with the shape k = (mean / error)^2.
+    That is exact for exponential samples and nearly true for k equal samples among many nulls
+    (Garwood 1936, doi:10.1093/biomet/28.3-4.437). For few samples, k is multiplied by the squared
+    ratio of the normal quantile to Student's. Signed samples get Student's interval.
+    """
+    tails = np.array((0.5 + level / 2, 0.5 - level / 2))
+    n = np.maximum(count.astype(np.float64) - 1, 1)
+    student = special.stdtrit(n, tails[0])
+    ends = np.stack([mean - student * error, mean + student * error])
+    skewed = (mean > 0) & (error > 1e-3 * mean) & (not signed)
+    m, of_error = mean[skewed], error[skewed]
+    k = np.square(m / of_error * (special.ndtri(tails[0]) / student[skewed]))
+    ends[:, skewed] = m * k / np.maximum(special.gammaincinv(k, tails[:, np.newaxis]), 1e-30)
+    return ends
+
+
 def estimate_rows(
     x: npt.NDArray[np.floating[Any]],
     kernel: Callable[..., Floats],
@@ -361,8 +384,9 @@ def estimate_rows(
         Samples, shape (..., sample).
     kernel
         ``kernel(rows, *beside) -> (row,)`` for rows (row, m) of m >= 1 good samples and the values
-        `beside` of these rows (row,). It must scale with the unit of radiance. beside Other
-        radiances of each row, shape (...).
+        `beside` of these rows (row,). It must scale with the unit of radiance.
+    beside
+        Other radiances of each row, shape (...).
     ordered
         Whether the kernel needs ascending samples. If not, it must not depend on their order: rows
         with missing samples are sorted anyway.

@@ -11,7 +11,6 @@ from chdstat.estimators import (
     CombinationStream,
     combine,
     estimate,
-    estimates,
     write_estimates,
 )
 from chdstat.estimators.default_estimate import candidates as halves
@@ -25,6 +24,7 @@ from chdstat.estimators.default_estimate.weighting_network import (
     comparisons,
     unit_of,
 )
+from chdstat.estimators.registry import interval_of_mean
 from chdstat.io import read_exr
 
 
@@ -397,10 +397,10 @@ def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
     x = rng.exponential(size=(4000, 16))
     mean, error = x.mean(axis=-1), x.std(axis=-1, ddof=1) / 4
     count = np.full(4000, 16)
-    low, high = estimates.interval_of_mean(mean, error, count, 0.9, signed=False)
+    low, high = interval_of_mean(mean, error, count, 0.9, signed=False)
     missed = np.mean(high < 1), np.mean(low > 1)
     assert max(missed) < 0.09
-    student = estimates.interval_of_mean(mean, error, count, 0.9, signed=True)[1]
+    student = interval_of_mean(mean, error, count, 0.9, signed=True)[1]
     assert np.mean(student < 1) > missed[0] + 0.02
 
 

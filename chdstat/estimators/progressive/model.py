@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special, stats
+from scipy import stats
 
 from chdstat._core.arrays import Array, Reals, as_pixels, generator, is_bad, warn_left_out
 from chdstat._core.image_scales import mean_radiance
@@ -25,6 +25,7 @@ from chdstat.estimators.progressive.inputs import Features, describe
 from chdstat.estimators.registry import (
     Estimates,
     LearnedEstimator,
+    interval_of_mean,
     mean_of_good,
     register_learned,
 )
@@ -222,8 +223,8 @@ class Progressive(TrainedModel[learning.Learned]):
             for a whole image, and measures it.
         level
             Probability of the interval; None leaves it out (NaN). On another scene, the interval is
-            a mixture of Student's interval of the mean and the model's interval, with the weight of
-            the model.
+            a mixture of that of the mean and the model's interval, with the weight of the model.
+            Rare bright light that no sample found lies outside.
 
         Returns
         -------
@@ -461,25 +462,16 @@ def _mixed(found: Estimates, rows: Array, weights: Reals) -> Estimates:
         mean = np.asarray(mean_of_good(rows), np.float64)
         radiance = np.where(weight > 0, mean + weight * (found.radiance - mean), mean)
         if not np.isnan(found.level):
-            below, above, unknown = _student(rows, mean, found.level)
-            share = np.where(unknown, 1.0, weight)
+            moments = Moments.of(rows, ~is_bad(rows))
+            error = np.nan_to_num(moments.standard_error)
+            signed = bool((moments.minimum < 0).any())
+            below, above = interval_of_mean(mean, error, moments.count, found.level, signed=signed)
+            share = np.where(error == 0, 1.0, weight)
             low = np.fmin(below, below + share * (low - below))
             high = np.fmax(above, above + share * (high - above))
         mixed = radiance, weight[:, 0] * found.certainty, low, high
         radiance, certainty, low, high = (a.astype(np.float32) for a in mixed)
     return Estimates(radiance, certainty, low, high, found.level)
-
-
-def _student(rows: Array, mean: Reals, level: float) -> tuple[Reals, Reals, Array]:
-    """Return the ends of Student's interval of the mean, and where all samples are equal.
-
-    If no sample is negative, the interval does not reach below 0.
-    """
-    moments = Moments.of(rows, ~is_bad(rows))
-    error = np.nan_to_num(moments.standard_error)
-    reach = special.stdtrit(np.maximum(moments.count - 1, 1), (1 + level) / 2) * error
-    low = np.where(moments.minimum < 0, mean - reach, np.maximum(mean - reach, 0))
-    return low, mean + reach, error == 0
 
 
 def _keep_constants(found: Estimates, rows: Array) -> None:

@@ -102,6 +102,13 @@ def test_too_few_samples_to_compare_halves_are_averaged(of_lamps, n):
     assert of_lamps.predict(x) == pytest.approx(x.mean(axis=-1), rel=1e-6)
 
 
+@others
+def test_the_interval_of_a_mean_of_few_skewed_samples_holds_the_truth(of_lamps):
+    x = np.random.default_rng(5).exponential(size=(64, 64, 1, 3)).astype(np.float32)
+    found = of_lamps.estimate(x)
+    assert np.mean((found.low <= 1) & (found.high >= 1)) > 0.88
+
+
 def test_the_share_of_a_move_is_what_pays():
     rng = np.random.default_rng(0)
     move = rng.normal(size=(2000, 3))
