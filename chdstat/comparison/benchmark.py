@@ -49,7 +49,8 @@ ERRORS = tuple(name for name in _NAMES if name != "flip" or _HAS_FLIP)
 FORMATS = (".csv", ".tex", ".json", ".pdf")
 """File formats of a benchmark."""
 _LEAST = 1e-3
-"""Lower bound of ratios: an error minus the noise of the reference may be below 0."""
+"""Least ratio of errors, and one over the largest: minus the noise of the reference, an error may
+be 0 or less."""
 _SIZE = (128, 128)
 _REFERENCE_SPP = 2048
 _BATCH = 64
@@ -137,7 +138,9 @@ class Case:
         """Return the ratio of the errors of two estimators, for weighted blocks."""
         k = ERRORS.index(measure)
         one, other = (weights @ self.errors[n][:, k] for n in (name, baseline))
-        return np.asarray(np.maximum(one / other, _LEAST))
+        # Where neither is above 0, nothing is known.
+        ratio = np.maximum(one, _LEAST * other) / np.maximum(other, _LEAST * one)
+        return np.where(np.maximum(one, other) > 0, ratio, np.nan)
 
     def ratio(self, name: str, baseline: str, measure: str) -> Interval[float]:
         """Return that ratio with its interval over blocks."""

@@ -52,6 +52,17 @@ def test_errors_and_biases_are_those_that_are_known(found):
             assert mean["mse_ratio"] == 1
 
 
+def test_an_error_that_the_noise_of_the_reference_hides_divides_no_ratio():
+    # Minus the noise of the reference, the squared error of the truth may be below 0.
+    scenes = {str(seed): images(seed, 48) for seed in range(4)}
+    exact = Estimator("exact", lambda x: TRUTH[0, 0] + 0 * np.asarray(x).mean(axis=-1), "known")
+    found = chd.bench(scenes, ["mean", exact], spp=[16], baseline="exact", progress=False)
+    rows = [row for row in found.table() if row["estimator"] == "mean"]
+    known = [case.errors["exact"][:, 0].sum() for case in found.cases]
+    assert min(known) < 0
+    assert all(row["mse_ratio"] > 50 for row in rows)
+
+
 def test_flip_is_between_what_cannot_and_what_must_be_seen():
     pytest.importorskip("flip_evaluator")
     flip = benchmark.flip
