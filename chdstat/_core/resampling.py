@@ -312,8 +312,9 @@ def interval_of(
 
     Parameters
     ----------
-    Maps how often each block counts, shape (replicate, block), to shape (replicate,), or to
-    (replicate, statistic) for the least of several.
+    statistic
+        Maps how often each block counts, shape (replicate, block), to shape (replicate,), or to
+        (replicate, statistic) for the least of several.
     blocks
         At least 6 blocks; with fewer, there is no interval.
     level
@@ -835,8 +836,8 @@ def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
 
     Parameters
     ----------
-    Statistics, shape (row,).
-        Shape (row,).
+    statistic
+        Statistics, shape (row,).
     shuffled
         Statistics under the hypothesis, shape (row, shuffle).
 

@@ -665,8 +665,8 @@ def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usab
         Number of samples, shape (row,).
     k
         Numbers of excesses to try, shape (row, candidate), the preferred one first.
-    Where the rows lie in the batch, shape (...); other rows get NaN and 0.
-        Where the rows belong in the batch, shape (...): other rows get NaN and 0.
+    usable
+        Where the rows belong in the batch, shape (...); other rows get NaN and 0.
     """
     values = np.full((5, usable.size), np.nan)
     place = np.flatnonzero(usable)

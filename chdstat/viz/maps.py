@@ -114,6 +114,8 @@ def map_grid(
         Maps in a row; fewer if they would be narrower than 1.6 inches.
     aspect
         Height of the image over its width.
+    width
+        Width of the figure: of a column or of a page.
     fig
         Where to draw; None makes a figure.
 

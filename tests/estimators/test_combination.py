@@ -92,6 +92,14 @@ def test_light_of_one_place_is_given_to_no_other():
     assert found.mean() < 0.3  # of 1
 
 
+def test_light_of_one_pixel_in_one_half_of_the_samples_is_given_to_no_other():
+    x = np.random.default_rng(8).exponential(0.1, size=(64, 64, 3, 16))
+    before = combine(x).radiance
+    x[20, 30, :, ::4] = 500  # four samples of a lamp, all of them even
+    after = combine(x).radiance
+    assert np.median(after / before) == pytest.approx(1, abs=0.01)
+
+
 def test_the_part_of_the_image_that_rare_light_falls_on_gets_it():
     image, asked = rare_light(part=1 / 2, events=4000)
     found = (lost_light(*asked) / image)[0]

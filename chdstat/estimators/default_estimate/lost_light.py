@@ -84,7 +84,8 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
     if not (total > 0 and doubt > 0):
         return np.zeros((3, *share.shape))
     rate, variance = lacking.sum(dtype=np.float64) / total, doubt / total**2
-    alike = max(rate**2, np.prod([half.sum(dtype=np.float64) for half in halves]) / total**2)
+    of_halves = np.prod([half.sum(dtype=np.float64) for half in halves]) / total**2
+    alike, agreed = max(rate**2, of_halves), min(rate**2, of_halves)
     found, sure = alike, [alike]
     for edge in _BLOCKS:
         one, other, radiance = (_sums(image, edge) for image in (*halves, unit))
@@ -97,7 +98,8 @@ def lost_light(proposed: Sequence[Proposal], count: Reals, moved: Reals, level: 
     own = np.maximum(variance * total / lit, _sums(noise, _BLOCKS[0]) / lit**2)
     trusted = (explained - alike) / (explained - alike + own)
     apart = trusted * (_sums(lacking, _BLOCKS[0]) / lit - rate)
-    significant = rate - _NOISE * variance / rate if rate**2 > _NOISE * variance else 0.0
+    # Light that only one half has found may be the light of a single pixel.
+    significant = rate * (1 - _NOISE * variance / agreed) if agreed > _NOISE * variance else 0.0
     given = (significant + apart) * (explained / max(sure) if explained else 0)
     likely = np.maximum(rate + apart, np.sqrt(variance))
     shape = likely**2 / (variance + trusted * own + found - explained)
