@@ -51,7 +51,7 @@ def test_a_pixel_is_channel_by_sample(samples, x, pixel):
 @pytest.mark.parametrize("pixel", [(70, 0), (0, -67)])
 def test_a_pixel_outside_is_an_error(samples, pixel):
     y, x = pixel
-    message = rf"[yx] must lie within -\d+ to \d+ and go forward, got ({y}|{x})"
+    message = rf"[yx] must lie within -\d+ to \d+, got ({y}|{x})"
     with pytest.raises(InputError, match=message):
         samples[y, x]
     with pytest.raises(InputError, match=message):
@@ -123,9 +123,16 @@ def test_the_direct_part_is_cut_alike():
     assert few.isel(sample=slice(3, 8)).direct is None
 
 
-@pytest.mark.parametrize("cut", [{"y": slice(5, 5)}, {"x": 6}, {"sample": slice(None, None, -1)}])
-def test_a_cut_of_nothing_or_backwards_is_refused(cut):
-    with pytest.raises(InputError, match="must lie within .* and go forward"):
+@pytest.mark.parametrize(
+    ("cut", "message"),
+    [
+        ({"y": slice(5, 5)}, "and go forward"),
+        ({"x": 6}, "must lie within -6 to 5, got 6"),
+        ({"sample": slice(None, None, -1)}, "and go forward"),
+    ],
+)
+def test_a_cut_of_nothing_or_backwards_is_refused(cut, message):
+    with pytest.raises(InputError, match=message):
         Samples.from_array(np.ones((5, 6, 3, 8))).isel(**cut)
 
 
