@@ -43,10 +43,8 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
         mean = samples.spp if counts is None else float(counts.mean())
         print_json({**samples.attrs, "path": str(path), "spp": mean, **told})
     else:
-        (height, width), number = (
-            samples.shape[:2],
-            f"{samples.spp} sample{'s' * (samples.spp > 1)} per pixel",
-        )
+        height, width = samples.shape[:2]
+        number = f"{samples.spp} sample{'s' * (samples.spp > 1)} per pixel"
         if counts is not None:
             number += f" at most, {samples.fewest} at least, {counts.mean():.0f} on average"
         typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {number}")
@@ -150,7 +148,7 @@ def print_rows(
     for row in rows:
         table.add_row(*(_readable(row[key]) for key in shown))
     console = Console(highlight=False, markup=False, width=_WIDE)
-    if columns_there := _columns():  # a number is never cut: lines get longer in place of it
+    if columns_there := _columns():  # lines get longer rather than cut a number
         console.width = max(columns_there, console.measure(table).minimum)
     with console.capture() as captured:
         console.print(table)

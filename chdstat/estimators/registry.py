@@ -352,7 +352,7 @@ def mean_of_good(x: npt.NDArray[np.floating[Any]]) -> Floats:
 def interval_of_mean(
     mean: Reals, error: Reals, count: Reals, level: float, *, signed: bool
 ) -> Reals:
-    """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
+    """Return the lower and upper ends of intervals of means of any shape (...), shape (2, ...).
 
     Means of positive samples are taken as gamma distributed with the shape k = (mean / error)^2.
     That is exact for exponential samples and nearly true for k equal samples among many nulls

@@ -102,7 +102,7 @@ class Atoms:
 
     @property
     def log_mean(self) -> Floats:
-        """Mean of their logarithms, shape (...)."""
+        """Mean logarithm of the samples of the continuous rest, shape (...)."""
         of_rest = self.rest.log_statistics.log_mean
         return _put(self.part.log_statistics.log_mean, self.tied, of_rest)
 
@@ -124,8 +124,7 @@ class Atoms:
         """Return the continuous rest of all rows, with the shape of the part."""
         if not (isinstance(self.part, PositivePart) and isinstance(self.rest, PositivePart)):
             return self.part
-        rows = np.flatnonzero(self.tied)
-        return with_rows(self.part, rows, self.rest.x, self.rest.positive)
+        return with_rows(self.part, self.tied, self.rest.x, self.rest.positive)
 
 
 def split(part: Part) -> Atoms:
@@ -165,29 +164,27 @@ def split(part: Part) -> Atoms:
     )
 
 
-def _put(whole: Array, tied: Mask, of_rest: Array) -> Array:
-    """Return values of all rows with those of the tied ones replaced."""
-    found = np.array(whole)
-    found[tied] = of_rest
+def _put(whole: Array, rows: Mask, new: Array) -> Array:
+    """Return a copy in which some rows are new, with their type."""
+    found = np.array(whole, dtype=new.dtype, order="C")
+    found[rows] = new
     return found
 
 
-def with_rows(part: PositivePart, rows: Counts, x: Reals, positive: Mask) -> PositivePart:
-    """Replace the samples of some rows of the flattened batch, in double precision.
+def with_rows(part: PositivePart, rows: Mask, x: Reals, positive: Mask) -> PositivePart:
+    """Replace the samples of some rows, a mask of shape (...), in double precision.
 
     The sums of the other rows are reused.
     """
-
-    def put(old: npt.NDArray[Any], new: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        whole = np.array(old, dtype=new.dtype, order="C")
-        whole.reshape(part.n.size, *new.shape[1:])[rows] = new
-        return whole
-
     n = np.count_nonzero(positive, axis=-1).astype(np.int64)
-    x = put(part.x, x.astype(np.float64))
-    found = replace(part, x=x, positive=put(part.positive, positive), n=put(part.n, n))
-    sums = vars(take_part(found, rows).log_statistics)
-    kept = {name: put(old, sums[name]) for name, old in vars(part.log_statistics).items()}
+    found = replace(
+        part,
+        x=_put(part.x, rows, x.astype(np.float64)),
+        positive=_put(part.positive, rows, positive),
+        n=_put(part.n, rows, n),
+    )
+    sums = vars(take_part(found, np.flatnonzero(rows)).log_statistics)
+    kept = {name: _put(old, rows, sums[name]) for name, old in vars(part.log_statistics).items()}
     vars(found)["log_statistics"] = LogStatistics(**kept)
     return found
 
@@ -401,7 +398,8 @@ def before_clamps(atoms: Atoms, family: str) -> Atoms:
     tied, top = np.flatnonzero(atoms.tied), part.largest[atoms.tied]
     at_top = atoms.values[atoms.tied] == top[:, np.newaxis]
     held = np.where(at_top, atoms.counts[atoms.tied], 0).sum(axis=-1)
-    rows = np.flatnonzero((held > 0) & ~atoms.discrete[atoms.tied])
+    at_clamp = (held > 0) & ~atoms.discrete[atoms.tied]
+    rows = np.flatnonzero(at_clamp)
     if not rows.size:
         return atoms
     described, some, whole = get_family(family), take_part(rest, rows), take_part(part, tied[rows])
@@ -422,4 +420,4 @@ def before_clamps(atoms: Atoms, family: str) -> Atoms:
         filled.x[row, at] = law.isf(share * law.sf(top[row]))
         filled = replace(filled)
         parameters = estimate_part(filled, described)[0].parameters
-    return replace(atoms, rest=with_rows(rest, rows, filled.x, filled.positive))
+    return replace(atoms, rest=with_rows(rest, at_clamp, filled.x, filled.positive))

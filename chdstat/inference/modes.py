@@ -588,7 +588,7 @@ def _spread_steps(part: PositivePart, steps: Mask) -> PositivePart:
     """Return the part with the samples of the rows on `steps` spread over their steps."""
     moved = _without_ties(part.sorted[steps], part.n[steps], rounded=True)
     valid = part.valid[steps]
-    return with_rows(part, np.flatnonzero(steps), np.where(valid, moved, 0), valid)
+    return with_rows(part, steps, np.where(valid, moved, 0), valid)
 
 
 def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = False) -> Floats:

@@ -223,8 +223,8 @@ class Progressive(TrainedModel[learning.Learned]):
             for a whole image, and measures it.
         level
             Probability of the interval; None leaves it out (NaN). On another scene, the interval is
-            a mixture of that of the mean and the model's interval, with the weight of the model.
-            Rare bright light that no sample found lies outside.
+            a mixture of the mean's interval and the model's, with the weight of the model. It does
+            not cover rare bright light that no sample has found.
 
         Returns
         -------
