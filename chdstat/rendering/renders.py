@@ -40,7 +40,7 @@ from chdstat.scenes.settings import LONGEST
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["MemoryWriter", "checked_renderer", "opened_store", "render", "render_pixels"]
+__all__ = ["MemoryWriter", "checked_renderer", "render", "render_pixels"]
 
 _log = logging.getLogger("chdstat")
 _MOST_COMPRESSION = 10
@@ -537,8 +537,10 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
         yield MemoryWriter(attrs, renderer.size)
         return
     is_new = not is_store(out)
-    with opened_store(out, attrs, renderer.size) as store:
+    with _opened(out, attrs, renderer.size) as store:
         try:
+            if store.adaptive is None:
+                store.extend(attrs["spp"])
             yield store
         except Exception:
             if is_new:
@@ -546,16 +548,13 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
             raise
 
 
-def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Store:
-    """Open or create a store for writing, with room for the samples asked for."""
+def _opened(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Store:
+    """Open or create a store for writing."""
     if not is_store(out):
         width, height = size
         return Store.create(out, shape=(height, width, 3, _first_spp(attrs)), attrs=attrs)
     _check_identity(Store.open(out), attrs)
-    store = Store.open(out, writable=True)
-    if store.adaptive is None:
-        store.extend(attrs["spp"])
-    return store
+    return Store.open(out, writable=True)
 
 
 def _first_spp(attrs: Mapping[str, Any]) -> int:

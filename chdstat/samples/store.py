@@ -142,12 +142,12 @@ class Store:
                 raise layout.occupied(path)
             path.mkdir(parents=True, exist_ok=True)
             layout.check_free(path)
-            lock = locked(path, layout.LOCK)
+        with _lock(path) as lock:
             layout.check_free(path)
             attributes = json.loads(layout.canonical({**kept, "manifest": manifest}))
             store = cls(path, attributes, lock)
             store._save()
-        store.restore(features or {})
+            store.restore(features or {})
         return store
 
     @classmethod
@@ -167,12 +167,11 @@ class Store:
             raise StoreError(message)
         if not writable:
             return cls(path, layout.attributes_of(path))
-        with layout.disk_errors(path):
-            lock = locked(path, layout.LOCK)
+        with _lock(path) as lock:
             store = cls(path, layout.attributes_of(path), lock)
             store._save()
-        for chunk in store._damaged_chunks():
-            store.ledger[chunk.index] = 0
+            for chunk in store._damaged_chunks():
+                store.ledger[chunk.index] = 0
         return store
 
     @property
@@ -613,6 +612,19 @@ class Store:
 # --- opening ------------------------------------------------------------------------------------
 
 
+@contextlib.contextmanager
+def _lock(path: Path) -> Iterator[Lock | None]:
+    """Lock a store until it is closed; an error within releases it, also where one keeps it."""
+    with layout.disk_errors(path):
+        lock = locked(path, layout.LOCK)
+        try:
+            yield lock
+        except BaseException:
+            if lock is not None:
+                lock.release()
+            raise
+
+
 def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
     """Open a store of samples.
 
@@ -798,10 +810,14 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
         store = Store.create(path, shape=shape, attrs=attrs, features=features)
         first = 0
     elif append:
-        store, first = _extended(samples, path, attrs)
+        appended = _appended(samples, path, attrs)
+        store, first = Store.open(path, writable=True), int(appended[-1]["first"])
     else:
         store, first = _interrupted(samples, path, attrs), 0
     with store:
+        if append:
+            store.extend(first + samples.spp)
+            store.update(appended=appended)
         _fill(store, samples, first, progress)
         if append:
             return store.finish()
@@ -863,8 +879,8 @@ def _interrupted(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> Stor
     raise StoreError(message)
 
 
-def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[Store, int]:
-    """Return a store with room for more samples, and where they begin."""
+def _appended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what was appended to a store and where it begins, with these samples as the last."""
     held = Store.open(path)
     appended = list(held.attrs.get("appended", []))
     begun = bool(appended) and bool(held.pending()) and appended[-1]["content"] == attrs["content"]
@@ -905,11 +921,7 @@ def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[S
             raise InputError(message)
         named = {k: attrs[k] for k in ("content", "seed", "scene_source") if k in attrs}
         appended.append({**named, "first": held.shape[3]})
-    first = int(appended[-1]["first"])
-    store = Store.open(path, writable=True)
-    store.extend(first + samples.spp)
-    store.update(appended=appended)
-    return store, first
+    return appended
 
 
 def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> None:

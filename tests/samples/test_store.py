@@ -15,7 +15,7 @@ from chdstat.samples import inspect, is_store, layout
 from chdstat.samples.layout import SCHEMA_VERSION
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, TILE, chunk_grid
-from tests.stops import stopped
+from tests.stops import counted, stopped
 
 ALL = slice(None)
 
@@ -139,8 +139,10 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path):
 def test_what_a_stopped_maker_left_is_completed(tmp_path, stop):
     path = tmp_path / "s.zarr"
     x, features = radiance(4, 4, 4), {"depth": np.ones((4, 4), np.float32)}
-    with stopped(layout, "put", when=lambda file, _: file == path / stop):
+    put = counted(layout, "put", most=0, when=lambda file, _: file == path / stop)
+    with put, pytest.raises(KeyboardInterrupt) as error:
         create(path, x, features=features)
+    assert error.tb is not None  # a notebook keeps it, and with it the store that was made
     assert is_store(path) == (stop != "zarr.json")
     store = Store.open(path, writable=True) if is_store(path) else create(path, x)
     with store:
