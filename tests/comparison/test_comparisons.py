@@ -1,7 +1,6 @@
 """Comparison: same batches, held-out references and pixels, and what happens at the edges."""
 
 import json
-import re
 import tracemalloc
 from dataclasses import replace
 from functools import partial
@@ -526,19 +525,6 @@ def test_data_frames_hold_the_measures_with_their_intervals(found):
             at = frame.loc[(row[key], row["estimator"])]
             assert at["mse", "value"] == row["mse"]
             assert at["relmse_ratio", "low"] == row["relmse_ratio_low"]
-
-
-def test_latex_has_a_line_for_each_estimator_and_escapes_what_it_must(found):
-    begin, top, head, middle, *rows, bottom, end = found.to_latex().splitlines()
-    assert (begin, end) == (r"\begin{tabular}{lrrrrr}", r"\end{tabular}")
-    assert (top, middle, bottom) == (r"\toprule", r"\midrule", r"\bottomrule")
-    assert len(rows) == len(THREE)
-    columns = head.count(" & ")
-    for row in rows:
-        assert row.endswith(r" \\")
-        assert row.count(" & ") == columns
-        assert not re.search(r"(?<!\\)[%_#]", row)
-    assert rows[0].startswith("sample mean & 1.00 & ")
 
 
 def test_an_error_of_the_mean_that_is_rounding_divides_nothing():
