@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -380,14 +380,34 @@ def largest_of(
 
 
 def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Interval[float]:
-    """Return the mean over pixels (pixel,) or (pixel, ...), ignoring NaN."""
+    """Return the mean over pixels (pixel,) or (pixel, ...), ignoring NaN.
+
+    Where all values are 0, or all are 1, they are a share, and blocks that are alike do not say how
+    rare the others are. The open side is then that of a share that none of as many blocks shows.
+
+    References
+    ----------
+    Clopper and Pearson, "The use of confidence or fiducial limits illustrated in the case of the
+    binomial", 1934, doi:10.1093/biomet/26.4.404.
+
+    Examples
+    --------
+    >>> mean_of(np.zeros(16), Blocks.grid(4, 4)).high < 0.21
+    True
+    """
     values = values.reshape(len(values), math.prod(values.shape[1:]))
     known = np.isfinite(values)
     total = blocks.sums(np.where(known, values, 0).sum(axis=1))
     count = blocks.sums(known.sum(axis=1))
-    return interval_of(
-        lambda w: (w @ total) / (w @ count), blocks, level=level, bounds=_range(values)
+    least, most = _range(values)
+    found = interval_of(
+        lambda w: (w @ total) / (w @ count), blocks, level=level, bounds=(least, most)
     )
+    if least == most and most in (0, 1):
+        unseen = 1 - ((1 - level) / 2) ** (1 / np.count_nonzero(count))
+        low, high = found.low - unseen * most, found.high + unseen * (1 - most)
+        return replace(found, low=low, high=high)
+    return found
 
 
 def quantile_of(

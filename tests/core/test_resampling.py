@@ -190,6 +190,16 @@ def test_intervals_cover_where_neighbours_resemble_each_other(statistic):
     assert np.mean([f.low <= 0 <= f.high for f in found]) > 0.9
 
 
+@pytest.mark.parametrize("common", [False, True])
+def test_intervals_cover_a_share_that_no_block_may_show(common):
+    """A share of .02 of the blocks is in none of 16 in .72 of the draws."""
+    rng, blocks = np.random.default_rng(0), Blocks.grid(4, 4)
+    for _ in range(20):
+        few = rng.random(16) < 0.02
+        found = mean_of((few != common).astype(float), blocks)
+        assert found.low <= (0.98 if common else 0.02) <= found.high
+
+
 def test_pixels_taken_for_independent_would_not_cover():
     rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
     alone = Blocks(np.arange(144), np.zeros(144, dtype=np.int64))
