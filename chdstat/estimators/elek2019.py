@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +44,7 @@ from chdstat.estimators.held_out import (
     training_batches,
 )
 from chdstat.estimators.registry import LearnedEstimator, mean_of_good, register_learned
-from chdstat.samples import Samples
+from chdstat.samples import Samples, opened
 
 if TYPE_CHECKING:
     import torch
@@ -260,14 +260,14 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         )
         return self
 
-    def predict(self, x: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    def predict(self, x: Samples | npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Estimate radiance.
 
         Parameters
         ----------
         x
-            Samples of one channel in the order drawn, shape (..., inputs). A bad sample is replaced
-            by the mean of the good ones beside it.
+            Samples of one channel in the order drawn, shape (..., inputs), also as `Samples` or the
+            path of a store. A bad sample is replaced by the mean of the good ones beside it.
 
         Returns
         -------
@@ -278,9 +278,10 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         Raises
         ------
         InputError
-            If the last axis does not hold exactly `inputs` samples, or the network is not trained.
+            If the last axis does not hold exactly `inputs` samples, these are averages or depend on
+            each other, or the network is not trained.
         """
-        samples = as_samples(x)
+        samples = as_samples(cast("npt.ArrayLike", opened(x)))
         warn_left_out(samples, within="chdstat.estimators")
         if samples.shape[-1] != self.inputs:
             message = (

@@ -31,7 +31,6 @@ from chdstat._core.moments import Moments
 from chdstat._core.resampling import p_of_means
 from chdstat.errors import InputError
 from chdstat.samples import ImageLike, Samples, opened
-from chdstat.samples.dependence import check_independent
 
 __all__ = ["Difference", "difference"]
 
@@ -160,10 +159,9 @@ def difference(
     (True, (2, 2))
     """
     replicates = whole("replicates", replicates, least=1)
-    first, second, seed = opened(a), opened(b), seed_number(seed)
+    first, second = (opened(x, averages=True) for x in (a, b))
+    seed = seed_number(seed)
     if isinstance(first, Samples) and isinstance(second, Samples):
-        check_independent(first)
-        check_independent(second)
         _check_equal_shapes(first.shape[:3], second.shape[:3])
         return _of_images(first, second, paired, replicates, seed)
     if isinstance(first, Samples) or isinstance(second, Samples):

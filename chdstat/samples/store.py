@@ -758,9 +758,26 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     return found
 
 
-def opened(x: ImageLike | npt.ArrayLike) -> Samples | npt.ArrayLike:
-    """Return the samples of a store from its path; everything else is returned as it is."""
-    return open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
+def opened(
+    x: ImageLike | npt.ArrayLike, *, averages: bool = False, dependent: bool = False
+) -> Samples | npt.ArrayLike:
+    """Return the samples of a store from its path; everything else is returned as it is.
+
+    Raises
+    ------
+    InputError
+        If it holds averages of batches and the caller does not take `averages`, or samples that
+        depend on each other and the caller does not take `dependent` ones.
+    StoreError
+        If there is no store at the path, or `open` refuses it.
+    """
+    found = open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
+    if isinstance(found, Samples):
+        if not averages:
+            check_single(found)
+        if not dependent:
+            check_independent(found)
+    return found
 
 
 def samples_of(
@@ -771,18 +788,12 @@ def samples_of(
     Raises
     ------
     InputError
-        If it is none of these, or `Samples.from_array` refuses the array. Also if it holds averages
-        of batches and the caller does not take `averages`, or samples that depend on each other and
-        the caller does not take `dependent` ones.
+        If it is none of these, or `opened` or `Samples.from_array` refuses it.
     StoreError
-        If there is no store at the path, or `open` refuses it.
+        As for `opened`.
     """
-    found = opened(source)
+    found = opened(source, averages=averages, dependent=dependent)
     if isinstance(found, Samples):
-        if not averages:
-            check_single(found)
-        if not dependent:
-            check_independent(found)
         return found
     if isinstance(found, np.ndarray) or type(found).__name__ == "DataArray":
         return Samples.from_array(found)

@@ -419,7 +419,7 @@ def histogram(
     >>> h.centers[4:6].round(3)
     array([0.316, 3.162])
     """
-    given = opened(x)
+    given = opened(x, dependent=True)
     if not isinstance(given, Samples):
         stream = StreamingHistogram(scale=scale, bins=bins, support=support)
         array = as_samples(given)

@@ -10,7 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import Progressive, train_model
+from chdstat.estimators import MLP, Progressive, train_model
 from chdstat.inference import difference
 
 N, SEQUENCES = 16, 64
@@ -141,6 +141,8 @@ REFUSED = {
     "compare": lambda x: chd.compare(x, ["mean"]),
     "error_curve": lambda x: chd.comparison.error_curve(x, ["mean"]),
     "estimate": chd.estimate,
+    "predict": MLP.preset("elek2019").predict,
+    "estimate progressive": Progressive().estimate,
     "train": lambda x: train_model(x, "elek2019", iterations=1),
     "train progressive": lambda x: Progressive().train(x, iterations=1),
     "difference": lambda x: difference(x, x),

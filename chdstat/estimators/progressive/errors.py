@@ -476,8 +476,11 @@ def calibrate(weights: Reals, held_out: Validation, everywhere: Validation) -> R
 def _quantiles(normal: Reals, share: Reals) -> Reals:
     """Return quantiles at `LEVELS`, each moved outwards by its sampling error.
 
-    Otherwise, with few pixels, too many would lie farther out (Vovk 2013, as above).
+    Otherwise, with few pixels, too many would lie farther out (Vovk 2013, as above). Without any
+    pixel, they are those of a normal distribution.
     """
+    if not len(normal):
+        return np.asarray(special.ndtri(LEVELS))
     error = _CHANCE * np.sqrt(LEVELS * (1 - LEVELS) / share.sum())
     levels = np.clip(LEVELS + np.sign(LEVELS - 0.5) * error, 0, 1)
     return np.asarray(np.quantile(normal, levels, weights=share, method="inverted_cdf"))

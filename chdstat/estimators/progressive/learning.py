@@ -373,7 +373,7 @@ def train_network(training_set: TrainingSet, *, seed: int, progress: bool | None
     if count < 2:
         message = (
             f"training needs at least 2 pixels without a bad sample, got {count}; give a larger "
-            "image"
+            "image, or one without bad samples"
         )
         raise InputError(message)
     rng = generator(seed).spawn(1)[0]

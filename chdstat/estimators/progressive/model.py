@@ -239,8 +239,9 @@ class Progressive(TrainedModel[learning.Learned]):
         Raises
         ------
         InputError
-            If it is not trained, `x` has another number of channels, `x` is not an image or
-            features are missing although features are an input, or an option is out of range.
+            If it is not trained, `x` has another number of channels, holds averages or samples that
+            depend on each other, `x` is not an image or features are missing although features are
+            an input, or an option is out of range.
         """
         if level is not None:
             check_probability(level=level)

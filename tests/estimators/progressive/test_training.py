@@ -102,3 +102,9 @@ def test_it_says_how_many_samples_it_needs():
 def test_it_says_that_too_few_pixels_are_good(x):
     with pytest.raises(InputError, match="at least 2 pixels|pixels"):
         Progressive().train(chd.Samples.from_array(x), progress=False)
+
+
+def test_intervals_of_an_image_that_is_negative_everywhere_contain_its_radiance():
+    x = -np.random.default_rng(0).exponential(size=(12, 12, 3, 64))
+    found = Progressive().train(x, iterations=20, progress=False).estimate(x[..., :8])
+    assert ((found.low <= -1) & (found.high >= -1)).mean() > 0.8
