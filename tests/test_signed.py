@@ -103,6 +103,15 @@ def test_a_negative_channel_spoils_neither_its_sample_nor_its_pixel():
         assert estimators.lookup(name)(x)[1, 1] == pytest.approx(expected, rel=0.05), name
 
 
+def test_references_keep_them():
+    samples = chd.Samples.from_array(NOISY)
+    totals = Totals.of(samples)
+    assert totals.mean() == pytest.approx(CLEAN.mean(axis=-1), rel=1e-5)
+    batch = samples.read(ss=slice(0, N))
+    expected = CLEAN[..., N:].mean(axis=-1)
+    assert totals.mean_without(batch) == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
 def test_a_reference_of_black_samples_is_black_and_not_rounding():
     x = np.zeros((1, 1, 1, 8))
     x[..., :4] = 0.1, 0.2, 0.3, 0.7

@@ -1,4 +1,4 @@
-"""What path guiding gains at equal time.
+"""What path guiding gains at equal time, and that it is not biased.
 
 ``--benchmark-only -s`` prints, for each scene and for the integrators "guided" and "auto", relMSE
 over that of path tracing with as many samples, of all pixels and without the hundredth of them that
@@ -8,6 +8,9 @@ were guided. Errors are variances of the samples of each pixel, so that no refer
 the square of the mean of all renders. Times are medians over the seeds: kernels that are compiled
 once are in none. CHDSTAT_GUIDED names other scenes, CHDSTAT_SEEDS the number of seeds, CHDSTAT_SPP
 the samples, CHDSTAT_SIZE the edge of the image; real scenes are found in CHDSTAT_SCENES.
+
+The second benchmark prints how often `contrast` finds that guided renders of built-in scenes differ
+from others at a level of 5 %, and by how many standard errors the means of long renders differ.
 """
 
 from __future__ import annotations
@@ -22,11 +25,12 @@ import pytest
 
 import chdstat as chd
 from chdstat.rendering.backend import resolve
+from chdstat.scenes.builtin import BUILTIN
 
 SCENES = "caustic night-room bathroom/scene.xml veach-bidir/scene.xml white-room/scene_night.xml"
-SEEDS, SPP, EDGE = (
+SEEDS, SPP, EDGE, PAIRS = (
     int(os.environ.get(f"CHDSTAT_{name}", number))
-    for name, number in (("SEEDS", 5), ("SPP", 64), ("SIZE", 128))
+    for name, number in (("SEEDS", 5), ("SPP", 64), ("SIZE", 128), ("PAIRS", 20))
 )
 VIEW: dict[str, Any] = {"backend": "llvm", "progress": False}
 
@@ -83,3 +87,20 @@ def test_errors_at_equal_time(as_benchmark):
             )
     for integrator, found in products.items():
         print(f"{integrator}: geometric mean at equal time {np.exp(np.log(found).mean()):.2f}")
+
+
+def test_bias(as_benchmark):
+    print(f"\n{'scene':12}differ at 5 %, of pairs of 64 x 64 x 64   difference of long means")
+    for name, scene in named(" ".join(BUILTIN)):
+        differ, sums = 0, np.zeros((2, 2))
+        for i in range(PAIRS):
+            both = [
+                chd.render(scene, size=(64, 64), spp=64, seed=2 * i + j, integrator=how, **VIEW)
+                for j, how in enumerate((None, "guided"))
+            ]
+            differ += chd.contrast(*both).outcome == "differ"
+            of_sample = [s.read().mean(axis=(0, 1, 2), dtype=np.float64) for s in both]
+            sums += [[m.mean(), m.var(ddof=1) / m.size] for m in of_sample]
+        (plain, v), (guided, w) = sums / PAIRS
+        error = ((v + w) / PAIRS) ** 0.5
+        print(f"{name:12}{differ:14} of {PAIRS}{(guided - plain) / error:32.1f} errors", flush=True)

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
@@ -70,6 +70,15 @@ def one_law(rng, family, parameter, size, *, nulls, bits, atom):
     return np.where(rng.random(size) < nulls, 0, x), rounded(value, bits)
 
 
+def two_laws(rng, family, size, distance, weight):
+    """Rows of two log-normal or gamma(4) laws, `distance` standard deviations of log x apart."""
+    upper = rng.random(size) < weight
+    if family == "lognormal":
+        return np.exp(rng.normal(size=size) + distance * upper)
+    factor = np.exp(distance * np.sqrt(special.polygamma(1, 4.0)))
+    return rng.gamma(4, size=size) * np.where(upper, factor, 1)
+
+
 @pytest.mark.parametrize("effort", ["fast", "thorough"])
 @pytest.mark.parametrize("family", ONE_LAW)
 def test_one_law_has_one_component(as_benchmark, family, effort):
@@ -93,6 +102,17 @@ def test_one_law_has_one_component(as_benchmark, family, effort):
         print(f"{parameter:5g}{n:6}{nulls:6}{bits:4}{row}", flush=True)
     print(f"worst cell {worst:.1f}")
     assert worst <= 100 * stats.binom.isf(1e-3 / len(cells), ROWS, 0.05) / ROWS
+
+
+@pytest.mark.parametrize("family", ONE_LAW)
+def test_two_components_are_found(as_benchmark, family):
+    print(f"\n{family}: share of {ROWS} rows with k = 2, k > 2")
+    for n, distance, weight in product((64, 128, 512, 2048), (2, 3, 4), (0.3, 0.7)):
+        x = two_laws(np.random.default_rng(n), family, (ROWS, n), distance, weight)
+        k = chd.fit.mixture(x, family=family).k
+        print(f"{n:5}{distance:3}{weight:5}{np.mean(k == 2):8.3f}{np.mean(k > 2):8.3f}")
+        if (n, distance) == (512, 3):
+            assert np.mean(k == 2) >= 0.98 - 4 * np.sqrt(0.02 / ROWS)
 
 
 @pytest.mark.parametrize("k", [2, 3])

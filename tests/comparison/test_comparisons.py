@@ -1,6 +1,7 @@
 """Comparison: same batches, held-out references and pixels, and what happens at the edges."""
 
 import json
+import re
 import tracemalloc
 from dataclasses import replace
 from functools import partial
@@ -11,6 +12,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.comparison import MEASURES
+from chdstat.comparison.judging import Units
 from chdstat.comparison.metrics import SUMS, errors_of, measures_of
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
@@ -119,6 +121,21 @@ def test_the_result_is_ready_for_json_and_netcdf(found, labelled):
     assert split["label_pixels"].sel(label="null_heavy") == 12
     assert split["mse_low_over_batches"].dims == ("estimator", "part")
     assert all({"long_name", "units"} <= set(v.attrs) for v in split.data_vars.values())
+
+
+def test_a_missing_model_is_trained_on_pixels_of_the_seed(monkeypatch):
+    calls = []
+
+    def train(samples, *, seed, pixels, progress):
+        calls.append((seed, len(pixels)))
+        return MLP.preset("elek2019").train(samples, seed=seed, pixels=pixels, iterations=5)
+
+    entry = registry.lookup("elek2019")
+    quick = registry.LearnedEstimator("elek2019", train, entry.source, entry.inputs, entry.pixels)
+    monkeypatch.setitem(registry.ENTRIES, "elek2019", quick)
+    found = chd.compare(image(), ["elek2019"], seed=4)
+    assert calls == [(4, 160)]
+    assert not found.test_pixels[tuple(found.models["elek2019"].train_pixels.T)].any()
 
 
 def test_no_row_depends_on_who_else_is_compared(monkeypatch):
@@ -289,7 +306,33 @@ def test_fireflies_left_are_those_of_the_estimator_over_those_of_the_mean():
 # --- who takes part -----------------------------------------------------------------------------
 
 
+def test_rows_are_in_the_order_asked_for_and_those_that_use_neighbours_are_marked():
+    found = chd.compare(image(), ["zirr2018", "mean", "zirr2018_pixel"])
+    assert found.estimators == ("zirr2018", "mean", "zirr2018_pixel")
+    assert found.uses_neighbours.tolist() == [True, False, False]
+    assert [row["uses_neighbours"] for row in found.table()] == [True, False, False]
+    assert found.to_dataset()["uses_neighbours"].values.tolist() == [True, False, False]
+    assert found.notes == {"use neighbours": "Zirr et al. 2018"}
+
+
 # --- how sure it is -----------------------------------------------------------------------------
+
+
+def test_every_pixel_is_in_one_unit_of_its_label_and_block():
+    rng = np.random.default_rng(1)
+    test = rng.random((40, 50)) < 0.7
+    labels = rng.integers(0, 3, size=test.shape)
+    blocks = np.arange(40)[:, np.newaxis] // 5 * 8 + np.arange(50) * 8 // 50
+    units = Units.of(test, labels)
+    assert sorted(zip(units.ys, units.xs, strict=True)) == sorted(map(tuple, np.argwhere(test)))
+    assert len({*zip(units.label.tolist(), units.block.tolist(), strict=True)}) == len(units.starts)
+    pixels = units.sum(np.ones(test.sum(), int))
+    assert (np.repeat(units.label, pixels) == units(labels)).all()
+    assert (np.repeat(units.block, pixels) == units(blocks)).all()
+    assert pixels.sum() == test.sum()
+    few = Units.of(np.ones((3, 4), bool))  # units of their own, in order
+    assert (few.ys * 4 + few.xs).tolist() == list(range(12))
+    assert (few.sum(np.ones(12)) == 1).all()
 
 
 def test_intervals_know_that_neighbours_gain_and_lose_together():
@@ -525,6 +568,19 @@ def test_data_frames_hold_the_measures_with_their_intervals(found):
             at = frame.loc[(row[key], row["estimator"])]
             assert at["mse", "value"] == row["mse"]
             assert at["relmse_ratio", "low"] == row["relmse_ratio_low"]
+
+
+def test_latex_has_a_line_for_each_estimator_and_escapes_what_it_must(found):
+    begin, top, head, middle, *rows, bottom, end = found.to_latex().splitlines()
+    assert (begin, end) == (r"\begin{tabular}{lrrrrr}", r"\end{tabular}")
+    assert (top, middle, bottom) == (r"\toprule", r"\midrule", r"\bottomrule")
+    assert len(rows) == len(THREE)
+    columns = head.count(" & ")
+    for row in rows:
+        assert row.endswith(r" \\")
+        assert row.count(" & ") == columns
+        assert not re.search(r"(?<!\\)[%_#]", row)
+    assert rows[0].startswith("sample mean & 1.00 & ")
 
 
 def test_an_error_of_the_mean_that_is_rounding_divides_nothing():

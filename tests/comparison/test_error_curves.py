@@ -1,5 +1,7 @@
 """Error curves: what theory says of the sample mean, and what does not fall with N."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,11 @@ def test_what_learns_is_measured_at_its_own_size(model):
     assert np.isfinite(curve.measures["relmse"].value).tolist() == [[True, False], [True, True]]
     assert curve.test_pixels == 96
     assert curve.batches.tolist() == [96 * 10, 96 * 5]
+
+
+def test_the_curve_is_ready_for_json(curve):
+    content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
+    assert content["table"][0]["n"] == 4
 
 
 @pytest.mark.parametrize(

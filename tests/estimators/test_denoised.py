@@ -116,6 +116,11 @@ def test_a_denoised_estimator_shares_the_training_of_its_own(network, monkeypatc
     assert list(chd.compare(image(), [denoised("mine")], n=16).models) == ["mine"]
 
 
+def test_curves_take_them_too(network):
+    curve = chd.comparison.error_curve(image(), [denoised("mean")], sizes=[8, 16])
+    assert curve.estimators == ("mean + OIDN",)
+
+
 def test_what_cannot_be_denoised_is_refused_before_any_work(monkeypatch, network):
     with pytest.raises(InputError, match="needs the albedo"):
         chd.compare(image(features=False), [denoised("mean", with_features=True)], n=16)

@@ -14,6 +14,7 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.estimators.training import (
+    first_samples,
     load_model,
     read_model,
     threads,
@@ -125,6 +126,17 @@ def test_options_reach_the_training():
     provenance = model.provenance
     assert (provenance["seed"], provenance["iterations"]) == (3, 5)
     assert provenance["samples_shape"] == [16, 16, 3, 16]
+
+
+def test_the_first_samples_are_the_first():
+    samples = image(features=True)
+    part = first_samples(samples, 5)
+    assert (part.read() == samples.read(ss=slice(0, 5))).all()
+    assert (part.name, part.features.keys()) == ("made up", samples.features.keys())
+    assert first_samples(samples, None) is first_samples(samples, 64) is samples
+    for wrong in (0, 65, -1):
+        with pytest.raises(InputError, match=f"from 1 to 64, .* got {wrong}"):
+            first_samples(samples, wrong)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 from chdstat.estimators.similarity import (
     ScaledSamples,
     Window,
+    corrected_means,
     histograms,
     window_sum,
 )
@@ -125,6 +126,15 @@ def test_delbracio_shares_what_the_formula_says(threshold):
         found = estimators.delbracio2014(x, threshold=threshold, radius=2, patch=0, unit=1.0)
         assert found[y, column] == pytest.approx(total / weight, rel=1e-12)
     assert 30 < shared_pairs < 400
+
+
+def test_mean_is_corrected_for_skewness_as_by_johnson():
+    x = image(3, (1, 1, 1, 40), sigma=2)
+    mean, variance = corrected_means(ScaledSamples.of(x), np.sqrt)
+    y = np.sqrt(x[0, 0, 0] / ScaledSamples.of(x).unit)
+    shift = stats.moment(y, order=3) / (6 * y.var(ddof=1) * 40)
+    assert mean.item() == pytest.approx(y.mean() + shift, rel=1e-12)
+    assert variance.item() == pytest.approx(stats.sem(y) ** 2, rel=1e-12)
 
 
 def test_shape_has_the_standard_error_that_repeats_have():
@@ -328,3 +338,13 @@ def test_it_is_the_filter_of_the_paper():
     x[:, 8:] *= 4
     found = estimators.rousselle2012(x, radius=2, patch=1)
     assert found[7, 7] == pytest.approx(obvious(x, 0.45, 2, 1, 1.0), rel=1e-9)
+
+
+def test_noise_goes_and_edges_stay():
+    rng = np.random.default_rng(1)
+    truth = np.ones((32, 32, 3))
+    truth[:, 16:] = 20
+    x = truth[..., np.newaxis] * rng.exponential(size=(*truth.shape, 32))
+    found, mean = estimators.rousselle2012(x), x.mean(axis=-1)
+    assert np.square(found / truth - 1).mean() < 0.1 * np.square(mean / truth - 1).mean()
+    assert abs(found[:, 15] - 1).max() < 0.5

@@ -68,6 +68,12 @@ def test_location_is_that_of_statsmodels(name, c, n):
     assert estimators.lookup(name)(x, **options) == pytest.approx(expected, rel=1e-7)
 
 
+def test_huber_lies_between_median_and_mean_and_reaches_both():
+    x = draw(1)
+    assert estimators.huber(x, c=1e-9) == pytest.approx(np.median(x, axis=-1), rel=1e-6)
+    assert estimators.huber(x, c=1e9) == pytest.approx(x.mean(axis=-1), rel=1e-9)
+
+
 @pytest.mark.parametrize("name", NORMS)
 def test_without_a_scale_the_value_that_most_samples_have_is_the_estimate(name):
     x = np.r_[np.full(17, 0.3), np.geomspace(1e-3, 1e6, 15)]

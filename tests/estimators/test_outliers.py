@@ -134,6 +134,14 @@ def test_estimate_is_the_mean_of_the_samples_whose_kth_neighbour_is_near(radius,
     assert found[~some] == pytest.approx(x[~some].mean(axis=-1), rel=1e-12)
 
 
+def test_dim_samples_are_no_outliers():
+    x = np.ones((3, 3, 3, 8))
+    x[..., :4] = 0
+    x[1, 1, :, 0] = 1e-4
+    expected = x.mean(axis=-1)
+    assert estimators.decoro2010(x) == pytest.approx(expected, rel=1e-12)
+
+
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_bad_samples_confirm_nothing_and_are_left_out():
     x = np.ones((3, 3, 3, 8))

@@ -1,4 +1,4 @@
-"""Shrinkage: the formula, where there is none, and the means that are pulled to."""
+"""Shrinkage: Stein's promise, where it does not hold, and the means that are pulled to."""
 
 import numpy as np
 import pytest
@@ -17,6 +17,26 @@ def test_formula():
     assert james_stein(y, b, variance) == pytest.approx(b + rho * (y - b), rel=1e-12)
     swapped = james_stein(y.T, b.T, variance, axis=0)
     assert swapped == pytest.approx(james_stein(y, b, variance).T, rel=1e-15)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0, 10.0])
+def test_independent_errors_never_lose_by_it(distance):
+    """False failure: 20 000 trials, risk within five standard errors; probability below 1e-5."""
+    rng = np.random.default_rng(2)
+    truth = np.full(10, distance / np.sqrt(10))
+    y = truth + rng.normal(size=(20_000, 10))
+    gain = ((y - truth) ** 2 - (james_stein(y, 0.0, 1.0) - truth) ** 2).sum(axis=-1)
+    assert gain.mean() > -5 * gain.std() / np.sqrt(20_000)
+    if distance < 4:
+        assert gain.mean() > 5 * gain.std() / np.sqrt(20_000)
+
+
+def test_three_errors_that_are_one_do_lose():
+    """Negative control: channels with one common error are not what Stein's theorem is about."""
+    rng = np.random.default_rng(3)
+    y = 3 + np.repeat(rng.normal(size=(20_000, 1)), 3, axis=1)
+    loss = ((james_stein(y, 0.0, 1.0) - 3) ** 2 - (y - 3) ** 2).sum(axis=-1)
+    assert loss.mean() > 5 * loss.std() / np.sqrt(20_000)
 
 
 @pytest.mark.parametrize("k", [1, 2])
@@ -105,6 +125,29 @@ def test_mixture_shrinkage_uses_the_plug_in_mean():
 def test_one_component_is_a_log_normal():
     x, _ = two_kinds(np.random.default_rng(11), (40, 3, 24))
     assert mixture_shrinkage(x, max_k=1) == pytest.approx(lognormal_shrinkage(x), rel=1e-6)
+
+
+def test_where_the_mixture_is_true_most_estimates_improve():
+    """False failure: other seeds improve 72 % of 300 pixels; 60 % is 4.6 deviations less, 2e-6."""
+    x, truth = two_kinds(np.random.default_rng(12), (300, 3, 2048), spread=2.0)
+    gain = ((x.mean(axis=-1) - truth) ** 2 - (mixture_shrinkage(x) - truth) ** 2).sum(axis=-1)
+    assert (gain > 0).mean() > 0.6
+
+
+def test_where_components_lie_apart_one_log_normal_is_misled():
+    """Negative control: the plug-in of a family that is wrong is not near the expectation.
+
+    False failure: the standard error of a mean is 2.6 %; 15 % is more than five of them, 1e-7.
+    """
+    x, truth = two_kinds(np.random.default_rng(13), (3, 4096), spread=0.3)
+    assert chd.fit.mixture(x).mean() == pytest.approx(np.full(3, truth), rel=0.15)
+    assert (chd.fit.lognormal(x).mean() > 1.3 * truth).all()
+
+
+def test_a_mixture_of_gamma_components_has_the_sample_mean():
+    """Why the components are log-normal: the scores of the scales vanish only there."""
+    x, _ = two_kinds(np.random.default_rng(14), (40, 3, 64))
+    assert chd.fit.mixture(x, family="gamma").mean() == pytest.approx(x.mean(axis=-1), rel=1e-2)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

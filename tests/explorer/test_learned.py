@@ -54,6 +54,16 @@ def test_one_with_features_is_asked_about_an_image_that_has_them(samples):
     assert scored(model, samples) is None
 
 
+def test_one_of_another_scene_is_mixed_with_the_mean_as_its_image_says(samples):
+    rng = np.random.default_rng(2)
+    other = chd.Samples.from_array(rng.gamma(0.1, size=(24, 24, 3, 64)).astype(np.float32))
+    model = chd.estimators.train_model(other, iterations=5, progress=False)
+    found = scored(model, samples)
+    assert found.given
+    assert (found.low <= found.value).all()
+    assert (found.value <= found.high).all()
+
+
 def test_one_for_another_number_of_samples_is_left_out(samples):
     model = chd.estimators.train_model(samples, "elek2019", iterations=5, progress=False)
     assert scored(model, samples, n=16) is None

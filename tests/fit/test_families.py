@@ -16,6 +16,23 @@ from tests.fit import families_by_scipy as by_scipy
 FAMILY_NAMES = sorted(FAMILIES)
 
 
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_log_density_is_scipys(family):
+    rng = np.random.default_rng(1)
+    parameters = by_scipy.random_parameters(family, rng, 4)
+    x = FAMILIES[family].distribution(parameters).rvs((4, 50), random_state=rng)
+    part = PositivePart.of(x)
+    flat = {name: value[:, 0] for name, value in parameters.items()}
+    ascending = np.sort(x, axis=-1)
+    expected = by_scipy.log_density(family, ascending, parameters)
+    for points in blocks(part, np.ones(4, dtype=bool)):
+        here = {name: value[points.rows] for name, value in flat.items()}
+        density = FAMILIES[family].log_density(points, here) - np.log(ascending[points.rows])
+        np.testing.assert_allclose(density, expected[points.rows], rtol=1e-9, atol=1e-9)
+    total = FAMILIES[family].log_likelihood(part, flat)
+    np.testing.assert_allclose(total, expected.sum(axis=-1), rtol=1e-9)
+
+
 def test_burr_ends_where_weibull_begins():
     """About half of Weibull samples, n large, are likeliest at the limit: 150 to 250 of 400.
 
@@ -189,6 +206,18 @@ def test_a_row_without_a_fit_does_not_make_another_overflow():
         for name, known in (("c", 400.0), ("d", 1.0), ("scale", 1e-3))
     }
     density = FAMILIES["burr"].log_density(points, parameters)
+    assert np.isfinite(density[0]).all()
+    assert np.isnan(density[1]).all()
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_a_row_without_a_fit_has_no_density(family):
+    """Nor does it warn, or change that of another."""
+    known = by_scipy.parameters_at(family, 0.5)
+    x = FAMILIES[family].distribution(known).ppf([0.2, 0.4, 0.6, 0.8])
+    (points,) = blocks(PositivePart.of(np.stack([x, x])), np.ones(2, bool))
+    parameters = {name: np.array([float(value), np.nan]) for name, value in known.items()}
+    density = FAMILIES[family].log_density(points, parameters)
     assert np.isfinite(density[0]).all()
     assert np.isnan(density[1]).all()
 

@@ -6,8 +6,10 @@ from scipy import integrate, stats
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit import mixture
+from chdstat.fit.atoms import split
 from chdstat.fit.em import COMPONENTS, bound_at, penalty, run
 from chdstat.fit.groups import groups_of_each, groups_of_samples
 from chdstat.fit.search import segmentations, sums_below
@@ -381,6 +383,21 @@ def test_components_of_rounded_samples_are_those_of_the_samples():
         other.parameters["mu"][:, :2], one.parameters["mu"][:, :2], atol=0.03
     )
     np.testing.assert_array_equal(mixture(rounded(x, 7)).k, mixture(x).k)
+
+
+def test_what_is_spread_stays_between_its_neighbours_and_in_order():
+    x = rounded(np.random.default_rng(24).lognormal(size=(30, 400)), 6)
+    x[:, ::7] = 0
+    atoms = split(PositivePart.of(x))
+    rest = atoms.rest_of_all()
+    assert ((x > 0) >= rest.positive).all()
+    np.testing.assert_array_equal(rest.n + atoms.counts.sum(axis=-1), (x > 0).sum(axis=-1))
+    for row in range(30):
+        kept = rest.positive[row]
+        was, now = x[row, kept], rest.x[row, kept]
+        order = np.argsort(now)
+        assert (np.diff(was[order]) >= 0).all()
+        assert len(np.unique(now)) == len(now)
 
 
 FEW_VALUES = {

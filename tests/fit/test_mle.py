@@ -125,6 +125,11 @@ def test_distribution_functions_agree(family):
     np.testing.assert_allclose(fit.cdf(0.0), fit.zero_share)
 
 
+def test_gamma_model_has_the_mean_of_the_samples():
+    x = typical("gamma", np.random.default_rng(13), (6, 300), nulls=0.4)
+    np.testing.assert_allclose(chd.fit.gamma(x).mean(), x.mean(axis=-1), rtol=1e-9)
+
+
 def test_mean_of_burr_is_that_of_scipy():
     fit = chd.fit.burr(typical("burr", np.random.default_rng(17), (3, 400), nulls=0.4))
     expected = (1 - fit.zero_share) * FAMILIES["burr"].distribution(fit.parameters).mean()

@@ -13,6 +13,35 @@ from chdstat.inference import (
     gaussianity_of_means,
     sizes_of_means,
 )
+from chdstat.inference.averages import nested_averages, shapes
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_cascade_equals_plain_averages(spoilt):
+    rng = np.random.default_rng(1)
+    x = rng.gamma(0.5, size=(3, 100))
+    bad = (rng.random(x.shape) < 0.3) if spoilt else np.zeros(x.shape, dtype=bool)
+    if spoilt:
+        bad[0, :12] = True
+    sizes = np.array([1, 2, 3, 4, 5, 7, 8, 12, 24, 33])
+    hidden = np.where(bad, np.nan, x)
+    levels = list(nested_averages(hidden, bad, sizes))
+    assert [level.size for level in levels] == sizes.tolist()
+    for level in levels:
+        batches = hidden[:, : 100 // level.size * level.size].reshape(3, -1, level.size)
+        count = np.count_nonzero(~np.isnan(batches), axis=-1)
+        last = x.shape[-1] - np.argmax(~bad[:, ::-1], axis=-1)  # the row ends with a good sample
+        count *= level.size * np.arange(1, count.shape[-1] + 1) <= last[:, np.newaxis]
+        expected = np.nansum(batches, axis=-1) * (count > 0) / np.maximum(count, 1)
+        largest = np.nanmax(hidden, axis=-1, keepdims=True)
+        np.testing.assert_allclose(level.values * largest, expected)
+        assert (level.formed is None) == (not spoilt)
+        if level.formed is not None:
+            np.testing.assert_array_equal(level.formed, count > 0)
+            expected = [e[f] for e, f in zip(expected, level.formed, strict=True)]
+        skewness, kurtosis = shapes(level)
+        np.testing.assert_allclose(skewness, [stats.skew(row) for row in expected])
+        np.testing.assert_allclose(kurtosis, [stats.kurtosis(row) for row in expected])
 
 
 def test_averages_turn_gaussian_at_the_predicted_rate():
@@ -42,13 +71,9 @@ def test_averages_hold_nulls_but_no_bad_samples():
     rng = np.random.default_rng(11)
     x = np.where(rng.random(128) < 0.5, 0, rng.gamma(2.0, size=128))
     x[5] = np.nan
-    sizes = [2, 3, 4, 5, 12]
-    found = gaussianity_of_means(x, sizes=sizes, n_means=8)
-    for size, skewness, kurtosis in zip(sizes, found.skewness, found.kurtosis, strict=True):
-        batches = np.nanmean(x[: 128 // size * size].reshape(-1, size), axis=-1)
-        assert skewness == pytest.approx(stats.skew(batches))
-        assert kurtosis == pytest.approx(stats.kurtosis(batches))
     means = gaussianity_of_means(x, sizes=[4])
+    batches = np.nanmean(x.reshape(32, 4), axis=-1)
+    assert means.skewness[0] == pytest.approx(stats.skew(batches))
     good = x[~np.isnan(x)]
     assert means.predicted_skewness[0] == pytest.approx(stats.skew(good) / 2)
     x[:4] = np.nan

@@ -111,6 +111,21 @@ def test_chi_square_p_values_would_be_found_out():
     assert distance > 2.7 / np.sqrt(REPEATS) + 0.013
 
 
+@np.errstate(all="ignore")
+def test_rows_of_any_length_are_as_if_alone():
+    rng = np.random.default_rng(6)
+    n = rng.integers(8, 700, size=300)
+    x = np.full((300, 700), np.inf)
+    for row, count in zip(x, n, strict=True):
+        row[:count] = np.sort(rng.gamma(5.0, size=count))
+    together = run(x, n=n)
+    for i in range(0, 300, 25):
+        alone = run(x[i : i + 1, : n[i]])
+        for a, b in zip(together, alone, strict=True):
+            np.testing.assert_allclose(a[i], b[0], rtol=1e-9)
+    assert (np.isnan(together[1][:, ALL.index("dagostino")]) == (n < 20)).all()
+
+
 def test_samples_are_transformed():
     x = np.random.default_rng(1).gamma(3.0, size=(6, 200))
     for transform, function in {"log": np.log, "sqrt": np.sqrt, "linear": np.asarray}.items():

@@ -151,6 +151,12 @@ def test_noise_goes_and_the_image_stays():
     assert found.mean() == pytest.approx(x.mean(), rel=0.1)
 
 
+@pytest.mark.parametrize("factor", [1e-30, 1e20])
+def test_scaling_the_radiance_scales_what_is_denoised(factor):
+    x = noisy()
+    assert denoise(factor * x) == pytest.approx(factor * denoise(x), rel=2e-3)
+
+
 def test_inputs_stay_as_they_are():
     x = noisy()
     before = x.copy()

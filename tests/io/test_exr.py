@@ -106,6 +106,16 @@ def test_half_keeps_eleven_bits(tmp_path):
 # --- files of others ------------------------------------------------------------------------------
 
 
+def test_other_channels_are_layers(tmp_path):
+    x = image()
+    planes = {name: x[..., i].copy() for i, name in enumerate("RGB")}
+    more = {"A": x[..., 0] + 1, "Z": x[..., 1] + 1, "N.X": x[..., 2] + 1}
+    found = read_exr(exr(tmp_path / "x.exr", {**planes, **more}))
+    np.testing.assert_array_equal(found.image, x)
+    assert found.extra.keys() == more.keys()
+    assert read_exr(tmp_path / "x.exr", channels=["Z"]).image.shape == (5, 7, 1)
+
+
 def test_a_header_that_claims_more_than_the_file_can_hold_is_refused(tmp_path):
     path = write_exr(tmp_path / "x.exr", image())
     content = bytearray(path.read_bytes())
@@ -160,6 +170,13 @@ def test_a_damaged_file(tmp_path):
 
 
 # --- writing as a whole or not at all -------------------------------------------------------------
+
+
+def test_a_file_is_replaced(tmp_path):
+    path = write_exr(tmp_path / "x.exr", image())
+    write_exr(path, image(seed=1))
+    np.testing.assert_array_equal(read_exr(path).image, image(seed=1))
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_where_nothing_can_be_written(tmp_path):

@@ -238,6 +238,13 @@ def tracer(compiled):
     return compiled(DOCS / "how-to/cpp/tracer.cpp", "-std=c++17")
 
 
+def test_the_header_is_shipped_and_short():
+    text = HEADER.read_text(encoding="utf-8")
+    code = [line for line in text.splitlines() if line.strip() and "//" not in line.split()[0]]
+    assert len(code) < 320
+    assert all("<" in line for line in text.splitlines() if line.startswith("#include"))
+
+
 def test_the_samples_of_a_path_tracer_become_an_analysis(tracer, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     subprocess.run([tracer, "box.chds", "80", "70", "32", "5", "image.f32"], check=True)

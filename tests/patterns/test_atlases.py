@@ -112,6 +112,17 @@ def test_the_ends_of_float32_are_radiance_too():
         assert agreement(find(Samples.from_array((x * factor).astype(np.float32))), truth) == 1
 
 
+def test_histograms_moved_by_whole_bins_have_exactly_the_same_shapes():
+    x, _ = image(gamma, bimodal, decades=0.5, edge=16)
+    counted = histogram(Samples.from_array(x))
+    assert (counted["log_counts"][..., -20:] == 0).all()
+    moved = counted.assign(log_counts=counted["log_counts"].roll(log_bin=20, roll_coords=False))
+    one, other = find(counted), find(moved)
+    np.testing.assert_array_equal(other.labels, one.labels)
+    np.testing.assert_allclose(other.density, one.density, atol=1e-6)
+    np.testing.assert_allclose(other.scale, 100 * one.scale, rtol=1e-9)
+
+
 def test_pixels_without_a_shape_say_why():
     x, _ = image(gamma, bimodal, edge=16)
     x[0, 0] = 0
@@ -188,6 +199,12 @@ def test_typical_shapes_are_distributions_around_their_scale(found):
     # A log-normal shape with sigma 1 is Gaussian in decades, with deviation 1 / log(10).
     variances = 0.1 * found.density @ found.positions**2 - 0.1**2 / 12
     assert np.abs(variances - np.log(10) ** -2).min() < 0.01
+
+
+def test_the_same_seed_gives_the_same_atlas(scene, found):
+    again = find(Samples.from_array(scene[0]), seed=0)
+    for name, value in vars(found).items():
+        np.testing.assert_array_equal(getattr(again, name), value, err_msg=name)
 
 
 def test_memory_does_not_grow_with_spp(monkeypatch):

@@ -80,6 +80,15 @@ def test_settings_of_any_kind_are_stored(tmp_path):
     assert settings["limit"] == "inf"
 
 
+def test_a_store_goes_on_with_its_own_integrator_only(tmp_path):
+    out = tmp_path / "a.zarr"
+    render(out=out, integrator="direct")
+    with pytest.raises(StoreError, match="holds other samples"):
+        render(out=out, spp=8)
+    grown = render(out=out, spp=8, integrator="direct")
+    assert np.array_equal(grown.read(), render(spp=8, integrator="direct").read())
+
+
 def test_a_crop_shows_a_part_of_the_image(tmp_path):
     many = {"spp": 256, "size": (16, 16)}
     whole, part = render(**many).read(), render(**many, crop=(4, 2, 8, 6))

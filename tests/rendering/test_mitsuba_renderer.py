@@ -8,6 +8,8 @@ always; each has a negative control that must fail.
 from __future__ import annotations
 
 import functools
+import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -101,6 +103,30 @@ def test_no_two_passes_of_an_image_share_a_stream():
     ]
     assert len(set(owned)) == len(owned) == 2 * 9 * spp
     assert max(owned) < 2**32 - seeds.PIXELS
+
+
+def test_the_last_passes_vary_as_independent_ones(streams):
+    """Means of 1024 samples from the passes that earlier versions could not draw."""
+    if streams != "scalar":
+        pytest.skip("a wavefront has no passes")
+    with activate(probe("scalar")):
+        renderer = MitsubaRenderer(
+            Job.of(NUMBERS, RenderOptions(size=SIZE, seed=5, backend="scalar"))
+        )
+        last = max_spp("scalar", *SIZE)
+        chunk = replace(next(chunk_grid(16, 16, 64)), ss=slice(last - 2048, last))
+        x = renderer.chunk(chunk)
+    z = (x.reshape(16, 16, 3, 2, 1024).mean(axis=-1, dtype=np.float64) - 0.5) * np.sqrt(12 * 1024)
+    each = np.moveaxis(z, 2, 0).reshape(3, -1)
+    assert agree(np.array([p_of_variance(row) for row in each]))
+    assert not agree(np.array([p_of_variance(np.sqrt(0.8) * row) for row in each]))
+
+
+def test_seeds_shuffle_passes_independently():
+    # 20 000 of 983 040 numbers for each of two seeds: 407 in common by chance, give or take 20.
+    numbers = [{seeds.shuffled(i, seed) for i in range(20_000)} for seed in (0, 1, 2, 3, 2**40)]
+    for one, two in itertools.combinations(numbers, 2):
+        assert 300 < len(one & two) < 510
 
 
 def test_a_pass_owns_its_streams_for_every_size_of_a_tile():

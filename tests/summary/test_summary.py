@@ -221,6 +221,23 @@ def test_merged_batches_hold_every_draw_of_a_complete_batch(split):
     assert 1000 - s.batch_spp.sum() < 128
 
 
+def test_batch_means_tell_independent_samples_from_correlated_ones():
+    """Under independence B S_b^2 / (S^2 / size) is chi-square with B - 1 degrees of freedom.
+
+    2000 pixels, 63 degrees: the mean ratio has a standard error of sqrt(2 / 63 / 2000) = 0.004;
+    five of them fail falsely with probability 6e-7.
+    """
+    rng = np.random.default_rng(23)
+    x = rng.gamma(2.0, size=(2000, 1, 2048)).astype(np.float32)
+
+    def ratio(samples):
+        s = Summary().update(samples).read()
+        return (32 * s.batch_means.var(axis=-1, ddof=1) / s.variance).mean()
+
+    assert abs(ratio(x) - 1) < 0.02
+    assert ratio(x[..., :1024].repeat(2, axis=-1)) > 1.5
+
+
 def test_memory_does_not_grow_with_spp():
     summary = Summary(support=(0, 9))
     sizes = []
