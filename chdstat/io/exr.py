@@ -373,9 +373,10 @@ class Planes:
 
     def _inside(self, layer: str) -> dict[str, str]:
         """Return the full names of the channels of a layer, by their own names."""
-        of = "" if layer == self.attributes.get("name") else layer
+        # Channels of the first part may have its name, or none.
+        of = {"", layer} if layer == self.attributes.get("name") else {layer}
         split = ((name.rpartition("."), name) for name in (*self.channels, *self.unread))
-        return {own: name for (layer, _, own), name in split if layer == of}
+        return {own: name for (layer, _, own), name in split if layer in of}
 
 
 def _own(names: Sequence[str]) -> tuple[str, ...]:

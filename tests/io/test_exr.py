@@ -400,10 +400,11 @@ def test_alpha_of_a_layer_is_left_out(tmp_path, names):
     np.testing.assert_array_equal(read_exr(path, channels=[layer]).image, IMAGE)
 
 
-def test_a_part_is_a_layer_also_the_first(tmp_path):
+@pytest.mark.parametrize("channel", ["Z", "depth.Z"])  # of any program; of Blender
+def test_a_part_is_a_layer_also_the_first(tmp_path, channel):
     path = exr(
         tmp_path / "x.exr",
-        {"Z": IMAGE[..., 0].copy()},
+        {channel: IMAGE[..., 0].copy()},
         (planes_of(IMAGE), {"name": "beauty"}),
         name="depth",
     )
