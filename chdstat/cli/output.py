@@ -157,7 +157,7 @@ def print_rows(
 
 def _columns() -> int | None:
     """Return how long lines may be; None for a pipe or a file, unless COLUMNS is set."""
-    known = sys.stdout.isatty() or "COLUMNS" in os.environ
+    known = (sys.stdout and sys.stdout.isatty()) or "COLUMNS" in os.environ
     return shutil.get_terminal_size().columns if known else None
 
 

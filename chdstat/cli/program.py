@@ -180,8 +180,8 @@ def main() -> None:
         if "--debug" in sys.argv:
             raise
         _fail(str(error), _TO_MEND)
-    except SystemExit as ended:
-        if ended.code == _INTERRUPTED:  # what typer makes of Ctrl-C
+    except (SystemExit, KeyboardInterrupt) as ended:  # typer makes the first of most of the second
+        if getattr(ended, "code", _INTERRUPTED) == _INTERRUPTED:
             resumed = any(word in _RESUMED for word in sys.argv)
             _fail("stopped" + "; the same command goes on from here" * resumed, _INTERRUPTED)
         raise

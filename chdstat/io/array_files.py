@@ -135,10 +135,8 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
             raise InputError(message)
         array = held[_variable(path, held, options.variable)]
         dims = getattr(array, "dims", ())
-        if options.axes is None and dims and {*dims} <= letters.keys():
-            axes = "".join(letters[str(dim)] for dim in dims)
-        else:
-            axes = axes_of(array, path.name, options.axes)
+        named = "".join(letters[str(d)] for d in dims) if {*dims} <= letters.keys() else ""
+        axes = axes_of(array, path.name, options.axes or named or None)
         lazy = getattr(array, "variable", array)
         sources.append(ArraySource(lazy, axes, path, _features(path, dataset, options)))
         attrs = {str(k): v for k, v in about.items() if isinstance(v, str | int | float)}
@@ -164,7 +162,7 @@ def _why_not(path: Path, error: BaseException) -> str:
                 f"{path} is a file of HDF5, or of netCDF 4, which the package h5netcdf reads: pip "
                 "install h5netcdf, or write it as netCDF 3 or zarr"
             )
-    why = "no such file is known" if isinstance(error, ValueError) else brief(error)
+    why = "it is none, or cut off" if isinstance(error, ValueError) else brief(error)
     return f"xarray cannot open {path} as netCDF or zarr: {why}"
 
 
@@ -201,8 +199,8 @@ def _variable(path: Path, arrays: Mapping[str, Any], wanted: str | None) -> str:
         if len(array.shape) in (3, 4) and array.dtype.kind in "fiu"
     }
     if not fit:
-        held = ", ".join(f"{name} {tuple(a.shape)}" for name, a in arrays.items()) or "nothing"
-        message = f"{path} holds no array of 3 or 4 axes, as samples have, but {held}"
+        held = ", ".join(f"{k} {a.dtype} {tuple(a.shape)}" for k, a in arrays.items()) or "none"
+        message = f"{path} holds no real numbers with 3 or 4 axes, as samples; its arrays: {held}"
         raise StoreError(message)
     if wanted and wanted not in arrays:
         message = f"{path} holds no array {wanted!r}, but {', '.join(fit)}"

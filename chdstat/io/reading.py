@@ -91,7 +91,7 @@ FORMATS = (
     Format("npz", (".npz",), "NumPy archives", "array_files", ("axes", *_NAMED)),
     Format(
         "xarray",
-        (".nc", ".nc4", ".h5", ".zarr"),
+        (".nc", ".nc4", ".h5", ".hdf5", ".zarr"),
         "Arrays of netCDF and zarr",
         "array_files",
         ("axes", *_NAMED),
@@ -234,12 +234,14 @@ def _files(given: Sequence[str | Path]) -> list[Path]:
         if not is_path(path):
             message = f"expected paths, one by one as in read(*files), got {path!r}"
             raise InputError(message)
-        if not os.path.exists(local(path)):  # noqa: PTH110 - also of what cannot be a name
-            message = f"there is nothing at {reprlib.repr(str(path))}"
+        place = local(path)
+        if not (os.path.isfile(place) or os.path.isdir(place)):  # noqa: PTH112, PTH113 - any text
+            piped = ", but a pipe: write what it gives to a file" * os.path.exists(place)  # noqa: PTH110
+            message = f"there is no file or folder at {reprlib.repr(str(path))}{piped}"
             raise StoreError(message)
         paths.append(Path(path).absolute())
     folder = paths[0]
-    if len(paths) > 1 or folder.is_file() or any((folder / m).exists() for m in _ZARR):
+    if len(paths) > 1 or folder.is_file() or _suffix(folder) == ".zarr":
         return list(paths)
     found = [f for f in sorted(folder.iterdir()) if f.is_file() and not f.name.startswith(".")]
     if not found:
@@ -252,13 +254,18 @@ _ZARR = ("zarr.json", ".zgroup", ".zarray")
 """Files that mark a folder as an array or group of zarr."""
 
 
+def _suffix(path: Path) -> str:
+    """Return the suffix that tells the format of a file, or of a folder of any name."""
+    return ".zarr" if any((path / name).exists() for name in _ZARR) else path.suffix.lower()
+
+
 def _format(paths: Sequence[Path], name: str | None) -> Format:
     """Return the format of a name, or the one whose suffix all files have."""
     for known in FORMATS:
-        suffixed = all(path.suffix.lower() in known.suffixes for path in paths)
+        suffixed = all(_suffix(path) in known.suffixes for path in paths)
         if known.name == name or (name is None and suffixed):
             return known
-    if name is None and len(found := {path.suffix.lower() for path in paths}) > 1:
+    if name is None and len(found := set(map(_suffix, paths))) > 1:
         others = ", ".join(sorted(kind or "none" for kind in found))
         message = f"{paths[0].parent} gives files of several kinds, {others}: read those of one"
         raise InputError(message)

@@ -416,6 +416,8 @@ def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
     monkeypatch.setattr(chd, "render", stop)
     code, _, err = run("render", "cornell-box", "-o", "x.zarr")
     assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")
+    monkeypatch.setattr(chdstat.cli.program, "app", stop)  # before a command runs
+    assert run("info", "x.zarr")[::2] == (130, "chdstat: stopped\n")
 
 
 def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
@@ -465,6 +467,9 @@ def test_tables_cut_no_number_where_the_terminal_is_narrow(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "12")
     output.print_rows([{"a": "median_of_means", "b": "1.20 [0.876, 1.64]"}], {"a": "", "b": "b"})
     assert capsys.readouterr().out.split() == ["b", "median_of_means", "1.20", "[0.876,", "1.64]"]
+    monkeypatch.delenv("COLUMNS")
+    monkeypatch.setattr("sys.stdout", None)  # closed, by >&-
+    output.print_rows([{"a": "1"}], {"a": ""})
 
 
 def test_commands_to_type_next_quote_paths_with_spaces(capsys):

@@ -162,7 +162,7 @@ def test_a_format_is_named_where_the_suffix_is_another(tmp_path):
 def test_what_is_no_path_or_too_long_for_one_is_told(tmp_path):
     np.save(tmp_path / "x.npy", X)
     assert "one by one as in read(*files)" in refused(chd.io.read, [tmp_path / "x.npy"])
-    assert "nothing at 'xxx" in refused(chd.io.read, "x" * 5000)
+    assert "no file or folder at 'xxx" in refused(chd.io.read, "x" * 5000)
     assert "only stores of samples may lie behind URLs" in refused(chd.io.read, "https://a.b/x.npy")
 
 

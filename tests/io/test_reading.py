@@ -5,6 +5,7 @@ What messages propose is followed in `test_proposals`.
 
 import contextlib
 import gc
+import os
 import runpy
 import warnings
 import zipfile
@@ -114,7 +115,7 @@ def test_one_channel_gains_an_axis_and_zarr_is_read_by_its_dims(tmp_path):
 
 def test_arrays_of_zarr_need_no_names_of_dims(tmp_path):
     zarr.save_array(tmp_path / "array.zarr", FRAMES)
-    zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("light", data=FRAMES)
+    zarr.open_group(tmp_path / "group", mode="w").create_array("light", data=FRAMES)
     for path in tmp_path.iterdir():
         assert np.array_equal(chd.io.read(path, axes="syxc").read(), RADIANCE)
     chd.Samples.from_array(RADIANCE).save(tmp_path / "own.zarr")
@@ -205,10 +206,17 @@ def test_faults_of_arrays_are_named(tmp_path):
     np.save(tmp_path / "x.npy", FRAMES)
     np.save(tmp_path / "small.npy", FRAMES[:, 1:])
     np.savez(tmp_path / "x.npz", FRAMES)
+    np.savez(tmp_path / "complex.npz", FRAMES * 1j)
+    means = xr.Dataset({"mean": (("channel", "y", "x"), FRAMES[0].transpose(2, 0, 1))})
+    means.to_zarr(tmp_path / "means.zarr", consolidated=False)
+    os.mkfifo(tmp_path / "pipe.npy")
     cases = [
         (["bad.npy"], {}, StoreError, "cannot read"),
         (["empty"], {}, StoreError, "empty folder"),
-        (["none.npy"], {}, StoreError, "nothing at"),
+        (["none.npy"], {}, StoreError, "no file or folder at"),
+        (["pipe.npy"], {}, StoreError, "a pipe: write what it gives to a file"),
+        (["complex.npz"], {}, StoreError, "no real numbers .*; its arrays: arr_0 complex64"),
+        (["means.zarr"], {}, InputError, r"x and s \(sample\), .*; got 'cyx'"),
         (["bytes.npy"], {}, InputError, "unsigned integers"),
         (["x.npy", "small.npy"], {"axes": "syxc"}, InputError, "small.npy holds samples of shape"),
         (["x.npz"], {"axes": "syxc", "features": {"albedo": "a"}}, InputError, "no array 'a'"),
