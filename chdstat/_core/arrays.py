@@ -36,6 +36,7 @@ __all__ = [
     "Mapped",
     "Mask",
     "Reals",
+    "Result",
     "Seed",
     "all_good",
     "as_pixels",
@@ -77,6 +78,8 @@ Mapped: TypeAlias = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 Counts: TypeAlias = npt.NDArray[np.int64]
 Indices: TypeAlias = npt.NDArray[np.signedinteger[Any]]
 Mask: TypeAlias = npt.NDArray[np.bool_]
+
+Result = TypeVar("Result")
 
 Seed: TypeAlias = int | np.random.Generator | None
 """Seed of a random function: a whole number from 0, a generator, or None for a new one."""
@@ -479,9 +482,6 @@ def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
         array = array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
         array[np.ma.getmaskarray(x)] = np.nan
     return array
-
-
-Result = TypeVar("Result")
 
 
 def batch_rows(values: Array, batch: tuple[int, ...], rows: Array, *behind: Any) -> Array:

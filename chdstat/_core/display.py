@@ -28,6 +28,7 @@ __all__ = [
     "Shown",
     "Width",
     "byte_size",
+    "channel_names",
     "duration",
     "each",
     "in_unit",
@@ -443,6 +444,17 @@ class Shown:
                 figure = cast("Any", self).plot()
                 card = replace(card, images={**card.images, self._drawn: figure._repr_png_()})
         return card.html()
+
+
+def channel_names(count: int) -> tuple[str, ...]:
+    """Return the names of the channels of an image: R, G and B, or numbers if there are not three.
+
+    Examples
+    --------
+    >>> channel_names(3), channel_names(2)
+    (('R', 'G', 'B'), ('channel0', 'channel1'))
+    """
+    return ("R", "G", "B") if count == 3 else tuple(f"channel{i}" for i in range(count))
 
 
 def png(values: npt.ArrayLike, about: str = "") -> bytes:

@@ -31,7 +31,7 @@ import tempfile
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar, cast, get_origin
+from typing import TYPE_CHECKING, Any, TypeGuard, cast, get_origin
 from zipfile import BadZipFile
 
 import numpy as np
@@ -39,6 +39,7 @@ import numpy.typing as npt
 from upath import UPath
 
 import chdstat
+from chdstat._core.arrays import Result
 from chdstat.errors import InputError, StoreError
 
 if TYPE_CHECKING:
@@ -392,7 +393,7 @@ def room(shape: tuple[int, ...], kind: npt.DTypeLike, folder: Path | None) -> np
 
     Raises
     ------
-    If the disk has no room for it.
+    StoreError
         If the disk has no room for it.
 
     Examples
@@ -557,7 +558,6 @@ def free_disk(path: Path) -> int | None:
     return usage.free if usage.total else None
 
 
-Result = TypeVar("Result")
 _ARRAY = "array number"
 
 

@@ -33,6 +33,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from chdstat._core.arrays import Result
 from chdstat._core.display import duration
 from chdstat.errors import ClusterError, InputError
 
@@ -115,7 +116,6 @@ class Interrupts:
 
 
 Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 def finished(work: Generator[Any, None, Result]) -> Result:

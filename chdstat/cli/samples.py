@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -250,19 +250,14 @@ def export(
         Path,
         typer.Argument(metavar="MAPS", parser=place_of, help="What 'chdstat analyze -o' wrote."),
     ],
-    out: Annotated[Path, option("File to write, .exr or .nc.", "--out", "-o")],
+    out: Annotated[Path, option("Layers of an EXR file (.exr), or netCDF (.nc).", "--out", "-o")],
     asked: CommonOptions,
-    kind: Annotated[
-        Literal["exr", "netcdf"] | None,
-        option("Layers of an EXR file (.exr), or netCDF (.nc).", "--as", unset="by the suffix"),
-    ] = None,
 ) -> None:
     """Write maps in the formats of other programs."""
     import chdstat
     from chdstat.io.writing import open_maps
 
-    suffixes = {None: [".exr", ".nc"], "exr": [".exr"], "netcdf": [".nc"]}[kind]
-    target = asked.target(out, *suffixes)
+    target = asked.target(out, ".exr", ".nc")
     exr = target.suffix.lower() == ".exr"
     file = (chdstat.io.write_maps if exr else chdstat.io.write_netcdf)(open_maps(source), target)
     if asked.as_json:

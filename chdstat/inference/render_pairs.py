@@ -334,7 +334,9 @@ class _Sums:
 
     Attributes
     ----------
-    Sums of the good samples of each term, with that shape, and their number, shape (y, x, term).
+    total, number
+        Sums of the good samples of each term, with that shape, and their number, shape (y, x,
+        term).
     unit_total, unit_number
         The same for units.
     first, second

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.display import png
+from chdstat._core.display import channel_names, png
 from chdstat._core.files import checked_target, local, writing
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError, StoreError
@@ -175,7 +175,7 @@ def write_maps(dataset: xr.Dataset, path: str | Path) -> Path:
     image = np.atleast_3d(usual.pop(shown).to_numpy())
     text = {str(k): str(v) for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
     text["image"] = shown
-    channels = None if image.shape[2] in (1, 3) else [f"channel{i}" for i in range(image.shape[2])]
+    channels = None if image.shape[2] == 1 else channel_names(image.shape[2])
     layers = {name: values.to_numpy() for name, values in usual.items()}
     return write_exr(target, image, channels=channels, extra=layers, attributes=text)
 

@@ -681,8 +681,8 @@ class FlagScore:
 
     Attributes
     ----------
-    Numbers of CHDs with pattern and flag; with the flag only; with the pattern only.
-        CHDs that have the pattern and the flag; the flag only; the pattern only.
+    hits, false, missed
+        Numbers of CHDs with pattern and flag; with the flag only; with the pattern only.
     """
 
     hits: int

@@ -113,8 +113,8 @@ class Guide:
 
     Attributes
     ----------
-    Lowest and highest corner of the divided space, shape (2, 3).
-        Lowest and highest corner of the space that is divided, shape (2, 3).
+    box
+        Lowest and highest corner of the divided space, shape (2, 3).
     cells
         Morton code at which each cell begins, ascending, shape (cell,).
     centers

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image, LeftOut, Reals, as_samples, check_real, is_bad, spans, whole
-from chdstat._core.display import Card, duration, png
+from chdstat._core.display import Card, channel_names, duration, png
 from chdstat._core.files import place_of, shown
 from chdstat._core.image_scales import tonemap
 from chdstat._core.moments import Moments
@@ -225,8 +225,7 @@ class Samples:
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels."""
-        count = self.shape[2]
-        return ("R", "G", "B") if count == 3 else tuple(f"channel{i}" for i in range(count))
+        return channel_names(self.shape[2])
 
     @cached_property
     def features(self) -> dict[str, Image]:

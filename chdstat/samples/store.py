@@ -159,8 +159,9 @@ class Store:
 
         Raises
         ------
-        If there is none, or its manifest is damaged. For a writable one, also if another process
-        writes to it, or it cannot be written.
+        StoreError
+            If there is none, or its manifest is damaged. For a writable one, also if another
+            process writes to it, or it cannot be written.
         """
         if not exists(path):
             message = f"no store at {path}; render one with: chdstat render SCENE -o {path}"

@@ -23,7 +23,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from chdstat._core.arrays import Array, is_bad, is_null, luminance, take_rows
-from chdstat._core.display import Width, number, percent
+from chdstat._core.display import Width, channel_names, number, percent
 from chdstat.errors import InputError, check_option
 from chdstat.fit import Fit, Mixture, Tail
 from chdstat.inference.modes import Modality
@@ -250,7 +250,7 @@ def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[
     """
     shape = found.counts.shape
     count = 1 if len(shape) == 1 else shape[0]
-    names = channels or ("RGB" if count == 3 else [f"channel{i}" for i in range(count)])
+    names = channels or channel_names(count)
     if len(shape) > 2 or len(names) != count:
         message = (
             f"expected the histogram of one pixel, of shape (channel, bin), and {len(names)} "

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from chdstat._core.arrays import Array, luminance
-from chdstat._core.display import Width
+from chdstat._core.display import Width, channel_names
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram, Scale, histogram
@@ -169,7 +169,7 @@ def one_channel(image: npt.ArrayLike, channels: Channels) -> Array:
         If it has no such channel, or there are several.
     """
     array = np.asarray(image, np.float64)
-    names = ["R", "G", "B"] if array.shape[-1] == 3 else ["channel0"]
+    names = channel_names(array.shape[-1])
     found = one_of([*names, "luminance"], channels)
     if found == "luminance":
         return luminance(array, channel_axis=-1)[..., np.newaxis]
