@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.work import in_order
 
 WORKERS = [int(n) for n in os.environ.get("CHDSTAT_WORKERS", "1,2,4").split(",")]
 SPP = int(os.environ.get("CHDSTAT_SPP", "256"))
@@ -102,7 +101,7 @@ def test_time_and_bits_by_number_of_workers(as_benchmark, store, tmp_path):
     for workers in WORKERS:
         with cluster(workers) as client:
             start = time.perf_counter()
-            list(in_order(abs, range(200), client=client))
+            client.gather(client.map(abs, range(200)))
             empty.append((time.perf_counter() - start) / 200)
             for name, stage in done.items():
                 start = time.perf_counter()

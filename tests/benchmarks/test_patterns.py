@@ -1,4 +1,4 @@
-"""How often the flags of the patterns are right, by the number of samples, and what they cost.
+"""How often the flags of the patterns are right, by the number of samples.
 
 Run with ``pytest --benchmark-only -s tests/benchmarks/test_patterns.py``.
 """
@@ -6,7 +6,7 @@ Run with ``pytest --benchmark-only -s tests/benchmarks/test_patterns.py``.
 import numpy as np
 import pytest
 
-from chdstat.patterns import classify, flag_scores, random_chds
+from chdstat.patterns import flag_scores, random_chds
 
 SAMPLES = (64, 128, 256, 512, 1024, 2048, 4096)
 DEFINITIONS = ("constant", "firefly_dominated")
@@ -30,8 +30,3 @@ def test_flags_of_a_population(benchmark, population, samples):
         cases = score.hits + score.missed
         print(f"  {name:18s} {score.precision:9.3f} {score.recall:6.3f} {score.f1:5.3f} {cases:6d}")
     assert macro >= LEAST.get(samples, 0)
-
-
-def test_cost(benchmark):
-    x = np.random.default_rng(1).gamma(0.7, size=(4096, 1, 512)).astype(np.float32)
-    benchmark(lambda: classify(x))

@@ -294,6 +294,7 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
         ({"seed": 1}, "seed: stored 0, asked for 1"),
         ({"size": (8, 9)}, r"size: stored \[8, 8\], asked for \[8, 9\]"),
         ({"max_depth": 3}, "integrator: stored .*8.*, asked for .*3"),
+        ({"crop": (0, 0, 8, 8), "size": (16, 16)}, "crop: stored None, asked for"),
     ],
 )
 def test_other_samples_are_not_mixed_in(tmp_path, change, named):

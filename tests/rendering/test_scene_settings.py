@@ -92,13 +92,6 @@ def test_another_size_enlarges_the_crop(size, film, notes):
     assert len(samples.attrs["notes"]) == notes
 
 
-def test_a_store_of_the_whole_film_takes_no_crop(tmp_path):
-    out = tmp_path / "s.zarr"
-    render(box(), out=out, size=(16, 12))
-    with pytest.raises(StoreError, match="crop: stored None, asked for"):
-        render(box(**CROP), out=out, spp=128)
-
-
 @pytest.mark.parametrize(
     ("film", "message"),
     [
