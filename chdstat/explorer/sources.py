@@ -210,18 +210,16 @@ class StoreSource:
         self._block = lru_cache(max(1, _KEPT_BYTES // self._block_bytes))(self._read_block)
 
     def describe(self) -> str:
-        """Return size, samples per pixel, integrator and depth in one line."""
+        """Return size, samples per pixel and integrator in one line."""
         height, width, _, spp = self.samples.shape
         attrs = self.samples.attrs
         of = "" if self.complete else f" of {self._asked_spp} (not finished)"
-        depth, integrator = (attrs.get(name) for name in ("max_depth", "integrator"))
-        kind = integrator.get("type") if isinstance(integrator, dict) else integrator
+        kind = (attrs.get("integrator") or {}).get("type", "")
         length = sequence_of(attrs)
         said = f"{attrs.get('sampler', '')} sequences of {length}: errors and p-values do not hold"
         spread = said.lstrip() if length > 1 else ""
-        deep = "" if depth is None else f"depth {depth}"
         number = spp if self._counts is None else f"{self._counts.min()} to {spp}"
-        parts = (f"{width} × {height} px", f"{number}{of} spp", spread, str(kind or ""), deep)
+        parts = (f"{width} × {height} px", f"{number}{of} spp", spread, kind)
         return " · ".join(part for part in parts if part)
 
     @property

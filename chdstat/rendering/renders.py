@@ -578,39 +578,24 @@ def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
     return replace(options, backend=backend, size=size)
 
 
-_IDENTITY: dict[str, Any] = {
-    "scene_hash": None,
-    "scene_code": {},
-    "plugins": {},
-    "integrator": None,
-    "guide": None,
-    "adaptive": None,
-    "sensor": 0,
-    "size": None,
-    "crop": None,
-    "light": None,
-    "seed": None,
-    "backend": None,
-    "color": "rgb",
-    "mitsuba_version": None,
-    "streams": None,
-    "sampler": "independent",
-    "sequence": None,
-}
-"""Attributes that must agree before samples are added to a store, and their values in older stores
-that lack them."""
+_IDENTITY = (
+    *("scene_hash", "scene_code", "plugins", "integrator", "guide", "adaptive", "sensor", "size"),
+    *("crop", "light", "seed", "backend", "color", "mitsuba_version", "streams", "sampler"),
+    "sequence",
+)
+"""Attributes that must agree before samples are added to a store."""
 
 
 def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
     """Refuse to mix samples of two scenes, seeds or settings in one store."""
     held = store.attrs
-    stored = {name: held.get(name, default) for name, default in _IDENTITY.items()}
-    if names := differing(stored, {name: attrs.get(name) for name in _IDENTITY}):
+    stored, asked = ({name: of.get(name) for name in _IDENTITY} for of in (held, attrs))
+    if names := differing(stored, asked):
         why = _changed(held, attrs)
         why += [
-            f"{n}: stored {stored[n]}, asked for {attrs.get(n)}"
-            for n in names
-            if n != "scene_hash" and (n not in _CHANGES or held.get(n) is None)
+            f"{name}: stored {stored[name]}, asked for {asked[name]}"
+            for name in names
+            if name != "scene_hash" and name not in _CHANGES
         ]
         one, other = held.get("scene"), attrs.get("scene")
         if one != other:
@@ -632,7 +617,7 @@ def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:
     """Return which files and plugins of a scene differ from those of a store."""
     parts = []
     for key, word in _CHANGES.items():
-        if held.get(key) is not None and (names := sorted(differing(held[key], attrs[key]))):
+        if names := sorted(differing(held[key], attrs[key])):
             more = f" and {len(names) - 5} more" if len(names) > 5 else ""
             parts.append(f"changed {word}: {', '.join(names[:5])}{more}")
     return parts

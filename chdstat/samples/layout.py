@@ -352,11 +352,7 @@ def attributes_of(path: Path) -> dict[str, Any]:
                 f"'chdstat import {path} -o OUT' takes arrays of samples"
             )
         raise incomplete(path, why)
-    message = f"{path} has schema version {version}, this chdstat reads {SCHEMA_VERSION}" + (
-        "; render it again, or convert it with chdstat 0.1: chdstat convert OLD -o NEW"
-        if version == 1
-        else ""
-    )
+    message = f"{path} has schema version {version}, this chdstat reads {SCHEMA_VERSION}"
     raise StoreError(message)
 
 

@@ -188,22 +188,15 @@ def test_what_is_no_store_is_an_error(tmp_path, name, message):
         chd.open(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("version", "advice"),
-    [
-        (SCHEMA_VERSION + 1, "$"),
-        ("new", "$"),
-        (1, "; render it again, or convert it with chdstat 0.1: chdstat convert OLD -o NEW$"),
-    ],
-)
-def test_another_schema_is_refused(tmp_path, version, advice):
+@pytest.mark.parametrize("version", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1, "new"])
+def test_another_schema_is_refused(tmp_path, version):
     path = tmp_path / "s.zarr"
     create(path, radiance(4, 4, 4))
     for file in (path / "zarr.json", path / "radiance/zarr.json"):
         held = json.loads(file.read_text())
         held["attributes"]["schema_version"] = version
         file.write_text(json.dumps(held))
-    with pytest.raises(StoreError, match=f"schema version {version}, this chdstat reads 2{advice}"):
+    with pytest.raises(StoreError, match=f"schema version {version}, this chdstat reads 2$"):
         chd.open(path)
 
 

@@ -18,7 +18,7 @@ from scipy import stats
 from chdstat._core.arrays import Array, Reals, as_pixels, generator, is_bad, warn_left_out
 from chdstat._core.image_scales import mean_radiance
 from chdstat._core.moments import Moments
-from chdstat.errors import InputError, OtherSceneWarning, StoreError, check_probability
+from chdstat.errors import InputError, OtherSceneWarning, check_probability
 from chdstat.estimators.held_out import reordered
 from chdstat.estimators.progressive import errors, learning
 from chdstat.estimators.progressive.inputs import Features, describe
@@ -391,9 +391,6 @@ class Progressive(TrainedModel[learning.Learned]):
         def below(prefix: str) -> dict[str, Array]:
             return {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
 
-        if "with_features" not in about:
-            message = "this model was trained by an earlier version of chdstat; train it again"
-            raise StoreError(message)
         network = Network(**about["shape"]).eval()
         network.load_arrays(below("network."))
         network.shrinkage = (arrays["shrinkage.sizes"], arrays["shrinkage.shares"])
