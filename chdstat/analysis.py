@@ -31,10 +31,8 @@ from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import (
     MORE_THAN_TESTED,
-    N_MEANS,
     UNTESTED,
     NormalityOfMeans,
-    sizes_of_means,
 )
 from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.inference.normality import TESTS, Normality
@@ -211,9 +209,8 @@ def patterns_of(
 
 def _of_averages(samples: Samples) -> dict[str, Statistic[Any]]:
     """Return the stage of averages, if there are enough samples."""
-    if samples.spp < N_MEANS:
-        return {}
-    return {"averages": NormalityOfMeans(tuple(sizes_of_means(samples.spp).tolist()))}
+    averages = NormalityOfMeans.of(samples.spp)
+    return {} if averages is None else {"averages": averages}
 
 
 def _measured(

@@ -260,10 +260,7 @@ def export(
     target = asked.target(out, ".exr", ".nc")
     exr = target.suffix.lower() == ".exr"
     file = (chdstat.io.write_maps if exr else chdstat.io.write_netcdf)(open_maps(source), target)
-    if asked.as_json:
-        output.print_json({"files": [str(file)]})
-    elif not asked.quiet:
-        output.say_written(file, as_json=False)
+    output.say_written(file, as_json=asked.as_json)
 
 
 @command("info bathroom.zarr", *OUTPUT)

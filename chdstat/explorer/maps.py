@@ -175,13 +175,12 @@ def _best_family(part: PositivePart) -> Array:
 
 def _n_needed(part: PositivePart) -> Array:
     """Return the place of the N needed among those tested; one more where it is larger."""
-    spp = part.x.shape[-1]
-    if spp < inference.N_MEANS:
+    tests = NormalityOfMeans.of(part.x.shape[-1])
+    if tests is None:
         return np.full(part.n.shape, np.nan)
-    sizes = inference.sizes_of_means(spp)
-    needed = measured(part, NormalityOfMeans(tuple(sizes.tolist()))).n_needed
-    place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
-    return np.where(needed == inference.MORE_THAN_TESTED, len(sizes), place)
+    needed = measured(part, tests).n_needed
+    place = np.where(needed > 0, np.searchsorted(tests.sizes, needed), np.nan)
+    return np.where(needed == inference.MORE_THAN_TESTED, len(tests.sizes), place)
 
 
 _FAMILIES = dict(enumerate(map(called, SELECTED)))
@@ -251,8 +250,8 @@ def map_kind(name: str, spp: int = 0) -> Map:
     InputError
         If there is no such map.
     """
-    if name == "n_needed" and spp >= inference.N_MEANS:
-        sizes = inference.sizes_of_means(spp)
+    if name == "n_needed" and (tests := NormalityOfMeans.of(spp)) is not None:
+        sizes = tests.sizes
         names = {i: f"N = {n}" for i, n in enumerate(sizes)} | {len(sizes): f"N > {sizes[-1]}"}
         return replace(MAPS[name], names=names, ordered=True)
     known = {**MAPS, **DIFFERENCES, **CONTRASTS}

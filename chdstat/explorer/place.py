@@ -186,10 +186,8 @@ class PlaceStatistics:
     @property
     def means(self) -> inference.GaussianityOfMeans | None:
         """Normality of averages, of each row; None with fewer samples than averages to test."""
-        if self.fitted_spp < inference.N_MEANS:
-            return None
-        sizes = inference.sizes_of_means(self.fitted_spp)
-        return measured(self.part, NormalityOfMeans(tuple(sizes.tolist())))
+        tests = NormalityOfMeans.of(self.fitted_spp)
+        return None if tests is None else measured(self.part, tests)
 
     def averages(self, n: int) -> Floats:
         """Return the averages of consecutive good samples, n each, shape (row, average)."""

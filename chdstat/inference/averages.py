@@ -153,6 +153,11 @@ class NormalityOfMeans(Statistic[GaussianityOfMeans]):
     test: TestName = "shapiro-wilk"
     alpha: float = 0.05
 
+    @classmethod
+    def of(cls, spp: int) -> NormalityOfMeans | None:
+        """Return the tests of all N that so many samples allow; None where they allow none."""
+        return cls(tuple(sizes_of_means(spp).tolist())) if spp >= N_MEANS else None
+
     def attrs(self) -> dict[str, Any]:
         """Return what was tested, and the level of ``rejected``."""
         title = f"{self.test} on averages of N samples"
