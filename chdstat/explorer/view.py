@@ -130,9 +130,10 @@ class View:
         return replace(self, pixels=pixels, active=len(pixels) - 1, region=None)
 
     def drop(self, index: int) -> View:
-        """Remove a pixel from the selection."""
+        """Remove a pixel from the selection, or the region."""
         pixels = self.pixels[:index] + self.pixels[index + 1 :]
-        return replace(self, pixels=pixels, active=max(0, min(self.active, len(pixels) - 1)))
+        active = max(0, min(self.active, len(pixels) - 1))
+        return replace(self, pixels=pixels, active=active, region=None)
 
     def activate(self, index: int) -> View:
         """Choose the pixel that tables describe."""
@@ -146,9 +147,9 @@ class View:
         return replace(self, pixels=(), active=0, region=region)
 
     def move(self, dy: int, dx: int, height: int, width: int) -> View:
-        """Move the active pixel inside the image, but not onto another selected pixel."""
+        """Move the active pixel inside the image, not onto another one; if none, to the centre."""
         if not self.pixels:
-            return self
+            return self if self.region else self.pick(height // 2, width // 2)
         y, x = self.pixels[self.active]
         moved = min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)
         if moved in self.pixels:

@@ -82,8 +82,7 @@ class Person:
     @property
     def chips(self):
         return [
-            t.strip()
-            for t in self.page.locator("#chips .chip button:first-child").all_inner_texts()
+            t.strip() for t in self.page.locator("#chips .chip > :first-child").all_inner_texts()
         ]
 
     def alert(self):
@@ -648,3 +647,31 @@ def test_headings_axes_and_keys_are_a_readers(person, store_path):
     expected = ["csv", "map", "exposure", "auto", "tone", "image", "pan", "in", "best", "channel"]
     places = [seen.index(name) for name in expected]
     assert places == sorted(places)
+
+
+def test_keys_do_what_a_mouse_does(person, several):
+    """Help takes the focus and gives it back, tables scroll, and a region needs no mouse."""
+    one = person(several).open("?p=20,10")
+    heading = one.page.locator("#headline h2")
+    name = heading.get_attribute("aria-label")
+    assert name == heading.locator("span").inner_text()  # without that of its button
+    one.page.locator("#patterns .named").first.focus()
+    one.page.keyboard.press("Enter")
+    assert one.page.evaluate("document.activeElement.id") == "help"
+    assert "Set where" in one.text("#help")
+    one.page.keyboard.press("Escape")
+    assert one.page.evaluate("document.activeElement.className") == "named"
+    one.page.keyboard.press("ArrowDown")  # in the table, which scrolls
+    assert one.page.evaluate(
+        "document.querySelector('figure.front') === document.querySelector('figure')"
+    )
+    stops = "[...document.querySelectorAll('.image')].map((e) => e.tabIndex)"
+    assert one.page.evaluate(stops) == [0, -1, -1]
+    one.page.locator(".image").first.focus()
+    one.press("n")
+    assert one.chips == ["region y 16–24, x 6–14 (9 × 9)"]
+    one.press("n")
+    assert one.chips == ["1: y 20 x 10"]
+    one.press("n")
+    one.page.get_by_role("button", name="Drop the region").click()
+    one.waits_for("document.body.classList.contains('nothing')")

@@ -101,7 +101,8 @@ def test_moves_stay_inside_and_apart():
     assert view.move(0, -1, *size) == view  # onto the other one
     assert view.move(-1, 0, *size) == view
     assert view.move(99, 99, *size).pixels == ((0, 0), (19, 29))
-    assert View().move(1, 1, *size) == View()
+    assert View().move(1, 1, *size).pixels == ((10, 15),)  # from nothing to the centre
+    assert View().box((0, 0, 2, 3)).drop(0) == View()
 
 
 @pytest.mark.parametrize("option", ["pixels", "active", "region", "nonsense"])

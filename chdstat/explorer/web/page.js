@@ -123,6 +123,7 @@ window.chdstat = (() => {
       const role = figure.querySelector(".role");
       if (role) role.textContent = i === back ? " · reference" : "";
     }
+    for (const [i, image] of all(".image").entries()) image.tabIndex = side || i === top ? 0 : -1;
     for (const b of all("[data-show]")) b.setAttribute("aria-pressed", String(Number(b.dataset.show) === top));
     if (several()) $("#reference").value = String(back);
   }
@@ -199,6 +200,16 @@ window.chdstat = (() => {
     }
   }
 
+  // A region without a mouse: the pixels around the selected one, and back.
+  const AROUND = 4;
+  function around() {
+    const [y, x] = view.pixels[view.active] ?? [];
+    if (view.region) {
+      const [top, left, bottom, right] = view.region;
+      send("pick", { y: (top + bottom - 1) >> 1, x: (left + right - 1) >> 1 });
+    } else if (y !== undefined) send("box", { box: [y - AROUND, x - AROUND, y + AROUND + 1, x + AROUND + 1] });
+  }
+
   const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
   const LETTERS = { k: "ArrowUp", j: "ArrowDown", h: "ArrowLeft", l: "ArrowRight" };
   function channel(by) {
@@ -209,7 +220,8 @@ window.chdstat = (() => {
   function key(event) {
     const target = event.composedPath()[0];
     if (event.ctrlKey || event.altKey || event.metaKey) return;
-    if (target.closest && target.closest("input, select, textarea")) return;
+    if (target.closest?.("input, select, textarea")) return;
+    if (event.key in ARROWS && target.closest?.(".right, #help")) return;  // there, they scroll
     const name = event.key.toLowerCase(), shift = event.shiftKey, digit = /^Digit([1-9])$/.exec(event.code);
     const arrow = LETTERS[name] ?? (several() ? null : event.key), [dy, dx] = ARROWS[arrow] ?? [];
     if (event.key === "Shift") { peek(true); return; }
@@ -235,6 +247,7 @@ window.chdstat = (() => {
     else if (name === "s" && several()) side(!$("main").classList.contains("side"));
     else if (name === "d" && several()) differ();
     else if (event.key === "?") explain("keys", $("#keys"));
+    else if (name === "n") around();
     else if (event.key === "b") drag("box");
     else if (event.key === "p") drag("pan");
     else return;
@@ -271,6 +284,7 @@ window.chdstat = (() => {
     },
     panels(item) {
       drawn = item;
+      document.body.dataset.drawn = "1";
       draw(item);
       heading($("#headline h2"), item.title, "headline");
       // Many rows need some height each.
@@ -439,21 +453,21 @@ window.chdstat = (() => {
   }
 
   function chips(colors) {
+    const chip = (shown, what, index) => {
+      const drop = make("button", "×", { type: "button", "aria-label": `Drop ${what}` }), one = make("span", null, { class: "chip" });
+      drop.addEventListener("click", () => send("drop", { index }));
+      one.append(shown, drop);
+      return one;
+    };
     const found = view.pixels.map(([y, x], i) => {
-      const chip = make("span", null, { class: "chip" });
       const pick = make("button", null, { type: "button", "aria-pressed": String(i === view.active) });
       pick.append(swatch(tint(colors[i])), `${i + 1}: y ${y} x ${x}`);
       pick.addEventListener("click", () => send("activate", { index: i }));
-      const drop = make("button", "×", { type: "button", "aria-label": `Drop pixel ${i + 1}` });
-      drop.addEventListener("click", () => send("drop", { index: i }));
-      chip.append(pick, drop);
-      return chip;
+      return chip(pick, `pixel ${i + 1}`, i);
     });
     if (view.region) {
       const [t, l, b, r] = view.region;
-      const chip = make("span", null, { class: "chip" });
-      chip.append(make("button", `region y ${t}–${b - 1}, x ${l}–${r - 1} (${b - t} × ${r - l})`, { type: "button", "aria-pressed": "true" }));
-      found.push(chip);
+      found.push(chip(make("span", `region y ${t}–${b - 1}, x ${l}–${r - 1} (${b - t} × ${r - l})`), "the region", 0));
     }
     if (!found.length) found.push(make("span", "Nothing is selected yet.", { class: "hint" }));
     const focused = document.activeElement && document.activeElement.closest("#chips");
@@ -462,27 +476,33 @@ window.chdstat = (() => {
     if (place >= 0) (all("#chips button")[place] ?? $(".image")).focus();
   }
 
-  // A heading with a button that opens what its part of the page shows.
+  // A heading with a button that opens what its part of the page shows. The button is no part of its
+  // name, and stays when the text changes: a screen reader says what is new.
   function heading(element, text, name) {
-    element.textContent = text;
-    const button = make("button", "?", { type: "button", class: "help", "aria-label": `What ${text} shows` });
-    button.addEventListener("click", () => explain(name, button));
-    element.append(" ", button);
+    if (!element.querySelector(".help")) {
+      const button = make("button", "?", { type: "button", class: "help" });
+      button.addEventListener("click", () => explain(name, button));
+      element.replaceChildren(make("span"), " ", button);
+    }
+    element.firstChild.textContent = text;
+    element.setAttribute("aria-label", text);
+    element.querySelector(".help").setAttribute("aria-label", `Help: ${text}`);
     return element;
   }
 
-  // A name; of a pattern, one that tells its cause and cure when it is clicked.
-  function named(text) {
+  // A name; of a pattern, one that tells its cause and cure when it is clicked, and how it is measured.
+  function named(text, measured) {
     const found = all("template[data-label]").find((t) => t.dataset.label === text);
     if (!found) return text;
     const button = make("button", text, { type: "button", class: "named", title: "Cause and cure" });
-    button.addEventListener("click", () => explain(found.id.slice("help-".length), button));
+    button.addEventListener("click", () => explain(found.id.slice("help-".length), button, measured));
     return button;
   }
 
-  function explain(name, button) {
+  function explain(name, button, measured) {
       const box = $("#help"), at = button.getBoundingClientRect();
       box.replaceChildren($(`#help-${name}`).content.cloneNode(true));
+      if (measured) box.append(make("p", `Statistic: ${measured}`));
       box.style.top = `${at.bottom + 4}px`;
       box.showPopover();
       box.style.left = `${Math.max(8, Math.min(at.left, innerWidth - box.offsetWidth - 8))}px`;
@@ -497,8 +517,13 @@ window.chdstat = (() => {
     head.append(...content.columns.map((c) => make("th", c, { scope: "col" })));
     const rows = content.rows.map((cells) => {
       const row = make("tr");
-      row.append(...cells.slice(0, content.columns.length).map((c, i) => { const cell = make("td"); cell.append(i ? c : named(c)); return cell; }));
-      if (cells.length > content.columns.length) row.title = cells.at(-1);
+      const measured = cells[content.columns.length] ?? "";
+      row.append(...cells.slice(0, content.columns.length).map((c, i) => {
+        const cell = i ? make("td", c) : make("th", null, { scope: "row" });
+        if (!i) cell.append(named(c, measured));
+        return cell;
+      }));
+      row.title = measured;
       return row;
     });
     body.append(head, ...rows);
@@ -677,6 +702,8 @@ window.chdstat = (() => {
     $("#live button").addEventListener("click", () => send("pause"));
     $("#alert button").addEventListener("click", () => { $("#alert").hidden = true; });
     document.addEventListener("visibilitychange", () => send("visible", { on: !document.hidden }));
+    // The image around it has the focus and the keys.
+    for (const figure of models.figures) Bokeh.index.find_one(figure).canvas.events_el.tabIndex = -1;
     document.body.dataset.ready = "1";
     send("ready");
   }
@@ -685,5 +712,6 @@ window.chdstat = (() => {
     if ($("#alert")) says.alert({ text: "The server has stopped; start 'chdstat explore' again and reload this page." });
   }
 
+  document.documentElement.dataset.theme = preferred();  // before anything is painted
   return { start, tap, press, pressup, box, hover, lost, timings, tickLabel, logTicks };
 })();
