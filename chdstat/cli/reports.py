@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -176,7 +176,7 @@ def study(
         typer.Argument(
             metavar="[NAME|PATH]...",
             help="Built-in names, Mitsuba XML files, recipes (.toml) or finished stores; "
-            "all study scenes without any.",
+            "without any, all built-in scenes with a recipe.",
         ),
     ] = None,
     out: Annotated[Path | None, option("The PDF to write.", "--out", "-o")] = None,
@@ -187,8 +187,9 @@ def study(
     sampler: Annotated[
         SamplerName,
         option(
-            "Sampler of one more render of each scene, for the claim on correlated samples; with "
-            "independent, there is no such render."
+            "Sampler of one more render of each scene, for the claim on correlated samples: "
+            f"{', '.join(get_args(SamplerName)[1:])}; with independent, there is no such render.",
+            metavar="NAME",
         ),
     ] = "independent",
     integrators: Annotated[

@@ -82,7 +82,7 @@ def render(
     """Render a scene and keep every sample.
 
     A store that was stopped half-way is resumed; a larger --spp appends to it. With --summary-only,
-    nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
+    no samples are kept: PATH gets maps of statistics, histograms and families, as of 'analyze -o'.
     """
     import chdstat
     from chdstat._core.files import kept_until_written
@@ -233,7 +233,7 @@ def _given(**options: Any) -> dict[str, Any]:
 def include(asked: CommonOptions) -> None:
     """Print the folder of chdstat_writer.h, with which a C++ renderer writes its samples.
 
-    A compiler is told it as -I$(chdstat include); 'chdstat import' reads what is written.
+    Compile with -I$(chdstat include); 'chdstat import' reads what the renderer writes.
     """
     import chdstat
 

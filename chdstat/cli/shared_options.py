@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -106,7 +106,7 @@ class CommonOptions:
         ),
     ] = None
     iterations: Annotated[
-        int | None, option("Number of training minibatches.", unset="as many as pay")
+        int | None, option("Number of training minibatches.", unset="as many as help")
     ] = None
     # The fields of `RenderOptions`.
     spp: Annotated[
@@ -150,8 +150,10 @@ class CommonOptions:
     sampler: Annotated[
         SamplerName | None,
         option(
-            "Mitsuba's sampler. With any but independent, samples of a sequence depend on each "
-            "other: only averages of sequences have standard errors.",
+            f"Mitsuba's sampler: {', '.join(get_args(SamplerName))}. With any but independent, "
+            "samples of a sequence depend on each other: only averages of sequences have standard "
+            "errors.",
+            metavar="NAME",
             unset=RenderOptions.sampler,
         ),
     ] = None

@@ -75,8 +75,10 @@ class Contrast(Shown):
     window
         Window in which the difference is clearest, if there is one: y, x, height and width in
         pixels.
+    window_channel
+        Channel in which it is clearest; "luminance" if R, G and B differ together.
     window_loss
-        How much darker B is in the window.
+        How much darker B is in this channel of the window.
     detectable
         Smallest relative difference that would have been found with a probability of 90 %: in the
         whole ``image``, and in a window of about a ``tenth`` of it.
@@ -104,6 +106,7 @@ class Contrast(Shown):
     share: float
     loss: Interval[float]
     window: tuple[int, int, int, int]
+    window_channel: str
     window_loss: float
     detectable: dict[str, float]
     efficiency_ratio: Interval[float]
@@ -150,13 +153,16 @@ class Contrast(Shown):
         if self.share:
             rate = percent(self.alpha)
             pixels = f"{percent(self.share)} of the pixels differ (false discovery rate {rate})"
-        where = f"most clearly in {width} x {height} pixels at y {y}, x {x}"
+        where = f"{width} x {height} pixels at y {y}, x {x}"
         if (height, width) == self.maps["reason"].shape:
-            where = "most clearly in the sum over the image"
+            where = "the whole image"
+        if self.maps.sizes["channel"] > 1:
+            kind = "" if self.window_channel == "luminance" else "channel "
+            where = f"{kind}{self.window_channel} of {where}"
+        how = "darker" if self.window_loss > 0 else "brighter"
         return (
-            f"The means differ (p {number(self.image_p_value)}), {where}, where B is "
-            f"{percent(abs(self.window_loss))} {'darker' if self.window_loss > 0 else 'brighter'}; "
-            f"{pixels}{self._reservation()}."
+            f"The means differ (p {number(self.image_p_value)}), most clearly in {where}, where "
+            f"render B is {percent(abs(self.window_loss))} {how}; {pixels}{self._reservation()}."
         )
 
     def _reservation(self) -> str:
@@ -189,6 +195,7 @@ class Contrast(Shown):
             "loss": self.loss.to_dict(),
             "efficiency_ratio": self.efficiency_ratio.to_dict(),
             "window": {"y": y, "x": x, "height": height, "width": width},
+            "window_channel": self.window_channel,
             "window_loss": self.window_loss,
             "detectable": self.detectable,
             "spp": self.spp,
@@ -355,9 +362,10 @@ def contrasting(
     y, x, rows, columns = (edge * size for size in scan.window)
     loss, window_loss, detectable = _losses(cells, pair.terms, scan)
     why, spp_needed = _why_not(maps, pair, detectable, scan.unseen, differ=image_p_value <= alpha)
+    dataset = _dataset(maps, pair)
     return Contrast(
         names=pair.names,
-        maps=_dataset(maps, pair).assign(pair.shapes(seed) if distributions else {}),
+        maps=dataset.assign(pair.shapes(seed) if distributions else {}),
         outcome="cannot tell"
         if why
         else "differ"
@@ -369,6 +377,7 @@ def contrasting(
         share=float((q <= alpha).any(axis=-1).mean()),
         loss=loss,
         window=(y, x, min(rows, height - y), min(columns, width - x)),
+        window_channel=str(dataset["channel"].values[scan.band]),
         window_loss=window_loss,
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),

@@ -30,6 +30,7 @@ from chdstat.inference.modes import Modality
 from chdstat.summary.histograms import LOG_SUPPORT, Histogram, Scale, histogram
 from chdstat.viz.styling import (
     CHANNELS,
+    NAMES,
     PALETTE,
     UNIT,
     axes_in,
@@ -735,7 +736,7 @@ def fits(
         draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
         for i, (name, density) in enumerate(fitted.items()):
             look = {"color": LINES[i % len(LINES)], "linestyle": DASHES[i % len(DASHES)]}
-            draw_fit(ax, counted, density, label=verbatim(name), **look)
+            draw_fit(ax, counted, density, label=verbatim(NAMES.get(name, name)), **look)
         ax.set_xlabel(_axis_name("radiance", scale, across / len(kinds)))
         per = "unit of radiance" if scale == "linear" else "decade"
         ax.set_ylabel(f"density per {per}")

@@ -244,6 +244,16 @@ def test_a_small_loss_in_a_block_is_found_and_placed():
     assert not contrast(a, heavy(rng, 128, sigma=0.5)).share
 
 
+def test_a_difference_in_one_channel_is_told_with_its_channel():
+    rng = np.random.default_rng(2)
+    a, b = rng.gamma(4.0, size=(2, 8, 8, 3, 64)).astype(np.float32)
+    b[:, :, 2] *= 0.5
+    found = contrast(a, b)
+    assert found.window_channel == "B"
+    assert 0.45 < found.window_loss < 0.55 != found.loss.value
+    assert "most clearly in channel B of the whole image, where render B is 5" in found.conclusion
+
+
 def test_pairs_show_what_independent_renders_do_not():
     rng = np.random.default_rng(3)
     a = heavy(rng, 64)
