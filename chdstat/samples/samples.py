@@ -787,7 +787,7 @@ def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
         3: "axes='yxsc' if it is (y, x, sample, channel), 'syxc' if (sample, y, x, channel)",
         0: "axes='cyxs' if it is (channel, y, x, sample)",
         1: "axes='scyx' if it is (sample, channel, y, x)",
-        None: "axes, such as 'yxsc' if it is (y, x, sample, channel)",
+        None: "axes='yxsc' if it is (y, x, sample, channel)",
     }[short]
     message = (
         f"{name} of shape {shape} would have {channels} channels of {spp} samples; say what the "

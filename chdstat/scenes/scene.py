@@ -203,7 +203,10 @@ def _checked_file(path: Path) -> tuple[str, Path]:
     if not is_file(path):
         raise SceneError(_nothing_at(path))
     if path.suffix.lower() != ".xml":
-        message = f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}"
+        message = (
+            f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}; 'chdstat import' makes "
+            "a store of the samples of another renderer"
+        )
         raise SceneError(message)
     path = path.absolute()  # of a link as of a file: Mitsuba looks for others beside the link
     return path.parent.name if path.stem == "scene" else path.stem, path
