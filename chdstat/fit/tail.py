@@ -557,7 +557,6 @@ def _check(share: TailShare, tested: float, level: float) -> None:
 MINIMUM_EXCESSES = 10
 """With fewer samples above the threshold, there is no tail index."""
 
-_LARGEST_SHARE = 0.5
 _STEPS = 3
 _CELLS, _SINGLES = 32, 8
 """Groups of excesses for averages; the largest excesses stay alone."""
@@ -616,12 +615,12 @@ _Model = Callable[[_Excesses], tuple[Floats, Floats, Mask]]
 def _candidates(n: Counts, share: float | None) -> Counts:
     """Return numbers of excesses to try, largest first, shape (row, candidate).
 
-    A given share is the only candidate. Otherwise, the largest is ``1.1 n^(3/4)``, but at most half
-    of the samples; each further candidate is 0.7 times the one before.
+    A given share is the only candidate. Otherwise, the largest is ``1.1 n^(3/4)``, and each further
+    candidate is 0.7 times the one before.
     """
     if share is not None:
         return np.asarray(np.floor(share * n), dtype=np.int64)[:, np.newaxis]
-    largest = np.minimum(1.1 * n**0.75, _LARGEST_SHARE * n)[:, np.newaxis]
+    largest = 1.1 * n[:, np.newaxis] ** 0.75
     k = np.floor(largest * 2.0 ** (-np.arange(_STEPS) / 2)).astype(np.int64)
     return np.asarray(np.maximum(k, np.minimum(k[:, :1], MINIMUM_EXCESSES)))
 

@@ -43,6 +43,8 @@ def test_index_and_interval_of_generalised_pareto_samples(xi):
     verdicts = tail.variance_trusted, tail.variance_suspect, tail.variance_unidentified
     np.testing.assert_array_equal(np.sum(verdicts, axis=0), 1)
     np.testing.assert_array_equal(tail.share, tail.n / SPP)
+    # The threshold is where it should be in 95 %; 4 deviations are 0.028.
+    assert (tail.n < int(1.1 * SPP**0.75)).mean() == pytest.approx(0.05, abs=0.028)
 
 
 @pytest.mark.parametrize("samples", [512, 2048])
@@ -68,6 +70,7 @@ def test_a_threshold_within_the_body_is_rejected():
     x = grafted(0.9, 0.06, (200, 4096), 43, body=stats.uniform(1, 1))
     tail = chd.fit.tail_index(x)
     assert np.median(tail.share) < 0.09
+    assert tail.n.min() == int(1.1 * 4096**0.75 / 2)
     assert np.median(tail.xi) == pytest.approx(0.9, abs=0.15)
 
 
