@@ -475,7 +475,7 @@ def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
     """Return an array with NaN for the samples that a masked array hides."""
     try:
         array = np.asarray(x)
-    except (TypeError, ValueError) as error:
+    except (RuntimeError, TypeError, ValueError) as error:
         message = f"{name} must be an array, with as many samples in every row: {error}"
         raise InputError(message) from error
     if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x) and array.dtype.kind in "fi":

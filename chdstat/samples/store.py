@@ -796,7 +796,7 @@ def samples_of(
     found = opened(source, averages=averages, dependent=dependent)
     if isinstance(found, Samples):
         return found
-    if isinstance(found, np.ndarray) or type(found).__name__ == "DataArray":
+    if hasattr(found, "__array__"):  # NumPy, xarray, Dask, torch
         return Samples.from_array(found)
     message = (
         "expected Samples, an array (y, x, channel, sample) or the path of a store, "
