@@ -69,6 +69,12 @@ def _moments(x: Floats) -> Moments:
     return Moments.of(x, np.isfinite(x))
 
 
+def _variation(moments: Moments) -> Floats:
+    """Return the deviation over the mean; NaN where the mean is not positive."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(moments.mean > 0, np.sqrt(moments.variance) / moments.mean, np.nan)
+
+
 def _cast(data: SceneData, patch: PixelSet, x: Floats) -> ClaimTest:
     """Test that the channels of samples (pixel, channel, sample) are shifted."""
     require(data.samples.shape[2] > 1, "several channels")
@@ -325,12 +331,9 @@ def reflections(data: SceneData) -> Finding:
     """Measure how far the shapes in a reflection differ, and how noisy it is."""
     patch = data.patch("noisy-reflection", "with a noisy reflection", tests=2)
     x = data.light(patch)
-    shapes, moments = aligned(x), _moments(x)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # NaN where the mean is not positive.
-        mean = np.where(moments.mean > 0, moments.mean, np.nan)
-        variation = np.asarray(np.sqrt(moments.variance) / mean)
-    spread, noise = shape_spread(shapes, patch), patch.median(variation)
+    shapes, grown = aligned(x), growing(np.nan_to_num(x), np.isfinite(x), _variation)
+    variation = grown[-1]
+    spread, noise = shape_spread(shapes, patch), with_room(patch.median(variation), grown)
     some = shapes.whole[shapes.known][:64]
     return Finding(
         (
@@ -566,11 +569,13 @@ def _linear_spike(x: Floats) -> Floats:
 
 
 def _jagged(x: Floats) -> Floats:
-    """Return the share of the log histogram that differs between both halves of the samples."""
-    one, two = _halves(*_log_bins(x))
-    n = [half.sum(axis=1, keepdims=True) for half in (one, two)]
-    apart = np.abs(one / np.maximum(n[0], 1) - two / np.maximum(n[1], 1)).sum(axis=1) / 2
-    return np.where((n[0] + n[1])[:, 0] >= QUANTILES_NEED, apart, np.nan)
+    """Return the share of the log histogram that differs between both halves of the samples.
+
+    Pixels of few positive samples are the noisiest; NaN only where a half has none.
+    """
+    with np.errstate(invalid="ignore"):
+        one, two = (half / half.sum(axis=1, keepdims=True) for half in _halves(*_log_bins(x)))
+    return np.asarray(np.abs(one - two).sum(axis=1) / 2)
 
 
 def _log_bins(x: Floats) -> tuple[Counts, Mask]:

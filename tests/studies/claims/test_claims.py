@@ -106,6 +106,8 @@ def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
 FEW = {
     # the kurtosis is 6.7, but of 128 samples 3.7: a claim of 6 is not refuted
     "kurtosis": (5, lambda rng: rng.gamma(0.9, size=(16, 16, 128)), 5),
+    # the deviation is 1.03 times the mean, but that of 128 samples .97 times
+    "deviation": (4, lambda rng: rng.lognormal(0, 0.85, (16, 16, 128)), 1),
     # the skewness of averages of 32 is 0.58, but that of 384 samples is 0.46
     "skewness": (13, lambda rng: rng.lognormal(0, 0.75, (32, 32, 384)), 0.5),
 }
@@ -116,7 +118,8 @@ FEW = {
 def test_too_few_samples_do_not_refute_a_long_tail(word, seed):
     number, draw, most = FEW[word]
     x = worlds.image(draw(np.random.default_rng(seed)))
-    found = BY_NUMBER[number].find(worlds.evidence(x, "indirect"))
+    shown = "noisy-reflection" if number == 4 else "indirect"
+    found = BY_NUMBER[number].find(worlds.evidence(x, shown))
     (test,) = (p for p in found.tests if word in p.name)
     assert test.interval.value < most
     assert test.verdict == "cannot tell"
@@ -132,6 +135,12 @@ def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number):
         assert np.ptp(modes) < 0.1
     else:
         assert test.interval.value < 0.35
+
+
+def test_pixels_of_few_positive_samples_are_the_noisiest_of_an_image():
+    """Of 256 samples, 77 are positive in most pixels: were they left out, nothing would be said."""
+    for world, verdict in ((worlds.TRUE, "supported"), (worlds.FALSE, "not supported")):
+        assert look(19, world[19], spp=256).tests[0].verdict == verdict
 
 
 def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():

@@ -24,7 +24,7 @@ from chdstat.studies.claims.between_renders import rank_correlation, scene_compl
 from chdstat.studies.claims.learned_models import early_gain
 from chdstat.studies.findings import Finding, level_of
 from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
-from chdstat.studies.scene_data import PixelSet
+from chdstat.studies.scene_data import PixelSet, positive_quantiles
 from chdstat.studies.shape_distances import (
     log_skewness,
     permuted,
@@ -51,6 +51,16 @@ def test_slopes_with_an_instrument_are_not_flattened_by_noise():
     assert flat.high < 1.5
     assert image.slope(x, 3 * x + 1).value == pytest.approx(3)
     assert image.correlation(x, z).value == pytest.approx(np.corrcoef(x, z)[0, 1])
+
+
+@pytest.mark.parametrize("n", [110, 128, 199, 200])
+def test_quantiles_of_few_samples_are_not_drawn_to_the_median(n):
+    """The tail of an exponential distribution is as long in 110 samples as in 200, to 6 %."""
+    x = np.random.default_rng(n).exponential(size=(4000, n))
+    middle, high = positive_quantiles(x, (0.5, 0.99))
+    assert np.median(high / middle) == pytest.approx(np.log(100) / np.log(2), rel=0.06)
+    expected = np.quantile(x[:9], (0.5, 0.99), axis=1, method="median_unbiased")
+    np.testing.assert_allclose([middle[:9], high[:9]], expected)
 
 
 # --- log CHDs -----------------------------------------------------------------------------------
