@@ -691,7 +691,7 @@ def _combine_measured(
     )
     of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
     proposal = proposed[0].image
-    unknown = np.isnan(measured.starts[0]["mean"]) & ~measured.absurd[..., np.newaxis]
+    unknown = measured.count == 0
     moved = np.where(unknown, 0, 1 - of_mean)
     radiance = mean + moved * (proposal - mean)
     given, less, more = lost_light(proposed, measured.count, moved, level)
@@ -731,12 +731,7 @@ def _proposals(
 ) -> list[Proposal]:
     """Return the weighted candidates of all samples and of each half, beside the means."""
     return [
-        Proposal(
-            _weighted(weights, images),
-            np.nan_to_num(start["mean"]),
-            error,
-            np.nan_to_num(start["shared_shape"]),
-        )
+        Proposal(_weighted(weights, images), start["mean"], error, start["shared_shape"])
         for images, start, error in zip(made, measured.starts, measured.errors, strict=True)
     ]
 

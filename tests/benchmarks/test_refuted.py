@@ -2,12 +2,14 @@
 
 For each image, law of the samples and number of samples, without features and with an albedo that
 has nothing to do with the image: MSE and relMSE of the default estimate over those of the mean, and
-the share of 90 % intervals that hold the truth by thirds of brightness. Run with
-``--benchmark-only -s``; CHDSTAT_SEEDS images are drawn of each kind, CHDSTAT_FILM is their edge.
+the share of 90 % intervals that hold the truth by thirds of brightness. Then the same where the
+left half of an image has little noise and the right half has much. Run with ``--benchmark-only
+-s``; CHDSTAT_SEEDS images are drawn of each kind, CHDSTAT_FILM is their edge.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import zlib
 from collections.abc import Iterator
@@ -104,3 +106,27 @@ def test_errors_over_the_mean_and_intervals(as_benchmark):
             f"{n:4d} spp: intervals hold {of.mean(axis=0).round(3)} by thirds, of which "
             f"{(of < 0.85).mean():.0%} less than 85 %, {(of > 0.96).mean():.0%} more than 96 %"
         )
+
+
+def test_detail_with_little_noise_beside_much(as_benchmark):
+    print(f"\nleft half: MSE over the mean's, share of intervals that hold, at {NUMBERS}")
+    left, kinds = slice(SIZE // 2), ("texture of 1", "white noise", "constant")
+    for name, noise in itertools.product(kinds, (0.01, 0.05, 0.2)):
+        table = np.zeros((len(NUMBERS), 2))
+        for seed in range(SEEDS):
+            rng = np.random.default_rng(seed)
+            grey = dict(images(rng))[name]
+            truth = grey[..., np.newaxis] * np.array((1, 0.8, 0.6))
+            x = drawn(truth, "exponential", 0, rng)
+            quiet = 1 + noise * rng.normal(size=(SIZE, SIZE // 2, 1, max(NUMBERS)))
+            x[:, left] = truth[:, left, :, np.newaxis] * quiet
+            truth = truth[:, left]
+            for row, n in zip(table, NUMBERS, strict=True):
+                found = combine(x[..., :n])
+                low, high = found.low[:, left], found.high[:, left]
+                ratio, _ = errors(found.radiance[:, left], truth) / errors(
+                    found.mean[:, left], truth
+                )
+                row += ratio / SEEDS, ((low <= truth) & (truth <= high)).mean() / SEEDS
+        shown = "  ".join(f"{mse:6.2f} {held:.2f}" for mse, held in table)
+        print(f"{name:14s} {noise:4.2f}  {shown}", flush=True)

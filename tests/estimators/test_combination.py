@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat.errors import InputError
+from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import (
     Combination,
     CombinationStream,
@@ -318,6 +318,20 @@ def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():
     assert (found.low[kept] >= 0).all()  # no finite sample is negative
     assert (found.high - found.low)[kept].min() > 0
     assert (found.radiance[18, 18] < 100).all()  # of a single bright sample, nothing is known
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_pixels_without_samples_leave_the_others_as_good_as_they_are(share):
+    """As black holes in what is denoised, they made errors 20 times as large."""
+    x = np.random.default_rng(1).exponential(size=(48, 48, 3, 32)).astype(np.float32)
+    lost = np.random.default_rng(2).random((48, 48)) < share
+    x[lost] = np.nan
+    with pytest.warns(LeftOutWarning, match="left out"):
+        found = combine(x)
+    mean = x[~lost].mean(axis=-1)
+    assert np.array_equal(np.isnan(found.radiance).all(axis=-1), lost)
+    assert np.square(found.radiance[~lost] - 1).mean() < 0.08 * np.square(mean - 1).mean()
+    assert ((found.low <= 1) & (found.high >= 1))[~lost].mean() > 0.85
 
 
 def exponential(truth, n, seed):

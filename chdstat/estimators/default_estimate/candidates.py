@@ -32,8 +32,8 @@ _USUAL = 0.999
 """Share of an image's radiances, the darkest ones, from which its unit is computed."""
 _ABSURD = 1e5
 """Multiple of the mean of these radiances from which a pixel is absurd."""
-_NEAR = 5
-"""Edge in pixels of the window around an absurd pixel."""
+_NEAR = 2.0
+"""Standard deviation, in pixels, of the window from which missing pixels are filled."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,9 @@ class Measured:
     ----------
     starts
         The mean and `shared_shape` by name: from all samples, from the even and from the odd ones.
-        NaN where no sample is good; absurd pixels are replaced by the median of the pixels around
-        them.
+        Pixels without a good sample and absurd pixels are filled from the pixels around them.
     errors
-        Standard errors of these three means.
+        Standard errors of these three means, filled alike.
     mean
         Mean of each channel's good samples, shape (y, x, channel), 0 where there is none.
     unit
@@ -114,9 +113,13 @@ class Measured:
             null[rows] = (whole.null / np.maximum(whole.good.max(axis=-1), 1))[inside]
         mean = np.nan_to_num(starts[0]["mean"], posinf=0, neginf=0)
         unit, absurd = _unit_and_absurd(np.abs(starts[0]["shared_shape"]), np.abs(mean))
+        for start, error in zip(starts, errors, strict=True):
+            missing = absurd[..., np.newaxis] | ~np.isfinite(start["mean"])
+            for image in (*start.values(), error):
+                image[...] = _filled(image / unit, missing)
         return cls(
-            [{k: _tamed(v / unit, absurd) for k, v in start.items()} for start in starts],
-            [_tamed(error / unit, absurd) for error in errors],
+            [{k: v.astype(np.float32) for k, v in start.items()} for start in starts],
+            [error.astype(np.float32) for error in errors],
             mean / unit,
             unit,
             absurd,
@@ -136,12 +139,15 @@ def _unit_and_absurd(limited: Reals, mean: Reals) -> tuple[float, npt.NDArray[np
     return unit, np.asarray((mean > most).any(axis=-1))
 
 
-def _tamed(image: Reals, absurd: npt.NDArray[np.bool_]) -> Image:
-    """Replace absurd pixels by the median of the pixels around them."""
-    if absurd.any():
-        around = ndimage.median_filter(np.nan_to_num(image), size=(_NEAR, _NEAR, 1))
-        image = np.where(absurd[..., np.newaxis], around, image)
-    return image.astype(np.float32)
+def _filled(image: Reals, missing: npt.NDArray[np.bool_]) -> Reals:
+    """Fill missing values of an image (y, x, channel) with the average of those around them."""
+    if not missing.any():
+        return image
+    total, known = (
+        ndimage.gaussian_filter(np.where(missing, 0, values), (_NEAR, _NEAR, 0), mode="nearest")
+        for values in (image, np.ones(image.shape))
+    )
+    return np.where(missing, total / np.maximum(known, 1e-30), image)
 
 
 def candidates(
@@ -151,10 +157,9 @@ def candidates(
 ) -> dict[str, Image]:
     """Return the candidate images by name, each (y, x, channel); the first is the base.
 
-    Pixels without a good sample are 0. With a client, its workers denoise. If the library of the
-    denoiser cannot be loaded, nothing is denoised.
+    With a client, its workers denoise. If the library of the denoiser cannot be loaded, nothing is
+    denoised.
     """
-    starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
     guides = {name: features[name] for name in ("albedo", "normal") if name in features}
     kinds = {"denoised with features": guides} if "albedo" in guides else {}
     kinds = {**kinds, "denoised": {}} if works() else {}
@@ -165,7 +170,7 @@ def candidates(
     }
     # One image at a time: the denoiser uses all cores by itself.
     denoised = in_order(_denoised, jobs.values(), workers=1, client=client)
-    found = dict(zip(jobs, denoised, strict=True)) | starts
+    found = {**dict(zip(jobs, denoised, strict=True)), **starts}
     return {name: image.astype(np.float32) for name, image in found.items()}
 
 

@@ -158,8 +158,8 @@ def comparisons(
     reach = int(_TRUNCATE * max(_SCALES) + 0.5)
     around = slice(max(0, start - reach), stop + reach)
     full, *parts = ([image[around] for image in images.values()] for images in made)
-    targets = [np.nan_to_num(part["mean"][around]) for part in measured.starts[:0:-1]]
-    mean = np.nan_to_num(measured.starts[0]["mean"][around])
+    targets = [part["mean"][around] for part in measured.starts[:0:-1]]
+    mean = measured.starts[0]["mean"][around]
     variance = np.square(measured.errors[0][around])
     of_light, unit = variance.mean(axis=-1), unit[around]
     error = np.sqrt(of_light)
