@@ -354,6 +354,12 @@ def images_that_refute_a_prior():
         yield name, np.repeat(truth[..., np.newaxis], 3, axis=2)
 
 
+def test_an_image_that_is_negative_everywhere_has_its_radiance():
+    x = -np.random.default_rng(0).exponential(size=(48, 48, 3, 4))
+    found = chd.estimate(x, progress=False)
+    assert found.radiance.mean() == pytest.approx(-1, abs=0.02)
+
+
 @pytest.mark.parametrize(("name", "truth"), list(images_that_refute_a_prior()))
 def test_detail_that_is_no_noise_is_kept_and_held_by_the_intervals(name, truth):
     """Before held-out samples were asked, squared errors were 2 to 50 times the mean's."""

@@ -84,7 +84,9 @@ class Proposal:
         """Return the radiance that errors are measured in, shape (y, x)."""
         bright = np.abs(self.image).mean(axis=-1)
         around = ndimage.gaussian_filter(bright, 1.5, mode="nearest")
-        return np.asarray(around + (_FAINT * float(bright.mean(dtype=np.float64)) or 1.0))
+        # A denoised image of negative radiance may be 0.
+        usual = max(np.mean(x, dtype=np.float64) for x in (bright, 1e-3 * np.abs(self.mean)))
+        return np.asarray(around + (_FAINT * float(usual) or 1.0))
 
     def classes(self) -> list[tuple[Reals, Reals]]:
         """Return the quantities that classify pixels, each with its knots of interpolation."""
