@@ -237,7 +237,8 @@ def _try_in_child(backend: str, library: str | None) -> TriedBackend:
         return TriedBackend(backend, False, f"no image in {_TIMEOUT:.0f} s", library)
     if done.returncode == 0:
         return TriedBackend(backend, True, "rendered an image", library)
-    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    # What is indented is the code that a traceback quotes.
+    lines = [line.strip() for line in done.stderr.splitlines() if line[:1].strip()]
     errors = [line for line in lines if "rror" in line or "Cannot" in line]
     ended = f"aborted by signal {-done.returncode}" if done.returncode < 0 else "raised"
     return TriedBackend(
