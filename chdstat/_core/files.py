@@ -503,13 +503,22 @@ class Lock:
             self.release()
 
 
-def locked(folder: Path, name: str) -> Lock | None:
-    """Take the lock of a folder, and remove leftovers of killed writers; None behind a URL."""
+@contextlib.contextmanager
+def locked(folder: Path, name: str) -> Iterator[Lock | None]:
+    """Lock a folder and remove leftovers of killed writers; None behind a URL.
+
+    The caller releases the lock. An error within releases it, even while a traceback is kept.
+    """
     if is_remote(folder):
-        return None
+        yield None
+        return
     lock = Lock(folder / name, folder)
-    sweep(folder)
-    return lock
+    try:
+        sweep(folder)
+        yield lock
+    except BaseException:
+        lock.release()
+        raise
 
 
 def _made(path: Path, *, folder: bool = False) -> int | None:

@@ -261,11 +261,11 @@ def _suffix(path: Path) -> str:
 
 def _format(paths: Sequence[Path], name: str | None) -> Format:
     """Return the format of a name, or the one whose suffix all files have."""
+    found = set(map(_suffix, paths))
     for known in FORMATS:
-        suffixed = all(_suffix(path) in known.suffixes for path in paths)
-        if known.name == name or (name is None and suffixed):
+        if known.name == name or (name is None and found <= {*known.suffixes}):
             return known
-    if name is None and len(found := set(map(_suffix, paths))) > 1:
+    if name is None and len(found) > 1:
         others = ", ".join(sorted(kind or "none" for kind in found))
         message = f"{paths[0].parent} gives files of several kinds, {others}: read those of one"
         raise InputError(message)

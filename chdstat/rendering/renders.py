@@ -579,8 +579,22 @@ def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
 
 
 _IDENTITY = (
-    *("scene_hash", "scene_code", "plugins", "integrator", "guide", "adaptive", "sensor", "size"),
-    *("crop", "light", "seed", "backend", "color", "mitsuba_version", "streams", "sampler"),
+    "scene_hash",
+    "scene_code",
+    "plugins",
+    "integrator",
+    "guide",
+    "adaptive",
+    "sensor",
+    "size",
+    "crop",
+    "light",
+    "seed",
+    "backend",
+    "color",
+    "mitsuba_version",
+    "streams",
+    "sampler",
     "sequence",
 )
 """Attributes that must agree before samples are added to a store."""

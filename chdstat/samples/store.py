@@ -142,7 +142,7 @@ class Store:
                 raise layout.occupied(path)
             path.mkdir(parents=True, exist_ok=True)
             layout.check_free(path)
-        with _lock(path) as lock:
+        with layout.disk_errors(path), locked(path, layout.LOCK) as lock:
             layout.check_free(path)
             attributes = json.loads(layout.canonical({**kept, "manifest": manifest}))
             store = cls(path, attributes, lock)
@@ -168,7 +168,7 @@ class Store:
             raise StoreError(message)
         if not writable:
             return cls(path, layout.attributes_of(path))
-        with _lock(path) as lock:
+        with layout.disk_errors(path), locked(path, layout.LOCK) as lock:
             store = cls(path, layout.attributes_of(path), lock)
             store._save()
             for chunk in store._damaged_chunks():
@@ -611,19 +611,6 @@ class Store:
 
 
 # --- opening ------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def _lock(path: Path) -> Iterator[Lock | None]:
-    """Lock a store until it is closed; an error within releases it, also where one keeps it."""
-    with layout.disk_errors(path):
-        lock = locked(path, layout.LOCK)
-        try:
-            yield lock
-        except BaseException:
-            if lock is not None:
-                lock.release()
-            raise
 
 
 def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open

@@ -75,8 +75,8 @@ def positive_quantiles(x: Floats, levels: Sequence[float]) -> Floats:
     """Return quantiles of positive samples (pixel, sample), shape (level, pixel).
 
     NaN if there are fewer than `QUANTILES_NEED`. They are nearly median-unbiased for any
-    distribution: Hyndman and Fan, "Sample quantiles in statistical packages", 1996,
-    doi:10.1080/00031305.1996.10473566, number 8.
+    distribution: definition 8 of Hyndman and Fan, "Sample quantiles in statistical packages", 1996,
+    doi:10.1080/00031305.1996.10473566. `np.nanquantile` takes six times as long.
     """
     ordered = np.sort(np.where(x > 0, x, np.nan), axis=1)
     n = (x > 0).sum(axis=1)
