@@ -41,19 +41,34 @@ class ParsedScene:
     ----------
     name
         Name of the scene in errors.
-    state
-        Mitsuba's parser state; the first node is the root.
+    nodes
+        The nodes, of which the first is the root. Each is an object of its own: in Mitsuba's list
+        of nodes, all move in memory when one is added, and what referred to them would write
+        anywhere.
+    paths
+        Place of each node in a scene dict, for Mitsuba's errors; empty for a file.
+    origin
+        Mitsuba's parser state without nodes, for its errors.
     resolver
         Resolver of the files that the description names.
     """
 
     name: str
-    state: Any
+    nodes: list[Any]
+    paths: list[str]
+    origin: Any
     resolver: Any
 
+    @classmethod
+    def of(cls, name: str, state: Any, resolver: Any) -> ParsedScene:
+        """Return the scene of a state of Mitsuba's parser, and take its nodes away."""
+        nodes, paths = [mi.parser.SceneNode(node) for node in state.nodes], list(state.node_paths)
+        state.nodes.clear()
+        return cls(name, nodes, paths, state, resolver)
+
     def node(self, index: int) -> Any:
-        """Return a node of the state."""
-        return self.state.nodes[index]
+        """Return a node by its number."""
+        return self.nodes[index]
 
     def plugin(self, index: int) -> str:
         """Return the name of a node's plugin."""
@@ -67,7 +82,7 @@ class ParsedScene:
     def drop(self, parts: Iterable[int]) -> None:
         """Remove some nodes from the nodes that hold them."""
         gone = set(parts)
-        for holder in range(len(self.state.nodes)):
+        for holder in range(len(self.nodes)):
             for key, index in self.references(holder):
                 if index in gone:
                     del self.node(holder).props[key]
@@ -76,41 +91,37 @@ class ParsedScene:
         """Return the part that a dict in Mitsuba's form describes; files are found as here."""
         with _naming(self.name, "read"), _resolving(self.resolver):
             state = mi.parser.parse_dict(_config(), dict(part))
-        return ParsedScene(self.name, state, self.resolver)
+        return ParsedScene.of(self.name, state, self.resolver)
 
     def put(self, holder: int, key: str, part: Mapping[str, Any]) -> None:
         """Give a node a new part, from a dict in Mitsuba's form."""
-        added, first = self.sole(part).state, len(self.state.nodes)
-        for node in added.nodes:
-            self.state.nodes.append(_moved(node, lambda i: first + i))
-        if self.state.node_paths:
-            self.state.node_paths = [*self.state.node_paths, *added.node_paths]
+        added, first = self.sole(part), len(self.nodes)
+        self.add([_moved(node, lambda i: first + i) for node in added.nodes], added.paths)
         self.node(holder).props[key] = mi.Properties.ResolvedReference(first)
+
+    def add(self, nodes: Iterable[Any], paths: Iterable[str]) -> None:
+        """Add nodes, and their places in a scene dict."""
+        self.nodes.extend(nodes)
+        if self.paths:
+            self.paths.extend(paths)
 
     def branch(self, root: int) -> ParsedScene:
         """Return a copy of a node and everything that it holds."""
         order = self._reached(root, first=0)
-        state = mi.parser.ParserState(self.state)
-        state.nodes.clear()
-        for index in order:
-            state.nodes.append(_moved(self.node(index), order.__getitem__))
-        if state.node_paths:
-            state.node_paths = [self.state.node_paths[index] for index in order]
-        return ParsedScene(self.name, state, self.resolver)
+        nodes = [_moved(self.node(index), order.__getitem__) for index in order]
+        paths = [self.paths[index] for index in order] if self.paths else []
+        return ParsedScene(self.name, nodes, paths, self.origin, self.resolver)
 
     def unshare(self, kind: str) -> None:
         """Give each node of a kind such as ``"Emitter"`` its own copy of everything it holds."""
-        paths = list(self.state.node_paths)
-        for holder in range(len(self.state.nodes)):
+        for holder in range(len(self.nodes)):
             if self.node(holder).type.name != kind:
                 continue
             for key, index in self.references(holder):
-                order = self._reached(index, first=len(self.state.nodes))
-                for old in order:
-                    self.state.nodes.append(_moved(self.node(old), order.__getitem__))
-                paths += [paths[old] for old in order if paths]
+                order = self._reached(index, first=len(self.nodes))
+                copies = [_moved(self.node(old), order.__getitem__) for old in order]
+                self.add(copies, [self.paths[old] for old in order] if self.paths else [])
                 self.node(holder).props[key] = mi.Properties.ResolvedReference(order[index])
-        self.state.node_paths = paths
 
     def _reached(self, root: int, *, first: int) -> dict[int, int]:
         """Return numbers from `first` on for a node and everything it holds, by their indices."""
@@ -135,10 +146,14 @@ class ParsedScene:
         """
         config = _config()
         config.parallel = parallel
+        # Mitsuba puts the objects into the state: here, into a copy that ends with this call. After
+        # a failure, lights would outlive their shapes, and end the process later.
+        state = mi.parser.ParserState(self.origin)
+        for node in self.nodes:
+            state.nodes.append(node)
+        state.node_paths = self.paths
         with _naming(self.name, "build"), _resolving(self.resolver):
-            # Mitsuba puts the objects into the state: here, into a copy that ends with this call.
-            # After a failure, lights would outlive their shapes, and end the process later.
-            return mi.parser.instantiate(config, mi.parser.ParserState(self.state))
+            return mi.parser.instantiate(config, state)
 
     def references(self, index: int) -> list[tuple[str, int]]:
         """Return the names and nodes of everything that a node holds."""
@@ -178,7 +193,7 @@ def parse(scene: Scene) -> ParsedScene:
         else:
             state = mi.parser.parse_file(config, str(source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
-    parsed = ParsedScene(scene.name, state, resolver)
+    parsed = ParsedScene.of(scene.name, state, resolver)
     parsed.unshare("Emitter")  # equal textures are one object, but lights are darkened one by one
     _expand(parsed)
     _merge(parsed)
@@ -213,9 +228,9 @@ def _keyed(parsed: ParsedScene, *plugins: str) -> list[str]:
     return [key for key, index in parsed.references(0) if parsed.plugin(index) in plugins]
 
 
-def _unused(properties: Any, name: str) -> str:
-    """Return a name that no property has."""
-    return next(n for i in itertools.count() if (n := f"{name}_{i}") not in properties)
+def _unused(properties: Any, name: str, first: int = 0) -> str:
+    """Return a name with a number that no property has."""
+    return next(n for i in itertools.count(first) if (n := f"{name}_{i}") not in properties)
 
 
 def _merge(parsed: ParsedScene) -> None:
@@ -241,11 +256,9 @@ def _merge(parsed: ParsedScene) -> None:
         for key, index in meshes.items():
             merged.props[key] = mi.Properties.ResolvedReference(index)
             del root[key]
-        name = _unused(root, "_merged")
-        root[name] = mi.Properties.ResolvedReference(len(parsed.state.nodes))
-        parsed.state.nodes.append(merged)
-        if parsed.state.node_paths:
-            parsed.state.node_paths = [*parsed.state.node_paths, name]
+        name = _unused(root, "_merged", len(parsed.nodes))
+        root[name] = mi.Properties.ResolvedReference(len(parsed.nodes))
+        parsed.add([merged], [name])
 
 
 def _config() -> Any:

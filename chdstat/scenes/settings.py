@@ -168,7 +168,7 @@ def asked_for(
         notes += _replaced(parsed, "sampler", parsed.held(chosen, "Sampler"), sampler)
     own = _integrators(parsed)
     integrator, more = _sampled(parsed, own) if instead is None else _sampled(instead, [0])
-    plugins = {parsed.plugin(i) for i in range(len(parsed.state.nodes))} - {"", "scene"}
+    plugins = {parsed.plugin(i) for i in range(len(parsed.nodes))} - {"", "scene"}
     part = parsed.branch(chosen)
     part.drop(i for kind in ("Film", "Sampler", "Medium") for i in part.held(0, kind))
     film = _film(parsed.name, parsed.node(films[0]).props if films else {})
@@ -320,7 +320,7 @@ def _of_film(parsed: ParsedScene, films: list[int]) -> list[str]:
 
 def _without_bands(parsed: ParsedScene) -> None:
     """Replace the spectral films of a scene by plain ones, which need no wavelengths."""
-    for index in range(len(parsed.state.nodes)):
+    for index in range(len(parsed.nodes)):
         if parsed.plugin(index) == _SPECTRAL_FILM:
             properties = parsed.node(index).props
             for key in set(properties.keys()) - set(_SIZES):

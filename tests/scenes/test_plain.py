@@ -93,7 +93,7 @@ def test_a_scene_that_cannot_be_built_leaves_no_light_without_its_shape(draw):
     scene["lamp"] = {"type": "sphere", "emitter": {"type": "area"}}
     scene["plane"] = {"type": "ply", "filename": "missing.ply"}
     parsed = parse(Scene("broken", scene))
-    held = [parsed.references(i) for i in range(len(parsed.state.nodes))]
+    held = [parsed.references(i) for i in range(len(parsed.nodes))]
     with pytest.raises(SceneError, match="file not found"):
         parsed.make()
-    assert held == [parsed.references(i) for i in range(len(parsed.state.nodes))]
+    assert held == [parsed.references(i) for i in range(len(parsed.nodes))]
