@@ -160,7 +160,9 @@ def import_samples(
     ] = None,
     variable: Annotated[
         str | None,
-        option("Array or layer of the samples.", metavar="NAME", unset="the largest; R, G, B"),
+        option(
+            "Array (GROUP/NAME) or layer of samples.", metavar="NAME", unset="the largest; R, G, B"
+        ),
     ] = None,
     albedo: Annotated[str | None, _feature("albedo")] = None,
     normal: Annotated[str | None, _feature("normal")] = None,

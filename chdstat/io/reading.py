@@ -24,6 +24,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Image, warn_caller
 from chdstat._core.files import is_path, local
 from chdstat.errors import InputError, StoreError
+from chdstat.io.labelled_files import ZARR
 from chdstat.io.lazy import Opened, ReadOptions
 from chdstat.samples import Samples
 from chdstat.samples.dependence import warn_of_repeats
@@ -92,8 +93,8 @@ FORMATS = (
     Format(
         "xarray",
         (".nc", ".nc4", ".h5", ".hdf5", ".zarr"),
-        "Arrays of netCDF and zarr",
-        "array_files",
+        "Arrays of netCDF, HDF5 and zarr",
+        "labelled_files",
         ("axes", *_NAMED),
     ),
     Format("exr", (".exr",), "EXR images, each a sample or average", "exr", _NAMED),
@@ -127,8 +128,9 @@ def read(
         Order of the axes of arrays, as letters y, x, s (sample) and perhaps c (channel), such as
         "syxc" for a stack of images. None if the dims have names, or for "yxcs".
     variable
-        Array that holds the samples, if a file has several; None for the largest. For EXR files,
-        the layer; None for red, green and blue, or Y.
+        Array that holds the samples, if a file has several, with its groups, such as
+        "frames/beauty"; None for the largest. For EXR files, the layer; None for red, green and
+        blue, or Y.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
         component), files of them (.npy, .exr), or their names within the source. EXR layers are
@@ -250,13 +252,9 @@ def _files(given: Sequence[str | Path]) -> list[Path]:
     return found
 
 
-_ZARR = ("zarr.json", ".zgroup", ".zarray")
-"""Files that mark a folder as an array or group of zarr."""
-
-
 def _suffix(path: Path) -> str:
     """Return the suffix that tells the format of a file, or of a folder of any name."""
-    return ".zarr" if any((path / name).exists() for name in _ZARR) else path.suffix.lower()
+    return ".zarr" if any((path / name).exists() for name in ZARR) else path.suffix.lower()
 
 
 def _format(paths: Sequence[Path], name: str | None) -> Format:

@@ -181,7 +181,7 @@ def write_maps(dataset: xr.Dataset, path: str | Path) -> Path:
 
 
 def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
-    """Write a dataset of results as netCDF, whole or not at all.
+    """Write a dataset of results as netCDF 3, whole or not at all.
 
     Attributes without a netCDF type, such as tables, become JSON.
 
@@ -215,7 +215,7 @@ def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
     for name, variable in plain.variables.items():
         plain[name].attrs = _plain(variable.attrs)
     with writing(target) as partial:
-        plain.to_netcdf(partial)
+        plain.to_netcdf(partial, engine="scipy")  # the same file, whatever else is installed
     return target
 
 
