@@ -19,7 +19,6 @@ __all__ = [
     "InputError",
     "InputWarning",
     "LeftOutWarning",
-    "OtherSceneWarning",
     "Reason",
     "RenderError",
     "SceneError",
@@ -54,10 +53,6 @@ class InputWarning(UserWarning):
 
 class LeftOutWarning(UserWarning):
     """More than 1 % of the samples were left out of a result: bad or negative ones."""
-
-
-class OtherSceneWarning(UserWarning):
-    """A model estimates samples of a scene that it may not have been trained on."""
 
 
 class SceneError(ChdstatError):

@@ -7,8 +7,8 @@
     rendered by the scalar backend on the first call with these settings. Open it with `chd.open`;
     a test that changes a store copies its folder first (`shutil.copytree`).
 `model`
-    ``model("progressive")`` and ``model("elek2019")`` return estimators that were trained for a few
-    iterations on ``stored()``: for tests of what is done with a model, not of how good it is.
+    The network of the paper, trained for a few iterations on ``stored()``: for tests of what is
+    done with a model, not of how good it is.
 `run`
     ``run("info", store)`` runs a command of chdstat in this process and returns its exit code, what
     it printed, and its errors.
@@ -119,19 +119,9 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def model(stored: Callable[..., Path]) -> Callable[[str], Any]:
-    """Return what trains models, each once: ``model(kind)``."""
-
-    @functools.cache
-    def train(kind: str) -> Any:
-        samples = chd.open(stored())
-        if kind == "progressive":
-            return chd.estimators.Progressive().train(
-                samples, sizes=(4, 8), iterations=2, progress=False
-            )
-        return chd.estimators.train_model(samples, kind, iterations=20, progress=False)
-
-    return train
+def model(stored: Callable[..., Path]) -> Any:
+    """Return the network of the paper, trained for a few iterations."""
+    return chd.estimators.train_model(chd.open(stored()), iterations=20, progress=False)
 
 
 _WAVEFRONTS = ("llvm", "cuda") if probe("cuda").works else ("llvm",)

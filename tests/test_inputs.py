@@ -4,6 +4,7 @@ import contextlib
 import inspect
 import re
 import warnings
+from dataclasses import replace
 
 import dask.array
 import numpy as np
@@ -13,8 +14,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat import estimators, fit
 from chdstat.errors import InputError, LeftOutWarning, StoreError
-from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.inputs import Profile
+from chdstat.estimators import MLP, PRESETS, train_model
 from chdstat.inference import gaussianity_of_means
 from chdstat.patterns import random_chds
 from chdstat.samples import Samples
@@ -159,7 +159,6 @@ ROWS = {
 PIXELS = {
     "classify": lambda x: chd.classify(x).label,
     "summary": lambda x: Summary(support=(0, 4)).update(x).read().mean,
-    "profile": lambda x: Profile.of(x, unit=1.0).bins,
     "Samples": lambda x: Samples.from_array(x).read(),
 }
 FIXED = {n: estimators.lookup(n) for n in ("mean", "mixture_shrinkage", "shared_patches")}
@@ -169,7 +168,7 @@ TAKING = {**ROWS, **PIXELS, **FIXED}
 
 def _warned(name, given):
     """Return what a function makes of samples of which 2 % are bad, and tells so."""
-    if name in ("Samples", "summary", "profile", "streaming histogram"):
+    if name in ("Samples", "summary", "streaming histogram"):
         return TAKING[name](given)  # leave nothing out, or are a part of what does
     with pytest.warns(
         LeftOutWarning, match=r"[12]\.\d % of the samples .* are bad and were left out"
@@ -202,14 +201,15 @@ def test_dims_may_come_in_any_order(x, name):
 def test_learned_estimators_take_the_same_arrays(x):
     rng = np.random.default_rng(3)
     image = rng.gamma(0.9, size=(12, 12, 3, 64)).astype(np.float32)
-    model = Progressive().train(Samples.from_array(image), iterations=3, progress=False)
+    model = train_model(image, iterations=3, progress=False)
+    image = image[..., :32]
     named = xr.DataArray(image, dims=DIMS).transpose("sample", "channel", "x", "y")
     expected = model.predict(image)
     np.testing.assert_array_equal(model.predict(named), expected)
     hidden = np.zeros(image.shape, bool)
     hidden[..., 5] = True
     bad = np.where(hidden, np.nan, image)
-    with pytest.warns(LeftOutWarning, match=r"1\.6 % of the samples \(144 of 9216\) are bad"):
+    with pytest.warns(LeftOutWarning, match=r"3\.1 % of the samples \(432 of 13824\) are bad"):
         found = model.predict(np.ma.masked_array(image, hidden))
     with pytest.warns(LeftOutWarning):
         np.testing.assert_array_equal(found, model.predict(bad))
@@ -268,8 +268,8 @@ SEEDED = {
     ),
     "simulate": lambda _, seed: chd.simulate("gamma", shape=(2, 2), spp=4, seed=seed).read(),
     "random_chds": lambda _, seed: [c.null_share for c in random_chds(9, seed=seed)],
-    "train_model": lambda s, seed: estimators.train_model(
-        s, iterations=2, seed=seed, progress=False
+    "train_model": lambda s, seed: train_model(
+        np.concatenate([s.read(), 2 * s.read()], axis=-1), iterations=2, seed=seed, progress=False
     ).predict(s.read()),
 }
 
@@ -299,7 +299,7 @@ IMAGE = {
     "histogram": chd.histogram,
     "compare": lambda s: chd.compare(s, ["mean"], n=4),
     "analyze": lambda s: chd.analyze(s, progress=False),
-    "train": lambda s: Progressive().train(s, sizes=(4,), iterations=2, progress=False),
+    "train": lambda s: MLP(replace(PRESETS["elek2019"], inputs=4)).train(s, iterations=2),
 }
 LOGARITHMIC = ("classify", "fit.gamma", "fit.tail_index", "modality", "gaussianity", "analyze")
 

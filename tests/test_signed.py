@@ -12,7 +12,6 @@ import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import Reason
 from chdstat.estimators.held_out import Totals
-from chdstat.estimators.progressive.inputs import Profile
 from chdstat.summary.histograms import linear_support
 
 SIZE, SPP, N = 12, 128, 32
@@ -123,14 +122,6 @@ def test_a_comparison_leaves_no_batch_out():
     found = chd.compare(chd.Samples.from_array(NOISY), ["mean", "median_of_means"], n=N)
     assert found.excluded == 0
     assert found.table()[0]["bias"] == pytest.approx(0.0, abs=1e-5)
-
-
-def test_profiles_keep_their_energy():
-    profile = Profile.of(NOISY, unit=1.0)
-    assert profile.mean() == pytest.approx(CLEAN.mean(axis=-1), rel=1e-4, abs=1e-6)
-    assert (profile.bins[..., 1:, 1:] >= -0.1).all()
-    only = Profile.of([[-2.0, 1.0, 0.0]], unit=1.0)
-    assert (only.bins[0].tolist(), only.mean().tolist()) == ([1.0, -2.0], [-1 / 3])
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

@@ -1,32 +1,26 @@
-"""Image scales: how bright an image is, for the screen, for published thresholds, and on average.
+"""Image scales: how bright an image is, for the screen and for published thresholds.
 
 - `display_stops` and `tonemap` show an image.
 - `exposure_unit` is the radiance that a usual exposure shows as 1.
-- `mean_radiance` is the mean of an image, which a few fireflies do not move.
 - `relative_scale` is the denominator of relative squared errors.
 - `layer_weights` splits samples between layers of brightness.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, LeftOut, Reals, as_pixels, chunks, is_bad
+from chdstat._core.arrays import Array, Reals
 from chdstat.errors import InputError
 
 __all__ = [
     "BASE",
     "DARK",
     "LAYERS",
-    "RadianceSums",
     "display_stops",
     "exposure_unit",
     "layer_weights",
-    "mean_of_pixels",
-    "mean_radiance",
     "relative_scale",
     "tonemap",
 ]
@@ -43,10 +37,6 @@ _KEY = 0.09
 _MOST_STOPS = 3.0
 _LIMIT = 32.0
 _MIDDLE_GREY = 0.18
-_SHARE = 0.04
-"""Largest share of an image's radiance for one sample, if no other of its pixel is like it."""
-_PIXELS_A_FIREFLY, _MOST_FIREFLIES = 128, 8
-"""An image of n pixels may have n // 128 - 1 fireflies, but fewer than 8."""
 
 
 def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array:
@@ -169,145 +159,6 @@ def _log_average(values: npt.NDArray[np.float64]) -> float:
     """Return the geometric mean of the positive values, 0 if there are none."""
     lit = values[values > 0]
     return float(np.exp(np.log(lit).mean())) if lit.size else 0.0
-
-
-def mean_radiance(samples: npt.ArrayLike) -> float:
-    """Return the mean radiance of an image over pixels and channels; few fireflies do not move it.
-
-    The sample of a pixel that is farthest from 0 may be a firefly, or one of many from a lamp. The
-    other samples decide: the mean of the pixel exceeds theirs by ``e``, which is small for a lamp.
-    The image's mean is that of the pixels, with ``e`` limited to 4 % of the radiance of the whole
-    image. A single sample thus moves it by less than 5 %, whatever its value. If no single sample
-    makes up 4 % of the image, it is the plain mean.
-
-    In images of 1024 pixels or more, up to 7 samples are limited; one less for every 128 pixels
-    fewer; and none below 256 pixels, where one sample is much of all information. With one sample
-    per pixel, nothing tells a firefly from a lamp. A pixel that makes up more than 4 % of the image
-    is then limited in the same way.
-
-    The mean does not depend on the order of samples or pixels, and follows the unit of radiance.
-
-    Parameters
-    ----------
-    samples
-        Radiance, shape (..., channel, sample), or `chdstat.Samples`, which are read once. A sample
-        with a bad channel is left out.
-
-    Returns
-    -------
-    float
-        A positive, normal float32; 1 for a black image.
-
-    Raises
-    ------
-    InputError
-        If the samples have no channels.
-
-    Examples
-    --------
-    >>> image = np.full((32, 32, 1, 8), 0.5)
-    >>> image[3, 4] = 1000  # a lamp
-    >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
-    (1.476, 1.476)
-    >>> image[20, 9, 0, 5] = 1e6  # a firefly
-    >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
-    (1.538, 123.546)
-    """
-    image: Any = samples
-    if hasattr(image, "blocks"):
-        sums, left_out = RadianceSums(image.shape[:2]), LeftOut()
-        for ys, xs, ss, block in image.blocks():
-            left_out.see(block, channel_axis=-2, absent=image.absent(ys, xs, ss))
-            sums.add(block, (ys, xs))
-        left_out.warn()
-        return sums.mean()
-    x = as_pixels(samples, name="samples")
-    flat = x.reshape(-1, *x.shape[-2:])
-    sums = RadianceSums(flat.shape[:1])
-    sums.add(flat)
-    return sums.mean()
-
-
-class RadianceSums:
-    """Sums over the good samples of each pixel, which come in blocks, for `mean_radiance`.
-
-    Parameters
-    ----------
-    shape
-        Shape of the pixels.
-
-    Attributes
-    ----------
-    extreme
-        The sample that is farthest from 0, averaged over channels.
-    others
-        Sum of the others, kept separately since a firefly takes all digits of a sum.
-    count
-        Good samples.
-    """
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.extreme, self.others = np.zeros((2, *shape))
-        self.count = np.zeros(shape, np.int64)
-
-    def add(self, x: Reals, where: tuple[slice, ...] = (slice(None),)) -> None:
-        """Add samples (..., channel, sample) of some of the pixels."""
-        if not x.size:
-            return
-        row = int(np.prod(x.shape[1:]))
-        extreme, others, count = (a[where] for a in (self.extreme, self.others, self.count))
-        for part in chunks(len(x), row):
-            with np.errstate(over="ignore", invalid="ignore"):
-                grey = x[part].mean(axis=-2, dtype=np.float64)
-            bad = is_bad(x[part]).any(axis=-2) | ~np.isfinite(grey)
-            grey[bad] = 0
-            # The previous farthest sample is added as one more sample.
-            grey = np.concatenate([grey, extreme[part][..., np.newaxis]], axis=-1)
-            high, low = grey.argmax(axis=-1)[..., np.newaxis], grey.argmin(axis=-1)[..., np.newaxis]
-            highest, lowest = (np.take_along_axis(grey, i, axis=-1) for i in (high, low))
-            far = np.where(highest >= -lowest, high, low)
-            extreme[part] = np.take_along_axis(grey, far, axis=-1)[..., 0]
-            np.put_along_axis(grey, far, 0, axis=-1)
-            others[part] += grey.sum(axis=-1)
-            count[part] += bad.shape[-1] - bad.sum(axis=-1)
-
-    def mean(self) -> float:
-        """Return the mean radiance; see `mean_radiance`."""
-        return mean_of_pixels(self.extreme, self.others, self.count)
-
-
-def mean_of_pixels(extreme: Reals, others: Reals, count: npt.NDArray[Any]) -> float:
-    """Return what `mean_radiance` does, from the attributes of `RadianceSums`."""
-    known = count > 0
-    number = count[known].astype(np.float64)
-    # In units of the brightest sample, nothing overflows; a power of two changes no bit.
-    scale = 2.0 ** np.floor(np.log2(np.abs(extreme[known]).max(initial=0) or 1.0))
-    rest = others[known] / scale / np.maximum(number - 1, 1)
-    excess = (extreme[known] / scale - rest) / number
-    limit = _limit(rest, excess)
-    radiance = (rest + np.clip(excess, -limit, limit)).sum()
-    if not radiance > 0:
-        radiance = (rest + excess).sum()
-    found = float(radiance) / max(len(rest), 1) * scale
-    # Samples are divided by it in single precision.
-    bounds = np.finfo(np.float32)
-    return float(np.clip(found, bounds.tiny, bounds.max)) if 0 < found < np.inf else 1.0
-
-
-def _limit(rest: npt.NDArray[np.float64], excess: npt.NDArray[np.float64]) -> float:
-    """Return the limit of a pixel's excess: a share of the sum, which limits few pixels."""
-    few = min(len(rest) // _PIXELS_A_FIREFLY, _MOST_FIREFLIES)
-    if few < 2:
-        return np.inf
-    order = np.argpartition(np.abs(excess), -few)
-    top = excess[order[-few:]]
-    top = top[np.argsort(-np.abs(top))]
-    # Sums without the first 0, 1, 2 and so on, added up from the least to keep digits.
-    sums = np.cumsum(np.append(rest.sum() + excess[order[:-few]].sum(), top[::-1]))[:0:-1]
-    # If k excesses are limited to l, the whole is this sum plus k l, and l is its share.
-    limits = _SHARE * sums / (1 - _SHARE * np.arange(few))
-    enough = np.flatnonzero(limits >= np.abs(top))
-    return float(limits[enough[0]] if len(enough) else np.abs(top[-1]))
 
 
 def layer_weights(brightness: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -55,18 +55,16 @@ def train(
     asked: CommonOptions,
     estimator: Annotated[
         str, option("The learned estimator to train.", "-e", "--estimator", metavar="NAME")
-    ] = "progressive",
-    features: Annotated[bool, option("Use first-hit features as inputs.")] = False,
+    ] = "elek2019",
 ) -> None:
     """Train an estimator on a scene and write it to a file."""
     from chdstat.estimators.training import check_choice, train_model
 
     target = asked.target(out, ".safetensors")  # refused before the work, not after
-    check_choice(estimator, with_features=features)
+    check_choice(estimator)
     trained = train_model(
         asked.samples(source, seed=None),
         estimator,
-        with_features=features,
         spp=asked.spp,
         seed=asked.seed or 0,
         iterations=asked.iterations,
@@ -76,7 +74,8 @@ def train(
     about = {"estimator": estimator, "iterations": int(trained.history.iteration[-1])}
     output.say_written(target, as_json=asked.as_json, **(about if asked.as_json else {}))
     image = target.with_suffix(".exr")
-    output.say_next(asked.quiet, ("estimate", source, "--model", target, "-o", image))
+    taken = () if trained.inputs is None else ("--spp", trained.inputs)
+    output.say_next(asked.quiet, ("estimate", source, "--model", target, *taken, "-o", image))
 
 
 @command(
@@ -96,10 +95,6 @@ def estimate(
             metavar="FILE",
             unset="candidates are combined",
         ),
-    ] = None,
-    loss_weight: Annotated[
-        float | None,
-        option("For a progressive model: from 0, least MSE, to 1, least relMSE.", unset="0.5"),
     ] = None,
     level: Annotated[float, option("Probability of the interval.")] = 0.9,
     denoise: Annotated[bool, option("Denoise the estimate with Open Image Denoise.")] = False,
@@ -144,7 +139,6 @@ def estimate(
             samples,
             trained,
             spp=None if while_rendering else asked.spp,
-            loss_weight=loss_weight,
             level=level,
             denoise=denoise,
             progress=asked.progress,

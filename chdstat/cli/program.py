@@ -19,7 +19,7 @@ from typer.models import OptionInfo
 
 from chdstat import __version__
 from chdstat.cli.shared_options import SHARED, CommonOptions
-from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning, OtherSceneWarning
+from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
 
 __all__ = ["app", "command", "main"]
 
@@ -208,7 +208,7 @@ def _shown_once() -> Callable[..., None]:
         line: str | None = None,
     ) -> None:
         text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
-        if issubclass(category, LeftOutWarning | InputWarning | OtherSceneWarning):
+        if issubclass(category, LeftOutWarning | InputWarning):
             text = f"chdstat: {message}"
         if text not in shown:
             typer.echo(text, file=file, err=True)

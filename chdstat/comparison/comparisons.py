@@ -492,9 +492,8 @@ def compare(
         A trained estimator, used instead of training one of that name; or several by name. If it
         was trained on an image of the same size, its training pixels do not judge.
     denoise
-        Also judge every estimator followed by Open Image Denoise: with the image alone; with
-        first-hit features if there are any; and mixed with the estimate by its certainty if it has
-        one.
+        Also judge every estimator followed by Open Image Denoise: with the image alone, and with
+        first-hit features if there are any.
     labels
         Labels for the breakdown: ``label`` of `chdstat.classify` or the dataset itself, codes of
         `chdstat.patterns.Label`, shape (y, x), or any map with the attributes ``flag_values`` and

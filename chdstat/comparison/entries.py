@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, whole
-from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import through_denoiser
 from chdstat.estimators.held_out import check_spp
-from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
 from chdstat.samples import Samples
 
@@ -68,29 +66,22 @@ class Denoised:
         The estimator.
     with_features
         Whether the denoiser gets albedo and normal of the first hit.
-    with_certainty
-        Whether the estimate is mixed with the denoised one, weighted by its certainty.
     uses_neighbours
         A denoiser always looks across pixels.
     """
 
     entry: Estimator | LearnedEstimator
     with_features: bool = False
-    with_certainty: bool = False
     uses_neighbours: ClassVar[bool] = True
 
     @property
     def name(self) -> str:
-        """Name, such as "progressive + OIDN features"."""
-        features = " features" if self.with_features else ""
-        return f"{self.entry.name} + OIDN{features}{' certainty' if self.with_certainty else ''}"
+        """Name, such as "mean + OIDN features"."""
+        return f"{self.entry.name} + OIDN{' features' if self.with_features else ''}"
 
 
 def denoised(
-    estimator: str | Estimator | LearnedEstimator,
-    *,
-    with_features: bool = False,
-    with_certainty: bool = False,
+    estimator: str | Estimator | LearnedEstimator, *, with_features: bool = False
 ) -> Denoised:
     """Return an estimator followed by Open Image Denoise, for `chdstat.compare`.
 
@@ -103,33 +94,23 @@ def denoised(
         Name of a registered estimator, or an entry.
     with_features
         Give the denoiser albedo and normal of the first hit; the image must have them.
-    with_certainty
-        Mix the estimate with the denoised one, ``c estimate + (1 - c) denoised``, where c is the
-        certainty; only for learned estimators that predict one.
 
     Raises
     ------
     InputError
-        If there is no such estimator, or `with_certainty` is set for one that does not learn.
+        If there is no such estimator.
 
     References
     ----------
-    A. T. Afra, "Intel Open Image Denoise", https://www.openimagedenoise.org. The blend: Firmino,
-    Frisvad and Jensen 2022, "Progressive denoising of Monte Carlo rendered images", Computer
-    Graphics Forum 41(2), doi:10.1111/cgf.14454.
+    A. T. Afra, "Intel Open Image Denoise", https://www.openimagedenoise.org.
 
     Examples
     --------
-    >>> denoised("mean").name
-    'mean + OIDN'
-    >>> denoised("progressive", with_features=True, with_certainty=True).name
-    'progressive + OIDN features certainty'
+    >>> denoised("mean", with_features=True).name
+    'mean + OIDN features'
     """
     entry = lookup(estimator) if isinstance(estimator, str) else estimator
-    if with_certainty and not isinstance(entry, LearnedEstimator):
-        message = f"with_certainty=True is for estimators that learn, and {entry.name!r} does not"
-        raise InputError(message)
-    return Denoised(entry, with_features, with_certainty)
+    return Denoised(entry, with_features)
 
 
 Entry = Estimator | LearnedEstimator | Denoised
@@ -309,7 +290,6 @@ def estimate_by(
     *,
     features: Mapping[str, Array] | None = None,
     model: Any = None,
-    at_home: bool = False,
 ) -> Array:
     """Estimate radiance (y, x, channel) from samples (y, x, channel, sample).
 
@@ -323,23 +303,13 @@ def estimate_by(
         First-hit features of the same pixels, for estimators that take them.
     model
         Trained model of an estimator that learns.
-    at_home
-        Whether the model was trained on this scene; if so, its estimate is not mixed with the mean.
     """
     own, known = without_denoiser(entry), features or {}
-    options = dict(own.options) if isinstance(own, LearnedEstimator) else {}
-    if own.uses_features and known:
-        options["features"] = known
-    if at_home and isinstance(model, Progressive):
-        options["unit"] = mean_radiance(x)
-    if not isinstance(entry, Denoised):
-        return np.asarray(own(x, **options) if model is None else model.predict(x, **options))  # type: ignore[operator]
-    guides = known if entry.with_features else {}
-    if entry.with_certainty:
-        found = model.estimate(x, **options)
-        return through_denoiser(found.radiance, guides, certainty=found.certainty)
-    radiance = estimate_by(own, x, features=known, model=model, at_home=at_home)
-    return through_denoiser(radiance, guides)
+    if isinstance(entry, Denoised):
+        radiance = estimate_by(own, x, features=known, model=model)
+        return through_denoiser(radiance, known if entry.with_features else {})
+    options: Any = {"features": known} if own.uses_features and known else {}
+    return np.asarray(own(x, **options) if model is None else model.predict(x, **options))  # type: ignore[operator]
 
 
 def notes(

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +33,6 @@ from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.held_out import Totals, draw_pixels, judging_pixels
 from chdstat.estimators.order import mean
-from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import LearnedEstimator, Model, lookup
 from chdstat.patterns import Label, classify
 from chdstat.samples import Samples
@@ -74,8 +72,6 @@ class Candidates:
         By name, in the order given.
     models
         Trained models by name; entries that share a training share a model.
-    at_home
-        Names of the models that were trained on this scene.
     left_out
         Default estimators that cannot be compared, with the reason.
     """
@@ -84,7 +80,6 @@ class Candidates:
     totals: Totals
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
-    at_home: frozenset[str]
     left_out: Mapping[str, str]
 
     @property
@@ -98,9 +93,8 @@ class Candidates:
         guided = (False, True) if "albedo" in self.samples.features else (False,)
         for entry in self.entries.values():
             if not isinstance(entry, Denoised):
-                certain = hasattr(self.models.get(entry.name), "estimate")
-                for kept, guides in product((False, True) if certain else (False,), guided):
-                    added = Denoised(entry, guides, kept)
+                for guides in guided:
+                    added = Denoised(entry, guides)
                     entries.setdefault(added.name, added)
         return replace(self, entries=entries)
 
@@ -172,8 +166,7 @@ def trained_candidates(
                 raise InputError(message)
     own = [without_denoiser(entry) for entry in entries.values()]
     learned = {e.name: e for e in own if isinstance(e, LearnedEstimator)}
-    given = _given(model, learned)
-    trained = dict(given)
+    trained = _given(model, learned)
     for name, entry in list(learned.items()):
         if entry.train in trained:
             continue
@@ -190,19 +183,7 @@ def trained_candidates(
             del learned[name], entries[name]
             left_out[name] = str(error)
     models = {name: trained[entry.train] for name, entry in learned.items()}
-    for name, entry in entries.items():
-        base = without_denoiser(entry).name
-        certain = isinstance(entry, Denoised) and entry.with_certainty
-        if certain and not hasattr(models[base], "estimate"):
-            message = f"{base} says no certainty; leave {name!r} out"
-            raise InputError(message)
-    at_home = frozenset(
-        name
-        for name, entry in learned.items()
-        if entry.train not in given
-        or (isinstance(one := models[name], Progressive) and one.trained_on(samples.attrs))
-    )
-    return Candidates(samples, totals, entries, models, at_home, left_out)
+    return Candidates(samples, totals, entries, models, left_out)
 
 
 def _given(model: Models, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:
@@ -224,8 +205,6 @@ def _given(model: Models, learned: Mapping[str, LearnedEstimator]) -> dict[Any, 
 
 def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     """Return the pixels of an image of this shape that trained a model, rows (y, x)."""
-    if hasattr(model, "train_pixels_of"):  # it may have been trained on several images
-        return np.asarray(model.train_pixels_of(shape))
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
 
 
@@ -424,13 +403,7 @@ def _errors_of_batch(
             if not takes(entry, n):
                 continue
             own = without_denoiser(entry).name
-            estimate = estimate_by(
-                entry,
-                x,
-                features=features,
-                model=candidates.models.get(own),
-                at_home=own in candidates.at_home,
-            )
+            estimate = estimate_by(entry, x, features=features, model=candidates.models.get(own))
             if estimate.shape != average.shape:
                 message = (
                     f"{entry.name} must return one estimate for each pixel and channel, shape "

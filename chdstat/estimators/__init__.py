@@ -1,14 +1,12 @@
 """Estimators: from a few samples of a pixel to its radiance.
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
-is the baseline. `MLP` is the network of the paper. `Progressive` takes any number of samples and
-also returns a certainty and an interval. The others are order statistics and M-estimators; means of
-buckets, reweighted means and bootstrap means; shrinkage by `james_stein`; estimators that remove
-outliers; and estimators that share samples between similar pixels.
+is the baseline. `MLP` is the network of the paper. The others are order statistics and
+M-estimators; means of buckets, reweighted means and bootstrap means; shrinkage by `james_stein`;
+estimators that remove outliers; and estimators that share samples between similar pixels.
 
 `names` lists the registered estimators, the mean first. `lookup` says where an estimator comes from
-and what it needs. ``estimators.<name>`` is its function. `mean_radiance` is the unit in which
-`Progressive` measures an image.
+and what it needs. ``estimators.<name>`` is its function.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from typing import Any
 
 import numpy.typing as npt
 
-from chdstat._core.image_scales import mean_radiance
 from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
 from chdstat.estimators.estimates import (
     Combination,
@@ -32,7 +29,6 @@ from chdstat.estimators.estimates import (
 )
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
-from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import (
     Estimates,
     Estimator,
@@ -59,13 +55,11 @@ __all__ = [
     "LearnedEstimator",
     "Model",
     "Preset",
-    "Progressive",
     "combine",
     "estimate",
     "james_stein",
     "load_model",
     "lookup",
-    "mean_radiance",
     "names",
     "refine",
     "register",

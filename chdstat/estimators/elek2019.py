@@ -143,10 +143,11 @@ class MLP(training.TrainedModel[_TrainedMLP]):
     """
 
     kind = "mlp"
+    inputs: int
 
     def __init__(self, config: Preset) -> None:
         self.config = config
-        self.name = config.name
+        self.name, self.inputs = config.name, config.inputs
         self._trained = None
 
     @classmethod
@@ -160,11 +161,6 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         """
         check_option("preset", name, PRESETS)
         return cls(PRESETS[name])
-
-    @property
-    def inputs(self) -> int:
-        """Samples per estimate."""
-        return self.config.inputs
 
     def __repr__(self) -> str:
         state = "untrained" if self._trained is None else f"scene {self.provenance['scene']!r}"
@@ -239,9 +235,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         )
         history[:, 1:] *= scale**2
         provenance = training.provenance_of(
-            samples.name,
-            samples.attrs,
-            samples.shape,
+            samples,
             seed=seed,
             pixels_wanted=config.pixels if pixels is None else len(chosen),
             pixels_used=len(chosen),
@@ -285,8 +279,8 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         warn_left_out(samples, within="chdstat.estimators")
         if samples.shape[-1] != self.inputs:
             message = (
-                f"{self.name} takes exactly {self.inputs} samples on the last axis, "
-                f"got shape {samples.shape}"
+                f"{self.name} takes exactly {self.inputs} samples on the last axis, got shape "
+                f"{samples.shape}; take as many, as by spp={self.inputs} or --spp {self.inputs}"
             )
             raise InputError(message)
         rows = samples.reshape(-1, self.inputs)

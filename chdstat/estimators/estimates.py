@@ -44,8 +44,6 @@ from chdstat.estimators.default_estimate.lost_light import lost_light
 from chdstat.estimators.default_estimate.mean_weights import Proposal, weight_of_mean
 from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
 from chdstat.estimators.held_out import reordered
-from chdstat.estimators.progressive import Progressive
-from chdstat.estimators.progressive.errors import check_loss_weight
 from chdstat.estimators.registry import (
     Estimates,
     check_positive,
@@ -103,7 +101,6 @@ def estimate(
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
-    loss_weight: float | None = None,
     level: float = 0.9,
     denoise: bool = False,
     progress: bool | None = None,
@@ -122,13 +119,9 @@ def estimate(
         model also a rendering from `chdstat.rendering.render_batches`: its batches are summed and
         dropped, so memory does not grow with `spp`.
     model
-        A trained estimator, or the file of one; None combines candidates. A `Progressive` that was
-        trained on another scene warns, and its estimate is mixed with the mean.
+        A trained estimator, or the file of one; None combines candidates.
     spp
         Use the first so many samples; None uses all.
-    loss_weight
-        For a `Progressive` only: 0 for the least MSE, 1 for the least relMSE, or a number between;
-        None is 0.5.
     level
         Probability of the interval.
     denoise
@@ -165,7 +158,7 @@ def estimate(
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
+    options = _Options(spp, level, denoise, progress, client, checkpoint)
     *_, last = _estimates(samples, model, options)
     return last.final
 
@@ -234,7 +227,6 @@ def write_estimates(
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
-    loss_weight: float | None = None,
     level: float = 0.9,
     denoise: bool = False,
     progress: bool | None = None,
@@ -255,7 +247,7 @@ def write_estimates(
     path
         The file, as for `chdstat.io.write_image`. An existing file is replaced at the end; for a
         rendering, it is replaced at each doubling of the number of samples.
-    samples, model, spp, loss_weight, level, denoise, progress, client, checkpoint
+    samples, model, spp, level, denoise, progress, client, checkpoint
         As for `estimate`.
     seconds, relative_error
         Stop a rendering after so many seconds, or as soon as the estimated error of the image,
@@ -283,7 +275,7 @@ def write_estimates(
     ['certainty', 'high', 'low', 'mean']
     """
     target = checked_target(path, *IMAGES)
-    options = _Options(spp, loss_weight, level, denoise, progress, client, checkpoint)
+    options = _Options(spp, level, denoise, progress, client, checkpoint)
     if relative_error is not None:
         check_positive(relative_error=relative_error)
     if not hasattr(samples, "batch") and (seconds, relative_error) != (None, None):
@@ -310,17 +302,11 @@ class _Options:
     """Options of `estimate`."""
 
     spp: int | None
-    loss_weight: float | None
     level: float
     denoise: bool
     progress: bool | None
     client: Client | None
     checkpoint: str | Path | None
-
-    @property
-    def weight(self) -> float:
-        """The loss weight of a `Progressive`."""
-        return 0.5 if self.loss_weight is None else self.loss_weight
 
 
 @dataclass(frozen=True)
@@ -376,7 +362,6 @@ class _Estimated:
             "spp": getattr(found, "spp", self.source.spp),
             "estimator": "combination" if model is None else model.name,
             "training": training,
-            "loss_weight": self.options.weight if isinstance(model, Progressive) else "none",
             "level": "none" if np.isnan(found.level) else found.level,
             "denoiser": "Open Image Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,
@@ -394,12 +379,8 @@ def _estimates(
     seconds: float | None = None,
 ) -> Iterator[_Estimated]:
     """Yield the estimate; for a rendering, yield estimates from more and more samples."""
-    check_loss_weight(options.weight)
     check_probability(level=options.level)
     model = load_model(model) if isinstance(model, str | Path) else model
-    if options.loss_weight is not None and not isinstance(model, Progressive):
-        message = "loss_weight is of a progressive model: give one as model, or leave it out"
-        raise InputError(message)
     # Only a rendering has `batch`; testing for its class would import Mitsuba.
     if hasattr(source, "batch"):
         _check_rendering(source, model, options)
@@ -456,8 +437,8 @@ def _by_model(
         "use fewer, by spp or --spp, or leave the model out",
     )
     x = samples.read()
-    if isinstance(model, Progressive):
-        found = model.estimate(samples, loss_weight=options.weight, level=options.level)
+    if hasattr(model, "estimate"):
+        found = model.estimate(x, level=options.level)
     else:
         radiance = model.predict(x)
         unknown = np.full_like(radiance, np.nan)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, cast
 
 import numpy as np
@@ -216,12 +216,9 @@ class LearnedEstimator(Shown):
         Number of samples that an estimate takes; None for any number.
     pixels
         Number of pixels to train on.
-    options
-        Keywords of its models' ``predict``. Entries with the same `train` share one model and
-        differ in these keywords.
     about
         What it does, in a sentence.
-    uses_features, joint_channels
+    uses_features
         As for `Estimator`.
     learns, uses_neighbours
         True and False: it trains, and learned estimators use no other pixels.
@@ -235,9 +232,7 @@ class LearnedEstimator(Shown):
     about: str = ""
     label: str = ""
     place: int = _LAST
-    options: Mapping[str, Any] = field(default_factory=dict)
     uses_features: bool = False
-    joint_channels: bool = False
     learns: ClassVar[bool] = True
     uses_neighbours: ClassVar[bool] = False
 

@@ -43,7 +43,6 @@ __all__ = [
     "load_model",
     "provenance_of",
     "read_model",
-    "scene_record",
     "threads",
     "train_model",
     "write_model",
@@ -72,8 +71,7 @@ _UNFIT = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 class History(Shown):
     """How the training went; every field has shape (record,).
 
-    Losses of `MLP` are in squared radiance, those of `Progressive` in units of the average loss of
-    the sample mean.
+    Losses are in squared radiance.
 
     Attributes
     ----------
@@ -105,7 +103,7 @@ class Trained:
     train_pixels
         Pixels used, rows (y, x).
     train_shape
-        Height and width of the training image; with several images, of the first.
+        Height and width of the training image.
     provenance
         How and from what it was trained, ready for JSON.
     """
@@ -125,6 +123,8 @@ class TrainedModel(Shown, ABC, Generic[State]):
     kinds: ClassVar[dict[str, type[TrainedModel[Any]]]] = {}
     """The classes of trained models, by their kind in model files."""
     name: str
+    inputs: int | None = None
+    """Samples per estimate; None for any number."""
     kind: ClassVar[str]
     """Name of its kind in model files."""
     _trained: State | None
@@ -152,7 +152,7 @@ class TrainedModel(Shown, ABC, Generic[State]):
 
     @property
     def train_shape(self) -> tuple[int, int]:
-        """Height and width of the training image; with several images, of the first."""
+        """Height and width of the training image."""
         return self.state.train_shape
 
     @property
@@ -238,16 +238,10 @@ class TrainedModel(Shown, ABC, Generic[State]):
         return self._trained
 
 
-def scene_record(
-    scene: str, attrs: Mapping[str, Any], shape: Sequence[int], **facts: Any
-) -> dict[str, Any]:
-    """Return the provenance of a training image, ready for JSON."""
-    return {"scene": scene, "samples": dict(attrs), "samples_shape": list(shape), **facts}
-
-
-def provenance_of(*image: Any, **facts: Any) -> dict[str, Any]:
-    """Return the provenance of a trained network: the `scene_record` and the version."""
-    return scene_record(*image, **facts, chdstat=chdstat.__version__)
+def provenance_of(samples: Samples, **facts: Any) -> dict[str, Any]:
+    """Return the provenance of a network that was trained on an image, ready for JSON."""
+    image = {"scene": samples.name, "samples": samples.attrs, "samples_shape": list(samples.shape)}
+    return image | facts | {"chdstat": chdstat.__version__}
 
 
 Losses = tuple[Any, ...]
@@ -260,9 +254,6 @@ def descend(
     iterations: int,
     every: int,
     learning_rate: float,
-    annealed: bool = False,
-    largest_gradient: float | None = None,
-    after_step: Callable[[], object] = lambda: None,
     advance: Callable[[float], None],
 ) -> Iterator[tuple[int, list[Losses]]]:
     """Minimise a loss with Adam, and yield whenever a row of the history is due.
@@ -279,11 +270,9 @@ def descend(
     every
         Iterations between two records; the last iteration makes one, too.
     learning_rate
-        Step size; where `annealed`, it falls as a cosine from this to 0.
-    largest_gradient
-        Norm to which gradients are limited.
-    after_step, advance
-        Called after every iteration, `advance` with 1.
+        Step size.
+    advance
+        Called after every iteration, with 1.
 
     Yields
     ------
@@ -305,15 +294,8 @@ def descend(
     seen: list[Losses] = []
     for iteration, (loss, *others) in enumerate(losses, 1):
         gradients = list(torch.autograd.grad(loss, trained))
-        for parameter, gradient in zip(trained, gradients, strict=True):
-            parameter.grad = gradient
-        if largest_gradient is not None:
-            torch.nn.utils.clip_grad_norm_(trained, largest_gradient)
-        falling = np.cos(np.pi * (iteration - 1) / iterations) if annealed else 1.0
         with torch.no_grad():
-            step = learning_rate * (1 + falling) / 2
-            adam(trained, gradients, first, second, [], steps, lr=step, **usual)
-        after_step()
+            adam(trained, gradients, first, second, [], steps, lr=learning_rate, **usual)
         seen.append((loss.detach(), *others))
         if iteration % every == 0 or iteration == iterations:
             yield iteration, seen
@@ -395,9 +377,8 @@ def _checksum(text: str, arrays: Mapping[str, npt.NDArray[Any]]) -> str:
 
 def train_model(
     samples: ImageLike | npt.ArrayLike,
-    name: str = "progressive",
+    name: str = "elek2019",
     *,
-    with_features: bool = False,
     spp: int | None = None,
     seed: Seed = 0,
     iterations: int | None = None,
@@ -414,8 +395,6 @@ def train_model(
         The image.
     name
         A registered estimator that learns, as `chdstat.estimators.names` lists them.
-    with_features
-        Whether "progressive" also takes first-hit features.
     spp
         Use the first so many samples; None uses all.
     seed
@@ -427,24 +406,24 @@ def train_model(
 
     Returns
     -------
-    MLP or Progressive
-        Trained; its ``save`` writes it to a file.
+    TrainedModel
+        `MLP` for "elek2019"; its ``save`` writes it to a file.
 
     Raises
     ------
     InputError
-        If no estimator of that name learns, it takes no features, or there are too few samples.
+        If no estimator of that name learns, or there are too few samples.
 
     Examples
     --------
     >>> import chdstat as chd
     >>> import numpy as np
     >>> rng = np.random.default_rng(0)
-    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
+    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 64)))
     >>> train_model(image, iterations=5, progress=False)
-    <Progressive scene 'samples'>
+    <MLP 'elek2019', 32 samples, scene 'samples'>
     """
-    entry = check_choice(name, with_features=with_features)
+    entry = check_choice(name)
     used = first_samples(samples, spp)
     options: Any = {"seed": seed_number(seed), "iterations": iterations, "progress": progress}
     found = entry.train(used, **options)
@@ -454,25 +433,20 @@ def train_model(
     return found
 
 
-def check_choice(name: str, *, with_features: bool = False) -> LearnedEstimator:
-    """Return the entry of an estimator that learns, with or without features.
+def check_choice(name: str) -> LearnedEstimator:
+    """Return the entry of an estimator that learns.
 
     Raises
     ------
     InputError
-        If it does not learn, or takes no features.
+        If it does not learn.
     """
     entry = lookup(name)
     if not isinstance(entry, LearnedEstimator):
         trainable = [n for n in names("learned") if isinstance(lookup(n), LearnedEstimator)]
         message = f"{name} trains no network; give one of {', '.join(trainable)}"
         raise InputError(message)
-    if not with_features or entry.uses_features:
-        return entry
-    if f"{name}_features" not in names("learned"):
-        message = f"{name!r} takes no first-hit features; leave them out, or train 'progressive'"
-        raise InputError(message)
-    return check_choice(f"{name}_features")
+    return entry
 
 
 def load_model(path: str | Path) -> TrainedModel[Any]:

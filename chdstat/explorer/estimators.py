@@ -8,7 +8,6 @@ features, not all of it: its estimate is close to that of `chdstat.estimate`, no
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,12 +20,11 @@ from chdstat._core.arrays import Floats, Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.entries import choose, estimate_by, takes
 from chdstat.comparison.metrics import SUMS, errors_of
-from chdstat.errors import OtherSceneWarning
-from chdstat.estimators import MLP, Progressive, registry
+from chdstat.estimators import registry
 from chdstat.estimators.held_out import Totals
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.view import BATCHES, Box, PixelIndex
+from chdstat.explorer.view import BATCHES, PixelIndex
 
 __all__ = [
     "BATCHES_AROUND",
@@ -44,8 +42,8 @@ _MOST_BATCHES = 32
 """Batches that estimators are scored on."""
 BATCHES_AROUND = 4
 """Batches that estimators which look at the pixels around are scored on: they are slow."""
-_AROUND, _AROUND_LEARNED = 10, 24
-"""Pixels to each side that fixed and trained estimators look at."""
+_AROUND, _AROUND_DEFAULT = 10, 24
+"""Pixels to each side that estimators look at: others, and those that are compared by default."""
 SLOW = frozenset({"mixture_shrinkage"})
 """Too slow for a click: 70 ms for all batches, where the others take 8 ms together."""
 
@@ -249,7 +247,7 @@ def scored_around(
     """
     batches, found = batches.first(BATCHES_AROUND), []
     default = choose(None, [batches.n], samples=source.samples).entries.values()
-    around: list[Any] = [(e, _AROUND_LEARNED) for e in default if e.uses_neighbours]
+    around: list[Any] = [(e, _AROUND_DEFAULT) for e in default if e.uses_neighbours]
     around += [
         (entry, _AROUND)
         for name, entry in fixed(neighbours=True).items()
@@ -269,17 +267,9 @@ def scored_around(
 
 
 def score_model(
-    name: str,
-    model: TrainedModel[Any],
-    batches: ScoringBatches,
-    source: StoreSource | None,
-    place: PixelIndex | Box,
-    unit: float | None,
+    name: str, model: TrainedModel[Any], batches: ScoringBatches
 ) -> ScoredEstimate | None:
-    """Score a trained estimator; None where the model does not apply.
-
-    That is one for another number of samples or channels, and one that looks around where there is
-    no image, as for a region.
+    """Score a trained estimator; None where it takes another number of samples.
 
     Parameters
     ----------
@@ -287,38 +277,7 @@ def score_model(
         What it is called, and the model.
     batches
         Batches of the place.
-    source
-        The store that has the pixels around; None where there is none.
-    place
-        (y, x), or the four numbers of a region.
-    unit
-        Mean radiance of the image; None where it is not known.
     """
-    if isinstance(model, MLP) and model.inputs == batches.n:
-        return replace(batches.score(name, model.predict(batches.x)), given=True)
-    if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
+    if getattr(model, "inputs", None) not in (None, batches.n):
         return None
-    known = source is not None and model.trained_on(source.samples.attrs)
-    images, features = [batches.x], dict[str, Image]()
-    at: Any = ()
-    # Of another scene, the pixels around say how far to follow the model.
-    if source is not None and len(place) == 2 and (model.with_features or not known):
-        batches = batches.first(BATCHES_AROUND)
-        images, features, at = _windows(source, place, batches, _AROUND_LEARNED)
-    if model.with_features and not features:
-        return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", OtherSceneWarning)
-        options: Any = {"features": features or None, "unit": unit if known else None}
-        found = [model.estimate(x, **options) for x in images]
-    radiance, certainty, low, high = (
-        np.stack([getattr(e, name)[at] for e in found]).reshape(len(batches.x), -1)
-        for name in ("radiance", "certainty", "low", "high")
-    )
-    return replace(
-        batches.score(name, radiance),
-        certainty=float(_average(certainty)[0]),
-        low=_average(low),
-        high=_average(high),
-        given=True,
-    )
+    return replace(batches.score(name, model.predict(batches.x)), given=True)

@@ -191,13 +191,11 @@ class SelectionResults:
         batches, said = self._batches(plots)
         if batches is None:
             return self._estimates_table(plots, quick, said)
-        overall = shared.overalls[plots.index]
-        unit = overall.unit if np.isfinite(overall.mean).any() else None
         store = plots.source if isinstance(plots.source, StoreSource) else None
         found = [*quick, *estimators.scored(batches, names=estimators.SLOW, step=step)]
         for name, model in shared.models:
             step()
-            learned = estimators.score_model(name, model, batches, store, key, unit)
+            learned = estimators.score_model(name, model, batches)
             found += [] if learned is None else [learned]
         if store is None or len(key) != 2:
             return self._estimates_table(plots, found, said)

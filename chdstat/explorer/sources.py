@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from chdstat._core.arrays import Image, generator, luminance, seed_number, spans
-from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
+from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance, seed_number, spans
+from chdstat._core.image_scales import display_stops
 from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
 from chdstat.explorer.render_process import COARSE, RenderProcess
@@ -96,11 +96,6 @@ class Overall:
         good = np.where(self.good_count > 0, self.good_count, np.nan)
         return np.asarray(self.variation / np.sqrt(good))
 
-    @property
-    def unit(self) -> float:
-        """Mean radiance of the image, which a few fireflies do not move."""
-        return mean_of_pixels(self.extreme, self.others, self.good_count)
-
     @cached_property
     def exposure(self) -> float:
         """Stops that show the image well."""
@@ -123,18 +118,19 @@ class ImageAccumulator:
 
     def __init__(self, height: int, width: int) -> None:
         self._pixels = PixelMoments()
-        self._sums = RadianceSums((height, width))
+        self._extreme, self._others = np.zeros((2, height, width))
 
     def add(self, block: Image) -> None:
         """Count more samples."""
-        self._sums.add(block)
+        for row, extreme, others in zip(block, self._extreme, self._others, strict=True):
+            _add_grey(row, extreme, others)
         with np.errstate(invalid="ignore", over="ignore"):
             rows = np.concatenate([block, luminance(block)[..., np.newaxis, :]], axis=-2)
         self._pixels.update(rows, *sample_masks(block))
 
     def overall(self) -> Overall:
         """Return the image of the samples so far."""
-        moments, counts, sums = self._pixels.moments, self._pixels.counts, self._sums
+        moments, counts = self._pixels.moments, self._pixels.counts
         assert moments is not None, "add samples first"
         mean, variance = moments.seen(moments.mean), moments.variance[..., -1]
         count = moments.count[..., 0]
@@ -142,8 +138,27 @@ class ImageAccumulator:
             variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
             share = counts["null_count"] / count
             found = (mean[..., :-1], share, count, counts["bad_count"], variance, variation)
-            maps = [part.astype(np.float32) for part in (*found, sums.extreme, sums.others)]
+            maps = [part.astype(np.float32) for part in (*found, self._extreme, self._others)]
         return Overall(*maps)
+
+
+def _add_grey(x: Image, extreme: Floats, others: Floats) -> None:
+    """Add good samples (pixel, channel, sample), averaged over channels, to sums of pixels.
+
+    `extreme` is the sample that is farthest from 0. `others` is the sum of the others, kept
+    separately since a firefly takes all digits of a sum.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        grey = x.mean(axis=-2, dtype=np.float64)
+    grey[is_bad(x).any(axis=-2) | ~np.isfinite(grey)] = 0
+    # The previous farthest sample is added as one more sample.
+    grey = np.concatenate([grey, extreme[:, np.newaxis]], axis=-1)
+    high, low = grey.argmax(axis=-1)[:, np.newaxis], grey.argmin(axis=-1)[:, np.newaxis]
+    highest, lowest = (np.take_along_axis(grey, i, axis=-1) for i in (high, low))
+    far = np.where(highest >= -lowest, high, low)
+    extreme[:] = np.take_along_axis(grey, far, axis=-1)[:, 0]
+    np.put_along_axis(grey, far, 0, axis=-1)
+    others += grey.sum(axis=-1)
 
 
 def stream(source: StoreSource, *, spp: int | None = None) -> Iterator[tuple[float, Overall]]:

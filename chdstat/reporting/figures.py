@@ -23,8 +23,8 @@ from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import StoreError
-from chdstat.estimators import MLP, Progressive
 from chdstat.estimators.registry import Estimates
+from chdstat.estimators.training import TrainedModel
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
 from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, with_others
@@ -335,10 +335,8 @@ def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[st
     if curve is not None:
         drawn["curve"] = viz.error_curves(curve)
     for model in found.models.values():
-        if isinstance(model, MLP):
+        if isinstance(model, TrainedModel):
             drawn["training"] = viz.training(model.history).figure
-        if isinstance(model, Progressive):
-            drawn["training_progressive"] = viz.training(model.history).figure
     return drawn
 
 
@@ -382,7 +380,7 @@ def save_comparison(
                 for name, figure in (measures | of_comparison(found, curve)).items():
                     figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
             for name, model in found.models.items():
-                if isinstance(model, (MLP, Progressive)):
+                if isinstance(model, TrainedModel):
                     model.save(partial / f"{name}.safetensors")
     except OSError as error:
         message = f"cannot write to {target}: {error.strerror or error}"

@@ -69,11 +69,8 @@ _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
 _ESTIMATES, _BATCHES = 2**15, (2, 4, 16)
 """Enough estimates in all; fewest estimates per pixel in a short and in a full report, and most."""
-_TRAINING: dict[str, dict[str, Any]] = {
-    "elek2019": {"patience": 2000},
-    "progressive": {"iterations": 1200},
-}
-"""How long networks train, unless as published: more takes long and gains little."""
+_TRAINING: dict[str, dict[str, Any]] = {"elek2019": {"patience": 2000}}
+"""How long the network trains, unless as published: more takes long and gains little."""
 _CURVE_SPP = 256
 """Fewest samples for showing errors against N."""
 _REGIONS = 6
@@ -297,7 +294,7 @@ class _Report:
         """Return errors of the compared estimators against N; None if there is only one N."""
         if self.samples.spp < _CURVE_SPP:
             return None
-        model = comparison.models.get("progressive", next(iter(comparison.models.values()), None))
+        model = next(iter(comparison.models.values()), None)
         # Other learned estimators would need another training, and take only one N.
         others = comparison.models.keys() - {"" if model is None else model.name}
         return error_curve(

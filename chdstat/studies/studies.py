@@ -259,7 +259,7 @@ def study(
     estimators
         As for `chdstat.compare`; learned estimators are trained on each scene. The claims on
         learning are about "elek2019", one of the default estimators; other learned estimators are
-        tested separately. "progressive" trains for about a minute on each scene.
+        tested separately.
     sampler
         A sampler that spreads samples over pixels, as for `chdstat.render`. Each scene is rendered
         once more with it, with 256 or 400 samples, for the claim on correlated samples. With

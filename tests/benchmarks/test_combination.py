@@ -24,7 +24,6 @@ import chdstat as chd
 from chdstat.comparison import Interval
 from chdstat.estimators import Combination
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
-from chdstat.estimators.training import train_model
 from chdstat.rendering import render_batches
 from chdstat.studies.claims import SceneData
 
@@ -172,38 +171,6 @@ def test_errors_against_the_denoiser(as_benchmark, folder):
             f"intervals of 90 % hold the {name} in {of.mean(axis=0).round(3)} by thirds of "
             f"brightness; {apart.sum()} of {apart.size} are not in 87 to 94 %"
         )
-
-
-def test_a_model_of_another_scene(as_benchmark, folder):
-    # Trained with references, as `chdstat train` does, and followed as far as the samples of the
-    # scene confirm that it pays.
-    models = {}
-    for name in BUILT_IN:
-        other = chd.render(name, spp=512, size=(64, 64), seed=41, progress=False)
-        models[name] = train_model(other, progress=False)
-    table, missed = [], 0
-    print(f"\n{'scene':24s}{'spp':>4s}  MSE and relMSE over the mean's, with models of {BUILT_IN}")
-    for name, scene in scenes().items():
-        reference, noise = reference_of(folder, name, scene)
-        whole = chd.render(scene, spp=max(NUMBERS), size=(SIZE, SIZE), seed=31, progress=False)
-        for n in NUMBERS:
-            samples, row = whole.first(n), []
-            mean = errors_of(chd.estimators.mean(samples.read()), reference, noise)
-            for trained, model in models.items():
-                if trained == scene:
-                    continue
-                found = chd.estimate(samples, model=model, progress=False)
-                row.append(over(samples, errors_of(found.radiance, reference, noise), mean))
-            table += [[ratio.value for ratio in pair] for pair in row]
-            missed += sum(max(ratio.low for ratio in pair) > 1.02 for pair in row)
-            shown = (f"{mse.value:.3f} {rel.value:.3f}" for mse, rel in row)
-            print(f"{name:24s}{n:4d}  " + "   ".join(shown), flush=True)
-    whole_table = np.array(table)
-    print(
-        f"largest {whole_table.max(axis=0).round(3)}, geometric means "
-        f"{np.exp(np.log(whole_table).mean(axis=0)).round(3)}; of {len(table)}, {missed} surely "
-        "above 1.02"
-    )
 
 
 def test_time_against_rendering(as_benchmark):

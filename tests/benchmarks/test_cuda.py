@@ -61,8 +61,8 @@ def test_networks(on_a_gpu, monkeypatch):
     times = []
     for works in (False, True):
         monkeypatch.setattr(torch.cuda, "is_available", lambda works=works: works)
-        model = chd.estimators.Progressive()
+        model = chd.estimators.MLP.preset("elek2019")
         train = functools.partial(model.train, samples, iterations=100, progress=False)
         times.append([seconds(train), seconds(functools.partial(model.predict, few))])
     for what, slow, fast in zip(("training", "estimating"), *times, strict=True):
-        told(f"progressive {what}", slow, fast, "s")
+        told(f"network {what}", slow, fast, "s")

@@ -249,7 +249,8 @@ def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
     assert "nothing was overwritten" in err
 
 
-def test_a_model_is_trained_and_estimates(run, store, tmp_path):
+def test_a_model_is_trained_and_estimates(run, stored, tmp_path):
+    store = stored()
     model, image = tmp_path / "box.safetensors", tmp_path / "box.exr"
     asked = ("train", store, "-o", model, "--iterations", 3, "-q")
     assert run(*asked)[:2] == (0, f"wrote {model}\n")
@@ -258,16 +259,17 @@ def test_a_model_is_trained_and_estimates(run, store, tmp_path):
     assert "exists; nothing was overwritten. Give another path, or --overwrite" in err
     asked = (*asked[:-1], "--json", "--overwrite")
     code, out, err = run(*asked)
-    said = {"path": str(model), "estimator": "progressive", "iterations": 3}
+    said = {"path": str(model), "estimator": "elek2019", "iterations": 3}
     assert (code, json.loads(out)) == (0, said)
-    assert err.splitlines()[-1].startswith(f"next: chdstat estimate {store} --model {model}")
-    asked = ("estimate", store, "-o", image, "--model", model, "--level", 0.5, "-q")
+    *_, line = err.splitlines()
+    assert line == f"next: chdstat estimate {store} --model {model} --spp 32 -o {image}"
+    asked = ("estimate", store, "-o", image, "--model", model, "--spp", 32, "-q")
     said = f"wrote {image}: linear radiance with all layers, for an EXR viewer\n"
     assert run(*asked)[:2] == (0, said)
     found = chd.io.read_exr(image)
-    assert found.image.shape == (10, 12, 3)
-    assert set(found.extra) == {"certainty", "low", "high", "mean"}
-    assert (found.attributes["spp"], found.attributes["level"]) == ("16", "0.5")
+    assert found.image.shape == (16, 24, 3)
+    assert set(found.extra) == {"mean"}
+    assert (found.attributes["spp"], found.attributes["level"]) == ("32", "none")
 
 
 @pytest.mark.parametrize("rendering", [False, True])
@@ -316,7 +318,6 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
         (("info", __file__), "is a file; a store is a folder"),
         (("info", __file__), "another renderer with: chdstat import"),
         (("render", STORE, "-o", "x.zarr"), "is a store, of samples that are rendered already"),
-        (("estimate", STORE, "-o", "a.exr", "--loss-weight", ".2"), "is of a progressive model"),
         (("estimate", STORE, "-o", "a.exr", "--seed", 3), "a setting of a render, but"),
         (("analyze", "s.zarr", "--threshold", "tail=1"), "did you mean 'tail_index'?"),
         (("analyze", "s.zarr", "--threshold", "alpha=many"), "takes a number, got 'many'"),

@@ -201,7 +201,7 @@ def test_a_finished_image_takes_part(tmp_path):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"estimators": ["progressive"]}, "trains against a reference"),
+        ({"estimators": ["elek2019"], "spp": [32]}, "trains against a reference"),
         ({"estimators": ["nonsense"]}, "nonsense"),
         ({"baseline": "median"}, "baseline must be one of mean"),
         ({"images": {"mean": {}}}, "different names"),

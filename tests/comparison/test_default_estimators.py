@@ -52,7 +52,7 @@ def by_explorer(samples):
     place = 8, 8
     batches, source = batches_of(samples[place], N), StoreSource(samples)
     model = lookup("elek2019").train(samples, progress=False)
-    found = [score_model(model.name, model, batches, source, place, None), *scored(batches)]
+    found = [score_model(model.name, model, batches), *scored(batches)]
     found += scored_around(batches, source, place)
     rows = estimates_table(found, samples.channels, N, "")["rows"]
     shown = {estimator_name(name): name for name in DEFAULT_ESTIMATORS}

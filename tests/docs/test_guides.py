@@ -167,7 +167,6 @@ class Shown:
         """Return at once."""
 
 
-@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 @pytest.mark.parametrize("page", dict(lines()))
 def test_every_line_to_type_succeeds(page, folder, stores, monkeypatch, run):
     monkeypatch.setattr(chd, "explore", Shown)

@@ -8,7 +8,6 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import estimate, refine, write_estimates
-from chdstat.estimators.training import train_model
 from chdstat.io import read_exr
 from chdstat.rendering import render_batches
 
@@ -41,8 +40,7 @@ def test_a_black_scene_is_black():
     assert (found.radiance == 0).all()
 
 
-def test_a_model_needs_samples(box, monkeypatch):
-    model = train_model(box, iterations=2, progress=False)
+def test_a_model_needs_samples(model, monkeypatch):
     asked = rendering()
     monkeypatch.setattr(type(asked), "passes", None)
     with pytest.raises(InputError, match="needs the samples, of which none are kept"):
@@ -53,7 +51,6 @@ def test_a_model_needs_samples(box, monkeypatch):
     ("options", "match"),
     [
         ({"spp": 8}, "set where it is made: 16, got 8 here"),
-        ({"loss_weight": 2}, "loss_weight must lie between 0"),
         ({"level": 0}, "level must lie between 0 and 1"),
     ],
 )

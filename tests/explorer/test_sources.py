@@ -274,6 +274,21 @@ def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
     assert whole.relative_error[0] == pytest.approx(expected, rel=1e-5)
 
 
+def test_the_brightest_sample_is_kept_apart_from_the_sum_of_the_others():
+    x = np.random.default_rng(0).gamma(2.0, size=(2, 3, 3, 12))
+    x[1, 2, :, 7], x[0, 0, :, 3], x[0, 1, 1, 2], x[0, 2] = 1e9, -1e3, np.nan, 0
+    grey = np.where(np.isnan(x).any(axis=2), 0, np.nan_to_num(x).mean(axis=2))
+    expected = np.take_along_axis(grey, np.abs(grey).argmax(axis=-1)[..., np.newaxis], axis=-1)
+    for order in (np.arange(12), np.arange(12)[::-1]):
+        accumulator = ImageAccumulator(2, 3)
+        for batch in np.split(x[..., order], 4, axis=-1):
+            accumulator.add(batch.astype(np.float32))
+        found = accumulator.overall()
+        np.testing.assert_allclose(found.extreme, expected[..., 0], rtol=1e-6)
+        others = grey.sum(axis=-1) - expected[..., 0]
+        np.testing.assert_allclose(found.others, others, rtol=1e-6, atol=1e-6)
+
+
 def test_a_store_that_is_gone_is_an_error_not_bad_samples(own_store):
     source = StoreSource(chd.open(own_store))
     before = source.pixel(3, 3)

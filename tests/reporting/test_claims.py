@@ -28,7 +28,7 @@ def finding(*parts, **more):
 @pytest.fixture
 def both():
     other = finding(part(0.1, 0.2))
-    return finding(part(0.6, 0.8), other_models={"progressive": other})
+    return finding(part(0.6, 0.8), other_models={"mine": other})
 
 
 def test_each_part_has_its_number_and_what_was_claimed(both):
@@ -54,13 +54,13 @@ def test_a_part_without_an_interval_says_so():
 
 def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
     (beside,) = finding_content(both)["beside"]
-    assert (beside["name"], beside["verdict"]) == ("progressive", "not supported")
+    assert (beside["name"], beside["verdict"]) == ("mine", "not supported")
     rows = claim_content(CLAIM, {"box": both})["rows"]
     assert [(row["scenes"], row["verdict"]) for row in rows] == [
         (["box"], "supported"),
-        (["box, progressive"], "not supported"),
+        (["box, mine"], "not supported"),
     ]
-    assert list(with_others({"box": both})) == ["box", "box, progressive"]
+    assert list(with_others({"box": both})) == ["box", "box, mine"]
     (figure,) = claim_figures(15, {"box": both}).values()
     assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == list(
         with_others({"box": both})

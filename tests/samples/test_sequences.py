@@ -10,7 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import MLP, Progressive, train_model
+from chdstat.estimators import MLP, train_model
 from chdstat.inference import difference
 
 N, SEQUENCES = 16, 64
@@ -142,9 +142,7 @@ REFUSED = {
     "error_curve": lambda x: chd.comparison.error_curve(x, ["mean"]),
     "estimate": chd.estimate,
     "predict": MLP.preset("elek2019").predict,
-    "estimate progressive": Progressive().estimate,
     "train": lambda x: train_model(x, "elek2019", iterations=1),
-    "train progressive": lambda x: Progressive().train(x, iterations=1),
     "difference": lambda x: difference(x, x),
     "study": lambda x: chd.study(x, estimators=["mean"]),
     "map": lambda x: x.map(lambda block: {"mean": (("channel",), block.mean(axis=-1))}),

@@ -181,10 +181,7 @@ def _denoised(job: tuple[Reals, Mapping[str, npt.NDArray[Any]]]) -> Reals:
 
 
 def through_denoiser(
-    radiance: npt.NDArray[Any],
-    features: Mapping[str, npt.NDArray[Any]],
-    *,
-    certainty: npt.NDArray[Any] | None = None,
+    radiance: npt.NDArray[Any], features: Mapping[str, npt.NDArray[Any]]
 ) -> npt.NDArray[Any]:
     """Denoise estimates, with albedo and normal if `features` contain an albedo.
 
@@ -193,4 +190,4 @@ def through_denoiser(
     start = np.where(radiance < 0, 0, radiance)
     albedo = features.get("albedo")
     normal = None if albedo is None else features.get("normal")
-    return denoise(start, albedo=albedo, normal=normal, certainty=certainty)
+    return denoise(start, albedo=albedo, normal=normal)

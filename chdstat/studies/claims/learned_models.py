@@ -283,8 +283,7 @@ def _function(
         # A model under a name that is not registered has no entry.
         if name not in names():
             return np.asarray(model.predict(x), dtype=np.float64)
-        # The network alone, without the mean that a model of another scene is mixed with.
-        found = estimate_by(entry_of(name), x, features=features, model=model, at_home=True)
+        found = estimate_by(entry_of(name), x, features=features, model=model)
         return np.asarray(found, dtype=np.float64)
 
     return estimate
