@@ -6,7 +6,9 @@
 32
 
 The samples of one channel go in as they were drawn, the radiance of that channel comes out.
-`PRESETS` are published networks, each a frozen list of choices.
+`PRESETS` are published networks, each a frozen list of choices. The paper asks for a certainty with
+which to mix the network and the mean, its fallback: `MLP.estimate` learns one from the validation
+rows, beside the network as published.
 
 Weights are NumPy arrays, a matrix (in, out) and a bias (out,) per layer. Training runs on one CPU
 thread: these networks are so small that starting a kernel costs more than running it, and one
@@ -25,7 +27,11 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import (
     Array,
+    Floats,
+    Indices,
+    Reals,
     all_good,
+    as_pixels,
     as_samples,
     generator,
     is_bad,
@@ -43,7 +49,13 @@ from chdstat.estimators.held_out import (
     draw_pixels,
     training_batches,
 )
-from chdstat.estimators.registry import LearnedEstimator, mean_of_good, register_learned
+from chdstat.estimators.registry import (
+    Estimates,
+    LearnedEstimator,
+    check_probability,
+    mean_of_good,
+    register_learned,
+)
 from chdstat.samples import Samples, opened
 
 if TYPE_CHECKING:
@@ -58,6 +70,14 @@ RECORD_EVERY = 100
 _VALIDATION_ROWS = 16_384
 """At most so many validation rows are evaluated for a row of the history."""
 _ROWS_AT_ONCE = 65_536
+_OCTAVES = np.arange(-5, 5)
+"""Classes of brightness: octaves of the mean of an estimate's samples, in units of the training
+mean; darker and brighter means belong to the first and the last."""
+_FEW, _BORROWED = 128, 32
+"""Rows below which a class takes the residuals of all, and rows that all count for beside its own
+in the certainty of a class."""
+_LEVELS = np.linspace(0, 1, 401)
+"""Probabilities of the quantiles of residuals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,10 +145,15 @@ class _TrainedMLP(training.Trained):
         A matrix (in, out) and a bias (out,) per layer.
     scale
         Mean training reference; the network works in units of it.
+    certainty, residuals
+        By class of brightness: weight of the network beside the mean, shape (octave,), and
+        quantiles of what it is wrong by, in units of the octave, shape (octave, probability).
     """
 
     weights: Weights
     scale: float
+    certainty: Floats
+    residuals: Reals
 
 
 class MLP(training.TrainedModel[_TrainedMLP]):
@@ -224,7 +249,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         # In units of the scene's mean, in place, for they are large. Black stays black.
         batches /= np.float32(scale or 1.0)
         references /= scale or 1.0
-        weights, history = _fit(
+        weights, history, held_out = _fit(
             config,
             batches,
             references.astype(np.float32),
@@ -234,6 +259,9 @@ class MLP(training.TrainedModel[_TrainedMLP]):
             progress=progress,
         )
         history[:, 1:] *= scale**2
+        x, target = batches.reshape(-1, config.inputs)[held_out], references.reshape(-1)[held_out]
+        mean = x.mean(axis=1, dtype=np.float64)
+        certainty, residuals = _validated(mean, evaluate(weights, x), target)
         provenance = training.provenance_of(
             samples,
             seed=seed,
@@ -247,6 +275,8 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         self._trained = _TrainedMLP(
             weights=weights,
             scale=scale,
+            certainty=certainty,
+            residuals=residuals,
             history=history,
             train_pixels=chosen,
             train_shape=shape,
@@ -254,8 +284,62 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         )
         return self
 
+    def estimate(self, x: Samples | npt.ArrayLike, *, level: float = 0.9) -> Estimates:
+        r"""Estimate radiance between the mean and the network, with certainty and interval.
+
+        The estimate is :math:`m + c\, (g - m)`, with the mean m of a channel's samples and what
+        the network makes of them, g. The certainty
+
+        .. math:: c = \sum (t - m)(g - m) / \sum (g - m)^2
+
+        has the least squared error over the validation rows with references t, and is clipped to
+        [0, 1]. Each octave of m has its own. The ends of the interval are quantiles of the
+        residuals of the same rows (split conformal prediction). Pixels of the training scene are
+        covered with the stated probability on average; other scenes may not be.
+
+        Parameters
+        ----------
+        x
+            Samples, shape (..., channel, inputs), also as `Samples` or the path of a store.
+        level
+            Probability of the interval.
+
+        Returns
+        -------
+        Estimates
+            Radiance and interval of shape (..., channel); the certainty of a pixel is the mean over
+            its channels. A model from an earlier version, which was saved without certainty, is
+            followed entirely, and its interval is NaN.
+
+        Raises
+        ------
+        InputError
+            As for `predict`; or if `x` has no channels, or `level` is not between 0 and 1.
+
+        References
+        ----------
+        J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani and L. Wasserman, "Distribution-free
+        predictive inference for regression", Journal of the American Statistical Association
+        113(523), 2018, doi:10.1080/01621459.2017.1307116.
+        """
+        check_probability(level=level)
+        samples, state = as_pixels(cast("npt.ArrayLike", opened(x))), self.state
+        network, mean = self.predict(samples).astype(np.float64), mean_of_good(samples)
+        octave, unit = _octave_of(mean / (state.scale or 1))
+        tails, certainty = (0.5 - level / 2, 0.5 + level / 2), state.certainty[octave]
+        quantiles = np.array([np.interp(tails, _LEVELS, one) for one in state.residuals])
+        with np.errstate(over="ignore", invalid="ignore"):
+            radiance = mean + certainty * (network - mean)
+            low, high = radiance + quantiles.T[:, octave] * unit * state.scale
+            if not (samples < 0).any():
+                low = np.minimum(np.maximum(low, 0), radiance)
+            parts = radiance, certainty.mean(axis=-1), low, high
+            found: list[Any] = [part.astype(np.float32) for part in parts]
+        found.append(level if np.isfinite(quantiles).all() else np.nan)
+        return Estimates(*found)
+
     def predict(self, x: Samples | npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """Estimate radiance.
+        """Estimate radiance by the network alone, as published.
 
         Parameters
         ----------
@@ -299,6 +383,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
 
     def _to_file(self, state: _TrainedMLP) -> tuple[dict[str, Array], dict[str, Any]]:
         arrays: dict[str, Array] = {f"weight{i}": w for i, w in enumerate(state.weights)}
+        arrays |= {"certainty": state.certainty, "residuals": state.residuals}
         return arrays, {"preset": asdict(self.config), "scale": state.scale}
 
     @classmethod
@@ -313,7 +398,13 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         if [w.shape for w in weights] != shapes or not all(np.isfinite(w).all() for w in weights):
             message = f"finite weights of layers {sizes} are wanted"
             raise ValueError(message)
-        model._trained = _TrainedMLP(weights=weights, scale=float(about["scale"]), **common)
+        model._trained = _TrainedMLP(
+            weights=weights,
+            scale=float(about["scale"]),
+            certainty=arrays.get("certainty", np.ones(len(_OCTAVES))),
+            residuals=arrays.get("residuals", np.full((len(_OCTAVES), _LEVELS.size), np.nan)),
+            **common,
+        )
         return model
 
 
@@ -381,7 +472,7 @@ def _fit(
     patience: int | None,
     rng: np.random.Generator,
     progress: bool | None,
-) -> tuple[Weights, npt.NDArray[np.float64]]:
+) -> tuple[Weights, npt.NDArray[np.float64], Indices]:
     """Minimise the squared error on batches (batch, channel, sample) and references.
 
     Returns
@@ -391,6 +482,8 @@ def _fit(
         with the smallest validation loss.
     history : ndarray
         Rows of `History`.
+    validation : ndarray
+        Rows (batch and channel) that validate.
     """
     import torch
 
@@ -441,4 +534,32 @@ def _fit(
             history.append((iteration, fit, held_out_loss, baseline, of_mean[validation].mean()))
             if patience is not None and iteration - best >= patience:
                 break
-    return weights, np.array(history, np.float64).reshape(-1, 5)
+    return weights, np.array(history, np.float64).reshape(-1, 5), validation
+
+
+def _octave_of(mean: Floats) -> tuple[Indices, Floats]:
+    """Return the class of brightness of means in the training unit, and the unit of the class."""
+    within = np.clip(np.nan_to_num(mean), 2.0 ** _OCTAVES[0], 2.0 ** _OCTAVES[-1])
+    octave: Any = np.floor(np.log2(within))
+    return octave.astype(np.int64) - _OCTAVES[0], 2.0**octave
+
+
+def _validated(mean: Floats, network: Reals, target: Floats) -> tuple[Floats, Reals]:
+    """Return the certainty and the residuals of `_TrainedMLP` from rows in the training unit.
+
+    The fewer rows of a class decide, the nearer its certainty is to that of all rows, each in the
+    unit of its octave. The square of a sum over the sum of squares says how many rows decide.
+    """
+    octave, unit = _octave_of(mean)
+    move = np.where(np.isfinite(network), network - mean, 0) / unit
+    wanted, least = (target - mean) / unit, np.finfo(np.float64).tiny
+    members = octave == np.arange(len(_OCTAVES))[:, np.newaxis]
+    product, square = members @ (wanted * move), members @ move**2
+    rows = square**2 / np.maximum(members @ move**4, least)
+    whole, own = product.sum() / max(square.sum(), least), product / np.maximum(square, least)
+    certainty = np.clip((rows * own + _BORROWED * whole) / (rows + _BORROWED), 0, 1)
+    residuals = wanted - certainty[octave] * move
+    parts = [residuals[of] if of.sum() >= _FEW else residuals for of in members]
+    # Of n rows, those of rank (n + 1) p: an interval must hold another row, not one of these.
+    quantiles = [np.quantile(part, _LEVELS, method="weibull") for part in parts]
+    return certainty, np.array(quantiles, np.float32)

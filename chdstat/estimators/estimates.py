@@ -139,7 +139,7 @@ def estimate(
     -------
     Estimates
         Shape (y, x, channel), in the unit of the samples. Without a model it is a `Combination`,
-        with the weight of each candidate. `MLP` leaves certainty and interval NaN.
+        with the weight of each candidate; by a model, what `MLP.estimate` returns.
 
     Raises
     ------

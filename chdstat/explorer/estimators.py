@@ -280,4 +280,13 @@ def score_model(
     """
     if getattr(model, "inputs", None) not in (None, batches.n):
         return None
-    return replace(batches.score(name, model.predict(batches.x)), given=True)
+    if not hasattr(model, "estimate"):
+        return replace(batches.score(name, model.predict(batches.x)), given=True)
+    found = model.estimate(batches.x)
+    return replace(
+        batches.score(name, found.radiance),
+        certainty=float(_average(found.certainty)),
+        low=_average(found.low),
+        high=_average(found.high),
+        given=True,
+    )

@@ -263,13 +263,13 @@ def test_a_model_is_trained_and_estimates(run, stored, tmp_path):
     assert (code, json.loads(out)) == (0, said)
     *_, line = err.splitlines()
     assert line == f"next: chdstat estimate {store} --model {model} --spp 32 -o {image}"
-    asked = ("estimate", store, "-o", image, "--model", model, "--spp", 32, "-q")
+    asked = ("estimate", store, "-o", image, "--model", model, "--spp", 32, "--level", 0.5, "-q")
     said = f"wrote {image}: linear radiance with all layers, for an EXR viewer\n"
     assert run(*asked)[:2] == (0, said)
     found = chd.io.read_exr(image)
     assert found.image.shape == (16, 24, 3)
-    assert set(found.extra) == {"mean"}
-    assert (found.attributes["spp"], found.attributes["level"]) == ("32", "none")
+    assert set(found.extra) == {"certainty", "low", "high", "mean"}
+    assert (found.attributes["spp"], found.attributes["level"]) == ("32", "0.5")
 
 
 @pytest.mark.parametrize("rendering", [False, True])

@@ -150,7 +150,7 @@ def results(samples, stored, model):
         "untrained": chd.estimators.MLP.preset("elek2019"),
         "model": trained,
         "history": trained.history,
-        "estimates": chd.estimate(chd.open(stored()).first(8)),
+        "estimates": trained.estimate(chd.open(stored()).first(32)),
         "estimator": chd.estimators.lookup("mean"),
         "learned estimator": chd.estimators.lookup("elek2019"),
         "study": study,

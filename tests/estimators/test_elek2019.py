@@ -6,9 +6,9 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, PRESETS, Preset
-from chdstat.estimators.elek2019 import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.elek2019 import RECORD_EVERY, _validated, evaluate, initial_weights
 from chdstat.estimators.held_out import draw_pixels
-from chdstat.estimators.training import write_model
+from chdstat.estimators.training import read_model, write_model
 
 
 def image(height=24, width=24, spp=128, seed=0):
@@ -62,6 +62,122 @@ def test_training_with_patience_takes_the_weights_of_the_least_validation_error(
     x = image(seed=5).read()[..., :32]
     assert (patient.predict(x) == until.predict(x)).all()
     assert "patience" not in trained.provenance
+
+
+# --- certainty ----------------------------------------------------------------------------------
+
+
+def of_one_radiance(spp=128):
+    rng = np.random.default_rng(3)
+    return chd.Samples.from_array(rng.exponential(size=(64, 64, 1, spp)))
+
+
+def test_where_the_network_is_right_it_is_followed():
+    """All pixels have the radiance 1, which a network learns; the mean of 32 does not know it."""
+    samples = of_one_radiance()
+    model = MLP.preset("elek2019").train(samples, iterations=1500)
+    found = model.estimate(samples.read(ss=slice(0, 32)))
+    assert found.certainty.min() > 0.9
+    mean = samples.read(ss=slice(0, 32)).mean(axis=-1)
+    assert np.square(found.radiance - 1).mean() < 0.2 * np.square(mean - 1).mean()
+
+
+def test_a_network_of_noise_falls_back_to_the_mean():
+    """Samples hardly vary, so that the mean is right, and the network has learned nothing."""
+    rng = np.random.default_rng(3)
+    x = rng.lognormal(size=(24, 24, 3, 1)) * rng.normal(1, 0.01, size=(24, 24, 3, 64))
+    model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=1)
+    found, mean = model.estimate(x[..., :32]), x[..., :32].mean(axis=-1)
+    assert found.certainty.max() < 0.02
+    assert found.radiance == pytest.approx(mean, rel=0.02)
+    assert not np.allclose(model.predict(x[..., :32]), mean, rtol=0.2)
+
+
+def test_the_certainty_is_the_share_of_the_noise_that_the_mean_has():
+    """Of means with variance v and networks with variance w, it is v / (v + w), in each octave."""
+    rng = np.random.default_rng(0)
+    truth = np.repeat([0.35, 1.4, 5.6], 20_000)  # far from the ends of their octaves
+    v, w = (np.repeat(parts, 20_000) * truth for parts in ([0.03, 0.03, 0.04], [0.01, 0.03, 0.08]))
+    mean, network = (rng.normal(truth, deviation) for deviation in (v, w))
+    target = rng.normal(truth, 0.02 * truth)
+    certainty, residuals = _validated(mean, network, target)
+    assert certainty[[3, 5, 7]] == pytest.approx([0.9, 0.5, 0.2], abs=0.02)
+    # Classes without a row take that of all.
+    assert certainty[0] == certainty[9]
+    # The residuals are those of the mixture and of the target; the octave of 1.4 begins at 1.
+    deviation = 1.4 * np.sqrt(0.03**2 / 2 + 0.02**2)
+    assert residuals[5, [20, 380]] == pytest.approx(
+        [-1.645 * deviation, 1.645 * deviation], rel=0.03
+    )
+
+
+def test_one_row_does_not_decide_for_its_class():
+    truth = np.ones(5000)
+    mean = np.random.default_rng(0).normal(1, 0.05, 5000)
+    mean[0], network = 30, truth.copy()
+    network[0], truth[0] = 90, 30  # a firefly, which the network makes worse
+    certainty, _ = _validated(mean, network, truth)
+    assert certainty[5] == pytest.approx(1, abs=0.05)
+    assert certainty[9] > 0.5
+    assert _validated(truth, truth, truth)[0].tolist() == [0] * 10  # nowhere to go
+
+
+def test_intervals_hold_pixels_that_did_not_train(trained):
+    """The training is small, so that its quantiles are, too: wide limits, with the fixed seeds."""
+    x = image(height=64, width=64, spp=32 + 4096, seed=9).read()
+    truth = x[..., 32:].mean(axis=-1, dtype=np.float64)
+    for level in (0.5, 0.9):
+        found = trained.estimate(x[..., :32], level=level)
+        assert found.level == level
+        held = ((found.low <= truth) & (truth <= found.high)).mean()
+        assert level - 0.03 < held < level + 0.05
+        assert (found.low <= found.radiance).all()
+        assert (found.radiance <= found.high).all()
+        assert found.low.min() >= min(0, found.radiance.min())
+
+
+def test_the_estimate_lies_between_mean_and_network_by_the_certainty(trained):
+    x = image(seed=5).read()[..., :1, :32]  # of one channel, whose certainty is the pixel's
+    found, network = trained.estimate(x), trained.predict(x)
+    mean, certainty = x.mean(axis=-1, dtype=np.float64), found.certainty[..., np.newaxis]
+    assert found.radiance == pytest.approx(mean + certainty * (network - mean), rel=1e-5, abs=1e-6)
+    assert 0 <= certainty.min() < certainty.max() <= 1
+
+
+def test_a_file_without_certainty_is_followed_entirely_and_has_no_interval(trained, tmp_path):
+    path, x = tmp_path / "old.safetensors", image(seed=5).read()[..., :32]
+    trained.save(path)
+    whole = MLP.load(path).estimate(x)
+    for name, array in vars(trained.estimate(x)).items():
+        np.testing.assert_array_equal(getattr(whole, name), array)
+    arrays, about = read_model(path)
+    assert arrays.pop("certainty").shape == arrays.pop("residuals").shape[:1]
+    write_model(path, arrays, about)
+    found = MLP.load(path).estimate(x)
+    assert found.radiance == pytest.approx(trained.predict(x), rel=1e-6, abs=1e-7)
+    assert (found.certainty == 1).all()
+    assert np.isnan([found.level, found.low.max(), found.high.max()]).all()
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+def test_bad_black_and_signed_samples_have_estimates_too(trained):
+    x = image(seed=5).read()[:3, :4, :, :32].copy()
+    x[0, 0], x[0, 1, 2, 3], x[1], x[2, 0] = np.nan, np.inf, 0, -1
+    found = trained.estimate(x)
+    assert np.isnan(found.radiance[0, 0]).all()
+    rest = np.delete(found.radiance.reshape(12, 3), 0, axis=0)
+    assert np.isfinite(rest).all()
+    assert (found.low.reshape(12, 3)[1:] <= rest).all()
+    black = MLP.preset("elek2019").train(chd.Samples.from_array(np.zeros((4, 4, 3, 64))))
+    assert not black.estimate(np.zeros((2, 3, 32))).radiance.any()
+    for wrong, told in ((np.ones(32), "channel"), (np.ones((3, 31)), "exactly 32")):
+        with pytest.raises(InputError, match=told):
+            trained.estimate(wrong)
+    with pytest.raises(InputError, match="level"):
+        trained.estimate(x, level=1)
+
+
+# --- what it was trained on ---------------------------------------------------------------------
 
 
 def test_pixels_that_trained_are_exposed_and_at_most_half(trained):

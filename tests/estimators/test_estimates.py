@@ -10,6 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
+from chdstat.estimators import MLP
 from chdstat.estimators.estimates import estimate, write_estimates
 from chdstat.estimators.training import train_model
 from chdstat.io import read_exr
@@ -57,14 +58,18 @@ def test_only_the_first_samples_count():
 
 def test_a_model_is_taken_as_it_is_or_from_its_file(model, tmp_path):
     model.save(tmp_path / "a.safetensors")
-    expected = model.predict(image(spp=32).read())
+    expected = model.estimate(image(spp=32).read(), level=0.5)
     for given in (model, tmp_path / "a.safetensors", str(tmp_path / "a.safetensors")):
-        assert (estimate(image(spp=32), given).radiance == expected).all()
+        found = estimate(image(spp=32), given, level=0.5)
+        assert (found.radiance == expected.radiance).all()
+        assert (found.high == expected.high).all()
 
 
-def test_a_network_that_says_no_more_than_an_estimate(tmp_path, model):
+def test_a_network_that_says_no_more_than_an_estimate(tmp_path, model, monkeypatch):
+    expected = model.predict(image(spp=64).read(ss=slice(0, 32)))
+    monkeypatch.delattr(MLP, "estimate")
     found = estimate(image(spp=64), model, spp=32)
-    assert np.isfinite(found.radiance).all()
+    assert (found.radiance == expected).all()
     assert np.isnan([found.level, found.certainty.mean(), found.low.mean()]).all()
     file = write_estimates(tmp_path / "a.exr", image(spp=32), model)
     assert set(read_exr(file).extra) == {"mean"}
@@ -75,17 +80,19 @@ def test_a_network_that_says_no_more_than_an_estimate(tmp_path, model):
 def test_the_denoiser_comes_last(doubling, model):
     plain, smooth = (estimate(image(spp=32), model, denoise=way) for way in (False, True))
     assert smooth.radiance == pytest.approx(2 * plain.radiance.clip(min=0), rel=1e-5)
+    assert (smooth.low == plain.low).all()
 
 
 def test_the_file_holds_the_estimate_and_what_belongs_to_it(tmp_path, model, doubling):
     samples = image(spp=32)
     file = write_estimates(tmp_path / "a.exr", samples, model, denoise=True)
     found, expected = read_exr(file), estimate(samples, model)
-    assert set(found.extra) == {"mean", "estimate"}
+    assert set(found.extra) == {"certainty", "low", "high", "mean", "estimate"}
     assert (found.extra["estimate"] == expected.radiance).all()
+    assert (found.extra["certainty"] == expected.certainty).all()
     assert found.extra["mean"] == pytest.approx(samples.read().mean(axis=-1), rel=1e-5)
     said = found.attributes
-    assert (said["scene"], said["spp"], said["level"]) == ("made up", "32", "none")
+    assert (said["scene"], said["spp"], said["level"]) == ("made up", "32", "0.9")
     assert said["denoiser"] == "Open Image Denoise"
     assert json.loads(said["model"])["iterations"] == 5
 

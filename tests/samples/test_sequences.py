@@ -142,6 +142,7 @@ REFUSED = {
     "error_curve": lambda x: chd.comparison.error_curve(x, ["mean"]),
     "estimate": chd.estimate,
     "predict": MLP.preset("elek2019").predict,
+    "estimate by a model": MLP.preset("elek2019").estimate,
     "train": lambda x: train_model(x, "elek2019", iterations=1),
     "difference": lambda x: difference(x, x),
     "study": lambda x: chd.study(x, estimators=["mean"]),
