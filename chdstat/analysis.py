@@ -240,7 +240,7 @@ def _measured(
     for name in ("skewness", "kurtosis"):
         if "averages" in statistics:
             merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
-    return merged.assign_attrs(samples.attrs)
+    return merged.assign_attrs(summary.attrs)
 
 
 def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import enum
+import json
 import operator
 import sys
 import warnings
@@ -55,6 +56,7 @@ __all__ = [
     "luminance",
     "place_attributes",
     "plain",
+    "plain_attributes",
     "rows_by_count",
     "seed_number",
     "spans",
@@ -579,6 +581,34 @@ def flag_names(attrs: Mapping[str, Any]) -> dict[int, str]:
     """
     codes = np.atleast_1d(attrs["flag_values"]).tolist()
     return dict(zip(codes, str(attrs["flag_meanings"]).split(), strict=True))
+
+
+def plain_attributes(attrs: Mapping[Any, Any]) -> dict[str, str | int | float | list[int | float]]:
+    """Return attributes in the types that netCDF and zarr have; those without one become JSON.
+
+    Examples
+    --------
+    >>> plain_attributes({"seed": 7, "size": [6, 4], "noise": {"value": 0.5}, "whole": True})
+    {'seed': 7, 'size': [6, 4], 'noise': '{"value": 0.5}', 'whole': 'true'}
+    """
+    return {
+        str(name): value
+        if isinstance(value, str | float) or _numbers(value)
+        else json.dumps(value, default=str)
+        for name, value in attrs.items()
+    }
+
+
+def _numbers(value: Any) -> bool:
+    """Return whether a value is a number, or a list of numbers, of a netCDF type."""
+    values = value if isinstance(value, list | tuple) else [value]
+    if isinstance(value, np.ndarray):
+        values = value.tolist() if value.ndim == 1 else [None]
+    return all(
+        isinstance(v, float | np.floating)
+        or (isinstance(v, int | np.integer) and not isinstance(v, bool) and abs(int(v)) < 2**31)
+        for v in values
+    )
 
 
 def label_variables(dataset: xr.Dataset, labels: Mapping[str, str | tuple[str, str]]) -> xr.Dataset:

@@ -86,7 +86,8 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
         named = letters if len(letters) == len(array.shape) else None
         axes = axes_of(array, path.name, options.axes or named)
         sources.append(ArraySource(array, axes, path, features))
-        attrs = {k: v for k, v in about.items() if isinstance(v, str | int | float)}
+        plain = {k: v for k, v in about.items() if isinstance(v, str | int | float)}
+        attrs = {k: v for k, v in plain.items() if not k.startswith("_")}  # of libraries
         attrs |= {"unit": str(array.attrs["units"])} if "units" in array.attrs else {}
     return Opened(Joined(sources), attrs)
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import plain_attributes
 from chdstat._core.display import channel_names, png
 from chdstat._core.files import checked_target, local, writing
 from chdstat._core.image_scales import display_stops, tonemap
@@ -211,31 +211,9 @@ def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
     'maps.nc'
     """
     target = checked_target(path, ".nc")
-    plain = dataset.drop_encoding().assign_attrs(_plain(dataset.attrs))
+    plain = dataset.drop_encoding().assign_attrs(plain_attributes(dataset.attrs))
     for name, variable in plain.variables.items():
-        plain[name].attrs = _plain(variable.attrs)
+        plain[name].attrs = plain_attributes(variable.attrs)
     with writing(target) as partial:
         plain.to_netcdf(partial, engine="scipy")  # the same file, whatever else is installed
     return target
-
-
-def _plain(attrs: Mapping[Any, Any]) -> dict[str, str | int | float | list[int | float]]:
-    """Return attributes as text, numbers and lists of numbers."""
-    return {
-        str(name): value
-        if isinstance(value, str | float) or _numbers(value)
-        else json.dumps(value, default=str)
-        for name, value in attrs.items()
-    }
-
-
-def _numbers(value: Any) -> bool:
-    """Return whether a value is a number, or a list of numbers, of a netCDF type."""
-    values = value if isinstance(value, list | tuple) else [value]
-    if isinstance(value, np.ndarray):
-        values = value.tolist() if value.ndim == 1 else [None]
-    return all(
-        isinstance(v, float | np.floating)
-        or (isinstance(v, int | np.integer) and not isinstance(v, bool) and abs(int(v)) < 2**31)
-        for v in values
-    )

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, Image, LeftOut, Mapped, spans
+from chdstat._core.arrays import Array, Image, LeftOut, Mapped, plain_attributes, spans
 from chdstat._core.files import Cache, release, room
 from chdstat._core.work import in_order, track
 
@@ -341,7 +341,8 @@ def labelled(image: Samples, variables: Mapping[str, Any]) -> xr.Dataset:
     import xarray as xr
 
     coords = {"y": np.arange(image.shape[0]), "x": np.arange(image.shape[1])}
-    dataset = xr.Dataset(dict(variables), coords, image.attrs)
+    known = {name: value for name, value in image.attrs.items() if value is not None}
+    dataset = xr.Dataset(dict(variables), coords, plain_attributes(known))
     if "channel" in dataset.dims:
         # Strings have variable length: zarr v3 has no stable type for fixed length.
         dataset = dataset.assign_coords(channel=np.array(image.channels, dtype=object))
