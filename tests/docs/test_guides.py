@@ -57,7 +57,6 @@ IN_PYTHON = {
     "plot(64, 64,": "plot(8, 8,",
     "pixel(64, 64)": "pixel(8, 8)",
     "chd.compare(samples)": "chd.compare(samples, ['mean', 'median_of_means'])",
-    ".train(samples)": ".train(samples, iterations=2)",
     '["bathroom", "caustic"], spp=256, size=(64, 64)': (
         '["caustic"], spp=16, size=(8, 8), estimators=["mean"]'
     ),
@@ -100,7 +99,7 @@ def stores(tmp_path_factory) -> dict[str, Path]:
     scenes = {"cornell-box": "cornell-box", "attic": folder / "scene.xml"}
     for name, scene in scenes.items():
         out = folder / f"{name}.zarr"
-        chd.render(scene, spp=16, size=(12, 12), out=out, backend="scalar", progress=False)
+        chd.render(scene, spp=64, size=(12, 12), out=out, backend="scalar", progress=False)
     return {name: folder / f"{name}.zarr" for name in scenes}
 
 
