@@ -156,12 +156,15 @@ def run_network(images: dict[str, Image], *, hdr: bool) -> Image:
     hdr
         Whether ``color`` is linear radiance.
     """
-    library, found = _loaded(), np.empty_like(images["color"])
+    library = _loaded()
+    # The library takes addresses only: of arrays without gaps, which live until it has run.
+    held = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items()}
+    held["output"] = found = np.empty(images["color"].shape, np.float32)
     with library.Device() as device:
         device.commit()
         with library.Filter(device) as network:
-            for name, image in {**images, "output": found}.items():
-                network.set_image(name, np.ascontiguousarray(image), library.OIDN_FORMAT_FLOAT3)
+            for name, image in held.items():
+                network.set_image(name, image, library.OIDN_FORMAT_FLOAT3)
             network.set_bool("hdr", hdr)
             network.set_quality(library.OIDN_QUALITY_HIGH)
             network.set_int("maxMemoryMB", _MEMORY)

@@ -3,6 +3,8 @@
 The network itself is replaced by a blur where the law at hand is not about it.
 """
 
+import json
+import subprocess
 import sys
 
 import numpy as np
@@ -155,6 +157,38 @@ def test_noise_goes_and_the_image_stays():
 def test_scaling_the_radiance_scales_what_is_denoised(factor):
     x = noisy()
     assert denoise(factor * x) == pytest.approx(factor * denoise(x), rel=2e-3)
+
+
+LAYOUTS = """
+import json
+import numpy as np
+from chdstat.io import denoise
+
+rng = np.random.default_rng(0)
+whole = rng.exponential(size=(40, 56, 3)), rng.random((40, 56, 3)), rng.uniform(-1, 1, (40, 56, 3))
+orders = [(0, 1, 2), (2, 1, 0), (1, 0, 2), (2, 0, 1)]
+
+def laid_out(image, order):
+    return np.ascontiguousarray(image.transpose(order)).transpose(np.argsort(order))
+
+found = []
+for channels in (1, 3):
+    for order in orders:
+        image, albedo, normal = (laid_out(x, order) for x in whole)
+        image = laid_out(image[..., :channels], order)
+        found.append(denoise(image, albedo=albedo, normal=normal).tolist())
+print(json.dumps(found))
+"""
+
+
+def test_an_image_may_lie_in_memory_in_any_order():
+    # The library is given addresses; those of copies that are gone would end the process.
+    done = subprocess.run([sys.executable, "-c", LAYOUTS], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    for of_channels in (found[:4], found[4:]):
+        for other in of_channels[1:]:
+            assert np.array_equal(of_channels[0], other)
 
 
 def test_inputs_stay_as_they_are():
