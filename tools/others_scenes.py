@@ -56,9 +56,7 @@ class Row:
     words: str
 
     def __str__(self) -> str:
-        return (
-            f"{self.outcome:10}{self.backend:8}{self.seconds:6.1f} s  {self.scene}  {self.words}"
-        )
+        return f"{self.outcome:10}{self.backend:8}{self.seconds:6.1f} s  {self.scene}  {self.words}"
 
 
 def scenes(folders: list[Path]) -> Iterator[Path]:

@@ -21,6 +21,7 @@ import mitsuba.parser
 import numpy as np
 
 from chdstat.errors import SceneError, brief
+from chdstat.scenes.faults import checked_mesh, filled, refuse_faults
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
@@ -194,6 +195,8 @@ def parse(scene: Scene) -> ParsedScene:
             state = mi.parser.parse_file(config, str(source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
     parsed = ParsedScene.of(scene.name, state, resolver)
+    with _resolving(resolver):
+        refuse_faults(parsed)
     parsed.unshare("Emitter")  # equal textures are one object, but lights are darkened one by one
     _expand(parsed)
     _merge(parsed)
@@ -302,6 +305,7 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
     if value is None:
         message = f"a scene dict holds None for {key!r}; leave out what has no value"
         raise SceneError(message)
+    filled(key, value)
     if isinstance(value, np.ndarray) and value.shape == (4, 4):
         return mi.ScalarTransform4f(value)
     if isinstance(value, np.ndarray) and value.shape == (3, 3):
@@ -321,16 +325,11 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
 
 def _mesh(spec: Mapping[str, Any], *, name: str) -> Any:
     """Return a mesh object: Mitsuba's dict has no plugin for vertices in memory."""
-    if missing := sorted({"vertices", "faces"} - spec.keys()):
-        message = f"a mesh needs vertices and faces; {name!r} has no {' and no '.join(missing)}"
-        raise SceneError(message)
-    vertices = np.ascontiguousarray(spec["vertices"], dtype=np.float32)
-    faces = np.ascontiguousarray(spec["faces"], dtype=np.uint32)
+    vertices, faces, normals, uv = checked_mesh(spec, name)
     properties = mi.Properties()
     for part in ("bsdf", "emitter"):
         if part in spec:
             properties[part] = mi.load_dict(_to_mitsuba(spec[part]))
-    uv, normals = spec.get("uv"), spec.get("normals")
     mesh = mi.Mesh(
         name,
         len(vertices),
@@ -343,9 +342,9 @@ def _mesh(spec: Mapping[str, Any], *, name: str) -> Any:
     arrays["vertex_positions"] = vertices.ravel()
     arrays["faces"] = faces.ravel()
     if normals is not None:
-        arrays["vertex_normals"] = np.ascontiguousarray(normals, dtype=np.float32).ravel()
+        arrays["vertex_normals"] = normals.ravel()
     if uv is not None:
-        arrays["vertex_texcoords"] = np.ascontiguousarray(uv, dtype=np.float32).ravel()
+        arrays["vertex_texcoords"] = uv.ravel()
     arrays.update()
     return mesh
 
@@ -353,5 +352,6 @@ def _mesh(spec: Mapping[str, Any], *, name: str) -> Any:
 def _bitmap(spec: Mapping[str, Any]) -> dict[str, Any]:
     """Return a bitmap texture; `data` is linear, so it must not be taken for sRGB."""
     rest = {k: _to_mitsuba(v, key=k) for k, v in spec.items() if k != "data"}
+    filled("data", spec["data"])
     image = mi.Bitmap(np.ascontiguousarray(spec["data"], dtype=np.float32))
     return {**rest, "bitmap": image, "raw": bool(spec.get("raw", image.channel_count() == 1))}

@@ -246,7 +246,7 @@ def _hash_value(digest: Any, value: Any) -> None:
     if isinstance(value, Mapping):
         digest.update(f"dict{len(value)}".encode())
         for key, item in value.items():
-            digest.update(f"key:{key};".encode())
+            digest.update(f"key:{key};".encode(errors="surrogatepass"))
             _hash_value(digest, item)
     elif isinstance(value, np.ndarray):
         digest.update(f"array{value.dtype.str}{value.shape}".encode())
