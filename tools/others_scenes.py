@@ -79,7 +79,7 @@ def fate(scene: Path, backend: str, options: argparse.Namespace) -> Row:
         command += [f"--{name}={value}" for name, value in settings.items()]
         begun = time.monotonic()
         try:
-            done = subprocess.run(
+            done = subprocess.run(  # noqa: S603 - our own command
                 [*command, "-o", f"{folder}/samples.zarr"],
                 capture_output=True,
                 text=True,
@@ -168,10 +168,11 @@ def main() -> int:
         tasks = product(scenes(folders), options.backend)
         counts: Counter[tuple[str, str]] = Counter()
         for row in pool.map(lambda task: fate(*task, options), tasks):
-            print(row, flush=True)
+            sys.stdout.write(f"{row}\n")
+            sys.stdout.flush()
             counts[row.backend, row.outcome] += 1
     for (backend, outcome), count in sorted(counts.items()):
-        print(f"{backend:8}{outcome:10}{count:5}")
+        sys.stdout.write(f"{backend:8}{outcome:10}{count:5}\n")
     return int(any(outcome in BAD for _, outcome in counts))
 
 
