@@ -2,13 +2,13 @@
 
 `bench` answers the questions of a paper on a new estimator: is it better than the others, on every
 scene, at every number of samples, and at equal time? Its `Bench` holds a `Case` for each scene and
-number of samples. `compare` measures more on one image, and needs no reference besides its samples.
+number of samples, measured as `compare` does. `compare` measures one image, and needs no reference
+besides its samples.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,68 +19,52 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from chdstat._core.arrays import Array, Seed, seed_number, whole
-from chdstat._core.display import Card, Shown, latex, number, percent
+from chdstat._core.arrays import Array, Seed, plain, seed_number, whole
+from chdstat._core.display import Card, Shown, number, percent
 from chdstat._core.files import checked_target, replacing
-from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
 from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
+from chdstat.comparison.flip import HAS_FLIP, exposures, flip
+from chdstat.comparison.metrics import (
+    SUMS,
+    columns_of,
+    errors_of,
+    measures_of,
+    moved,
+    shown_ratio,
+)
+from chdstat.comparison.references import PARTS, PartialSums, Reference
 from chdstat.errors import InputError, check_option
 from chdstat.estimators.registry import LearnedEstimator
 from chdstat.io import read_exr
 from chdstat.rendering import render, render_batches
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
-from chdstat.summary import summarize
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ERRORS", "FORMATS", "Bench", "Case", "bench", "flip"]
+__all__ = ["ERRORS", "FORMATS", "Bench", "Case", "bench"]
 
 Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
 
-_NAMES = {"mse": "MSE", "relmse": "relMSE", "smape": "SMAPE", "flip": "FLIP"}
-_HAS_FLIP = importlib.util.find_spec("flip_evaluator") is not None
-ERRORS = tuple(name for name in _NAMES if name != "flip" or _HAS_FLIP)
-"""Errors that are added up over pixels; FLIP where its package is installed."""
-FORMATS = (".csv", ".tex", ".json", ".pdf")
+_NAMES = {"mse": "MSE", "relmse": "relMSE", "flip": "FLIP"}
+ERRORS = tuple(name for name in _NAMES if name != "flip" or HAS_FLIP)
+"""Errors that are divided by those of the baseline; FLIP where its package is installed."""
+FORMATS = (".csv", ".json")
 """File formats of a benchmark."""
 _LEAST = 1e-3
-"""Least ratio of errors, and one over the largest: minus the noise of the reference, an error may
-be 0 or less."""
+"""Least ratio of errors, and one over the largest: without the noise of the reference, the error of
+a replicate may be 0 or less."""
 _SIZE = (128, 128)
 _REFERENCE_SPP = 2048
 _BATCH = 64
 _APART = 2**30
 """Added to the seed of a reference, so that it shares no random number with the samples."""
-_FIREFLY = 3.0
-_CROP = 128
-"""Largest edge, in pixels, of the images that are kept for display."""
 _SMALL = 16
 """Edge, in pixels, of the image that is estimated before time is measured."""
-
-
-def flip(image: Array, reference: Array) -> Array:
-    """Return the FLIP error of every pixel of linear radiance, shape (y, x), from 0 to 1.
-
-    HDR-FLIP with its defaults: 67 pixels per degree, exposures from the reference.
-
-    References
-    ----------
-    P. Andersson, J. Nilsson, P. Shirley and T. Akenine-Möller, "Visualizing errors in rendered high
-    dynamic range images", Eurographics Short Papers 2021, doi:10.2312/egs.20211015.
-    """
-    evaluator: Any = importlib.import_module("flip_evaluator")
-    shape = (*reference.shape[:2], 3)
-    shown = (
-        np.array(np.broadcast_to(np.maximum(x, 0), shape), np.float32, order="C")
-        for x in (reference, image)
-    )
-    found, _, _ = evaluator.evaluate(*shown, "HDR", applyMagma=False, computeMeanError=False)
-    return np.asarray(found, np.float64).reshape(shape[:2])
 
 
 def _numbers(name: str, found: Interval[float]) -> dict[str, float]:
@@ -97,30 +81,28 @@ class Case:
         Name of the scene, and number of samples.
     blocks
         Blocks of its pixels.
-    errors
-        Sums of the errors of `ERRORS` over each block, by estimator, shape (block, measure).
-    bias, fireflies
-        By estimator: the mean error divided by the mean reference; the share of pixels at least two
-        stops too bright, as in `chdstat.compare`.
+    sums
+        Sums of `chdstat.comparison.metrics.SUMS` over each block, by estimator, shape (block, sum,
+        channel).
+    flips
+        Sums of FLIP over each block, by estimator, against the reference and against each half of
+        its samples, shape (block, 3); empty without `flip-evaluator`.
+    exposures
+        Least and largest exposure of FLIP, in stops.
     seconds
         Time of each estimate, by estimator; NaN for finished images.
     render_seconds
         Time to render the samples; NaN if unknown.
-    images
-        By estimator, and last the "reference": the centre of the first render's image, at most 128
-        x 128 pixels of linear radiance, (y, x, channel). Only kept for the smallest number of
-        samples, where differences are largest.
     """
 
     scene: str
     spp: int
     blocks: Blocks
-    errors: Mapping[str, Array]
-    bias: Mapping[str, float]
-    fireflies: Mapping[str, float]
+    sums: Mapping[str, Array]
+    flips: Mapping[str, Array]
+    exposures: tuple[float, float]
     seconds: Mapping[str, float]
     render_seconds: float
-    images: Mapping[str, Array] = field(default_factory=dict)
 
     @staticmethod
     def average(cases: Sequence[Case]) -> Case:
@@ -130,38 +112,49 @@ class Case:
             values = [getattr(case, field) for case in cases]
             return {name: np.mean([value[name] for value in values], axis=0) for name in values[0]}
 
-        fields = {field: mean(field) for field in ("errors", "bias", "fireflies", "seconds")}
+        fields = {field: mean(field) for field in ("sums", "flips", "seconds")}
         render_seconds = float(np.mean([case.render_seconds for case in cases]))
         return replace(cases[0], **fields, render_seconds=render_seconds)
 
     def ratios(self, name: str, baseline: str, measure: str, weights: Array) -> Array:
         """Return the ratio of the errors of two estimators, for weighted blocks."""
-        k = ERRORS.index(measure)
-        one, other = (weights @ self.errors[n][:, k] for n in (name, baseline))
+        one, other = (weights @ self._errors(n, measure) for n in (name, baseline))
         # Where neither is above 0, nothing is known.
         ratio = np.maximum(one, _LEAST * other) / np.maximum(other, _LEAST * one)
         return np.where(np.maximum(one, other) > 0, ratio, np.nan)
 
-    def ratio(self, name: str, baseline: str, measure: str) -> Interval[float]:
-        """Return that ratio with its interval over blocks."""
-        ratios = partial(self.ratios, name, baseline, measure)
-        return interval_of(ratios, self.blocks, bounds=(0, np.inf))
+    def _errors(self, name: str, measure: str) -> Array:
+        """Return the sums of an error over each block, shape (block,)."""
+        if measure == "flip":
+            return np.asarray(self.flips[name][:, 0])
+        column = {"mse": "squared", "relmse": "relative"}[measure]
+        return np.asarray(self.sums[name][:, SUMS.index(column)].mean(axis=-1))
 
-    def row(self, name: str, baseline: str) -> dict[str, Any]:
-        """Return the row of an estimator."""
-        pixels = len(self.blocks.of_pixel)
-        means = dict(zip(ERRORS, self.errors[name].sum(axis=0) / pixels, strict=True))
-        found: dict[str, Any] = {"scene": self.scene, "spp": self.spp, "estimator": name, **means}
-        for measure in ERRORS:
-            found |= _numbers(f"{measure}_ratio", self.ratio(name, baseline, measure))
-        # The error of a mean is inversely proportional to the time.
-        longer = 1 + self.seconds[name] / self.render_seconds
-        return found | {
-            "mse_equal_time": found["mse_ratio"] * longer,
-            "bias": self.bias[name],
-            "fireflies": self.fireflies[name],
-            "seconds": self.seconds[name],
+    def measures(self, baseline: str) -> dict[str, dict[str, float]]:
+        """Return all measures by estimator, with their intervals, as columns of a table.
+
+        Those of `chdstat.compare`, with the baseline in place of the sample mean, and FLIP.
+        """
+        names = [*self.sums]
+        stacked = np.stack([self.sums[n] for n in (baseline, *names)], axis=2)
+        found = {n: of[:, -1] for n, of in measures_of(stacked, seed=0).items()}
+        rows = {
+            name: {column: float(values[k]) for column, (values, _) in columns_of(found).items()}
+            for k, name in enumerate(names)
         }
+        for name in self.flips:
+            rows[name] |= self._flip(name, baseline)
+        return rows
+
+    def _flip(self, name: str, baseline: str) -> dict[str, float]:
+        """Return FLIP and its ratio to that of the baseline; NaN if the reference decides it."""
+        own, others = self.flips[name].sum(axis=0), self.flips[baseline].sum(axis=0)
+        found = Interval.unknown()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if not moved(own[1:] / others[1:], own[0] / others[0]).any():
+                ratios = partial(self.ratios, name, baseline, "flip")
+                found = interval_of(ratios, self.blocks, bounds=(0, np.inf))
+        return {"flip": float(own[0]) / len(self.blocks.of_pixel)} | _numbers("flip_ratio", found)
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,16 +181,29 @@ class Bench(Shown):
     def table(self) -> list[dict[str, Any]]:
         """Return a row for each scene, number of samples and estimator.
 
-        A row has the errors and their ratios to the baseline, with 95 % intervals over blocks of
-        pixels; ``mse_equal_time``, the ratio of the MSE times the time to render and estimate over
-        the time to render; bias; fireflies; and seconds.
+        A row has the measures of `chdstat.compare` with 95 % intervals over blocks of pixels, with
+        the baseline in place of the sample mean; FLIP and its ratio; ``mse_equal_time``, the ratio
+        of the MSE times the time to render and estimate over the time to render; and seconds. What
+        the reference cannot tell is NaN.
         """
-        return [
-            case.row(name, self.baseline)
-            for case in self.cases
-            for name in self.estimators
-            if name in case.errors
-        ]
+        return [row for rows in self._rows for row in rows.values()]
+
+    @cached_property
+    def _rows(self) -> list[dict[str, dict[str, Any]]]:
+        """Rows of every case, by estimator."""
+        found = []
+        for case in self.cases:
+            measures, rows = case.measures(self.baseline), {}
+            for name in (n for n in self.estimators if n in case.sums):
+                row: dict[str, Any] = {"scene": case.scene, "spp": case.spp, "estimator": name}
+                seconds = case.seconds[name]
+                # The error of a mean is inversely proportional to the time.
+                longer = 1 + seconds / case.render_seconds
+                equal_time = measures[name]["mse_ratio"] * longer
+                own = {"mse_equal_time": equal_time, "seconds": seconds}
+                rows[name] = row | measures[name] | own
+            found.append(rows)
+        return found
 
     @cached_property
     def _regions(self) -> tuple[Blocks, dict[str, slice]]:
@@ -209,100 +215,107 @@ class Bench(Shown):
 
     def _average(
         self,
-        name: str,
+        cases: Sequence[Case],
         of_case: Callable[[Case, Array], Array],
         bounds: tuple[float, float],
         change: Callable[[Array], Array] = np.asarray,
     ) -> Interval[float]:
-        """Average a statistic of weighted blocks over the cases of an estimator."""
+        """Average a statistic of weighted blocks over cases."""
+        if not cases:
+            return Interval.unknown()
         blocks, places = self._regions
 
         def statistic(weights: Array) -> Array:
-            found = [
-                of_case(case, weights[:, places[case.scene]])
-                for case in self.cases
-                if name in case.errors
-            ]
+            found = [of_case(case, weights[:, places[case.scene]]) for case in cases]
             return change(np.mean(found, axis=0))
 
         return interval_of(statistic, blocks, bounds=bounds)
 
-    def geometric_mean(self, name: str, measure: str = "mse") -> Interval[float]:
-        """Return the geometric mean, over all cases, of the ratios of an error to the baseline's.
+    def told(self, name: str, measure: str) -> list[Case]:
+        """Return the cases in which the ratio of an error to the baseline's is known."""
+        ratio = f"{measure}_ratio"
+        pairs = zip(self.cases, self._rows, strict=True)
+        return [case for case, rows in pairs if name in rows and np.isfinite(rows[name][ratio])]
 
-        The 95 % interval is over blocks of pixels of these scenes; other scenes may differ by more.
+    def geometric_mean(self, name: str, measure: str = "mse") -> Interval[float]:
+        """Return the geometric mean of the ratios of an error to the baseline's.
+
+        It is over the cases in which the ratio is known. The 95 % interval is over blocks of pixels
+        of these scenes; other scenes may differ by more.
         """
 
         def logarithm(case: Case, weights: Array) -> Array:
             return np.log(case.ratios(name, self.baseline, measure, weights))
 
-        return self._average(name, logarithm, (0, np.inf), np.exp)
+        return self._average(self.told(name, measure), logarithm, (0, np.inf), np.exp)
 
     def rank(self, name: str, measure: str = "mse") -> Interval[float]:
         """Return the average rank among the estimators over all cases, 1 for the least error."""
-        k = ERRORS.index(measure)
 
         def rank(case: Case, weights: Array) -> Array:
-            own = weights @ case.errors[name][:, k]
-            others = [weights @ e[:, k] for n, e in case.errors.items() if n != name]
+            own = weights @ case._errors(name, measure)
+            others = [weights @ case._errors(n, measure) for n in case.sums if n != name]
             return sum((own > other for other in others), np.ones(len(weights)))
 
-        return self._average(name, rank, (1, len(self.estimators)))
+        return self._average(self.told(name, measure), rank, (1, len(self.estimators)))
 
     def summary(self) -> list[dict[str, Any]]:
         """Return a row for each estimator, over all cases.
 
         A row has the geometric means of the ratios of errors and the average rank by MSE, each with
         its 95 % interval; ``worst``, the largest ratio of the MSE in any case; ``bias``, the
-        largest absolute bias in any case, with its sign; ``fireflies``, the average share; and the
-        number of cases.
+        largest absolute bias in any case, with its sign; ``fireflies``, the average share; the
+        number of ``cases``; and, of these, the numbers in which the reference can tell the ratio,
+        ``mse_cases`` and so on.
         """
-        rows = []
+        table = []
         for name in self.estimators:
             intervals = {measure: self.geometric_mean(name, measure) for measure in ERRORS}
             intervals["rank"] = self.rank(name)
-            cases = [case for case in self.cases if name in case.errors]
+            rows = [of_case[name] for of_case in self._rows if name in of_case]
             row: dict[str, Any] = {"estimator": name}
             for what, found in intervals.items():
                 row |= _numbers(what, found)
-            row["worst"] = max(case.ratio(name, self.baseline, "mse").value for case in cases)
-            row["bias"] = max((case.bias[name] for case in cases), key=abs)
-            row["fireflies"] = float(np.mean([case.fireflies[name] for case in cases]))
-            row["cases"] = len(cases)
-            rows.append(row)
-        return rows
+            known = [r["mse_ratio"] for r in rows if np.isfinite(r["mse_ratio"])]
+            row["worst"] = max(known, default=np.nan)
+            row["bias"] = max((r["bias"] for r in rows), key=abs)
+            row["fireflies"] = float(np.mean([r["fireflies"] for r in rows]))
+            row["cases"] = len(rows)
+            table.append(row | {f"{m}_cases": len(self.told(name, m)) for m in ERRORS})
+        return table
 
     @property
     def notes(self) -> dict[str, str]:
-        """Notes for a reader of the table, as in a `Comparison`."""
-        own = {name: sum(name in case.errors for case in self.cases) for name in self.estimators}
+        """Notes for a reader of the table, as in a `Comparison`; what cannot be told; exposures."""
+        own = {name: sum(name in case.sums for case in self.cases) for name in self.estimators}
         every = len(self.cases)
         absent = {name: f"in {every - n} of {every} cases" for name, n in own.items() if n < every}
-        return notes(self.estimators, left_out={**self.left_out, **absent})
+        found = notes(self.estimators, left_out={**self.left_out, **absent})
+        untold = {
+            _NAMES[m]: max(own[n] - len(self.told(n, m)) for n in self.estimators) for m in ERRORS
+        }
+        if lost := [f"{name} in {n} of {every} cases" for name, n in untold.items() if n]:
+            found["the reference cannot tell"] = ", ".join(lost)
+        if HAS_FLIP:
+            stops = {case.scene: case.exposures for case in self.cases}
+            each = (f"{scene} {a:.1f} to {b:.1f}" for scene, (a, b) in stops.items())
+            found["exposures of FLIP"] = f"{', '.join(each)} stops"
+        return found
 
     def _card(self) -> Card:
         scenes, spp = {c.scene: None for c in self.cases}, {c.spp: None for c in self.cases}
         facts = {"scenes": ", ".join(scenes), "spp": ", ".join(map(str, spp))}
         facts |= self.notes
-        if not _HAS_FLIP:
+        if not HAS_FLIP:
             facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
-        title = f"Benchmark: errors over those of {self.baseline}"
-        rows = self.shown(intervals=("mse", "relmse"))
-        for row in rows:  # fits a page; SMAPE is in files and in `summary`
-            del row[_NAMES["smape"]]
-        return Card(title, facts, rows)
+        return Card(f"Benchmark: errors over those of {self.baseline}", facts, self.shown())
 
-    def shown(self, *, intervals: Sequence[str] = ERRORS) -> list[dict[str, str]]:
-        """Return the summary as text under titles, with intervals for some of the measures."""
-
-        def ratio(row: Mapping[str, Any], measure: str) -> str:
-            ends = f" [{row[f'{measure}_low']:.2f}, {row[f'{measure}_high']:.2f}]"
-            return f"{row[measure]:.2f}{ends if measure in intervals else ''}"
-
+    def shown(self) -> list[dict[str, str]]:
+        """Return the summary as text under titles, with 95 % intervals of the ratios."""
         return [
             {
                 "estimator": row["estimator"],
-                **{_NAMES[measure]: ratio(row, measure) for measure in ERRORS},
+                **{_NAMES[measure]: shown_ratio(row, measure) for measure in ERRORS},
                 "bias": percent(row["bias"], sign=True),
                 "fireflies": percent(row["fireflies"]),
                 "rank": f"{row['rank']:.1f}",
@@ -313,7 +326,8 @@ class Bench(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
-        return {"baseline": self.baseline, "summary": self.summary(), "cases": self.table()}
+        found: dict[str, Any] = plain({"summary": self.summary(), "cases": self.table()})
+        return {"baseline": self.baseline} | found
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the rows of `table` as a pandas data frame."""
@@ -321,14 +335,8 @@ class Bench(Shown):
 
         return pd.DataFrame(self.table())
 
-    def to_latex(self) -> str:
-        """Return the summary as a LaTeX table, which needs the package booktabs."""
-        return latex(self.shown())
-
     def save(self, path: str | Path) -> Path:
-        """Write `table` to a .csv, the summary to a .tex, both to a .json file, or a .pdf.
-
-        The PDF has both, curves of the errors and images of every scene.
+        """Write `table` to a .csv, or everything to a .json file.
 
         Raises
         ------
@@ -336,17 +344,12 @@ class Bench(Shown):
             If the path has another ending, or cannot be written to.
         """
         target = checked_target(path, *FORMATS)
-        if target.suffix == ".pdf":
-            from chdstat.reporting.documents import bench_document, typeset
-
-            return typeset(bench_document(self), target)
-        if target.suffix == ".csv":
-            text = str(self.to_dataframe().to_csv(index=False))
-        elif target.suffix == ".tex":
-            text = self.to_latex()
-        else:
-            text = json.dumps(self.to_dict(), indent=1)
         with replacing(target) as file:
+            text = (
+                str(self.to_dataframe().to_csv(index=False))
+                if target.suffix == ".csv"
+                else json.dumps(self.to_dict(), indent=1)
+            )
             file.write_text(text, encoding="utf-8")
         return target
 
@@ -366,15 +369,14 @@ def bench(
     folder: str | Path | None = None,
     progress: bool | None = None,
 ) -> Bench:
-    r"""Measure estimators on several scenes, against references from other samples.
+    """Measure estimators on several scenes, against references from other samples.
 
-    Let p be an estimate, y its reference with variance v, and m the mean reference of the scene.
-    ``mse`` is :math:`\overline{(p - y)^2 - v}`, ``relmse`` is :math:`\overline{((p - y)^2 - v) /
-    (y^2 + 0.01\, m^2)}`, and ``smape`` is :math:`\overline{2 |p - y| / (|p| + |y| + 0.01\, m)}`.
-    The noise of the reference is subtracted from ``mse`` and ``relmse``, but not from ``smape``. If
+    The measures are those of `chdstat.compare`, without the noise of the reference. If
     ``flip-evaluator`` is installed (``pip install chdstat[flip]``), ``flip`` measures how visible
-    the differences are (Andersson et al. 2021, doi:10.2312/egs.20211015). Pixels without a
-    reference do not count; where an estimate is no number, it counts as black.
+    the differences are (Andersson et al. 2021, doi:10.2312/egs.20211015), at exposures that follow
+    from the lit part of the reference and stand in the notes. It is not known where references of
+    half of the samples give another ratio. Pixels without a reference do not count; where an
+    estimate is no number, it counts as black.
 
     Parameters
     ----------
@@ -463,7 +465,8 @@ def bench(
                     small = samples.isel(y=slice(_SMALL), x=slice(_SMALL))
                     for entry in chosen.entries.values():
                         estimate_by(entry, small.read(), features=small.features)
-                parts.append(_measured(chosen.entries, images or {}, numbers, truth, samples, name))
+                inputs = images or {}, numbers, truth, samples, name, baseline
+                parts.append(_measured(chosen.entries, *inputs))
                 advance(1)
             cases += [Case.average([part[k] for part in parts]) for k in range(len(numbers))]
     return Bench(tuple(names), baseline, tuple(cases), chosen.left_out)
@@ -506,8 +509,8 @@ class _Inputs:
         )
         return found.first(self.numbers[-1])
 
-    def reference(self, name: str, scene: Any, given: Any) -> tuple[Array, Array]:
-        """Return a reference (y, x, channel) and its variance, 0 if unknown."""
+    def reference(self, name: str, scene: Any, given: Any) -> _Truth:
+        """Return the reference of a scene."""
         more, held = _held(given), _held(scene)
         if more is not None:
             seed, own = more.attrs.get("seed"), range(self.seed, self.seed + self.seeds)
@@ -520,11 +523,11 @@ class _Inputs:
                     f"pixel; give one of another seed, or of {2 * first} samples or more"
                 )
                 raise InputError(message)
-            return _mean(more.isel(sample=slice(first, None)))
+            return _Truth.of(name, more.isel(sample=slice(first, None)))
         if given is not None:
             named = isinstance(given, str | Path)
             image = np.asarray(read_exr(given).image if named else given, np.float64)
-            return image, np.zeros_like(image)
+            return _Truth.of_parts(np.stack([image] * PARTS))
         if held is not None:
             if held.spp < 2 * self.numbers[-1]:
                 message = (
@@ -532,11 +535,11 @@ class _Inputs:
                     f"after the first {self.numbers[-1]}; give one in references"
                 )
                 raise InputError(message)
-            return _mean(held.isel(sample=slice(self.numbers[-1], None)))
+            return _Truth.of(name, held.isel(sample=slice(self.numbers[-1], None)))
         batches = render_batches(
             scene,
             spp=self.reference_spp,
-            batch=min(_BATCH, max(1, self.reference_spp // 2)),
+            batch=min(_BATCH, max(1, self.reference_spp // PARTS)),
             size=self.size,
             seed=self.seed + _APART,
             progress=False,
@@ -548,15 +551,17 @@ class _Inputs:
             digest = hashlib.sha256(repr(about).encode()).hexdigest()[:8]
             kept = Path(self.folder) / f"{name}-reference-{digest}.npz"
         if kept is not None and kept.exists():
-            held_images = np.load(kept)
-            return held_images["image"], held_images["variance"]
+            return _Truth.of_parts(np.load(kept)["parts"])
         means = np.stack([batch.mean(axis=-1, dtype=np.float64) for batch in batches])
-        image, variance = means.mean(axis=0), means.var(axis=0, ddof=1) / len(means)
+        if len(means) < PARTS:
+            message = f"a reference needs at least {PARTS} samples per pixel, got {len(means)}"
+            raise InputError(message)
+        parts = np.stack([means[k::PARTS].mean(axis=0) for k in range(PARTS)])
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
             with replacing(kept) as file, file.open("wb") as stream:
-                np.savez(stream, image=image, variance=variance)
-        return image, variance
+                np.savez(stream, parts=parts)
+        return _Truth.of_parts(parts)
 
 
 def _held(given: Any) -> Samples | None:
@@ -566,33 +571,56 @@ def _held(given: Any) -> Samples | None:
     return open_samples(given) if is_store(given) else None
 
 
-def _mean(samples: Samples) -> tuple[Array, Array]:
-    found = summarize(samples, progress=False)
-    return found["mean"].values, np.square(found["standard_error"].values)
+@dataclass(frozen=True)
+class _Truth:
+    """A reference of a scene, and means of each half of its samples, shape (2, y, x, channel)."""
+
+    reference: Reference
+    halves: Array
+
+    @classmethod
+    def of(cls, name: str, samples: Samples) -> _Truth:
+        sums = PartialSums.of(samples)
+        found = sums.reference()
+        if not np.isfinite(found.mean).any():
+            message = f"the reference of {name} has no pixel with {PARTS} good samples"
+            raise InputError(message)
+        return cls(found, sums.halves)
+
+    @classmethod
+    def of_parts(cls, parts: Array) -> _Truth:
+        """Return the reference of means of equally many samples, shape (4, y, x, channel)."""
+        known = np.isfinite(parts).all(axis=(0, -1))
+        scene_mean = parts[:, known].mean(axis=(0, 1)) if known.any() else np.ones(parts.shape[-1])
+        error = parts.std(axis=0, ddof=1) / np.sqrt(PARTS)
+        halves = np.stack([parts[k::2].mean(axis=0) for k in range(2)])
+        return cls(Reference.of_image(parts, error, scene_mean), halves)
 
 
 def _measured(
     entries: Mapping[str, Entry],
     images: Images,
     numbers: Sequence[int],
-    truth: tuple[Array, Array],
+    truth: _Truth,
     samples: Samples,
     scene: str,
+    baseline: str,
 ) -> list[Case]:
     """Return a case for each number of samples."""
-    reference, variance = truth
-    if reference.shape != samples.shape[:3]:
-        message = (
-            f"the reference of {scene} has shape {reference.shape}, its samples {samples.shape[:3]}"
-        )
+    reference = truth.reference
+    shape = reference.mean.shape
+    if shape != samples.shape[:3]:
+        message = f"the reference of {scene} has shape {shape}, its samples {samples.shape[:3]}"
         raise InputError(message)
-    known = np.asarray(np.isfinite(reference + variance).all(axis=-1))
+    known = np.asarray(np.isfinite(reference.mean).all(axis=-1))
     if not known.any():
-        message = f"the reference of {scene} has no pixel with two good samples"
+        message = f"the reference of {scene} has no pixel that is a number"
         raise InputError(message)
-    mean = abs(float(reference[known].mean()))
-    weight = 1 / relative_scale(reference, mean)
+    at = reference[known]
+    scene_mean = at.mean.mean(axis=0)
     blocks, cases = Blocks.grid(*known.shape)[known.ravel()], []
+    shown_truths = [np.nan_to_num(image) for image in (reference.mean, *truth.halves)]
+    stops = exposures(shown_truths[0])
     for n in numbers:
         few = samples.first(n)
         found: dict[str, tuple[Array, float]] = {}
@@ -603,42 +631,25 @@ def _measured(
                 found[name] = image, time.perf_counter() - start
         for name, of_scene in images.items():
             if scene in of_scene:
-                found[name] = _finished(of_scene[scene], n, len(numbers), reference.shape), np.nan
-        errors, bias, fireflies = {}, {}, {}
-        for name, (image, _) in found.items():
-            image = np.where(np.isfinite(image), image, 0).astype(np.float64)
-            apart = image - reference
-            squared = np.square(apart) - variance
-            relative = 2 * np.abs(apart) / (np.abs(image) + np.abs(reference) + 0.01 * mean)
-            each = [x.mean(axis=2) for x in (squared, squared * weight, relative)]
-            if "flip" in ERRORS:
-                shown = (np.where(known[..., np.newaxis], x, 0) for x in (image, reference))
-                each.append(flip(*shown))
-            errors[name] = blocks.sums(np.stack(each, axis=-1)[known])
-            bias[name] = float(apart[known].mean() / mean)
-            fireflies[name] = float((apart * np.sqrt(weight) > _FIREFLY)[known].mean())
-        cases.append(
-            Case(
-                scene,
-                n,
-                blocks,
-                errors,
-                bias,
-                fireflies,
-                {name: seconds for name, (_, seconds) in found.items()},
-                float(few.attrs.get("render_seconds") or np.nan),
-                _middles(found, reference) if n == numbers[0] else {},
-            )
-        )
+                found[name] = _finished(of_scene[scene], n, len(numbers), shape), np.nan
+        shown = {
+            name: np.where(known[..., np.newaxis] & np.isfinite(image), image, 0).astype(np.float64)
+            for name, (image, _) in found.items()
+        }
+        base = shown[baseline][known]
+        sums = {
+            name: blocks.sums(errors_of(image[known], base, at, scene_mean=scene_mean))
+            for name, image in shown.items()
+        }
+        flips = {}
+        if HAS_FLIP:
+            for name, image in shown.items():
+                each = [flip(image, of, stops=stops) for of in shown_truths]
+                flips[name] = blocks.sums(np.stack(each, axis=-1)[known])
+        seconds = {name: taken for name, (_, taken) in found.items()}
+        render_seconds = float(few.attrs.get("render_seconds") or np.nan)
+        cases.append(Case(scene, n, blocks, sums, flips, stops, seconds, render_seconds))
     return cases
-
-
-def _middles(found: Mapping[str, tuple[Array, float]], reference: Array) -> dict[str, Array]:
-    """Return the parts of the estimates and of the reference that `Case.images` keeps."""
-    starts = [max(0, edge - _CROP) // 2 for edge in reference.shape[:2]]
-    middle = tuple(slice(start, start + _CROP) for start in starts)
-    images = {name: image for name, (image, _) in found.items()} | {"reference": reference}
-    return {name: image[middle].astype(np.float32) for name, image in images.items()}
 
 
 def _finished(given: Any, n: int, numbers: int, shape: tuple[int, ...]) -> Array:

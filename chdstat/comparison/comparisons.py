@@ -39,9 +39,9 @@ from chdstat.comparison.metrics import (
     stacked,
     titled,
 )
+from chdstat.comparison.references import Reference, check_reference
 from chdstat.errors import check_option
 from chdstat.estimators.estimates import check_denoiser
-from chdstat.estimators.held_out import check_spp
 from chdstat.estimators.registry import Model
 from chdstat.samples import ImageLike, samples_of
 
@@ -201,18 +201,15 @@ class Comparison(Shown):
         By the names of `MEASURES`: intervals over 8 x 8 blocks of pixels, shape (estimator, channel
         + 1), with the average over channels last. They show how much the measure varies over the
         image.
-    over_batches
-        The same measures with intervals over batches: they show how much the measure varies with
-        the random numbers, in the same pixels. The batches of a pixel share most of their
-        reference. NaN for a single batch.
     estimates
         One estimate of the whole image from its first n samples, radiance, float32, shape
         (estimator, y, x, channel).
-    squared_error
-        Squared error of `estimates` against the mean of all other samples, same shape; NaN where
-        the first n samples hold a bad one.
-    first_mean, first_reference
-        Mean of the first n samples and mean of all others, radiance, shape (y, x, channel).
+    first_mean
+        Mean of the first n samples, radiance, shape (y, x, channel).
+    first_reference
+        What all other samples tell of the true radiance: their ``mean``, shape (y, x, channel), NaN
+        where the first n samples hold a bad one; and errors of `estimates` without its noise, by
+        ``squared`` and ``relative``.
     reference
         Mean of all good samples, radiance, shape (y, x, channel).
     test_pixels
@@ -235,11 +232,9 @@ class Comparison(Shown):
     uses_neighbours: npt.NDArray[np.bool_]
     channels: tuple[str, ...]
     measures: Mapping[str, Interval[Array]]
-    over_batches: Mapping[str, Interval[Array]]
     estimates: npt.NDArray[np.float32]
-    squared_error: npt.NDArray[np.float32]
     first_mean: npt.NDArray[np.float32]
-    first_reference: npt.NDArray[np.float64]
+    first_reference: Reference
     reference: npt.NDArray[np.float64]
     test_pixels: npt.NDArray[np.bool_]
     n: int
@@ -276,14 +271,10 @@ class Comparison(Shown):
         """Return one row per estimator: its name and all measures, averaged over channels.
 
         The columns ``<measure>_se``, ``_low`` and ``_high`` are the standard error and the interval
-        over blocks; with ``_over_batches``, those over batches.
+        over blocks; NaN where the reference cannot tell.
         """
-        over_blocks, over_batches = (
-            {name: measure[:, _ALL_CHANNELS] for name, measure in measures.items()}
-            for measures in (self.measures, self.over_batches)
-        )
-        columns = columns_of(over_blocks) | columns_of(over_batches, over_batches=True)
-        return rows_of(columns, self.estimators, self.uses_neighbours)
+        of_all = {name: measure[:, _ALL_CHANNELS] for name, measure in self.measures.items()}
+        return rows_of(columns_of(of_all), self.estimators, self.uses_neighbours)
 
     def _card(self) -> Card:
         pixels = f"{self.test_pixels.sum()} test pixels"
@@ -341,17 +332,18 @@ class Comparison(Shown):
             If `count` is not an integer from 1.
         """
         whole("count", count, least=1)
-        usable = self.test_pixels & np.isfinite(self.first_reference).all(axis=-1)
+        reference = self.first_reference.mean
+        usable = self.test_pixels & np.isfinite(reference).all(axis=-1)
         pixels = np.argwhere(usable)
         drawn = pixels[generator(seed).permutation(len(pixels))[:count]]
-        brightness = self.first_reference[tuple(drawn.T)].sum(axis=-1)
+        brightness = reference[tuple(drawn.T)].sum(axis=-1)
         drawn = drawn[np.argsort(brightness, kind="stable")]
         ys, xs = drawn.T
         return PixelEstimates(
             pixels=drawn,
             estimators=self.estimators,
             channels=self.channels,
-            reference=self.first_reference[ys, xs],
+            reference=reference[ys, xs],
             mean=self.first_mean[ys, xs],
             estimates=self.estimates[:, ys, xs],
             n=self.n,
@@ -387,9 +379,9 @@ class Comparison(Shown):
         """Return measures and images with named dims.
 
         Measures have dims (estimator, part); a part is a channel or "mean". ``<measure>_se``,
-        ``_low`` and ``_high`` are the standard error and the interval over blocks; with
-        ``_over_batches``, those over batches. Measures by label have dims (label, estimator) and
-        the prefix ``label_``. Attributes that are neither text nor integers are JSON.
+        ``_low`` and ``_high`` are the standard error and the interval over blocks. Measures by
+        label have dims (label, estimator) and the prefix ``label_``. Attributes that are neither
+        text nor integers are JSON.
         """
         import xarray as xr
 
@@ -397,18 +389,12 @@ class Comparison(Shown):
         part, image, radiance = ("estimator", "part"), ("y", "x", "channel"), "W sr-1 m-2"
         others = "mean of all but the first n"
         columns: dict[tuple[str, ...], Columns] = {
-            part: columns_of(self.measures) | columns_of(self.over_batches, over_batches=True),
-            ("estimator", *image): {
-                "estimate": (self.estimates, described("estimate", radiance)),
-                "squared_error": (
-                    self.squared_error,
-                    described("squared error", f"({radiance})^2"),
-                ),
-            },
+            part: columns_of(self.measures),
+            ("estimator", *image): {"estimate": (self.estimates, described("estimate", radiance))},
             image: {
                 "reference": (self.reference, described("reference", radiance)),
                 "first_mean": (self.first_mean, described("mean of the first n", radiance)),
-                "first_reference": (self.first_reference, described(others, radiance)),
+                "first_reference": (self.first_reference.mean, described(others, radiance)),
             },
             image[:2]: {"test_pixel": (self.test_pixels, described("pixel counts"))},
         }
@@ -462,13 +448,15 @@ def compare(
     - ``improved``: the share with :math:`|p - y| < |\bar x - y|`; ``unchanged``: the share with
       :math:`p = \bar x` to six digits; all others got worse;
     - ``bias``: :math:`\overline{p - y} / \bar y`;
-    - ``fireflies``: the share with :math:`p - y > 3 \sqrt{y^2 + 0.01\, m^2}`, at least two stops
-      too bright (our own threshold), and ``fireflies_left``, its ratio to that of the sample mean.
+    - ``fireflies``: the share that surely has :math:`p - y > 3 \sqrt{y^2 + 0.01\, m^2}`, at least
+      two stops too bright (our own threshold), and ``fireflies_left``, its ratio to that of the
+      sample mean.
 
-    The reference of a batch is the mean of the other samples of its pixel. The reference is noisy:
-    its variance, about n/(spp - n) times the variance of a batch's mean, is part of every squared
-    error, and makes up n/spp of the squared error of the sample mean. If all batches are used, the
-    errors of the sample mean cancel within each pixel, so its bias is 0 by construction.
+    The truth y is known from the other samples of the pixel. Their noise is in no measure:
+    `chdstat.comparison.references` says how errors are estimated without it. What they cannot tell
+    is NaN, "cannot tell" in words: a ratio where the error of the mean may be 0, a relative error
+    that depends on how noisy its denominators are, and the share of improved estimates where more
+    than a tenth are about as near as the mean; its interval then still holds the share.
 
     Parameters
     ----------
@@ -534,7 +522,7 @@ def compare(
     if max_batches is not None:
         max_batches = whole("max_batches", max_batches, least=1)
     chosen = choose(estimators, [n], samples=samples)
-    check_spp(samples, n)
+    check_reference(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
     codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)
@@ -550,9 +538,6 @@ def compare(
     np.add.at(by_block, block, sums)
     test = np.zeros(samples.shape[:2], bool)
     test[units.ys, units.xs] = True
-    # Images are float32, in which 1e30 squared overflows.
-    with np.errstate(over="ignore"):
-        squared = [np.square(p - errors.reference).astype(np.float32) for p in errors.estimates]
     breakdown = None
     if codes is not None:
         pixels = np.where(judged, units.sum(np.ones(len(units.ys), np.int64)), 0)
@@ -569,12 +554,10 @@ def compare(
         uses_neighbours=found.uses_neighbours,
         channels=samples.channels,
         measures=measures_of(by_block, seed=seed),
-        over_batches=measures_of(errors.by_batch, seed=seed),
         estimates=errors.estimates,
-        squared_error=np.stack(squared),
         first_mean=errors.mean,
         first_reference=errors.reference,
-        reference=found.totals.mean(),
+        reference=found.totals.mean,
         test_pixels=test,
         n=n,
         batches=int(counts(sums).sum()),

@@ -51,9 +51,6 @@ class ErrorCurve(Shown):
     measures
         By the names of `chdstat.comparison.MEASURES`: intervals over blocks, averaged over
         channels, shape (size, estimator); NaN where an estimator does not take so many samples.
-    reference_noise
-        For "mse" and "relmse": the error that even a perfect estimator would show because the
-        reference is noisy, in the same unit, shape (size,).
     batches
         Number of estimates that count, over all test pixels, shape (size,).
     test_pixels
@@ -65,7 +62,6 @@ class ErrorCurve(Shown):
     uses_neighbours: npt.NDArray[np.bool_]
     sizes: tuple[int, ...]
     measures: Mapping[str, Interval[Array]]
-    reference_noise: Mapping[str, npt.NDArray[np.float64]]
     batches: npt.NDArray[np.int64]
     test_pixels: int
     models: Mapping[str, Model]
@@ -96,7 +92,7 @@ class ErrorCurve(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the models, ready for JSON (NaN becomes None)."""
-        names = "sizes", "batches", "test_pixels", "reference_noise", "provenance"
+        names = "sizes", "batches", "test_pixels", "provenance"
         found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
         return found | {"table": plain(self.table())}
 
@@ -112,13 +108,10 @@ def error_curve(
     progress: bool | None = None,
     client: Client | None = None,
 ) -> ErrorCurve:
-    r"""Measure the error of estimators at many numbers of samples, N.
+    """Measure the error of estimators at many numbers of samples, N.
 
-    For every N, estimates from batches of N samples are compared with the mean of the other samples
-    of the pixel, as in `chdstat.compare`. If a sample has the variance :math:`\sigma^2`, the
-    squared error of the sample mean is :math:`\sigma^2 / N + \sigma^2 / (\text{spp} - N)`. The
-    second term is the noise of the reference. It is N/spp of the sum, so it is known without
-    :math:`\sigma^2`. For relMSE, the same share is an approximation.
+    For every N, estimates from batches of N samples are compared with the other samples of the
+    pixel, as in `chdstat.compare`: errors are without the noise of the reference.
 
     Parameters
     ----------
@@ -166,21 +159,16 @@ def error_curve(
         chosen, samples, sizes=numbers, seed=seed, model=model, progress=progress
     )
     units = found.test_units(seed)
-    parts, noise, judged = [], [], []
+    parts, judged = [], []
     for n in numbers:
         errors = judge(found, units, n=n, limit=max_batches, progress=progress, client=client)
-        sums = errors.by_unit
-        parts.append(measures_of(sums, seed=seed))
-        judged.append(counts(sums).sum())
-        # The reference makes up at most N / spp of the sample mean's error.
-        of_mean = sums[:, :2, 0].sum(axis=0).mean(axis=-1) / judged[-1]
-        noise.append(of_mean * (n / samples.fewest))
+        parts.append(measures_of(errors.by_unit, seed=seed))
+        judged.append(counts(errors.by_unit).sum())
     return ErrorCurve(
         estimators=tuple(found.entries),
         uses_neighbours=found.uses_neighbours,
         sizes=numbers,
         measures=stacked(parts),
-        reference_noise=dict(zip(("mse", "relmse"), np.transpose(noise), strict=True)),
         batches=np.array(judged),
         test_pixels=len(units.ys),
         models=found.models,

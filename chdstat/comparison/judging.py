@@ -29,9 +29,10 @@ from chdstat.comparison.entries import (
     without_denoiser,
 )
 from chdstat.comparison.metrics import SUMS, counts, errors_of
+from chdstat.comparison.references import PartialSums, Reference
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
-from chdstat.estimators.held_out import Totals, draw_pixels, judging_pixels
+from chdstat.estimators.held_out import draw_pixels, judging_pixels
 from chdstat.estimators.order import mean
 from chdstat.estimators.registry import LearnedEstimator, Model, lookup
 from chdstat.patterns import Label, classify
@@ -77,7 +78,7 @@ class Candidates:
     """
 
     samples: Samples
-    totals: Totals
+    totals: PartialSums
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     left_out: Mapping[str, str]
@@ -149,7 +150,7 @@ def trained_candidates(
         estimator needs features that the image lacks.
     """
     entries, left_out = dict(chosen.entries), dict(chosen.left_out)
-    totals = Totals.of(samples)
+    totals = PartialSums.of(samples)
     if not totals.count.any():
         message = "every sample of the image is bad (NaN or infinite); none can judge"
         raise InputError(message)
@@ -309,24 +310,25 @@ class BatchErrors:
 
     Attributes
     ----------
-    by_unit, by_batch
-        Sums for `measures_of`: over batches, one row per unit of pixels; and over pixels, one row
-        per batch. NaN for estimators that do not take so many samples.
+    by_unit
+        Sums for `measures_of`, over batches, one row per unit of pixels. NaN for estimators that do
+        not take so many samples.
     excluded
         Number of batches of test pixels without a reference.
     estimates
         Estimates of the whole image from the first batch, by estimators that take so many samples,
         shape (estimator, y, x, channel).
-    mean, reference
-        Mean of the first batch and mean of all other samples, shape (y, x, channel).
+    mean
+        Mean of the first batch, shape (y, x, channel).
+    reference
+        Of the first batch: of all other samples.
     """
 
     by_unit: npt.NDArray[np.float64]
-    by_batch: npt.NDArray[np.float64]
     excluded: int
     estimates: npt.NDArray[np.float32]
     mean: npt.NDArray[np.float32]
-    reference: npt.NDArray[np.float64]
+    reference: Reference
 
 
 def judge(
@@ -353,8 +355,7 @@ def judge(
     height, width, channels, _ = samples.shape
     rounds = min(samples.fewest // n, samples.spp if limit is None else limit)
     sums = len(SUMS), 1 + len(candidates.entries), channels
-    by_unit, by_batch = np.zeros((len(units.starts), *sums)), np.zeros((rounds, *sums))
-    excluded = 0
+    by_unit, excluded = np.zeros((len(units.starts), *sums)), 0
     parts = (samples.isel(sample=slice(k * n, (k + 1) * n)) for k in range(rounds))
     # The data sent to workers with a batch contains no samples of other batches.
     light = replace(candidates, samples=samples.isel(sample=slice(1)))
@@ -365,7 +366,6 @@ def judge(
             if index == 0:
                 (first_mean, *estimates), first_reference = images, reference
             by_unit += of_batch
-            by_batch[index] = of_batch.sum(axis=0)
             excluded += without
             told(height * width)
     if not counts(by_unit).any():
@@ -374,26 +374,26 @@ def judge(
         )
         raise InputError(message)
     shown = np.stack(estimates), first_mean, first_reference
-    return BatchErrors(by_unit, by_batch, excluded, *shown)
+    return BatchErrors(by_unit, excluded, *shown)
 
 
 def _errors_of_batch(
     candidates: Candidates, units: Units, n: int, batch: tuple[int, Samples]
-) -> tuple[Array, int, list[npt.NDArray[np.float32]], Array]:
+) -> tuple[Array, int, list[npt.NDArray[np.float32]], Reference | None]:
     """Compute the errors of every estimator that takes n samples on one batch.
 
     Returns
     -------
     tuple
-        Sums over each unit, the number of test pixels without a reference, the images of the
-        estimates (of the first batch alone), and the reference.
+        Sums over each unit, the number of test pixels without a reference, and of the first batch
+        alone the images of the estimates and the reference.
     """
     number, x = batch[0], batch[1].read()
     totals, features = candidates.totals, candidates.samples.features
-    scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
-    average, reference = mean(x), totals.mean_without(x)
-    truth, of_mean = units(reference), units(average)
-    usable = np.asarray(np.isfinite(truth).all(axis=-1))
+    average, reference = mean(x), totals.reference(x, first=number * n)
+    truth, of_mean = reference[units.ys, units.xs], units(average)
+    usable = np.asarray(np.isfinite(truth.mean).all(axis=-1))
+    truth = truth[usable]
     entries = [None, *candidates.entries.values()]  # the sample mean, and the estimators
     sums = np.full((len(units.starts), len(SUMS), len(entries), average.shape[-1]), np.nan)
     estimates = []
@@ -412,9 +412,9 @@ def _errors_of_batch(
                 raise InputError(message)
         found = np.zeros((len(usable), *sums.shape[1::2]))
         found[usable] = errors_of(
-            units(estimate)[usable], of_mean[usable], truth[usable], scene_mean=scene_mean
+            units(estimate)[usable], of_mean[usable], truth, scene_mean=totals.scene_mean
         )
         sums[:, :, k] = units.sum(found)
         if number == 0:
             estimates.append(estimate.astype(np.float32))
-    return sums, int((~usable).sum()), estimates, reference
+    return sums, int((~usable).sum()), estimates, reference if number == 0 else None

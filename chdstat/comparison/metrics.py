@@ -2,10 +2,14 @@
 
 `MEASURES` are the measures that a comparison reports. Each is a ratio of sums over units, so one
 bootstrap over the units serves all of them: `errors_of` returns the summands, `measures_of` the
-measures from the sums. A unit is a block of pixels with all their batches, or a batch with all its
-pixels. Errors of neighbouring pixels are correlated, so intervals are over blocks (Künsch 1989,
-doi:10.1214/aos/1176347265). `columns_of`, `rows_of` and `data_frame_of` make tables; `in_words` and
-`titled` write them for a reader.
+measures from the sums. A unit is a block of pixels with all their batches. Errors of neighbouring
+pixels are correlated, so intervals are over blocks (Künsch 1989, doi:10.1214/aos/1176347265).
+`columns_of`, `rows_of` and `data_frame_of` make tables; `in_words` and `titled` write them for a
+reader.
+
+No measure contains the noise of the reference (`chdstat.comparison.references`). What the reference
+cannot tell is NaN: a ratio whose denominator may be 0, a relative error that the noise of its
+weights decides, a share of improved estimates if too many of them are as near as the mean.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from chdstat._core.arrays import Array, generator, spans
 from chdstat._core.display import number, percent, with_interval, written
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
+from chdstat.comparison.references import Reference
 from chdstat.estimators.registry import LABELS
 
 if TYPE_CHECKING:
@@ -38,7 +43,7 @@ __all__ = [
     "errors_of",
     "in_words",
     "measures_of",
-    "relative_squared",
+    "moved",
     "rows_of",
     "shown_ratio",
     "stacked",
@@ -63,8 +68,20 @@ MEASURES = {
 }
 """Long name and unit of every measure."""
 
-SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
-"""What is summed over estimates, for every estimator and channel; `count` is 1 per estimate."""
+SUMS = (
+    "squared",
+    "relative",
+    "noisier",
+    "improved",
+    "undecided",
+    "unchanged",
+    "firefly",
+    "error",
+    "reference",
+    "count",
+)
+"""What is summed over estimates, for every estimator and channel. `noisier` is the relative error
+with denominators of twice the noise; `count` is 1 per estimate."""
 
 _SUFFIXES = {
     "": ("value", ""),
@@ -84,6 +101,14 @@ _TITLES = {
     "fireflies": "fireflies left",
 }
 _REPLICATES, _AT_ONCE = 1000, 64
+_TAIL = 0.95
+"""Percentile of the replicates that intervals are stretched from."""
+_UNDECIDED = 0.1
+"""Largest share of estimates of which it is not known whether they are improved."""
+_MOVED = 0.2
+"""Share by which an error may depend on the noise of the reference."""
+_SURE = 2.0
+"""Standard errors of the reference within which nothing is decided."""
 _SAME = 1e-6
 """Relative difference below which an estimate equals the mean up to the order of summation."""
 _EXACT = 1e-8
@@ -101,10 +126,17 @@ def counts(sums: Array) -> npt.NDArray[np.int64]:
 def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
     """Return every measure with its interval over units, shape (estimator, channel + 1).
 
-    The average over channels is last on the channel axis. A single unit gives no interval. With k
-    units, a percentile interval is too short by the factor sqrt((k - 1) / k), and by the ratio of
-    normal quantiles to Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789). It is
-    widened by both, but not beyond the possible values of the measure.
+    The average over channels is last on the channel axis. A single unit gives no interval. A
+    thousand replicates tell extreme percentiles badly, and percentiles of few units are too short.
+    So the distances from the value to the percentiles at 5 % and 95 %, which keep the skew, are
+    stretched: by Student's quantile for k units over the normal one at 95 %, and by sqrt(k / (k -
+    1)), but not beyond the possible values of the measure (a variant of Hesterberg 2015,
+    doi:10.1080/00031305.2015.1089789). If a few bright units hold most of what a measure is divided
+    by, k is their effective number (Kish 1965, "Survey sampling").
+
+    The share of improved estimates lies between two: none or all of those that the reference cannot
+    tell from the mean are improved. Its interval holds both; if they differ by more than a tenth,
+    there is no value.
 
     Parameters
     ----------
@@ -119,62 +151,74 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
     for part in spans(_REPLICATES, _AT_ONCE):
         drawn = rng.integers(units, size=(part.stop - part.start, units))
         weights = np.stack([np.bincount(row, minlength=units) for row in drawn]) / units
-        draws.append(_measures((weights @ used.reshape(units, -1)).reshape(-1, *used.shape[1:])))
-    value, replicates = _measures(used.mean(axis=0, keepdims=True))[0], np.concatenate(draws)
-    spread = float(np.sqrt(units / (units - 1))) if units > 1 else np.nan
-    tails = np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    reach = spread * float(stats.t.ppf(tails[1], units - 1) / stats.norm.ppf(tails[1]))
-    with np.errstate(invalid="ignore"):
-        error = spread * replicates.std(axis=0, ddof=1)
-        ends = value + reach * (np.quantile(replicates, tails, axis=0) - value)
-    bounds = [(-np.inf if name == "bias" else 0, 1 if "share" in about else np.inf)
-              for name, (about, _) in MEASURES.items()]  # fmt: skip
-    low, high = np.clip(ends, *np.transpose(bounds)[..., np.newaxis, np.newaxis])
-    found = Interval(value, low, high, standard_error=error)
-    return {name: found[index] for index, name in enumerate(MEASURES)}
-
-
-def relative_squared(error: Array, reference: Array, scene_mean: Array) -> Array:
-    """Return (p - y)^2 / (y^2 + 0.01 m^2) for errors p - y, references y, shape (..., channel).
-
-    `scene_mean` is m, the mean reference of the whole scene, shape (channel,). The result is 0 for
-    an error of 0, even in a scene without light.
-    """
+        draws.append(_statistics((weights @ used.reshape(units, -1)).reshape(-1, *used.shape[1:])))
+    value = {name: x[0] for name, x in _statistics(used.mean(axis=0, keepdims=True)).items()}
+    replicates = {name: np.concatenate([draw[name] for draw in draws]) for name in value}
+    found = {}
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = error**2 / relative_scale(reference, scene_mean)
-    return np.where(error == 0, 0.0, relative)
+        unknown = _unknown(value, replicates)
+        for name, (about, _) in MEASURES.items():
+            number = _effective_units(used, name)
+            spread = np.sqrt(number / (number - 1))
+            reach = spread * stats.t.ppf((1 + LEVEL) / 2, number - 1) / stats.norm.ppf(_TAIL)
+            most = "improved_at_most" if name == "improved" else name
+            low, high = (
+                value[n] + reach * (np.quantile(replicates[n], tail, axis=0) - value[n])
+                for n, tail in ((name, 1 - _TAIL), (most, _TAIL))
+            )
+            apart = value[most] - value[name]
+            middle = np.where(apart > _UNDECIDED, np.nan, value[name] + apart / 2)
+            error = spread * replicates[name].std(axis=0, ddof=1)
+            bounds = (-np.inf if name == "bias" else 0, 1 if "share" in about else np.inf)
+            ends = (np.clip(x, *bounds) for x in (middle, low, high))
+            told = ~unknown.get(name, np.False_)
+            *interval, error = (np.where(told, x, np.nan)[1:] for x in (*ends, error))
+            found[name] = Interval(*interval, standard_error=error)
+    return found
 
 
-def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:
+def errors_of(
+    estimate: Array, mean: Array, reference: Reference, *, scene_mean: npt.ArrayLike
+) -> Array:
     r"""Return the summands named in `SUMS` for every estimate, shape (pixel, sum, channel).
 
-    An estimate p with :math:`|p - \bar x| \le 10^{-6} \bar x` counts as unchanged. It is a
-    *firefly* if
+    An estimate p with :math:`|p - \bar x| \le 10^{-6} \bar x` counts as unchanged. Whether another
+    one is closer to the true radiance y than the mean is decided by the side of their middle on
+    which y lies, and is undecided within two standard errors of y. It is a *firefly* if
 
-    .. math:: p - y > 3 \sqrt{y^2 + 0.01\, m^2},
+    .. math:: p - y > 3 \sqrt{y^2 + 0.01\, m^2}
 
-    where y is the reference and m the mean reference of the scene: it is at least two stops too
-    bright, and bright enough to be visible in the scene. A firefly has a relMSE above 9. We know of
-    no published threshold; this one is ours.
+    even for a y two standard errors above the reference, where m is the mean reference of the
+    scene: it is surely two stops too bright, and bright enough to be visible in the scene. A
+    firefly has a relMSE above 9. We know of no published threshold; this one is ours.
 
     Parameters
     ----------
-    estimate, mean, reference
+    estimate, mean
         Radiance, shape (pixel, channel); `mean` is the mean of the samples of the estimate.
+    reference
+        Of the pixels.
     scene_mean
         Mean reference of the scene, shape (channel,).
     """
     # An infinite estimate would give NaN in resamples that draw its pixel 0 times.
     p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
     mean = mean.astype(np.float64)
-    error = p - reference
-    relative = relative_squared(error, reference, scene_mean)
+    y, doubt = reference.mean, _SURE * reference.error
+    relative, noisier = reference.relative(p)
     unchanged = np.abs(p - mean) <= _SAME * np.abs(mean)
-    improved = (np.abs(error) < np.abs(mean - reference)) & ~unchanged
-    firefly = (error > 0) & (relative > _FIREFLY**2)
-    ones = np.ones_like(p)
-    parts = [error**2, relative, improved, unchanged, firefly, error, reference, ones]
-    return np.stack(parts, axis=1)
+    ahead = np.sign(mean - p) * ((p + mean) / 2 - y)
+    undecided = ~unchanged & (np.abs(ahead) <= doubt) & (doubt > 0)
+    improved = ~unchanged & ~undecided & (ahead > 0)
+    most = y + doubt
+    firefly = p - most > _FIREFLY * np.sqrt(relative_scale(most, scene_mean))
+    shares = [improved, undecided, unchanged, firefly, p - y, y, np.ones_like(p)]
+    return np.stack([reference.squared(p), relative, noisier, *shares], axis=1)
+
+
+def moved(one: Array, other: Array) -> npt.NDArray[np.bool_]:
+    """Return whether errors that should agree differ: the noise of the reference decides them."""
+    return np.asarray(np.abs(one - other) > _MOVED * np.maximum(np.abs(one), np.abs(other)))
 
 
 def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interval[Array]]:
@@ -191,6 +235,8 @@ def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interva
 
 def shown_ratio(row: Mapping[str, Any], name: str) -> str:
     """Return a measure from a row of `Comparison.table`, with its 95 % interval."""
+    if not np.isfinite(row[name]):
+        return "cannot tell"
     return with_interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
 
 
@@ -201,10 +247,11 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
     --------
     >>> ends = {"mse_ratio": 0.9131, "mse_ratio_low": 0.8691, "mse_ratio_high": 0.9502}
     >>> rest = dict.fromkeys(["relmse_ratio", "relmse_ratio_low", "relmse_ratio_high"], np.nan)
-    >>> others = {"mse": 0.5, "improved": 0.6, "bias": -0.012, "fireflies_left": 0.0}
+    >>> others = {"mse": 0.5, "bias": -0.012, "fireflies_left": 0.0}
+    >>> others |= {"improved": np.nan, "improved_low": 0.46, "improved_high": 0.64}
     >>> words = in_words({"estimator": "catoni", **ends, **rest, **others})
-    >>> words["mse_ratio"], words["improved"].replace("\xa0", " ")
-    ('0.913 [0.869, 0.950]', '60 %')
+    >>> words["mse_ratio"], words["relmse_ratio"], words["improved"].replace("\xa0", " ")
+    ('0.913 [0.869, 0.950]', 'cannot tell', '46 % to 64 %')
     """
     label = {"label": row["label"].replace("_", "-")} if "label" in row else {}
     return {
@@ -213,23 +260,29 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
         "mse": number(row["mse"]),
         "mse_ratio": shown_ratio(row, "mse_ratio"),
         "relmse_ratio": shown_ratio(row, "relmse_ratio"),
-        "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
+        "improved": "" if row["estimator"] == "mean" else _shown_share(row, "improved"),
         "bias": percent(row["bias"], sign=True),
         "fireflies": number(row["fireflies_left"]),
     }
 
 
-def columns_of(measures: Measures, *, over_batches: bool = False) -> Columns:
-    """Return the arrays of all intervals with attributes; over batches, without the values."""
-    end, where = ("_over_batches", " over batches") if over_batches else ("", "")
+def _shown_share(row: Mapping[str, Any], name: str) -> str:
+    """Return a share from a row, or the ends of its interval if these are all that is known."""
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    if np.isfinite(row[name]) or not np.isfinite(low):
+        return percent(row[name])
+    return f"{percent(low)} to {percent(high)}"
+
+
+def columns_of(measures: Measures) -> Columns:
+    """Return the arrays of all intervals with attributes."""
     return {
-        measure + suffix + end: (
+        measure + suffix: (
             getattr(interval, part),
-            described(MEASURES[measure][0] + what + where, MEASURES[measure][1]),
+            described(MEASURES[measure][0] + what, MEASURES[measure][1]),
         )
         for measure, interval in measures.items()
         for suffix, (part, what) in _SUFFIXES.items()
-        if suffix or not over_batches
     }
 
 
@@ -272,16 +325,64 @@ def titled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
     ]
 
 
-def _measures(sums: Array) -> Array:
-    """Return measures (replicate, measure, estimator, channel + 1) of sums over units."""
-    *shares, error, reference, count = np.moveaxis(sums, 1, 0)
+def _statistics(sums: Array) -> dict[str, Array]:
+    """Return what measures follow from, each (replicate, 1 + estimator, channel + 1)."""
+    part = dict(zip(SUMS, np.moveaxis(sums, 1, 0), strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.stack([*(part / count for part in shares), error / reference])
-        found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
-        squared, relative, improved, unchanged, firefly, bias = found
-        # The error of a mean of constant samples is rounding, so it has no ratio.
-        exact = relative[:, :1] <= _EXACT
-        ratios = [np.where(exact, np.nan, part / part[:, :1]) for part in (squared, relative)]
-        ratios.append(firefly / firefly[:, :1])
-    measures = [squared, relative, improved, unchanged, bias, firefly, *ratios]
-    return np.stack(measures, axis=1)[:, :, 1:]
+        share = {name: x / part["count"] for name, x in part.items()}
+        share["bias"] = part["error"] / part["reference"]
+        of = {n: np.concatenate([x, x.mean(-1, keepdims=True)], -1) for n, x in share.items()}
+        ratio = {name: x / x[:, :1] for name, x in of.items()}
+    return {
+        "mse": of["squared"],
+        "relmse": 2 * of["relative"] - of["noisier"],
+        "noisy": of["relative"],
+        "noisier": of["noisier"],
+        "improved": of["improved"],
+        "improved_at_most": of["improved"] + of["undecided"],
+        "unchanged": of["unchanged"],
+        "bias": of["bias"],
+        "reference": of["reference"],
+        "fireflies": of["firefly"],
+        "mse_ratio": ratio["squared"],
+        # The noise of denominators has half the effect with two parts as with one.
+        "relmse_ratio": 2 * ratio["relative"] - ratio["noisier"],
+        "noisy_ratio": ratio["relative"],
+        "noisier_ratio": ratio["noisier"],
+        "fireflies_left": ratio["firefly"],
+    }
+
+
+def _effective_units(sums: Array, name: str) -> Array:
+    """Return the number of units that a measure rests on, shape (1 + estimator, channel + 1)."""
+    of = {"mse": "squared", "relmse": "relative", "fireflies_left": "firefly", "bias": "reference"}
+    by = sums[:, SUMS.index(of.get(name.removesuffix("_ratio"), "count"))]
+    if name in ("mse_ratio", "relmse_ratio", "fireflies_left"):
+        by = by[:, :1]
+    by = np.concatenate([by, by.mean(axis=-1, keepdims=True)], axis=-1)
+    return np.asarray(np.square(by.sum(axis=0)) / np.square(by).sum(axis=0))
+
+
+def _unknown(value: Mapping[str, Array], replicates: Mapping[str, Array]) -> dict[str, Array]:
+    """Return where measures are not known, by name, each (1 + estimator, channel + 1)."""
+
+    def zero(name: str, sign: int = 1) -> Array:
+        """Whether a sum for the sample mean, by which measures are divided, may be 0 or less."""
+        least = np.quantile(sign * replicates[name][:, :1], (1 - LEVEL) / 2, axis=0)
+        return np.asarray(~(least > 0))
+
+    def decided(end: str = "") -> Array:
+        """Whether the noise of denominators surely decides a relative error or a ratio of them."""
+        return np.asarray(
+            moved(replicates[f"noisy{end}"], replicates[f"noisier{end}"]).mean(axis=0) > LEVEL
+        )
+
+    # The error of a mean of constant samples is rounding, so it has no ratio.
+    exact = value["mse"][:1] <= _EXACT * np.square(value["reference"][:1])
+    return {
+        "relmse": decided(),
+        "bias": zero("reference") & zero("reference", sign=-1),
+        "mse_ratio": exact | zero("mse"),
+        "relmse_ratio": exact | zero("noisy") | zero("noisier") | decided("_ratio"),
+        "fireflies_left": zero("fireflies"),
+    }

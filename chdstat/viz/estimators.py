@@ -533,8 +533,7 @@ def averages(
 def error_curves(found: ErrorCurve, *, width: Width = "page", fig: Figure | None = None) -> Figure:
     """Draw MSE and relMSE against the number of samples, on logarithmic scales.
 
-    Bands are intervals over blocks of pixels. Dashed lines are estimators that use neighbours. A
-    dotted line is the noise of the reference: smaller errors cannot be measured.
+    Bands are intervals over blocks of pixels. Dashed lines are estimators that use neighbours.
 
     Parameters
     ----------
@@ -573,5 +572,3 @@ def _draw_error_curves(ax: Axes, found: ErrorCurve, measure: str, names: Sequenc
         look: dict[str, Any] = {"color": color, "marker": _MARKERS[k % 8], "markersize": 3}
         order = 2.5 if name == "mean" else 2
         ax.plot(found.sizes, values.value, dashes, label=names[k], zorder=order, **look)
-    noise = found.reference_noise[measure]
-    ax.plot(found.sizes, noise, ":", color=_GREY, linewidth=1, label="noise of the reference")

@@ -23,7 +23,6 @@ from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison, compare
 from chdstat.comparison.entries import entry_of, estimate_by
-from chdstat.comparison.metrics import relative_squared
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
@@ -129,34 +128,23 @@ def early_gain(history: Any, *, level: float) -> Interval[float]:
 
 
 def _read(comparison: Comparison, measure: str, index: int, level: float) -> Interval[float]:
-    """Return a measure with a normal interval over blocks and batches, of standard errors added.
+    """Return a measure with its interval at another level, which normal quantiles stretch.
 
-    A single batch has no spread of its own: that of the blocks holds most of it. What has none over
-    blocks, such as fireflies that all lie in one, is not known.
+    What has no interval, such as fireflies that all lie in one block, is not known.
     """
-    value = float(comparison.measures[measure].value[index, -1])
-    over_blocks, over_batches = (
-        float(intervals[measure].standard_error[index, -1])
-        for intervals in (comparison.measures, comparison.over_batches)
-    )
-    if not math.isfinite(over_blocks):
-        return Interval.unknown(value, level=level)
-    error = math.hypot(over_blocks, over_batches if math.isfinite(over_batches) else 0.0)
-    half = float(stats.norm.ppf((1 + level) / 2)) * error
-    return Interval(value, value - half, value + half, level)
+    found = comparison.measures[measure][index, -1]
+    value, low, high = (float(x) for x in (found.value, found.low, found.high))
+    middle = value if math.isfinite(value) else (low + high) / 2
+    wider = float(stats.norm.ppf((1 + level) / 2) / stats.norm.ppf((1 + found.level) / 2))
+    return Interval(value, middle - wider * (middle - low), middle + wider * (high - middle), level)
 
 
 def _better_start(data: SceneData, comparison: Comparison, index: int) -> Interval[float]:
     """Return relMSE of the denoised learned estimates over that of the denoised means."""
     albedo = data.feature("albedo")
     normal = None if albedo is None else data.feature("normal")
-    scene_mean = np.nanmean(comparison.reference, axis=(0, 1))
     ours, theirs = (
-        relative_squared(
-            denoise(start, albedo=albedo, normal=normal) - comparison.first_reference,
-            comparison.first_reference,
-            scene_mean,
-        )
+        comparison.first_reference.relative(denoise(start, albedo=albedo, normal=normal))[0]
         .mean(axis=-1)
         .ravel()
         for start in (comparison.estimates[index], comparison.first_mean)

@@ -437,7 +437,6 @@ def learned(rng: Rng, spp: int, good: bool, who: str = "elek2019") -> Scenes:
         found,
         estimators=("mean", who),
         measures=measures,
-        over_batches=measures,
         estimates=estimates,
         models={who: SimpleNamespace(history=history)},
     )
