@@ -515,7 +515,7 @@ def compare(
     >>> for row in found.table():
     ...     print(row["estimator"], round(row["mse_ratio"], 1), row["bias"] < -0.05)
     mean 1.0 False
-    median_of_means 1.5 True
+    median_of_means 1.7 True
     """
     samples, seed = samples_of(samples), seed_number(seed)
     n = whole("n", n, least=1)

@@ -148,7 +148,7 @@ def error_curve(
     >>> curve = error_curve(samples, ["mean", "median"], sizes=[16, 128])
     >>> curve.measures["mse_ratio"].value.round()
     array([[ 1.,  2.],
-           [ 1., 11.]])
+           [ 1., 13.]])
     """
     samples, seed = samples_of(samples), seed_number(seed)
     if max_batches is not None:

@@ -159,6 +159,7 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
         unknown = _unknown(value, replicates)
         for name, (about, _) in MEASURES.items():
             number = _effective_units(used, name)
+            number = np.where(number > 1, number, np.nan)
             spread = np.sqrt(number / (number - 1))
             reach = spread * stats.t.ppf((1 + LEVEL) / 2, number - 1) / stats.norm.ppf(_TAIL)
             most = "improved_at_most" if name == "improved" else name
@@ -333,24 +334,24 @@ def _statistics(sums: Array) -> dict[str, Array]:
         share["bias"] = part["error"] / part["reference"]
         of = {n: np.concatenate([x, x.mean(-1, keepdims=True)], -1) for n, x in share.items()}
         ratio = {name: x / x[:, :1] for name, x in of.items()}
-    return {
-        "mse": of["squared"],
-        "relmse": 2 * of["relative"] - of["noisier"],
-        "noisy": of["relative"],
-        "noisier": of["noisier"],
-        "improved": of["improved"],
-        "improved_at_most": of["improved"] + of["undecided"],
-        "unchanged": of["unchanged"],
-        "bias": of["bias"],
-        "reference": of["reference"],
-        "fireflies": of["firefly"],
-        "mse_ratio": ratio["squared"],
-        # The noise of denominators has half the effect with two parts as with one.
-        "relmse_ratio": 2 * ratio["relative"] - ratio["noisier"],
-        "noisy_ratio": ratio["relative"],
-        "noisier_ratio": ratio["noisier"],
-        "fireflies_left": ratio["firefly"],
-    }
+        return {
+            "mse": of["squared"],
+            "relmse": 2 * of["relative"] - of["noisier"],
+            "noisy": of["relative"],
+            "noisier": of["noisier"],
+            "improved": of["improved"],
+            "improved_at_most": of["improved"] + of["undecided"],
+            "unchanged": of["unchanged"],
+            "bias": of["bias"],
+            "reference": of["reference"],
+            "fireflies": of["firefly"],
+            "mse_ratio": ratio["squared"],
+            # The noise of denominators has half the effect with two parts as with one.
+            "relmse_ratio": 2 * ratio["relative"] - ratio["noisier"],
+            "noisy_ratio": ratio["relative"],
+            "noisier_ratio": ratio["noisier"],
+            "fireflies_left": ratio["firefly"],
+        }
 
 
 def _effective_units(sums: Array, name: str) -> Array:

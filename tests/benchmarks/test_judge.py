@@ -87,7 +87,9 @@ def test_intervals_hold_the_true_ratios(benchmark, case):
         for seed in range(TABLES):
             samples = chd.Samples.from_array(draw(rng, image, nulls, spp))
             rows = chd.compare(samples, ENTRIES, n=n, seed=seed, progress=False).table()
-            columns = [f"{m}_ratio{end}" for m in ("mse", "relmse") for end in ("", "_low", "_high")]
+            columns = [
+                f"{m}_ratio{end}" for m in ("mse", "relmse") for end in ("", "_low", "_high")
+            ]
             value, low, high = np.moveaxis(
                 np.array([[row[c] for c in columns] for row in rows]).reshape(-1, 2, 3), -1, 0
             )

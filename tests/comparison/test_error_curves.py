@@ -43,15 +43,11 @@ def test_sizes_double_up_to_an_eighth_of_the_samples(curve):
 
 
 def test_the_error_of_the_mean_falls_as_theory_says(curve):
-    """E = sigma^2 (1/N + 1/(spp - N)): 4 sizes, within 5 standard errors: fails by 2e-6."""
+    """E = sigma^2 / N, without the noise of the reference: 4 sizes, within 5 standard errors, fails
+    by 2e-6; with that noise, the largest N is off by 11 of these."""
     n = np.array(curve.sizes)
     mse = curve.measures["mse"][:, 0]
-    expected = 1 / n + 1 / (256 - n)
-    assert (np.abs(mse.value - expected) < 5 * mse.standard_error).all()
-    assert curve.reference_noise["mse"] == pytest.approx(1 / (256 - n), rel=0.1)
-    # The error without the noise of the reference is 1/N; with it, it is not.
-    alone = mse.value - curve.reference_noise["mse"]
-    assert (np.abs(alone - 1 / n) < 5 * mse.standard_error).all()
+    assert (np.abs(mse.value - 1 / n) < 5 * mse.standard_error).all()
 
 
 def test_the_bias_of_the_median_does_not_fall(curve):

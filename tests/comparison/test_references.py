@@ -1,0 +1,122 @@
+"""References: errors that are known come out, whatever the noise of the samples that judge.
+
+Samples are nulls with the probability z, else exponential: a sample has v = 2 / (1 - z) - 1 times
+its squared mean as variance. The mean of n samples times c has c^2 + (1 - c)^2 n / v of the error
+of the mean itself.
+"""
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.comparison.references import PARTS, PartialSums, Reference
+from chdstat.errors import InputError
+from chdstat.estimators import Estimator
+
+EDGE = 48
+GRADIENT = 10 ** np.linspace(-1, 1, EDGE)
+
+
+def draw(seed, nulls, spp, *, image=1.0):
+    rng = np.random.default_rng(seed)
+    x = rng.exponential(size=(EDGE, EDGE, 1, spp)) * (rng.random((EDGE, EDGE, 1, spp)) >= nulls)
+    return chd.Samples.from_array((x.T * image).T.astype(np.float32) / (1 - nulls))
+
+
+def scaled(c):
+    return Estimator(f"x{c}", lambda x: c * np.asarray(x).mean(axis=-1), "this test")
+
+
+@pytest.mark.parametrize(
+    ("nulls", "spp", "n"), [(0.3, 48, 16), (0.9, 128, 32), (0.99, 128, 32), (0.6, 64, 16)]
+)
+@pytest.mark.parametrize("image", [1.0, GRADIENT], ids=["constant", "gradient"])
+def test_ratios_of_known_errors_are_within_their_intervals(nulls, spp, n, image):
+    """Twice 3 intervals of 95 %, all of which are dependent, in 3 images: 2 of 3 hold them all."""
+    factors, held = (0.0, 0.5, 1.3), []
+    truth = np.array([c**2 + (1 - c) ** 2 * n / (2 / (1 - nulls) - 1) for c in factors])
+    for seed in range(3):
+        rows = chd.compare(
+            draw(seed, nulls, spp, image=image), [*map(scaled, factors)], n=n, progress=False
+        ).table()
+        for measure in ("mse_ratio", "relmse_ratio"):
+            low, high = (
+                np.array([row[measure + end] for row in rows]) for end in ("_low", "_high")
+            )
+            held.append(((low <= truth) & (truth <= high)).all())
+            # No verdict is reversed.
+            assert not ((low > 1) & (truth < 1) | (high < 1) & (truth > 1)).any()
+    assert np.sum(held) >= 4
+
+
+def test_rare_light_does_not_reward_an_image_without_light():
+    """Seen against the mean of the other samples, the black image seemed .46 as wrong as the mean:
+    a reference that missed its light weighed its pixel a hundredfold."""
+    rows = chd.compare(draw(4, 0.9, 128), [scaled(0.0), "median_of_means"], progress=False).table()
+    assert all(row["relmse_ratio_low"] > 1.2 for row in rows)
+
+
+def test_errors_of_the_truth_are_0_on_average():
+    reference = PartialSums.of(draw(0, 0.6, 32)).reference()
+    errors = reference.squared(np.ones((EDGE, EDGE, 1)))
+    assert abs(errors.mean()) < 4 * errors.std() / EDGE
+    relative = reference.relative(np.ones((EDGE, EDGE, 1)))
+    assert (np.abs(relative.mean(axis=(1, 2, 3))) < 4 * relative.std(axis=(1, 2, 3)) / EDGE).all()
+
+
+def test_a_reference_without_noise_gives_the_errors_of_the_definition():
+    truth = np.random.default_rng(1).gamma(0.3, size=(9, 11, 3))
+    scene = truth.mean(axis=(0, 1))
+    parts = np.broadcast_to(truth, (PARTS, *truth.shape))
+    reference = Reference.of_image(parts, np.zeros_like(truth), scene)
+    estimate = 1.5 * truth + 0.1
+    squared = np.square(estimate - truth)
+    np.testing.assert_allclose(reference.squared(estimate), squared)
+    expected = squared / (truth**2 + 0.01 * scene**2)
+    for relative in reference.relative(estimate):
+        np.testing.assert_allclose(relative, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("unit", [2.0**-80, 2.0**80])
+def test_relative_errors_do_not_depend_on_the_unit(unit):
+    x = draw(2, 0.6, 32).read()
+    ours, theirs = (
+        PartialSums.of(chd.Samples.from_array(x * np.float32(scale))).reference()
+        for scale in (1, unit)
+    )
+    estimate = x[..., :4].mean(axis=-1, dtype=np.float64)
+    np.testing.assert_allclose(
+        theirs.relative(estimate * unit), ours.relative(estimate), rtol=1e-4, atol=1e-9
+    )
+
+
+def test_a_batch_is_in_no_part_of_its_reference():
+    x = np.random.default_rng(0).exponential(size=(8, 8, 1, 64)).astype(np.float32)
+    spoilt = x.copy()
+    spoilt[..., 16:32] += 100
+    ours, theirs = (
+        PartialSums.of(chd.Samples.from_array(y)).reference(y[..., 16:32], first=16)
+        for y in (x, spoilt)
+    )
+    np.testing.assert_allclose(theirs.mean, ours.mean, rtol=1e-10)
+    np.testing.assert_allclose(theirs.variance, ours.variance, rtol=1e-8)
+
+
+def test_pixels_whose_parts_are_not_all_known_have_no_reference():
+    x = np.random.default_rng(0).exponential(size=(8, 8, 1, 64)).astype(np.float32)
+    x[1, 2, 0, 3::4] = np.nan
+    x[3, 4, 0, 5] = np.inf
+    sums = PartialSums.of(chd.Samples.from_array(x))
+    known = np.isfinite(sums.reference().mean[..., 0])
+    assert np.argwhere(~known).tolist() == [[1, 2]]
+    without = sums.reference(x[..., :16])
+    assert np.argwhere(np.isnan(without.mean[..., 0])).tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize(("n", "spp"), [(1, 8), (2, 9), (7, 14), (16, 32)])
+def test_the_fewest_samples_leave_some_for_each_part(n, spp):
+    rng = np.random.default_rng(n)
+    x = rng.exponential(size=(12, 12, 1, spp))
+    assert np.isfinite(chd.compare(x, ["mean"], n=n, progress=False).table()[0]["mse"])
+    with pytest.raises(InputError, match=f"at least {spp} spp, got {spp - 1}"):
+        chd.compare(x[..., 1:], ["mean"], n=n, progress=False)
