@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -373,7 +373,7 @@ def judge(
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
-    shown = np.stack(estimates), first_mean, first_reference
+    shown = np.stack(estimates), first_mean, cast("Reference", first_reference)
     return BatchErrors(by_unit, excluded, *shown)
 
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MEASURES",
     "SUMS",
+    "UNDECIDED",
     "Columns",
     "Measures",
     "columns_of",
@@ -103,7 +104,7 @@ _TITLES = {
 _REPLICATES, _AT_ONCE = 1000, 64
 _TAIL = 0.95
 """Percentile of the replicates that intervals are stretched from."""
-_UNDECIDED = 0.1
+UNDECIDED = 0.1
 """Largest share of estimates of which it is not known whether they are improved."""
 _MOVED = 0.2
 """Share by which an error may depend on the noise of the reference."""
@@ -168,13 +169,13 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
                 for n, tail in ((name, 1 - _TAIL), (most, _TAIL))
             )
             apart = value[most] - value[name]
-            middle = np.where(apart > _UNDECIDED, np.nan, value[name] + apart / 2)
+            middle = np.where(apart > UNDECIDED, np.nan, value[name] + apart / 2)
             error = spread * replicates[name].std(axis=0, ddof=1)
             bounds = (-np.inf if name == "bias" else 0, 1 if "share" in about else np.inf)
-            ends = (np.clip(x, *bounds) for x in (middle, low, high))
+            ends = [np.clip(x, *bounds) for x in (middle, low, high)]
             told = ~unknown.get(name, np.False_)
-            *interval, error = (np.where(told, x, np.nan)[1:] for x in (*ends, error))
-            found[name] = Interval(*interval, standard_error=error)
+            middle, low, high, error = (np.where(told, x, np.nan)[1:] for x in (*ends, error))
+            found[name] = Interval(middle, low, high, standard_error=error)
     return found
 
 

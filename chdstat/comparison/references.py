@@ -21,7 +21,7 @@ little between the two may be extrapolated to no noise; what changes much is not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -76,7 +76,7 @@ class Reference:
     relative_terms: Array
 
     @classmethod
-    def of_image(cls, parts: Floats, error: Floats, scene_mean: npt.ArrayLike) -> Self:
+    def of_image(cls, parts: Floats, error: Floats, scene_mean: Floats) -> Self:
         """Return the reference of an image from its parts.
 
         Parameters
@@ -89,7 +89,7 @@ class Reference:
         scene_mean
             Mean radiance of the scene, shape (channel,).
         """
-        known = np.isfinite(parts).all(axis=(0, -1))[..., np.newaxis]
+        known = np.asarray(np.isfinite(parts).all(axis=(0, -1)))[..., np.newaxis]
         unit = float(np.abs(scene_mean).max(initial=0)) or 1.0
         light = np.where(known, parts, 0) / unit
         mean = light.mean(axis=0)
@@ -99,9 +99,17 @@ class Reference:
             # (p - a)(p - b) = (p - mean)^2 - (p - mean)(a + b) + a b, for parts a and b minus mean.
             for power, factor in enumerate((apart[a] * apart[b], -(apart[a] + apart[b]), 1.0)):
                 terms[:, power] += weights * factor / len(_PAIRS)
-        variance = np.square(apart).sum(axis=0) / (PARTS * (PARTS - 1))
         terms *= (unit ** -np.arange(3.0))[:, np.newaxis, np.newaxis, np.newaxis]
-        return cls(np.where(known, mean * unit, np.nan), error, variance * unit**2, terms)
+        return cls(np.where(known, mean * unit, np.nan), error, _variance(apart) * unit**2, terms)
+
+    @classmethod
+    def stack(cls, found: Sequence[Self]) -> Self:
+        """Return the references of several places, along a new first axis."""
+        mean, error, variance = (
+            np.stack([getattr(one, name) for one in found])
+            for name in ("mean", "error", "variance")
+        )
+        return cls(mean, error, variance, np.stack([one.relative_terms for one in found], axis=2))
 
     def __getitem__(self, pixels: Any) -> Self:
         """Return the reference of some pixels."""
@@ -161,6 +169,12 @@ class PartialSums:
         left_out.warn()
         return cls(total, count, square)
 
+    @classmethod
+    def of_array(cls, x: npt.ArrayLike) -> Self:
+        """Sum over samples of any pixels, shape (..., channel, sample)."""
+        kept, sums, number = _sums_of(np.asarray(x), 0)
+        return cls(sums, number, np.vecdot(kept, kept))
+
     @cached_property
     def mean(self) -> Floats:
         """Mean of the good samples, shape (y, x, channel); NaN where there is none."""
@@ -201,6 +215,20 @@ class PartialSums:
         Reference
             Unknown (NaN) where the batch holds a bad sample, or a part has no sample.
         """
+        return Reference.of_image(*self._parts(batch, first), self.scene_mean)
+
+    def of_pixel(self, batch: Array | None = None, *, first: int = 0) -> Reference:
+        """Return the reference of pixels that are no image, (..., channel).
+
+        Without an image around, relative errors are not known.
+        """
+        parts, error = self._parts(batch, first)
+        mean = parts.mean(axis=0)
+        terms = np.full((2, 3, *mean.shape), np.nan)
+        return Reference(mean, error, _variance(parts - mean), terms)
+
+    def _parts(self, batch: Array | None, first: int) -> tuple[Floats, Floats]:
+        """Return the means of the parts, and the standard error of their mean."""
         total, count = self.total, self.count
         if batch is not None:
             _, sums, number = _sums_of(batch, first)
@@ -208,8 +236,7 @@ class PartialSums:
             total, count = without(total, sums), np.where(bad, 0, count - number)
         # The batch is part of the variance: else a pixel whose light it alone found seems certain.
         error = np.sqrt(_ratio(self.variance, count.sum(axis=-1)))
-        parts = np.moveaxis(_ratio(total, count), -1, 0)
-        return Reference.of_image(parts, error, self.scene_mean)
+        return np.moveaxis(_ratio(total, count), -1, 0), error
 
 
 def check_reference(samples: Samples, n: int) -> None:
@@ -232,13 +259,18 @@ def check_reference(samples: Samples, n: int) -> None:
         raise InputError(message)
 
 
-def _sums_of(x: Array, first: int) -> tuple[Floats, Floats, npt.NDArray[np.int64]]:
+def _sums_of(x: Array, first: int) -> tuple[Floats, Floats, Array]:
     """Return the good samples of a block in float64, their sums and their numbers in each part."""
-    kept, good = whole_samples(x)
-    kept = kept.astype(np.float64)
+    whole, good = whole_samples(x)
+    kept = whole.astype(np.float64)
     of_part = (first + np.arange(x.shape[-1])) % PARTS == np.arange(PARTS)[:, np.newaxis]
     number = good @ of_part.T.astype(np.int64)
     return kept, kept @ of_part.T.astype(np.float64), number[..., np.newaxis, :]
+
+
+def _variance(apart: Floats) -> Floats:
+    """Return the variance of the mean of parts, from their deviations (4, ...) from it."""
+    return np.asarray(np.square(apart).sum(axis=0) / (PARTS * (PARTS - 1)))
 
 
 def _ratio(total: Array, count: Array) -> Floats:

@@ -19,9 +19,9 @@ from chdstat import estimators
 from chdstat._core.arrays import Floats, Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.entries import choose, estimate_by, takes
-from chdstat.comparison.metrics import SUMS, errors_of
+from chdstat.comparison.metrics import SUMS, UNDECIDED, errors_of
+from chdstat.comparison.references import PartialSums, Reference
 from chdstat.estimators import registry
-from chdstat.estimators.held_out import Totals
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import BATCHES, PixelIndex
@@ -61,12 +61,12 @@ class ScoredEstimate:
     value
         Mean of its estimates over the batches, shape (channel,), radiance.
     mse_ratio
-        Mean squared error over that of the sample mean, over channels and batches; NaN where there
-        is no reference, as the next two.
+        Mean squared error over that of the sample mean, over channels and batches, without the
+        noise of the reference; NaN where it cannot tell, as the next two.
     bias
         Mean error relative to the mean reference.
     improved
-        Share of the estimates that are nearer to the reference than the sample mean.
+        Share of the estimates that are nearer to the truth than the sample mean.
     certainty
         Of a trained estimator, the mean over batches; NaN where it has none.
     low, high
@@ -93,13 +93,16 @@ class ScoringBatches:
     Attributes
     ----------
     x
-        Shape (batch, ..., channel, sample), float32; NaN where a sample is bad.
-    truth, mean
-        Reference and sample mean of each batch, shape (batch, ..., channel).
+        Shape (batch, channel, sample), float32; NaN where a sample is bad.
+    reference
+        What the samples that judge a batch tell, shape (batch, channel); unknown (NaN) where there
+        are too few.
+    mean
+        Sample mean of each batch, shape (batch, channel).
     """
 
     x: Image
-    truth: Floats
+    reference: Reference
     mean: Floats
 
     @property
@@ -107,48 +110,59 @@ class ScoringBatches:
         """Samples of a batch."""
         return int(self.x.shape[-1])
 
+    @property
+    def scored(self) -> bool:
+        """Whether estimates can be scored."""
+        return bool(np.isfinite(self.reference.mean).any())
+
     def first(self, count: int) -> ScoringBatches:
         """Return the first of them."""
-        return ScoringBatches(self.x[:count], self.truth[:count], self.mean[:count])
+        part = slice(count)
+        return ScoringBatches(self.x[part], self.reference[part], self.mean[part])
 
     def score(self, name: str, estimates: npt.ArrayLike) -> ScoredEstimate:
         """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
         estimates = np.asarray(estimates, np.float64)
-        known = np.isfinite(self.truth) & np.isfinite(estimates) & np.isfinite(self.mean)
         found = ScoredEstimate(name, _average(estimates))
+        known = np.isfinite(self.reference.mean + estimates + self.mean).all(axis=-1)
         if not known.any():
             return found
+        reference, mean = self.reference[known], self.mean[known]
         own, of_mean = (
-            dict(zip(SUMS, np.moveaxis(errors, 1, 0)[:, known], strict=True))
+            dict(zip(SUMS, np.moveaxis(errors, 1, 0), strict=True))
             for errors in (
-                errors_of(p, self.mean, self.truth, scene_mean=np.ones(1))
-                for p in (estimates, self.mean)
+                errors_of(p, mean, reference, scene_mean=np.ones(1))
+                for p in (estimates[known], mean)
             )
         )
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = own["squared"].sum() / of_mean["squared"].sum()
-            bias = own["error"].mean() / self.truth[known].mean()
+            bias = float(own["error"].mean() / reference.mean.mean())
+            each = of_mean["squared"].sum(axis=-1)
+            doubt = np.hypot(each.std() * np.sqrt(len(each)), reference.variance.sum())
+            # An error of the mean that may be 0 divides nothing.
+            told = each.sum() > 2 * doubt
+            ratio = max(float(own["squared"].sum() / each.sum()), 0.0) if told else np.nan
         if name == "mean":
-            return replace(found, mse_ratio=1.0, bias=float(bias))
-        improved = float(own["improved"].mean())
-        return replace(found, mse_ratio=float(ratio), bias=float(bias), improved=improved)
+            return replace(found, mse_ratio=1.0 if told else np.nan, bias=bias)
+        undecided = own["undecided"].mean() > UNDECIDED
+        improved = np.nan if undecided else (own["improved"] + own["undecided"] / 2).mean()
+        return replace(found, mse_ratio=ratio, bias=bias, improved=float(improved))
 
 
 def batches_of(
-    x: Image, n: int, reference: npt.ArrayLike | None = None, *, most: int = _MOST_BATCHES
+    x: Image, n: int, judging: Image | None = None, *, most: int = _MOST_BATCHES
 ) -> ScoringBatches | None:
     """Return batches of consecutive samples, None where there are too few.
 
     Parameters
     ----------
     x
-        Linear radiance, shape (..., channel, sample); a sample with a bad channel is left out.
+        Linear radiance, shape (channel, sample); a sample with a bad channel is left out.
     n
         Samples of a batch.
-    reference
-        True radiance, shape (..., channel). Without, that of a batch is the mean of all other
-        samples, as in `chdstat.compare`: no reference contains the batch that is scored against
-        it. NaN where there are fewer than `BATCHES` n samples, or the batch holds a bad one.
+    judging
+        Other samples of the place, same shape. Without, a batch is judged by all other samples, as
+        in `chdstat.compare`. Fewer than `BATCHES` - 1 times n are too few.
     most
         Batches at most.
     """
@@ -157,12 +171,16 @@ def batches_of(
         return None
     x = np.where(is_bad(x).any(axis=-2, keepdims=True), np.float32(np.nan), x)
     batches = np.moveaxis(x[..., : count * n].reshape(*x.shape[:-1], count, n), -2, 0)
-    truth = np.full(batches.shape[:-1], np.nan if reference is None else reference)
-    if reference is None and x.shape[-1] >= BATCHES * n:
-        good = np.isfinite(x).all(axis=-2)
-        totals = Totals(np.nansum(x, axis=-1, dtype=np.float64), good.sum(axis=-1))
-        truth = np.stack([totals.mean_without(batch) for batch in batches])
-    return ScoringBatches(batches, truth, np.asarray(estimators.mean(batches), np.float64))
+    sums = PartialSums.of_array(x if judging is None else judging)
+    enough = (x.shape[-1] - n if judging is None else judging.shape[-1]) >= (BATCHES - 1) * n
+    if judging is None:
+        found = [sums.of_pixel(batch, first=k * n) for k, batch in enumerate(batches)]
+    else:
+        found = [sums.of_pixel()] * count
+    reference = Reference.stack(found)
+    if not enough:
+        reference = replace(reference, mean=np.full_like(reference.mean, np.nan))
+    return ScoringBatches(batches, reference, np.asarray(estimators.mean(batches), np.float64))
 
 
 def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:

@@ -23,7 +23,6 @@ from chdstat import inference
 from chdstat._core.arrays import Array, Image, spans
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.place import FINITE, finite_variance
 from chdstat.explorer.sources import StoreSource
 from chdstat.fit.families import SELECTED
@@ -51,9 +50,7 @@ __all__ = [
     "walk",
 ]
 
-_ERROR, _FILE = "error:", "file:"
-_BATCH, _MOST_BATCHES = 32, 16
-"""Samples of an estimate, and batches at most, in maps of errors."""
+_FILE = "file:"
 _DECADES = 8.0
 """Most ticks of a colour bar."""
 _TILE, _CELL = 16, 8
@@ -241,7 +238,7 @@ def map_of(name: str, *found: Any, note: str = "") -> Map:
 
 
 def map_kind(name: str, spp: int = 0) -> Map:
-    """Return the map of that name without values; ``error:NAME`` is the error of an estimator.
+    """Return the map of that name without values.
 
     The codes of N needed have names if there are enough samples per pixel to test averages.
 
@@ -257,13 +254,7 @@ def map_kind(name: str, spp: int = 0) -> Map:
     known = {**MAPS, **DIFFERENCES, **CONTRASTS}
     if name in known:
         return known[name]
-    estimator = name.removeprefix(_ERROR)
-    if name.startswith(_ERROR) and estimator in fixed():
-        if estimator == "mean":
-            return Map(name, "Error of the mean", f"log10 of MSE, N = {_BATCH}")
-        unit = f"log10 of MSE over that of the mean, N = {_BATCH}"
-        return Map(name, f"Error of {called(estimator)}", unit, ends=(-1, 1), diverging=True)
-    message = f"no map is called {name!r}; there are {', '.join(MAPS)} and {_ERROR}ESTIMATOR"
+    message = f"no map is called {name!r}; there are {', '.join(MAPS)}"
     raise InputError(message)
 
 
@@ -314,7 +305,7 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
     source
         The store.
     name
-        One of `MAPS`, or ``error:NAME``.
+        One of `MAPS`.
     """
     values = np.full(source.size, np.nan, np.float32)
     places = list(product(*(spans(length, _TILE) for length in source.size)))
@@ -343,25 +334,4 @@ def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
         found = measured(PositivePart.of_pixels(block, rows="luminance"), patterns)
         variables = patterns.variables(found)
         return np.asarray(variables["label"][1]), variables
-    if name.startswith(_ERROR):
-        return _error(name.removeprefix(_ERROR), block), {}
     return map_of(name, PositivePart.of_pixels(block, rows="luminance")).values, {}
-
-
-def _error(name: str, block: Image) -> npt.NDArray[Any]:
-    """Return log10 of an estimator's squared error over the mean's, against all other samples.
-
-    Of the mean itself, log10 of the mean squared error.
-    """
-    batches = batches_of(block, _BATCH, most=_MOST_BATCHES)
-    if batches is None or len(batches.x) < 2:
-        return np.full(block.shape[:2], np.nan)
-    estimates = np.asarray(fixed()[name](np.ascontiguousarray(batches.x)), np.float64)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        own, of_mean = (
-            np.nansum((e - batches.truth) ** 2, axis=-1).sum(axis=0)
-            for e in (estimates, batches.mean)
-        )
-        number = np.isfinite(batches.truth).sum(axis=(0, -1))
-        error = np.log10(own / (number if name == "mean" else of_mean))
-    return np.where(np.isfinite(error), error, np.nan)

@@ -28,7 +28,6 @@ from bokeh.plotting import figure
 from chdstat._core.arrays import Image, luminance
 from chdstat._core.display import png
 from chdstat._core.image_scales import tonemap
-from chdstat.explorer.estimators import fixed
 from chdstat.explorer.export import EXPORTS
 from chdstat.explorer.maps import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
@@ -207,7 +206,6 @@ class Page:
             "light": LIGHT,
             "labels": [(called(label.name.lower()), label) for label in Label],
             "given": [(name, found.title) for name, found in given.items()],
-            "errors": [(f"error:{n}", called(n)) for n in fixed()] if in_store else [],
             "families": [(name, called(name), DASHES.get(name)) for name in FITS],
             "channels": [*channels, ("luminance", "luminance")] if len(channels) > 1 else [],
             "batches": BATCH_SIZES,

@@ -25,7 +25,7 @@ from chdstat.explorer.sources import (
     drop_oldest,
 )
 from chdstat.explorer.tables import Table
-from chdstat.explorer.view import BATCHES, Box, PixelIndex, View
+from chdstat.explorer.view import Box, PixelIndex, View
 from chdstat.inference.differences import Difference, difference
 
 __all__ = ["SelectionPlots", "SelectionResults"]
@@ -255,23 +255,21 @@ class SelectionResults:
 
     def _batches(self, plots: SelectionPlots) -> tuple[estimators.ScoringBatches | None, str]:
         """Return the batches of the active place, and what their estimates are scored against."""
-        place, key, truth = plots.place, plots.key, None
+        place, key, judging = plots.place, plots.key, None
         reference, first = self._reference(plots.source)
-        said, of = "Error against the mean of the samples outside the batch", place
+        said, of = "Error against the samples outside the batch, without their noise", place
         of_what = f"{place.spp} samples"
         if reference is not None and len(key) == 2:
             of = PlaceStatistics(reference.pixel(*key)[:, first:], place.channels)
-            said = f"Error against {reference.name}"
+            said = f"Error against {reference.name}, without its noise"
             # The first ones share their random numbers with what is scored.
             said += f" from sample {first} on" if first else ""
-            truth = of.moments.seen(of.moments.mean)[: len(place.channels)]
+            judging = of.samples
             of_what = f"the {of.spp} samples of {reference.name}"
-            if of.spp < (BATCHES - 1) * plots.n:
-                truth = np.full_like(truth, np.nan)
-        batches = estimators.batches_of(place.samples, plots.n, truth)
+        batches = estimators.batches_of(place.samples, plots.n, judging)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = float((of.moments.standard_error / np.abs(of.moments.mean))[-1])
-        if batches is not None and np.isnan(batches.truth).all():
+        if batches is not None and not batches.scored:
             said = f"{of_what} are too few to score estimates from {plots.n}"
         elif error > _ROUGH:
             said += f", which is uncertain by {percent(error)}: scores are rough"

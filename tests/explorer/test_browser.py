@@ -245,7 +245,6 @@ def test_maps_take_the_place_of_the_image(person, store_path):
         "best_family": "by BIC",
         "pattern": "primary label",
         "n_needed": "samples, luminance",
-        "error:huber": "log10 of MSE",
     }.items():
         one.page.locator("select[data-option=map]").select_option(name)
         one.waits_for(
@@ -256,7 +255,7 @@ def test_maps_take_the_place_of_the_image(person, store_path):
         # The address follows in an answer of its own.
         one.waits_for("name => new URLSearchParams(location.search).get('map') === name", arg=name)
     one.point(20, 10)
-    assert "Error of Huber" in one.text("#readout")
+    assert "N needed" in one.text("#readout")
     one.page.locator("select[data-option=map]").select_option("image")
     one.page.wait_for_selector("#colorbar", state="hidden")
 

@@ -131,7 +131,7 @@ def test_the_streamed_image_is_the_summary(flames):
     assert np.isnan(found.mean[0, 0]).all()
 
 
-@pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"] + ["error:huber"])
+@pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"])
 def test_every_map_covers_the_image(flames, name):
     source = StoreSource(flames)
     if name in IMAGES:
@@ -245,20 +245,6 @@ def test_a_scene_without_emitters_says_so():
     source = SceneSource(RenderProcess(Job.of(dark, RenderOptions(size=(8, 8), backend="scalar"))))
     with pytest.raises(SceneError, match="emitter"):
         list(source.passes())
-
-
-def test_errors_of_a_map_are_those_of_compare():
-    """Channels are pooled as radiance: a dark one does not decide."""
-    x = np.random.default_rng(0).gamma(0.3, size=(3, 512)).astype(np.float32)
-    x *= np.array([1, 0.1, 0.01], np.float32)[:, np.newaxis]
-    squared = np.zeros(2)
-    for batch in np.split(x, 16, axis=-1):
-        truth = (x.sum(axis=-1, dtype=float) - batch.sum(axis=-1)) / 480
-        for k, estimate in enumerate((chd.estimators.median_of_means, chd.estimators.mean)):
-            squared[k] += ((estimate(batch) - truth) ** 2).sum()
-    source = StoreSource(chd.Samples.from_array(x[np.newaxis, np.newaxis]))
-    found = ended(walk(source, "error:median_of_means")).item()
-    assert found == pytest.approx(np.log10(squared[0] / squared[1]), rel=1e-4)
 
 
 def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():

@@ -40,7 +40,7 @@ def views(draw):
         shown=draw(st.integers(0, 8)),
         reference=draw(st.none() | st.integers(0, 8)),
         channel=draw(st.sampled_from(["all", "luminance", "0", "2"])),
-        map=draw(st.sampled_from(["image", "null_share", "error:huber"])),
+        map=draw(st.sampled_from(["image", "null_share", "tail_index"])),
         limits=draw(st.none() | st.sampled_from([(0.0, 1.5), (-2.25, -1e-9)])),
     )
 
