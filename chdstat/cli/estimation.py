@@ -267,7 +267,7 @@ def contrast(
 
 
 @command(
-    "bench cornell-box bathroom --spp 16 -o table.tex",
+    "bench cornell-box bathroom --spp 16 -o table.csv",
     *("estimator", "seed", "size", "plugin", "overwrite"),
     *OUTPUT,
 )
@@ -299,7 +299,7 @@ def bench(
     ] = None,
     folder: Annotated[Path | None, option("Folder that keeps renders and references.")] = None,
     out: Annotated[
-        Path | None, option("Table to write: .csv, .tex, .json, .pdf.", "--out", "-o")
+        Path | None, option("Table to write: .csv, .json.", "--out", "-o")
     ] = None,
 ) -> None:
     """Compare estimators on several scenes against converged references, as a paper would."""

@@ -309,7 +309,7 @@ def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
         return f"{name} is not clearly better than the mean.", errors
     return (
         f"{name} helps.",
-        f"{errors} It improves {percent(row['improved'])} of the estimates, with a bias of "
+        f"{errors} It improves {in_words(row)['improved']} of the estimates, with a bias of "
         f"{percent(row['bias'], sign=True)}.",
     )
 

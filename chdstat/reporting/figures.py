@@ -160,6 +160,7 @@ def estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figur
         estimator_name(row["estimator"]): f"relMSE {number(row['relmse'])}, "
         f"{number(row['relmse_ratio'])} × the mean's"
         for row in found.table()
+        if np.isfinite(row["relmse_ratio"])
     }
     shown: dict[str, npt.ArrayLike] = {estimator_name(name): images[name] for name in chosen}
     return viz.side_by_side(

@@ -183,6 +183,11 @@ def estimator_measures(
 
 
 def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str) -> None:
+    if not np.isfinite(values.value).any():
+        middle: dict[str, Any] = {"transform": ax.transAxes, "ha": "center", "va": "center"}
+        ax.text(0.5, 0.5, "cannot tell", color=_GREY, **middle)
+        ax.set_xticks([])
+        return
     ax.hlines(rows, values.low, values.high, color=PALETTE[4], linewidth=1.6)
     ax.plot(values.value, rows, "o", color=PALETTE[4], markersize=3)
     ax.axvline(0 if measure == "bias" else 1, color=_GREY, linewidth=0.9, linestyle="--")
@@ -197,11 +202,21 @@ def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str
 
 
 def _draw_shares(ax: Axes, rows: Array, found: Comparison, of: int) -> None:
-    """Draw the shares of estimates that got better, stayed, and got worse, as one bar."""
-    better, same = (found.measures[m].value[:, of] for m in ("improved", "unchanged"))
-    ax.barh(rows, better, height=0.7, color=PALETTE[2])
-    ax.barh(rows, same, left=better, height=0.7, color="#E4E4E4")
-    ax.barh(rows, 1 - better - same, left=better + same, height=0.7, color=PALETTE[5], alpha=0.55)
+    """Draw the shares of estimates that got better, stayed, and got worse, as one bar.
+
+    Between better and the rest, those are hatched of which the reference cannot tell.
+    """
+    improved, same = found.measures["improved"][:, of], found.measures["unchanged"].value[:, of]
+    untold = np.isnan(improved.value)
+    better = np.where(untold, improved.low, improved.value)
+    unknown = np.where(untold, improved.high - improved.low, 0).clip(0, 1 - better - same)
+    worse = 1 - better - unknown - same
+    look: dict[str, Any] = {"height": 0.7}
+    ax.barh(rows, better, color=PALETTE[2], **look)
+    hatched: dict[str, Any] = {"color": "white", "edgecolor": PALETTE[2], "hatch": "/////"}
+    ax.barh(rows, unknown, left=better, linewidth=0, **hatched, **look)
+    ax.barh(rows, same, left=better + unknown, color="#E4E4E4", **look)
+    ax.barh(rows, worse, left=1 - worse, color=PALETTE[5], alpha=0.55, **look)
     ax.axvline(0.5, color="#444444", linewidth=0.9, linestyle="--")
     ax.set_xlim(0, 1)
     ax.xaxis.set_major_formatter(per_cent)

@@ -276,7 +276,7 @@ def test_the_mean_has_no_bias_against_the_other_samples():
     found = {e.name: e for e in estimates(gamma(4096), 32)}
     assert set(found) == set(fixed())
     assert found["mean"].mse_ratio == 1
-    assert abs(found["mean"].bias) < 1e-3
+    assert abs(found["mean"].bias) < 0.01
     assert found["median"].bias < -0.1  # skewed: the control
 
 
