@@ -453,7 +453,7 @@ def compare(
       sample mean.
 
     The truth y is known from the other samples of the pixel. Their noise is in no measure:
-    `chdstat.comparison.references` says how errors are estimated without it. What they cannot tell
+    :doc:`/understand/judging` says how errors are estimated without it. What they cannot tell
     is NaN, "cannot tell" in words: a ratio where the error of the mean may be 0, a relative error
     that depends on how noisy its denominators are, and the share of improved estimates where more
     than a tenth are about as near as the mean; its interval then still holds the share.

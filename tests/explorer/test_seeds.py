@@ -90,4 +90,4 @@ def test_no_estimator_is_praised_for_nearness_to_a_few_samples(told):
     for spp, scored in ((1, False), (92, False), (96, True)):  # three times the 32 of an estimate
         table = told(PIXEL, source, reference=held(noise(5, spp=spp) ** 4, 5))["estimates"]
         assert ("too few to score" in table["note"]) != scored
-        assert {row[3] != "—" for row in table["rows"][1:]} == {scored}
+        assert {row[2] != "—" for row in table["rows"][1:]} == {scored}

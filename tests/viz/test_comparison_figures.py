@@ -61,9 +61,10 @@ def test_all_measures_are_shown_and_a_star_marks_those_that_use_neighbours(found
 
 def test_better_same_and_worse_fill_the_bar(found):
     bars = [p for p in estimator_measures(found).axes[2].patches if isinstance(p, Rectangle)]
-    widths = np.array([bar.get_width() for bar in bars]).reshape(3, 4)
+    widths = np.array([bar.get_width() for bar in bars]).reshape(4, 4)
     assert widths.sum(axis=0) == pytest.approx(1)
-    assert widths[1, 0] == 1  # the mean is the mean
+    assert widths[2, 0] == 1  # the mean is the mean
+    assert (widths[1] > 0.1).any()  # of some, the reference cannot tell
 
 
 def test_an_estimator_without_a_measure_leaves_a_gap(samples):
@@ -84,11 +85,11 @@ def test_a_breakdown_has_a_row_a_pattern_and_frames_the_best(found):
     assert len(frames) == 1  # nothing is better or worse than no error at all
 
 
-def test_a_curve_has_a_line_an_estimator_and_the_noise(curve):
+def test_a_curve_has_a_line_an_estimator(curve):
     figure = error_curves(curve)
-    assert {"sample mean", "noise of the reference", "MSE", "relMSE"} <= texts(figure)
+    assert {"sample mean", "MSE", "relMSE"} <= texts(figure)
     for ax in figure.axes:
-        assert [line.get_linestyle() for line in ax.lines] == ["-", "-", "-", "--", ":"]
+        assert [line.get_linestyle() for line in ax.lines] == ["-", "-", "-", "--"]
 
 
 def test_pixels_are_drawn_by_their_luminance_with_reference_mean_and_estimates(found):
