@@ -52,7 +52,7 @@ found
 
 # %%
 # With so little data, the network is no match for what it became in the paper. ``chdstat train``
-# trains it on any store, and `Compare estimators side by side <plot_22_compare.html>`_ shows how to judge it
-# beside others.
+# trains it on any store, and `Compare estimators side by side <plot_22_compare.html>`_ shows how to
+# judge it beside others.
 #
 # **Next:** `A better image without a reference <plot_21_estimate.html>`_

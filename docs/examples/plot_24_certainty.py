@@ -31,8 +31,8 @@ figure
 # Count how often it holds
 # ------------------------
 #
-# The mean of 4096 other samples stands for the truth. Of a mean of a hundred, even perfect intervals
-# would seem to miss far more than they do.
+# The mean of 4096 other samples stands for the truth. Against a mean of a hundred, even perfect
+# intervals would seem to miss far more than they do.
 
 reference = chd.render("bathroom", spp=4096, size=(48, 48), seed=7, backend="scalar").read()
 reference = reference.mean(axis=-1, dtype=float)
