@@ -298,9 +298,7 @@ def bench(
         ),
     ] = None,
     folder: Annotated[Path | None, option("Folder that keeps renders and references.")] = None,
-    out: Annotated[
-        Path | None, option("Table to write: .csv, .json.", "--out", "-o")
-    ] = None,
+    out: Annotated[Path | None, option("Table to write: .csv, .json.", "--out", "-o")] = None,
 ) -> None:
     """Compare estimators on several scenes against converged references, as a paper would."""
     import chdstat
