@@ -509,7 +509,7 @@ class _Inputs:
         )
         return found.first(self.numbers[-1])
 
-    def reference(self, name: str, scene: Any, given: Any) -> _Truth:
+    def reference(self, name: str, scene: Any, given: Any) -> _Converged:
         """Return the reference of a scene."""
         more, held = _held(given), _held(scene)
         if more is not None:
@@ -523,11 +523,11 @@ class _Inputs:
                     f"pixel; give one of another seed, or of {2 * first} samples or more"
                 )
                 raise InputError(message)
-            return _Truth.of(name, more.isel(sample=slice(first, None)))
+            return _Converged.of(name, more.isel(sample=slice(first, None)))
         if given is not None:
             named = isinstance(given, str | Path)
             image = np.asarray(read_exr(given).image if named else given, np.float64)
-            return _Truth.of_parts(np.stack([image] * PARTS))
+            return _Converged.of_parts(np.stack([image] * PARTS))
         if held is not None:
             if held.spp < 2 * self.numbers[-1]:
                 message = (
@@ -535,7 +535,7 @@ class _Inputs:
                     f"after the first {self.numbers[-1]}; give one in references"
                 )
                 raise InputError(message)
-            return _Truth.of(name, held.isel(sample=slice(self.numbers[-1], None)))
+            return _Converged.of(name, held.isel(sample=slice(self.numbers[-1], None)))
         batches = render_batches(
             scene,
             spp=self.reference_spp,
@@ -551,7 +551,7 @@ class _Inputs:
             digest = hashlib.sha256(repr(about).encode()).hexdigest()[:8]
             kept = Path(self.folder) / f"{name}-reference-{digest}.npz"
         if kept is not None and kept.exists():
-            return _Truth.of_parts(np.load(kept)["parts"])
+            return _Converged.of_parts(np.load(kept)["parts"])
         means = np.stack([batch.mean(axis=-1, dtype=np.float64) for batch in batches])
         if len(means) < PARTS:
             message = f"a reference needs at least {PARTS} samples per pixel, got {len(means)}"
@@ -561,7 +561,7 @@ class _Inputs:
             kept.parent.mkdir(parents=True, exist_ok=True)
             with replacing(kept) as file, file.open("wb") as stream:
                 np.savez(stream, parts=parts)
-        return _Truth.of_parts(parts)
+        return _Converged.of_parts(parts)
 
 
 def _held(given: Any) -> Samples | None:
@@ -572,14 +572,14 @@ def _held(given: Any) -> Samples | None:
 
 
 @dataclass(frozen=True)
-class _Truth:
+class _Converged:
     """A reference of a scene, and means of each half of its samples, shape (2, y, x, channel)."""
 
     reference: Reference
     halves: Array
 
     @classmethod
-    def of(cls, name: str, samples: Samples) -> _Truth:
+    def of(cls, name: str, samples: Samples) -> _Converged:
         sums = PartialSums.of(samples)
         found = sums.reference()
         if not np.isfinite(found.mean).any():
@@ -588,7 +588,7 @@ class _Truth:
         return cls(found, sums.halves)
 
     @classmethod
-    def of_parts(cls, parts: Array) -> _Truth:
+    def of_parts(cls, parts: Array) -> _Converged:
         """Return the reference of means of equally many samples, shape (4, y, x, channel)."""
         known = np.isfinite(parts).all(axis=(0, -1))
         scene_mean = parts[:, known].mean(axis=(0, 1)) if known.any() else np.ones(parts.shape[-1])
@@ -601,7 +601,7 @@ def _measured(
     entries: Mapping[str, Entry],
     images: Images,
     numbers: Sequence[int],
-    truth: _Truth,
+    truth: _Converged,
     samples: Samples,
     scene: str,
     baseline: str,

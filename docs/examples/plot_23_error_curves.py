@@ -24,9 +24,9 @@ viz.error_curves(curve)
 # because a bias does not fall as quickly as the noise. MSE over that of the mean:
 
 ratio = curve.measures["mse_ratio"]
-print("".ljust(16), *(f"N = {n}".ljust(18) for n in curve.sizes))
+print("".ljust(16), *(f"N = {n}".ljust(22) for n in curve.sizes))
 for k, name in enumerate(curve.estimators):
-    cells = (str(ratio[i, k]).ljust(18) for i in range(len(curve.sizes)))
+    cells = (str(ratio[i, k]).ljust(22) for i in range(len(curve.sizes)))
     print(name.ljust(16), *cells)
 
 # %%
