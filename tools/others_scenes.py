@@ -75,8 +75,9 @@ def fate(scene: Path, backend: str, options: argparse.Namespace) -> Row:
     """Render a scene in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         settings = {"spp": options.spp, "size": options.size, "backend": backend}
-        command = [sys.executable, "-m", "chdstat", "render", str(scene)]
+        command = [sys.executable, "-m", "chdstat", "render", str(scene), "-q"]
         command += [f"--{name}={value}" for name, value in settings.items()]
+        command += [f"--integrator={options.integrator}"] if options.integrator else []
         begun = time.monotonic()
         try:
             done = subprocess.run(  # noqa: S603 - our own command
@@ -155,6 +156,7 @@ def main() -> int:
     )
     parser.add_argument("folders", nargs="+", type=Path, help="folders of scenes, or XML files")
     parser.add_argument("--backend", nargs="+", default=["scalar", "llvm"])
+    parser.add_argument("--integrator", help="one in place of the scenes' own")
     parser.add_argument("--size", default="16x16")
     parser.add_argument("--spp", type=int, default=2)
     parser.add_argument("--limit", type=float, default=300.0, help="seconds for each process")

@@ -40,12 +40,12 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
     path, counts, errors = samples.path, samples.counts, _errors_of(samples)
     if as_json:
         told = {name: error.to_dict() for name, error in errors.items()}
-        mean = samples.spp if counts is None else float(counts.mean())
+        mean = float(counts.mean()) if samples.unequal else samples.spp
         print_json({**samples.attrs, "path": str(path), "spp": mean, **told})
     else:
         height, width = samples.shape[:2]
         number = f"{samples.spp} sample{'s' * (samples.spp > 1)} per pixel"
-        if counts is not None:
+        if samples.unequal:
             number += f" at most, {samples.fewest} at least, {counts.mean():.0f} on average"
         typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {number}")
         for name, error in errors.items():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import itertools
 import logging
 import reprlib
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from inspect import Parameter, Signature, cleandoc, signature
 from pathlib import Path
@@ -18,6 +20,7 @@ import typer.core
 from typer.models import OptionInfo
 
 from chdstat import __version__
+from chdstat._core.files import place_of
 from chdstat.cli.shared_options import SHARED, CommonOptions
 from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
 
@@ -28,6 +31,8 @@ _TO_MEND = 2
 """Exit code of errors that a user can act on, as of wrong options; a crash ends with 1."""
 _RESUMED = ("render", "import", "study", "--store")
 """Commands and options for which the same command line resumes after an interruption."""
+_PLACES = ("-o", "--out", "--store")
+"""Options that name what such a command line writes."""
 _MEANT = {
     "classify": "analyze",
     "fit": "analyze",
@@ -182,8 +187,8 @@ def main() -> None:
         _fail(str(error), _TO_MEND)
     except (SystemExit, KeyboardInterrupt) as ended:  # typer makes the first of most of the second
         if getattr(ended, "code", _INTERRUPTED) == _INTERRUPTED:
-            resumed = any(word in _RESUMED for word in sys.argv)
-            _fail("stopped" + "; the same command goes on from here" * resumed, _INTERRUPTED)
+            resumed = "; the same command goes on from here" * _is_begun(sys.argv)
+            _fail(f"stopped{resumed}", _INTERRUPTED)
         raise
     except OSError as error:  # such as a name that is too long, or a folder that may not be read
         if "--debug" in sys.argv:
@@ -193,6 +198,16 @@ def main() -> None:
     except MemoryError:
         message = "out of memory; use a smaller --size or --spp, or keep samples in a store"
         _fail(message, _TO_MEND)
+
+
+def _is_begun(line: Sequence[str]) -> bool:
+    """Return whether a command line has written something from which it would go on."""
+    words = [part for word in line for part in word.split("=", 1)]
+    named = [text for name, text in itertools.pairwise(words) if name in _PLACES]
+    resumed = any(word in _RESUMED for word in words)
+    with contextlib.suppress(ChdstatError, OSError):
+        return resumed and any(place_of(text).exists() for text in named)
+    return False
 
 
 def _shown_once() -> Callable[..., None]:

@@ -22,7 +22,7 @@ from typing import Any, Literal
 
 from chdstat._core.files import Cache, installed, user_cache
 from chdstat._core.work import cores, memory
-from chdstat.errors import InputError, RenderError, check_option
+from chdstat.errors import InputError, RenderError, check_option, did_you_mean
 
 __all__ = [
     "BACKENDS",
@@ -121,10 +121,13 @@ def probe(backend: str, *, fresh: bool = False) -> TriedBackend:
         If there is no such backend.
     """
     if backend not in BACKENDS:
-        message = (
-            f"backend must be one of auto, {', '.join(BACKENDS)}, got {backend!r}. Spectral "
-            "and mono variants of Mitsuba are chosen by color; polarized ones are not supported"
+        near = did_you_mean(backend, ("auto", *BACKENDS))
+        more = (
+            ". Spectral and mono variants of Mitsuba are chosen by color; polarized ones are not "
+            "supported"
         )
+        names = ", ".join(("auto", *BACKENDS))
+        message = f"backend must be one of {names}, got {backend!r}{near or more}"
         raise InputError(message)
     if backend == "scalar":
         return TriedBackend("scalar", works=True, detail="built into Mitsuba")

@@ -24,7 +24,14 @@ import numpy.typing as npt
 import chdstat
 from chdstat._core.arrays import Image, seed_number
 from chdstat._core.work import Interrupted
-from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
+from chdstat.errors import (
+    ChdstatError,
+    InputError,
+    RenderError,
+    SceneError,
+    brief,
+    did_you_mean,
+)
 from chdstat.rendering.backend import activate
 from chdstat.rendering.options import IntegratorObject, Job, told
 from chdstat.rendering.seeds import STREAMS, Streams
@@ -593,7 +600,8 @@ def check_lights(names: Sequence[str], patterns: Sequence[str]) -> None:
         if not any(fnmatchcase(name, pattern) for name in names):
             there = ", ".join(names[:_LISTED]) or "none"
             more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-            message = f"no light {pattern!r}; the scene has {there}{more}"
+            near = did_you_mean(pattern, names)
+            message = f"no light {pattern!r}; the scene has {there}{more}{near}"
             raise InputError(message)
     for name in names:
         matching = [pattern for pattern in patterns if fnmatchcase(name, pattern)]

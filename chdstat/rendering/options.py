@@ -20,7 +20,7 @@ from chdstat.rendering.seeds import SEEDS, SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
 from chdstat.scenes.plugins import Plugin, code_of, loaded, register
 from chdstat.scenes.scene import LiveScene, is_built
-from chdstat.scenes.settings import LONGEST, Asked, asked_for
+from chdstat.scenes.settings import GUIDED, LONGEST, Asked, asked_for
 
 if TYPE_CHECKING:
     from chdstat.rendering.guiding import Guide
@@ -41,8 +41,6 @@ __all__ = [
 
 IntegratorLike = str | Mapping[str, Any] | Any
 """An integrator by Mitsuba's name, as a dict with its settings, or as a Mitsuba object."""
-GUIDED = ("guided", "auto")
-"""The scene's own integrator, guided by a `Guide`: always, or if that pays."""
 Crop = tuple[int, int, int, int]
 """(x, y, width, height) in pixels of the image."""
 

@@ -199,10 +199,6 @@ def render(
         depths |= {part for part in held if isinstance(part, int)}
         by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
         options = _as_stored(options, existing)
-        spp_held = existing.attrs["spp"]
-        if options.spp < spp_held and not existing.pending() and error is None:
-            message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
-            _log.warning(message, out, spp_held, options.spp)
     how, decided_by = None, existing.adaptive if existing else None
     if adaptive is not False or (error, percentile, decided_by) != (None, None, None):
         how = Adaptive.of(adaptive, error, percentile, options.spp, decided_by)
@@ -249,7 +245,11 @@ def _captured(
     renderer.check_lights(lights)
     job = renderer.job
     partial = _cut_paths(renderer, depths) | {n: replace(job, light=n) for n in lights}
-    with _writer(renderer, out, how) as writer:
+    with _writer(renderer, out, how) as writer:  # which refuses a store of another scene
+        is_less = job.options.spp < writer.attrs["spp"] and (how is None or how.error is None)
+        if is_less and not writer.pending():
+            message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
+            _log.warning(message, out, writer.attrs["spp"], job.options.spp)
         with _features_restored(renderer, client, writer):
             _fill(renderer, writer, client, progress)
         if how is not None:

@@ -209,18 +209,24 @@ class Samples:
     @property
     def fewest(self) -> int:
         """Number of samples that every pixel has."""
-        return self.spp if self.counts is None else int(self.counts.min())
+        return int(self.counts.min())
 
     @property
-    def counts(self) -> _PixelCounts | None:
-        """Samples of each pixel, shape (y, x), if they differ (others read as NaN); else None."""
-        found = None if self._counts is None else _counted(self._counts, self.part[2])
-        return None if found is None or (found == self.spp).all() else found
+    def counts(self) -> _PixelCounts:
+        """Samples of each pixel, shape (y, x); those beyond them read as NaN."""
+        if self._counts is None:
+            return np.full(self.shape[:2], self.spp, np.int32)
+        return _counted(self._counts, self.part[2])
+
+    @property
+    def unequal(self) -> bool:
+        """Whether some pixels have more samples than others."""
+        return self._counts is not None and self.fewest < self.spp
 
     @property
     def spp_range(self) -> str:
         """Samples per pixel in words: "64", or "32 to 161" if they differ."""
-        return str(self.spp) if self.counts is None else f"{self.fewest} to {self.spp}"
+        return f"{self.fewest} to {self.spp}" if self.unequal else str(self.spp)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -358,7 +364,7 @@ class Samples:
         """Show a thumbnail and the origin of the samples."""
         height, width, channels, spp = self.shape
         facts = provenance(self._attrs, self.shape)
-        if self.counts is not None:
+        if self.unequal:
             facts["Samples"] = different_counts(self._attrs, self.spp_range)
         if self.features:
             facts["First hit"] = ", ".join(self.features)
@@ -629,7 +635,7 @@ class Samples:
         """Return samples, features and counts as a labelled dataset; lazily if on disk."""
         dims = ("y", "x", "component")
         variables: dict[str, Any] = {n: (dims[: i.ndim], i) for n, i in self.features.items()}
-        if self.counts is not None:
+        if self.unequal:
             variables["counts"] = (dims[:2], self.counts, {"long_name": "samples", "units": "1"})
         radiance: Any = self._held if self.source is None else self._lazily()
         about = {"long_name": "linear radiance", "units": self._attrs.get("unit", "W sr-1 m-2")}

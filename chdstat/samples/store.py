@@ -804,7 +804,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
             raise StoreError(message)
         shape = samples.shape
         features = dict(samples.features)
-        if samples.counts is not None:
+        if samples.unequal:
             features[layout.COUNTS] = samples.counts.astype(np.float32)
         store = Store.create(path, shape=shape, attrs=attrs, features=features)
         first = 0
@@ -892,7 +892,7 @@ def _appended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> list[di
     if held.pending() and not begun:
         message = f"{path} is not complete: repeat first what was interrupted"
         raise StoreError(message)
-    if held.counts() is not None or samples.counts is not None:
+    if held.counts() is not None or samples.unequal:
         message = (
             "samples can be appended where each pixel has as many as the others; import those of "
             "different numbers together"

@@ -328,7 +328,7 @@ def assemble(
                 results[name][1][ys, xs] = part
                 release(results[name][1])
             advance((ys.stop - ys.start) * (xs.stop - xs.start))
-    if image.counts is not None:
+    if image.unequal:
         absent = image.shape[3] - image.counts
         for name, (_, found) in results.items():
             if name.rpartition("/")[2] in _OF_BAD:

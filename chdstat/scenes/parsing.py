@@ -12,16 +12,19 @@ from __future__ import annotations
 import contextlib
 import itertools
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import mitsuba.parser
 import numpy as np
 
-from chdstat.errors import SceneError, brief
+from chdstat.errors import SceneError
 from chdstat.scenes.faults import checked_mesh, filled, refuse_faults
+from chdstat.scenes.mitsuba_errors import in_words
+from chdstat.scenes.scene_files import is_file
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
@@ -153,8 +156,18 @@ class ParsedScene:
         for node in self.nodes:
             state.nodes.append(node)
         state.node_paths = self.paths
-        with _naming(self.name, "build"), _resolving(self.resolver):
+        with _naming(self.name, "build", self.missing), _resolving(self.resolver):
             return mi.parser.instantiate(config, state)
+
+    def missing(self) -> list[str]:
+        """Return the names of files that parts of the scene name, and that are not there."""
+        found = []
+        for node in self.nodes:
+            properties = mi.Properties(node.props)  # a copy: Mitsuba records what is read
+            name = str(properties["filename"]) if "filename" in properties else ""
+            if name and not is_file(Path(str(self.resolver.resolve(name)))):
+                found.append(name)
+        return sorted(set(found))
 
     def references(self, index: int) -> list[tuple[str, int]]:
         """Return the names and nodes of everything that a node holds."""
@@ -272,12 +285,12 @@ def _config() -> Any:
 
 
 @contextlib.contextmanager
-def _naming(scene: str, doing: str) -> Iterator[None]:
+def _naming(scene: str, doing: str, missing: Callable[[], Sequence[str]] = tuple) -> Iterator[None]:
     """Turn Mitsuba's errors about a scene into an error that names the scene."""
     try:
         yield
     except (RuntimeError, ValueError, TypeError) as error:  # ValueError: text that is no UTF-8
-        message = f"Mitsuba cannot {doing} the scene {scene!r}: {brief(error)}"
+        message = f"Mitsuba cannot {doing} the scene {scene!r}{in_words(error, missing())}"
         raise SceneError(message) from error
 
 

@@ -35,6 +35,7 @@ __all__ = [
     "Plugin",
     "code_of",
     "failure",
+    "known_names",
     "load_plugin",
     "loaded",
     "own_names",
@@ -219,6 +220,14 @@ def own_names(mi: Any) -> set[str]:
     folder = Path(mi.__file__).parent
     files = (*(folder / "plugins").iterdir(), *(folder / "python/ad/integrators").glob("*.py"))
     return {file.stem for file in files}
+
+
+def known_names() -> set[str]:
+    """Return the names of all plugins of the current variant: Mitsuba's, and registered ones."""
+    import mitsuba as mi
+
+    here = (r for (variant, _), r in _REGISTERED.items() if variant == mi.variant())
+    return own_names(mi).union(*(r.parts for r in here))
 
 
 def failure(plugins: Iterable[Plugin], error: BaseException) -> BaseException:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import re
 import reprlib
 import sys
@@ -41,6 +42,8 @@ SceneLike = str | Path | Mapping[str, Any] | Any
 """A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types whose values are equal if they print the same."""
+_LISTED = 1000
+"""Most files of a folder that a misspelt name is compared with."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -220,9 +223,18 @@ def _nothing_at(path: Path) -> str:
     if path.suffix == ".zarr":
         return f"no store at {name}; render one with: chdstat render SCENE -o {path}"
     if path.suffix or len(path.parts) > 1:
-        return f"no scene file at {name}"
+        return f"no scene file at {name}{_beside(path)}"
     near = did_you_mean(path, BUILTIN) or f"; there are {', '.join(sorted(BUILTIN))}"
     return f"no built-in scene is called {name}{near}"
+
+
+def _beside(path: Path) -> str:
+    """Return the end of a message about a missing file: the nearest names in its folder."""
+    try:
+        held = [other.name for other in itertools.islice(path.parent.iterdir(), _LISTED)]
+    except (OSError, ValueError):  # no such folder, or text that is no path
+        return f"; there is no folder {reprlib.repr(str(path.parent))}"
+    return did_you_mean(path.name, held) or "; give a Mitsuba scene, *.xml"
 
 
 @contextlib.contextmanager

@@ -16,10 +16,12 @@ from chdstat.errors import InputError, RenderError, SceneError
 if TYPE_CHECKING:
     from chdstat.scenes.parsing import ParsedScene
 
-__all__ = ["LONGEST", "Asked", "Film", "asked_for", "check_variant"]
+__all__ = ["GUIDED", "LONGEST", "Asked", "Film", "asked_for", "check_variant"]
 
 _INTEGRATOR = "path"
 """Integrator of a scene that names none."""
+GUIDED = ("guided", "auto")
+"""Names for the scene's own integrator, guided by earlier paths: always, or if that pays."""
 LONGEST = 2**20
 """Most pixels of a film in width and in height."""
 _WRAPPERS = ("aov", "moment")
@@ -32,7 +34,8 @@ _UNUSED = ("samples_per_pass", "timeout")
 """Settings of integrators that do not apply to samples drawn chunk by chunk."""
 _SAME_SAMPLES = ("block_size",)
 """Settings of integrators that samples do not depend on."""
-_SPECTRAL_FILM = "specfilm"
+_REPLACED = {"Film": ("hdrfilm", _SIZES), "Sampler": ("independent", ())}
+"""Plugin that replaces those of a kind, and the settings that stay."""
 _INSTEAD = "samples are linear sRGB"
 _SAME_FILM = ("file_format", "component_format", "sample_border", "compensate", "banner")
 """Settings of films that samples do not depend on."""
@@ -173,7 +176,7 @@ def asked_for(
     part.drop(i for kind in ("Film", "Sampler", "Medium") for i in part.held(0, kind))
     film = _film(parsed.name, parsed.node(films[0]).props if films else {})
     parsed.drop(own)
-    _without_bands(parsed)
+    _plain(parsed)
     return Asked(
         scene=parsed,
         sensor=part,
@@ -307,25 +310,30 @@ def _of_film(parsed: ParsedScene, films: list[int]) -> list[str]:
     if not films:
         return []
     properties, name = parsed.node(films[0]).props, parsed.plugin(films[0])
+    same, held = (*_SIZES, *_SAME_FILM, "pixel_format"), dict(parsed.references(films[0]))
+    filters = parsed.held(films[0], "ReconstructionFilter")
+    keys = [key for key in properties.keys() if key not in same]  # noqa: SIM118
+    others = ", ".join(key for key in keys if held.get(key) not in filters)
     if name == "hdrfilm":
         form = str(properties.get("pixel_format", "rgb")).lower()
-        return [] if form in ("rgb", "rgba") else [f"the film's pixel_format {form}: {_INSTEAD}"]
-    same, held = (*_SIZES, *_SAME_FILM), dict(parsed.references(films[0]))
-    filters = parsed.held(films[0], "ReconstructionFilter")
-    others = [key for key in properties.keys() if key not in same]  # noqa: SIM118
-    bands = [key for key in others if held.get(key) not in filters]
-    settings = f" and its {', '.join(bands)}" if bands else ""
+        notes = [] if form in ("rgb", "rgba") else [f"the film's pixel_format {form}: {_INSTEAD}"]
+        return notes + ([f"the film's {others}: not used"] if others else [])
+    settings = f" and its {others}" if others else ""
     return [f"the scene asks for the {name} film{settings}: {_INSTEAD}"]
 
 
-def _without_bands(parsed: ParsedScene) -> None:
-    """Replace the spectral films of a scene by plain ones, which need no wavelengths."""
+def _plain(parsed: ParsedScene) -> None:
+    """Replace films and samplers, which are made anew for each tile, by ones without settings.
+
+    Their plugins and settings may be unknown, or, as those of spectral films, need wavelengths.
+    """
     for index in range(len(parsed.nodes)):
-        if parsed.plugin(index) == _SPECTRAL_FILM:
-            properties = parsed.node(index).props
-            for key in set(properties.keys()) - set(_SIZES):
+        kind, properties = parsed.node(index).type.name, parsed.node(index).props
+        if kind in _REPLACED:
+            plugin, kept = _REPLACED[kind]
+            for key in set(properties.keys()) - set(kept):
                 del properties[key]
-            properties.set_plugin_name("hdrfilm")
+            properties.set_plugin_name(plugin)
 
 
 def _replaced(parsed: ParsedScene, word: str, found: list[int], used: str) -> list[str]:

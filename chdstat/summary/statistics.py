@@ -305,7 +305,7 @@ def summarize(
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(image.spp))
     dataset = reduce_tiles(image, of_tile, description="summarising", **work)
-    if image.counts is not None:  # an incomplete last batch is left out, of every pixel
+    if image.unequal:  # an incomplete last batch is left out, of every pixel
         ends = np.cumsum(batches.read()[1])
         complete = (ends <= image.counts[..., np.newaxis]) | (ends == ends[0])
         dataset["batch_means"] = dataset["batch_means"].where(complete[:, :, np.newaxis])

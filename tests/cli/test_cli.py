@@ -408,15 +408,21 @@ def test_debug_shows_the_traceback(monkeypatch):
         main()
 
 
-def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
+def test_an_interrupt_says_how_to_go_on(run, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
     def stop(*args, **kwargs):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(chdstat.samples, "inspect", stop)
     assert run("info", "x.zarr")[::2] == (130, "chdstat: stopped\n")
     monkeypatch.setattr(chd, "render", stop)
-    code, _, err = run("render", "cornell-box", "-o", "x.zarr")
-    assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")
+    for line in (("-o", "x.zarr"), ("--out=x.zarr",)):
+        assert run("render", "cornell-box", *line)[::2] == (130, "chdstat: stopped\n")
+    (tmp_path / "x.zarr").mkdir()  # as a render makes it that has begun
+    for line in (("-o", "x.zarr"), ("--out=x.zarr",)):
+        code, _, err = run("render", "cornell-box", *line)
+        assert (code, err) == (130, "chdstat: stopped; the same command goes on from here\n")
     monkeypatch.setattr(chdstat.cli.program, "app", stop)  # before a command runs
     assert run("info", "x.zarr")[::2] == (130, "chdstat: stopped\n")
 

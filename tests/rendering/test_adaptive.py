@@ -228,7 +228,7 @@ def test_a_damaged_density_is_told_and_decided_again(wavefront, tmp_path):
     with pytest.raises(StoreError, match="density"):
         chd.open(tmp_path / "a.zarr")
     assert np.array_equal(chd.render("cornell-box", **settings).read(), x, equal_nan=True)
-    assert chd.open(tmp_path / "a.zarr").counts is not None
+    assert chd.open(tmp_path / "a.zarr").unequal
 
 
 def test_an_error_is_reached_or_told(wavefront, caplog):
@@ -258,3 +258,13 @@ def test_what_makes_no_sense_is_refused(stored):
         chd.render(scene, adaptive=True, sampler="stratified")
     with pytest.raises(StoreError, match="adaptive: stored None"):
         chd.render(scene, size=(24, 16), spp=64, adaptive=True, out=stored())
+
+
+@pytest.mark.parametrize("radiance", [0.0, 1.0])
+def test_an_even_image_has_counts_too(radiance):
+    scene = {"type": "scene", "sensor": {"type": "perspective"}}
+    scene["sky"] = {"type": "constant", "radiance": radiance}
+    samples = chd.render(scene, spp=16, size=(5, 4), adaptive=True, backend="scalar")
+    assert samples.counts.shape == (4, 5)
+    assert samples.counts.mean() == pytest.approx(16, rel=0.3)
+    assert np.array_equal(np.isfinite(samples.read()[:, :, 0]).sum(-1), samples.counts)

@@ -297,12 +297,15 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
         ({"crop": (0, 0, 8, 8), "size": (16, 16)}, "crop: stored None, asked for"),
     ],
 )
-def test_other_samples_are_not_mixed_in(tmp_path, change, named):
+def test_other_samples_are_not_mixed_in(tmp_path, change, named, caplog):
     path = tmp_path / "s.zarr"
     render(out=path)
     before = contents(path)
     with pytest.raises(StoreError, match=f"holds other samples .*{named}.*Nothing was changed"):
         render(out=path, spp=128, **change)
+    with pytest.raises(StoreError), caplog.at_level(logging.WARNING, logger="chdstat"):
+        render(out=path, spp=1, **change)
+    assert "nothing to render" not in caplog.text
     assert contents(path) == before
 
 

@@ -226,7 +226,7 @@ def test_a_misspelt_plugin_is_named():
     for part in ("sensor", "floor", "sky", "integrator"):
         with pytest.raises(SceneError, match='"fisheye"'):
             render(floor(**{part: {"type": "fisheye"}}))
-    with pytest.raises(SceneError, match='"fisheye" not found'):
+    with pytest.raises(SceneError, match="no plugin 'fisheye'"):
         scene_size(floor(sensor={"type": "fisheye"}))
     with pytest.raises(SceneError, match="fovv"):
         render(floor(sensor={"type": "perspective", "fovv": 40}))

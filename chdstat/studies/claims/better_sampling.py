@@ -131,7 +131,8 @@ def counts(data: SceneData) -> Finding:
     as another seed decided them.
     """
     adaptive = required(data.adaptive, "the same scene rendered with adaptive=True")
-    numbers = required(adaptive.counts, "pixels with different numbers of samples")
+    require(adaptive.unequal, "pixels with different numbers of samples")
+    numbers = adaptive.counts
     require(adaptive.shape[:2] == data.samples.shape[:2], "adaptive samples in the same size")
     whole = data.whole()
     mean, variance = (data.summary[n].to_numpy().astype(np.float64) for n in ("mean", "variance"))
