@@ -11,6 +11,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat.analysis import noise_of, overview, patterns_of, save, to_dataframe
 from chdstat.errors import StoreError
+from chdstat.samples import tiles
 from tests.luminance import LUMINANCE
 
 
@@ -33,6 +34,25 @@ def test_statistics_agree_with_numpy(samples, found):
     y = np.moveaxis(x, 2, -1) @ LUMINANCE
     expected = y.std(axis=-1, ddof=1) / y.mean(axis=-1)
     np.testing.assert_allclose(found["coefficient_of_variation"], expected, rtol=1e-5)
+
+
+def test_a_pixel_does_not_depend_on_how_many_are_taken_at_once(samples, found, monkeypatch):
+    monkeypatch.setattr(tiles, "_AT_ONCE", 7 * samples[0, 0].nbytes)
+    monkeypatch.setattr(tiles, "_MOST_BYTES", 20 * samples[0, 0].nbytes)
+    xr.testing.assert_allclose(chd.analyze(samples), found, rtol=1e-6)  # sums in other orders
+
+
+@pytest.mark.parametrize("spp", [1, 64, 512, 2048, 6144, 2**16, 2**20])
+def test_no_tile_is_larger_with_more_samples(spp):
+    cut = [*tiles.tiles((100, 90, 3, spp))]
+    assert sum((y.stop - y.start) * (x.stop - x.start) for y, x in cut) == 9000
+    most = max((y.stop - y.start) * (x.stop - x.start) for y, x in cut)
+    assert most * 3 * spp * 4 <= max(2**23, 3 * spp * 4)
+    taken = []
+    pixels = np.zeros((1, most, 3, 1), np.float32)
+    block = np.lib.stride_tricks.as_strided(pixels, (1, most, 3, spp), (*pixels.strides[:3], 0))
+    tiles.by_pixels(lambda x: taken.append(x.nbytes) or {}, block)
+    assert max(taken) <= max(3 * 2**20, 3 * spp * 4)
 
 
 def test_what_is_found_at_once_is_what_is_found_alone(samples, found):

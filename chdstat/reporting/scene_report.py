@@ -51,6 +51,7 @@ from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import CLAIMS, SceneData
+from chdstat.studies.stores import at_hand
 from chdstat.studies.studies import SceneStudy
 from chdstat.viz import VERDICTS
 
@@ -61,8 +62,6 @@ if TYPE_CHECKING:
 __all__ = ["published_seconds", "report"]
 
 _SPP = 512
-_IN_MEMORY = 2**29
-"""Samples up to this many bytes are read into memory; larger ones are read in blocks."""
 _PILOT = 32
 """Samples per pixel of the render that predicts the time of a longer one."""
 _BATCH = 32
@@ -158,8 +157,7 @@ def report(
         if as_published:
             store = store or target.with_suffix(".zarr")
         samples = render(scene, **given, out=store, progress=progress)
-    if samples.nbytes <= _IN_MEMORY:
-        samples = samples.load()
+    samples = at_hand(samples)
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
     report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)
     # The analysis may not fit in memory: keep it in files beside the report while it is made.

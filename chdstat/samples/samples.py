@@ -600,9 +600,9 @@ class Samples:
         Parameters
         ----------
         function
-            Takes the samples (y, x, channel, sample) of a tile. Returns, by variable name, the dims
-            that follow (y, x) and an array of shape (y, x, ...). Results must not depend on the
-            order of the tiles.
+            Takes the samples (y, x, channel, sample) of some pixels. Returns, by variable name, the
+            dims that follow (y, x) and an array of shape (y, x, ...). The result of a pixel must
+            not depend on which others are given with it.
         logarithms
             Whether the function leaves out negative samples, too, as it does bad ones. A
             `chdstat.errors.LeftOutWarning` reports more than 1 %.
@@ -619,7 +619,7 @@ class Samples:
         def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
             block = part.read()
             left_out.see(block, channel_axis=-2, absent=part.absent())
-            return function(block)
+            return tiles.by_pixels(function, block)
 
         places, shown = tiles.tiles(self.shape), {"description": description}
         return tiles.over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)

@@ -38,6 +38,7 @@ __all__ = [
     "SampleSource",
     "Work",
     "assemble",
+    "by_pixels",
     "chunk_grid",
     "gathered",
     "labelled",
@@ -53,8 +54,10 @@ DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what the camera sees."""
 _EDGE = TILE
 """Largest edge in pixels of a tile for computing."""
-_MOST_BYTES = 16 * 2**20
-"""Largest size of a tile with all its samples, unless 16 x 16 pixels are larger."""
+_MOST_BYTES = 8 * 2**20
+"""Largest size of a tile with all its samples, unless that of a single pixel is larger."""
+_AT_ONCE = 3 * 2**20
+"""Most bytes of samples that statistics take at once, as their work holds many times as much."""
 _OF_BAD = ("bad_count", "nan_count", "n_bad")
 """Counts of bad samples; samples that a pixel lacks read as NaN and are subtracted from them."""
 _ALL = slice(None)
@@ -199,9 +202,22 @@ def tiles(
     """
     height, width, channels, spp = shape
     edge = _EDGE
-    while not streamed and edge > 16 and edge * edge * channels * spp * 4 > _MOST_BYTES:
+    while not streamed and edge > 1 and edge * edge * channels * spp * 4 > _MOST_BYTES:
         edge //= 2
     yield from itertools.product(spans(height, edge), spans(width, edge))
+
+
+def by_pixels(function: Callable[[Image], Mapped], block: Image) -> Mapped:
+    """Apply a function of a tile's samples to as many pixels at a time as memory should hold."""
+    size = block.shape[:2]
+    row = block.reshape(1, -1, *block.shape[2:])
+    most = max(_AT_ONCE // max(row[:, :1].nbytes, 1), 1)
+    parts = [function(row[:, part]) for part in spans(row.shape[1], most)]
+    found = {}
+    for name, (dims, _) in parts[0].items():
+        values = np.concatenate([part[name][1] for part in parts], axis=1)
+        found[name] = dims, values.reshape(*size, *values.shape[2:])
+    return found
 
 
 def over_tiles(
@@ -275,7 +291,7 @@ def _of_tile(
 
     if checkpoint is None:
         return ys, xs, *compute()
-    name = f"{description}-{ys.start}-{xs.start}"
+    name = f"{description}-{ys.start}-{ys.stop}-{xs.start}-{xs.stop}"
     return ys, xs, *checkpoint.record(name, tuple[_Variables, tuple[int, ...]], compute)
 
 

@@ -42,6 +42,7 @@ __all__ = [
     "Stores",
     "StudyScene",
     "StudySource",
+    "at_hand",
     "scenes_of",
     "without_emitter_sampling",
 ]
@@ -69,7 +70,7 @@ _LEAST = 128
 SPREAD = {"stratified": 16, "multijitter": 16, "orthogonal": 25, "ldsampler": 16}
 """Samples of a sequence, by sampler."""
 _SEQUENCES = 16
-_IN_MEMORY = 2**29
+_IN_MEMORY = 2**27
 """Samples up to this many bytes are read into memory, as they are used several times."""
 
 StudySource = str | Path | Mapping[str, Any] | Scene | Samples
@@ -249,7 +250,7 @@ class Stores:
         """Return the result of `chdstat.analyze`, from the cache if possible."""
 
         def analysed(checkpoint: Path | None) -> xr.Dataset:
-            return analyze(_at_hand(samples), progress=self.progress, checkpoint=checkpoint)
+            return analyze(at_hand(samples), progress=self.progress, checkpoint=checkpoint)
 
         return self._dataset(samples, "analysis", analysed)
 
@@ -306,7 +307,7 @@ class Stores:
 
         def compared() -> Comparison:
             comparison = compare(
-                _at_hand(samples),
+                at_hand(samples),
                 estimators,
                 n=_N,
                 model=trained,
@@ -325,7 +326,8 @@ class Stores:
         return replace(comparison, models=models)
 
 
-def _at_hand(samples: Samples) -> Samples:
+def at_hand(samples: Samples) -> Samples:
+    """Return samples in memory if they are few; others are read in blocks."""
     return samples.load() if samples.nbytes <= _IN_MEMORY else samples
 
 
