@@ -3,8 +3,8 @@
 ``pytest -n0 -s --benchmark-only tests/benchmarks/test_judge.py`` prints the shares of tables whose
 95 % intervals hold the true ratio of errors, and of those that cannot tell. ``CHDSTAT_TABLES`` is
 the number of tables of each case, 200 by default. It fails if intervals hold the truth in a share
-that is more than 3 standard errors below 90 %, or if a verdict is reversed in more tables than 2.5 %
-of them and 3 standard errors are. What is told in fewer than a fifth of the tables is not judged.
+that is more than 3 standard errors below 90 %, or if a verdict is reversed in more tables than
+2.5 % of them and 3 standard errors are. What is told in less than a fifth of them is not judged.
 """
 
 import os
