@@ -29,6 +29,7 @@ __all__ = [
     "Width",
     "byte_size",
     "channel_names",
+    "colour",
     "duration",
     "each",
     "in_unit",
@@ -455,6 +456,17 @@ def channel_names(count: int) -> tuple[str, ...]:
     (('R', 'G', 'B'), ('channel0', 'channel1'))
     """
     return ("R", "G", "B") if count == 3 else tuple(f"channel{i}" for i in range(count))
+
+
+def colour(channel: str) -> str:
+    """Return the name of a channel in words; render B and the channel B are then two things.
+
+    Examples
+    --------
+    >>> colour("B"), colour("luminance")
+    ('blue', 'luminance')
+    """
+    return {"R": "red", "G": "green", "B": "blue"}.get(channel, channel)
 
 
 def png(values: npt.ArrayLike, about: str = "") -> bytes:

@@ -227,9 +227,16 @@ def contrast(
     a: Annotated[Path, typer.Argument(metavar="A", help="A finished store.", parser=place_of)],
     b: Annotated[
         Path,
-        typer.Argument(metavar="B", help="Another store, or a converged EXR.", parser=place_of),
+        typer.Argument(metavar="B", help="Another store, or a reference as EXR.", parser=place_of),
     ],
     asked: CommonOptions,
+    variance: Annotated[
+        Path | None,
+        option("Variances of a sample of the reference, an EXR.", unset="unknown"),
+    ] = None,
+    reference_spp: Annotated[
+        int | None, option("Samples per pixel of the reference.", unset="unknown")
+    ] = None,
     alpha: Annotated[
         float, option("Probability of a difference found where there is none.")
     ] = 0.05,
@@ -250,8 +257,11 @@ def contrast(
     from chdstat.reporting.figures import save_figure
 
     target = None if out is None else asked.target(out, ".pdf")  # refused before the work
+    other: Path | chdstat.inference.Reference = b
+    if variance is not None or reference_spp is not None:
+        other = chdstat.inference.Reference.read(b, variance=variance, spp=reference_spp)
     found = chdstat.contrast(
-        a, b, alpha=alpha, seconds=seconds, distributions=distributions, seed=asked.seed or 0
+        a, other, alpha=alpha, seconds=seconds, distributions=distributions, seed=asked.seed or 0
     )
     if target is not None:
         save_figure(chdstat.viz.contrast(found), target)

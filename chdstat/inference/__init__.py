@@ -4,7 +4,7 @@
 - `modality` looks at the positive samples in the log domain in two ways. Hartigan's dip test
   assumes nothing but continuity and has calibrated p-values, but little power. Mixtures of
   log-normal or gamma components give the number of modes, their places and their separation.
-- `difference` compares two CHDs, `contrast` two renders of a view.
+- `difference` compares two CHDs, `contrast` two renders of a view, or a render and a `Reference`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from chdstat.inference.contrasts import Contrast, contrast
 from chdstat.inference.differences import Difference, difference
 from chdstat.inference.modes import MODES, Modality, modality
 from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
+from chdstat.inference.references import Reference
 
 __all__ = [
     "MODES",
@@ -34,6 +35,7 @@ __all__ = [
     "Gaussianity",
     "GaussianityOfMeans",
     "Modality",
+    "Reference",
     "contrast",
     "difference",
     "gaussianity",

@@ -16,14 +16,22 @@ import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, Seed, label_variables, plain, seed_number
-from chdstat._core.display import Card, Shown, Width, number, percent, png, with_interval
+from chdstat._core.display import Card, Shown, Width, colour, number, percent, png, with_interval
 from chdstat._core.image_scales import relative_scale, tonemap
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished
 from chdstat.errors import Reason, check_probability
+from chdstat.inference.references import Reference
 from chdstat.inference.render_pairs import Pair
-from chdstat.inference.windows import CHANCE_TO_MISS, Cells, WindowTest, scan_windows, window_sums
+from chdstat.inference.windows import (
+    CHANCE_TO_MISS,
+    LEAST_LIGHT,
+    Cells,
+    WindowTest,
+    scan_windows,
+    window_sums,
+)
 from chdstat.samples import ImageLike
 
 if TYPE_CHECKING:
@@ -41,6 +49,9 @@ _LEAST_TERMS = 8
 _OF_WINDOWS = 0.8
 """Share of alpha for windows; single pixels get the rest."""
 _TENTH = 0.1
+_MANY_TIMES = 10
+_STANDARD_ERRORS = 4
+"""Difference that is surely found, in standard errors."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,13 +62,16 @@ class Contrast(Shown):
     ----------
     names
         Names of A and B.
+    scenes
+        Names of the scenes of A and B, "" where they are unknown.
     maps
         Maps over the image. With dims (y, x, channel), luminance first if there are R, G and B:
         ``mean_a``, ``mean_b``, ``difference`` (B - A), its ``standard_error``, ``p_value``, and
         ``q_value`` (over all pixels and channels together). For luminance, with dims (y, x):
         ``variance_a`` and ``variance_b`` of a sample, ``efficiency`` (of B over that of A), and
-        ``reason``, why a pixel has no p-value. If asked for, also p- and q-values of equal
-        variances and distributions, ``variance_p_value`` and so on.
+        ``bad_a`` and ``bad_b``, the shares of bad samples, and ``reason``, why a pixel has no
+        p-value. If asked for, also p- and q-values of equal variances and distributions,
+        ``variance_p_value`` and so on.
     outcome
         "no difference found", "differ" or "cannot tell", at the level `alpha`.
     why
@@ -86,7 +100,10 @@ class Contrast(Shown):
         1 / (relative variance x time) of B over that of A, with its 95 % interval. NaN if a time is
         unknown, or A or B has no variance.
     spp
-        Samples per pixel of A and B that were compared; None for an exact image.
+        Samples per pixel of A and B that were compared; None if that of an image is unknown.
+    reference
+        "" if B has samples. Otherwise how the noise of the image B is known: by a "variance", by
+        its "spp" alone, or not at all, so that B is taken as "exact".
     seconds
         Rendering time of one sample in every pixel, for A and B; NaN if it is unknown.
     correlation
@@ -98,6 +115,7 @@ class Contrast(Shown):
     """
 
     names: tuple[str, str]
+    scenes: tuple[str, str]
     maps: xr.Dataset
     outcome: Outcome
     why: str
@@ -111,6 +129,7 @@ class Contrast(Shown):
     detectable: dict[str, float]
     efficiency_ratio: Interval[float]
     spp: tuple[int, int | None]
+    reference: Literal["", "exact", "spp", "variance"]
     seconds: tuple[float, float]
     correlation: float
     paired: bool
@@ -139,35 +158,58 @@ class Contrast(Shown):
     @property
     def conclusion(self) -> str:
         """What was found, in words."""
-        if self.outcome == "cannot tell":
-            return f"Cannot tell: {self.why}."
-        if self.outcome == "no difference found":
-            image, tenth = self._smallest("image"), self._smallest("tenth")
-            return (
-                f"No difference found (p {number(self.image_p_value)}). With a probability of "
-                f"90 %, the test would have found a loss of {image} in the image, or of {tenth} in "
-                "a tenth of it."
-            )
-        y, x, height, width = self.window
+        found = {
+            "cannot tell": f"Cannot tell: {self.why}",
+            "differ": self._difference(),
+            "no difference found": self._no_difference(),
+        }
+        return " ".join([f"{found[self.outcome]}.", *self._left_out()])
+
+    def _no_difference(self) -> str:
+        if not np.isfinite(self.p_value).any():
+            return "No difference found: the samples of A do not vary, and B is as bright"
+        image, tenth = self._smallest("image"), self._smallest("tenth")
+        return (
+            f"No difference found (p {number(self.image_p_value)}). With a probability of "
+            f"90 %, the test would have found a loss of {image} in the image, or of {tenth} in "
+            "a tenth of it"
+        )
+
+    def _difference(self) -> str:
+        _, _, height, width = self.window
         pixels = "no single pixel differs"
         if self.share:
             rate = percent(self.alpha)
             pixels = f"{percent(self.share)} of the pixels differ (false discovery rate {rate})"
-        where = f"{width} x {height} pixels at y {y}, x {x}"
-        if (height, width) == self.maps["reason"].shape:
-            where = "the whole image"
+        where = "the whole image"
+        if (height, width) != self.maps["reason"].shape:
+            where = f"{width} x {height} pixels at {_place(self.window)}"
         if self.maps.sizes["channel"] > 1:
-            kind = "" if self.window_channel == "luminance" else "channel "
-            where = f"{kind}{self.window_channel} of {where}"
-        how = "darker" if self.window_loss > 0 else "brighter"
+            name = colour(self.window_channel)
+            where = f"{name if name == self.window_channel else f'the {name} channel'} of {where}"
         return (
             f"The means differ (p {number(self.image_p_value)}), most clearly in {where}, where "
-            f"render B is {percent(abs(self.window_loss))} {how}; {pixels}{self._reservation()}."
+            f"{self._how()}; {pixels}{self._reservation()}"
         )
+
+    def _how(self) -> str:
+        """Return how B differs from A in the window."""
+        y, x, height, width = self.window
+        here = {"y": slice(y, y + height), "x": slice(x, x + width)}
+        maps = self.maps.sel(channel=self.window_channel).isel(here)
+        one, other = (float(maps[f"mean_{name}"].mean()) for name in "ab")
+        if one <= 0 or other < 0:
+            dark = "is black" if not one else f"has a mean of {number(one)}"
+            bright = "is black" if not other else f"has one of {number(other)}"
+            return f"render A {dark} and render B {bright}"
+        if other > _MANY_TIMES * one:
+            return f"render B is {number(other / one)} times as bright"
+        how = "darker" if self.window_loss > 0 else "brighter"
+        return f"render B is {percent(abs(self.window_loss))} {how}"
 
     def _reservation(self) -> str:
         """Return what remains possible if A is darker than an image without samples; or ""."""
-        if self.spp[1] is not None or not self.window_loss < 0:
+        if self.reference not in ("exact", "spp") or self.window_loss > 0:
             return ""
         _, _, height, width = self.window
         rarest = max(1, int(height * width * self.spp[0] / -np.log(CHANCE_TO_MISS)))
@@ -175,6 +217,22 @@ class Contrast(Shown):
             f", unless light of that amount comes in fewer than one of {rarest} samples there, "
             "which A may have missed and an image without samples does not show"
         )
+
+    def _left_out(self) -> list[str]:
+        """Return sentences on pixels without a good sample."""
+        found = []
+        for name in "AB":
+            places = np.argwhere(self._lost(name))
+            if len(places):
+                first = f"{'first ' * (len(places) > 1)}at {_place(places[0])}"
+                image = name == "B" and self.reference
+                why = f"{'B is' if image else f'all samples of {name} are'} NaN or infinite"
+                found.append(f"{_counted(len(places), 'pixel')} where {why} ({first})")
+        return [f"Not compared: {'; '.join(found)}."] if found else []
+
+    def _lost(self, name: str) -> Array:
+        """Return where a render has no good sample, shape (y, x)."""
+        return np.asarray(self.maps[f"bad_{name.lower()}"] == 1)
 
     def _smallest(self, part: str) -> str:
         value = self.detectable.get(part, np.nan)
@@ -186,6 +244,7 @@ class Contrast(Shown):
         content = {
             "a": self.names[0],
             "b": self.names[1],
+            "scenes": self.scenes,
             "outcome": self.outcome,
             "conclusion": self.conclusion,
             "spp_needed": self.spp_needed,
@@ -199,6 +258,9 @@ class Contrast(Shown):
             "window_loss": self.window_loss,
             "detectable": self.detectable,
             "spp": self.spp,
+            "reference": self.reference,
+            "bad_samples": {n: float(self.maps[f"bad_{n}"].mean()) for n in "ab"},
+            "pixels_left_out": {n: int(self._lost(n).sum()) for n in "ab"},
             "seconds_per_sample": self.seconds,
             "paired": self.paired,
             "correlation": self.correlation,
@@ -206,27 +268,41 @@ class Contrast(Shown):
         return dict(plain(content | {f"share_of_{n}": share for n, share in self._shapes()}))
 
     def _shapes(self) -> list[tuple[str, float]]:
-        """Return the shares of pixels whose variances and distributions differ, if tested."""
+        """Return the shares of pixels whose variances and distributions differ, NaN if untested."""
         names = [n for n in ("variance", "distribution") if f"{n}_q_value" in self.maps]
-        return [(f"{n}s", float((self.maps[f"{n}_q_value"] <= self.alpha).mean())) for n in names]
+        maps = [(f"{n}s", self.maps[f"{n}_q_value"].to_numpy()) for n in names]
+        return [
+            (name, float((q <= self.alpha).mean()) if np.isfinite(q).any() else np.nan)
+            for name, q in maps
+        ]
 
     def table(self) -> dict[str, str]:
         """Return the numbers beside the conclusion, in words."""
-        of_both = {
-            name: f"{source}, {'taken as exact' if spp is None else f'{spp} spp'}"
-            for name, source, spp in zip("AB", self.names, self.spp, strict=True)
+        counts = ["unknown" if spp is None else str(spp) for spp in self.spp]
+        of_b = {
+            "": f"{counts[1]} spp",
+            "exact": "an image taken as exact",
+            "spp": f"a mean of {counts[1]} spp",
+            "variance": f"a mean and a variance of {counts[1]} spp",
         }
         ends = -self.loss.value, -self.loss.high, -self.loss.low
+        bad = [float(self.maps[f"bad_{name}"].mean()) for name in "ab"]
         found = {
-            **of_both,
+            "A": f"{self.names[0]}, {counts[0]} spp",
+            "B": f"{self.names[1]}, {of_b[self.reference]}",
             "B − A over A": with_interval(*ends, partial(percent, sign=True)),
             "efficiency of B over A": str(self.efficiency_ratio),
         }
-        if self.spp[1] is not None:
+        if all(self.scenes) and self.scenes[0] != self.scenes[1]:
+            found["scenes"] = f"{self.scenes[0]} and {self.scenes[1]}"
+        if any(bad):
+            found["bad samples"] = f"{percent(bad[0])} of A, {percent(bad[1])} of B"
+        if not self.reference:
             shared = "the same" if self.paired else "independent"
             found["random numbers"] = f"{shared}, correlation {number(self.correlation)}"
         for name, share in self._shapes():
-            found[f"{name} differ"] = f"in {percent(share)} of the pixels"
+            known = np.isfinite(share)
+            found[f"{name} differ"] = f"in {percent(share)} of the pixels" if known else "not known"
         return found
 
     def plot(
@@ -252,7 +328,7 @@ class Contrast(Shown):
 
 def contrast(
     a: ImageLike,
-    b: ImageLike | ExrImage | npt.ArrayLike,
+    b: ImageLike | Reference | ExrImage | npt.ArrayLike,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,
@@ -276,6 +352,13 @@ def contrast(
     been found, the outcome is "cannot tell", and `Contrast.spp_needed` says how many samples would
     do.
 
+    **References.** An image without samples is compared with each sample of A. What rounding of the
+    file and of a conversion of colours explains is no difference, nor is what its noise explains,
+    if that is known. Unless there is an image of variances, it does not say how rare its light is.
+    Pixels of A without any sample of that light are evidence only as far as their neighbours show
+    how bright its samples can be (`chdstat.inference.references`). If A is darker, the conclusion
+    says what it may have missed.
+
     **Regions.** Small differences show in sums over windows of all sizes up to the whole image. The
     largest such sum is compared with the largest sums that flips of signs give. This test has four
     fifths of `alpha`, and the smallest q-value of a pixel has one fifth; either decides "differ".
@@ -285,10 +368,10 @@ def contrast(
     a
         A render: `Samples`, the path of a store, or an array (y, x, channel, sample).
     b
-        Another render of the same view and size, or an image that is taken as exact: the path of an
-        EXR file, the result of `chdstat.io.read_exr`, or an array (y, x, channel). An exact image
-        does not say how rare its light is. If A is darker, the conclusion therefore says what A may
-        have missed.
+        Another render of the same view and size, or an image without samples: a `Reference`, which
+        says how well its means are known; or else the path of an EXR file, the result of
+        `chdstat.io.read_exr`, or an array (y, x, channel), which count as exact up to the precision
+        of half floats.
     alpha
         Level of the outcome and of the share of pixels, between 0 and 1.
     seconds
@@ -338,7 +421,7 @@ def contrast(
 
 def contrasting(
     a: ImageLike,
-    b: ImageLike | ExrImage | npt.ArrayLike,
+    b: ImageLike | Reference | ExrImage | npt.ArrayLike,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,
@@ -352,6 +435,7 @@ def contrasting(
     check_probability(alpha=alpha)
     pair, seed = Pair.of(a, b, seconds), seed_number(seed)
     maps, cells, edge = yield from pair.compare()
+    cells = cells.doubted(seed)
     p = maps["p_value"]
     height, width, bands = p.shape
     q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
@@ -361,10 +445,12 @@ def contrasting(
     image_p_value = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
     y, x, rows, columns = (edge * size for size in scan.window)
     loss, window_loss, detectable = _losses(cells, pair.terms, scan)
-    why, spp_needed = _why_not(maps, pair, detectable, scan.unseen, differ=image_p_value <= alpha)
+    unseen = _hidden(maps, pair, detectable) if pair.of_image else scan.unseen
+    why, spp_needed = _why_not(maps, pair, detectable, unseen, differ=image_p_value <= alpha)
     dataset = _dataset(maps, pair)
     return Contrast(
         names=pair.names,
+        scenes=pair.scenes,
         maps=dataset.assign(pair.shapes(seed) if distributions else {}),
         outcome="cannot tell"
         if why
@@ -381,9 +467,10 @@ def contrasting(
         window_loss=window_loss,
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
-        spp=(pair.spp[0], None if pair.exact else pair.spp[1]),
+        spp=(pair.spp[0], pair.b.spp if isinstance(pair.b, Reference) else pair.spp[1]),
+        reference=pair.b.known if isinstance(pair.b, Reference) else "",
         seconds=pair.seconds,
-        correlation=np.nan if pair.exact else _median(maps["correlation"]),
+        correlation=np.nan if pair.of_image else _median(maps["correlation"]),
         paired=pair.paired,
         alpha=alpha,
     )
@@ -403,27 +490,51 @@ def _why_not(
         if spp < 2:
             needs = f"a contrast needs at least 2 samples per pixel, got {spp}"
             return f"{needs}: render {_LEAST_TERMS} or more", _LEAST_TERMS
-        if (maps["reason"] == Reason.CONSTANT).any():
+        equal = maps["reason"] == Reason.CONSTANT
+        if (equal & ~maps["constant"]).any():
             return (
                 "the samples of A and B are equal, one by one, as of one render given twice",
                 None,
             )
-        return "no pixel has samples to compare", None
+        if not equal.any():
+            black = (maps["reason"] == Reason.ALL_NULL).any()
+            return "A and B are black" if black else "no pixel has good samples in A and B", None
     if pair.terms < _LEAST_TERMS:
         return f"{spp} samples per pixel are too few, render {_LEAST_TERMS} or more", _LEAST_TERMS
     if differ:
         return "", None
     if unseen is not None:
         share, needed = unseen
+        if pair.of_image:
+            why = (
+                f"B has {percent(share)} of its light in pixels where A and its neighbours show "
+                f"none of it in {spp} samples, which may be too rare: render {needed} of A"
+            )
+            return why, needed
         short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
         why = (
             f"{longer} has {percent(share)} of its light in samples so rare that {spp} per "
             f"pixel are likely to miss them, and {short} has none: render {needed} of {short}"
         )
         return why, needed
-    if not detectable.get("image", np.inf) < 1:
+    if np.isfinite(maps["p_value"]).any() and not detectable.get("image", np.inf) < 1:
         return "not even the loss of all light would have been found; render more samples", None
     return "", None
+
+
+@np.errstate(all="ignore")
+def _hidden(
+    maps: dict[str, Array], pair: Pair, detectable: dict[str, float]
+) -> tuple[float, int] | None:
+    """Return the share of the light of a reference that A does not show, and the spp for it.
+
+    None if it is less than would have been found.
+    """
+    light, total = maps["hidden"].sum(), np.nansum(maps["mean_b"][..., 0])
+    if not light > np.fmax(detectable.get("image", 0), LEAST_LIGHT) * total > 0:
+        return None
+    error = np.sqrt(maps["doubt"][maps["hidden"] > 0].sum() / pair.terms)
+    return float(light / total), int(np.ceil(pair.spp[0] * (_STANDARD_ERRORS * error / light) ** 2))
 
 
 @np.errstate(all="ignore")
@@ -445,6 +556,9 @@ def _losses(
         name: float(scan.detectable.get(e, np.inf) * _median(_relative(d, both, e)[1]))
         for name, e in (("image", edge), ("tenth", near))
     }
+    if cells.slack is not None:  # which no sum of differences exceeds for certain
+        rounding = float(cells.slack[0].sum() / both.mean(axis=-1).sum())
+        detectable = {name: value + rounding for name, value in detectable.items()}
     return (
         Interval(-value, -value - reach, -value + reach, standard_error=error),
         float(-shift / level) if level > 0 else np.nan,
@@ -485,6 +599,14 @@ def _median(x: Array) -> float:
     return float(np.median(known)) if known.size else np.nan
 
 
+def _place(at: Sequence[int]) -> str:
+    return f"y {at[0]}, x {at[1]}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 _LABELS: dict[str, str | tuple[str, str]] = {
     "mean_a": ("mean of A", RADIANCE),
     "mean_b": ("mean of B", RADIANCE),
@@ -495,6 +617,8 @@ _LABELS: dict[str, str | tuple[str, str]] = {
     "variance_a": ("variance of the luminance of a sample of A", "W2 sr-2 m-4"),
     "variance_b": ("variance of the luminance of a sample of B", "W2 sr-2 m-4"),
     "efficiency": "1 / (variance x time), B over A",
+    "bad_a": ("share of bad samples of A", "1"),
+    "bad_b": ("share of bad samples of B", "1"),
     "reason": "why there is no p-value",
 }
 

@@ -30,12 +30,13 @@ from chdstat._core.arrays import (
     first_of,
     is_bad,
     spans,
+    warn_caller,
 )
 from chdstat._core.display import number
 from chdstat._core.resampling import Shuffles, p_of_means, p_of_signs, q_values
 from chdstat.errors import InputError, Reason
+from chdstat.inference.references import Reference, unseen_variance, with_luminance
 from chdstat.inference.windows import Cells, FlipMoments, guarded
-from chdstat.io.exr import ExrImage, read_exr
 from chdstat.samples import Samples, samples_of
 from chdstat.samples.dependence import sequence_of
 
@@ -54,11 +55,12 @@ _ROUNDING = 1e-3
 _CELLS, _LEAST_CELL = 32, 4
 """Cells along the longer edge of the image, and least edge of a cell in pixels."""
 _OF_CELLS = ("differences", "levels", "units", "unit_level")
+_OF_DOUBT = ("number", "lowest", "highest")
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two renders, or a render and an exact image (y, x, channel), and how to compare them.
+    """Two renders, or a render and a reference, and how to compare them.
 
     Attributes
     ----------
@@ -67,24 +69,27 @@ class Pair:
     names
         Names of the renders.
     spp
-        Samples of each that are compared.
+        Samples of each that are compared; those of A twice if B is a reference.
     seconds
         Rendering time of one sample in every pixel, for each; NaN if it is unknown.
     paired
         Whether the renders share random numbers.
+    scenes
+        Names of their scenes, "" where they are unknown.
     """
 
     a: Samples
-    b: Samples | Floats
+    b: Samples | Reference
     names: tuple[str, str]
     spp: tuple[int, int]
     seconds: tuple[float, float]
     paired: bool
+    scenes: tuple[str, str] = ("", "")
 
     @classmethod
     def of(cls, one: Any, two: Any, seconds: float | None) -> Pair:
         """Return a pair, with all samples, or those that each renders in the given seconds."""
-        a, b = _independent(one), _other(two)
+        a, b = _independent(one), Reference.of(two) or _independent(two)
         if a.shape[:2] != b.shape[:2]:
             (height, width), (rows, columns) = a.shape[:2], b.shape[:2]
             message = (
@@ -113,16 +118,17 @@ class Pair:
         return cls(
             a,
             b,
-            (_name(one, a), _name(two, b)),
+            (_name(one, a), b.name if isinstance(b, Reference) else _name(two, b)),
             (counts[0], counts[-1]),
             (each[0], each[1] if len(each) > 1 else np.nan),
             paired,
+            _scenes(a, b),
         )
 
     @property
-    def exact(self) -> bool:
-        """Whether B is an image without noise."""
-        return not isinstance(self.b, Samples)
+    def of_image(self) -> bool:
+        """Whether B is a reference, which has no samples."""
+        return isinstance(self.b, Reference)
 
     @property
     def terms(self) -> int:
@@ -164,15 +170,17 @@ class Pair:
         Maps of shape (y, x, band), luminance first if there are R, G and B, are ``mean_a``,
         ``mean_b``, and ``p_value`` and ``standard_error`` of the difference. Maps of shape (y, x)
         are ``variance_a`` and ``variance_b`` of a sample's luminance, NaN where unknown, the
-        ``correlation`` of the terms, and the ``reason`` why there is no p-value.
+        ``correlation`` of the terms, ``bad_a`` and ``bad_b``, the shares of bad samples, where
+        terms are ``constant`` in both, and the ``reason`` why there is no p-value. Against a
+        reference, ``hidden`` is light that A does not show, and ``doubt`` what the variance of the
+        terms lacks for luminance.
         """
         height, width, channels, _ = self.a.shape
         bands = channels + (channels == 3)
         cell = min(max(_LEAST_CELL, -(-max(height, width) // _CELLS)), max(1, min(height, width)))
         in_memory = self.terms + sum(self.units)
         rows = max(1, _AT_ONCE // (width * bands * in_memory * cell)) * cell
-        left_out = LeftOut()
-        tiles = []
+        left_out, tiles = LeftOut(), []
         for ys in spans(height, rows):
             tiles.append(self._tile(ys, cell, left_out))
             yield "contrasting pixels", ys.stop / height
@@ -182,12 +190,66 @@ class Pair:
             name: np.concatenate([tile[name] for tile in tiles], axis=int(name in _OF_CELLS))
             for name in tiles[0]
         }
-        exact, p = maps.pop("exact"), maps["p_value"]
+        lamps, p = maps.pop("lamps"), maps["p_value"]
+        doubts = []
         for band in range(bands):
             moments = FlipMoments.joined([part[band] for part in parts])
-            p[..., band] = guarded(p[..., band], moments, exact[..., band])
+            p[..., band] = guarded(p[..., band], moments, lamps[..., band])
+            if isinstance(self.b, Reference):
+                doubt, hidden = self._doubt(band, moments, maps)
+                doubts.append(doubt)
+                if band == 0:
+                    maps |= {"hidden": hidden, "doubt": doubt}
+                p[..., band] = np.maximum(p[..., band], moments.p_value_with(doubt))
         sums = {name: maps.pop(name) for name in _OF_CELLS if name in maps}
+        if isinstance(self.b, Reference):
+            for name in _OF_DOUBT:
+                del maps[name]
+            known = np.isfinite(maps["mean_a"] + maps["mean_b"])
+            sums |= {
+                "doubt": np.maximum(_cells(np.stack(doubts, axis=-1), cell), 0),
+                "slack": _cells(np.where(known, self.b.rounding, 0), cell),
+            }
         return maps, Cells(**sums, short=min(self.units), unit_size=self.unit_size), cell
+
+    def _doubt(
+        self, band: int, moments: FlipMoments, maps: dict[str, Array]
+    ) -> tuple[Floats, Floats]:
+        """Return what the variance of the terms lacks, and light that no sample shows, each (y, x).
+
+        The terms lack the noise of the reference, which is the same in all of them, and what its
+        samples, or else light that A may not have seen, vary more than those of A.
+        """
+        assert isinstance(self.b, Reference)
+        averaged = _averaged(self.a)
+        number = np.maximum(maps["number"], 1) * averaged
+        each = number / self.terms
+        own = moments.central2 * moments.scale**2 / moments.n * each
+        shift = moments.total * moments.scale / moments.n
+        unseen, hidden = unseen_variance(
+            np.nan_to_num(maps["mean_a"][..., band]),
+            own / averaged,
+            shift,
+            maps["lowest"][..., band],
+            maps["highest"][..., band],
+        )
+        of_sample, spp = own, np.asarray(self.b.spp or np.inf)
+        more = np.where(moments.one_sided, unseen * averaged, 0)
+        if self.b.variance is not None:
+            # Of luminance, the largest that those of the channels allow.
+            variance = with_luminance(np.sqrt(self.b.variance))[..., band] ** 2
+            known, spp = np.isfinite(variance), np.asarray(self.b.spp or number)
+            of_sample, more = np.where(known, variance, own), np.where(known, variance - own, more)
+            hidden = hidden & ~known
+        doubt = np.asarray((more + number / spp * of_sample) / each)
+        return doubt, np.where(hidden & moments.one_sided, shift, 0)
+
+    def _present(self, i: int, ys: slice) -> Array | int:
+        """Return the number of samples of A (0) or B (1) in the pixels of some rows, bad or not."""
+        of = (self.a, self.b)[i]
+        if isinstance(of, Reference):
+            return 1
+        return self.spp[i] if of.counts is None else np.clip(of.counts[ys], 1, self.spp[i])
 
     def shapes(self, seed: int) -> dict[str, Any]:
         """Return maps of p- and q-values of equal variances and equal distributions of luminance.
@@ -234,15 +296,24 @@ class Pair:
         of_terms = [render.of_terms() for render in sums]
         if missing.any():
             of_terms = [np.where(missing, 0, x) for x in of_terms]
-        one, other = map(_with_luminance, of_terms)
+        one, other = map(with_luminance, of_terms)
         d = other - one
         known = self.terms - missing.sum(axis=-1)
-        means = sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b[ys]
-        mean_a, mean_b = (_with_luminance(m[..., np.newaxis])[..., 0] for m in means)
-        exact = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
-        # For constant renders, such as lamps, only so many digits of files and sums count.
-        d[exact & (np.abs(d[..., 0]) <= _ROUNDING * np.abs(one[..., 0]))] = 0
-        bands = [d[:, :, i] for i in range(d.shape[2])]
+        means = [sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b.mean[ys]]
+        mean_a, mean_b = map(with_luminance, means)
+        constant = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
+        tested, of_doubt = d, {}
+        if isinstance(self.b, Reference):
+            # What rounding explains is no difference of a pixel.
+            slack = self.b.rounding[ys]
+            shift = np.clip(d.sum(axis=-1, dtype=float) / np.maximum(known, 1), -slack, slack)
+            tested = np.where(missing, 0, d - shift.astype(d.dtype)[..., np.newaxis])
+            of_doubt = {name: getattr(sums[0], name) for name in _OF_DOUBT[1:]}
+            of_doubt["number"] = sums[0].number.sum(axis=-1)
+        else:
+            # For constant renders, such as lamps, only so many digits of files and sums count.
+            d[constant & (np.abs(d[..., 0]) <= _ROUNDING * np.abs(one[..., 0]))] = 0
+        bands = [tested[:, :, i] for i in range(d.shape[2])]
         level = np.nan_to_num((mean_a + mean_b) / 2)
         p = [p_of_signs(x.reshape(-1, self.terms)).reshape(x.shape[:2]) for x in bands]
         p_value = np.stack(p, axis=-1)
@@ -266,25 +337,29 @@ class Pair:
             "mean_b": mean_b,
             "radiance": total / (number_a + number_b),
             "p_value": p_value,
-            "exact": exact,
+            "constant": constant.all(axis=-1),
+            "lamps": constant & (not self.of_image),
             "standard_error": error,
             "variance_a": variance,
             "variance_b": np.full_like(variance, np.nan)
-            if self.exact
+            if self.of_image
             else sums[1].variance(_averaged(self.b)),
             "correlation": _correlation(one[:, :, 0], other[:, :, 0]),
+            "bad_a": 1 - sums[0].good / self._present(0, ys),
+            "bad_b": 1 - sums[1].good / self._present(1, ys),
             "reason": first_of(reasons),
             "differences": _cells(d, cell),
             "levels": _cells(one + other, cell) / 2,
             "moments": [FlipMoments.of(x, level[..., i]) for i, x in enumerate(bands)],
             **of_units,
+            **of_doubt,
         }
 
     def _read(self, ys: slice, left_out: LeftOut) -> list[_Sums]:
         """Read the samples of some rows, and add them up."""
         renders = [x for x in (self.a, self.b) if isinstance(x, Samples)]
         shape = (len(range(self.a.shape[0])[ys]), *self.a.shape[1:3], self.terms)
-        sums = [_Sums(shape, self.units[i]) for i in range(len(renders))]
+        sums = [_Sums(shape, self.units[i], extremes=self.of_image) for i in range(len(renders))]
         numbers = [self.unit_numbers(i) for i in range(len(renders))]
         for ss in spans(max(self.spp), self.terms):
             parts: dict[int, tuple[Image, Mask | None]] = {}
@@ -294,6 +369,8 @@ class Pair:
                     x = samples.read(ys, ss=part)
                     left_out.see(x, channel_axis=-2, absent=samples.absent(ys, ss=part))
                     parts[i] = x, None if all_good(x) else np.asarray(~is_bad(x).any(axis=2))
+            for i, (x, good) in parts.items():
+                sums[i].good += x.shape[-1] if good is None else good.sum(axis=-1)
             masks = [good for _, good in parts.values() if good is not None]
             if self.paired and masks:
                 both = np.logical_and.reduce(masks, axis=0)
@@ -301,7 +378,7 @@ class Pair:
             for i, (x, good) in parts.items():
                 sums[i].add(x, good, numbers[i][ss])
         if not isinstance(self.b, Samples):
-            sums.append(_Sums.exact(self.b[ys], self.terms))
+            sums.append(_Sums.exact(self.b.mean[ys], self.terms))
         return sums
 
     def _of_units(self, sums: list[_Sums], p: Floats, cell: int) -> dict[str, Any]:
@@ -310,7 +387,7 @@ class Pair:
         ordered = sums if self.units[0] == short else sums[::-1]
         total = np.concatenate([render.unit_total for render in ordered], axis=-1)
         number = np.concatenate([render.unit_number for render in ordered], axis=-1)
-        x, good = _with_luminance(total / np.maximum(number, 1)[:, :, np.newaxis]), number > 0
+        x, good = with_luminance(total / np.maximum(number, 1)[:, :, np.newaxis]), number > 0
         for band in range(x.shape[2]):
             doubted = p[..., band] <= _DOUBTED
             rows, known = x[:, :, band][doubted], good[doubted]
@@ -341,9 +418,13 @@ class _Sums:
         The same for units.
     first, second
         Sums of luminance and of its squares, shape (y, x).
+    good
+        Number of good samples, shape (y, x), also of those that leave with their pair.
+    lowest, highest
+        Smallest and largest sample and 0, shape (y, x, band), with `extremes`.
     """
 
-    def __init__(self, shape: tuple[int, ...], units: int) -> None:
+    def __init__(self, shape: tuple[int, ...], units: int, *, extremes: bool = False) -> None:
         height, width, channels, terms = shape
         # In double precision: means of equal samples must not differ by rounding.
         self.total: Array = np.zeros(shape)
@@ -351,6 +432,9 @@ class _Sums:
         self.unit_total = np.zeros((height, width, channels, units), np.float32)
         self.unit_number = np.zeros((height, width, units), np.int32)
         self.first, self.second = np.zeros((2, height, width))
+        self.good: Array = np.zeros((height, width), np.int64)
+        self._extremes = extremes
+        self.lowest, self.highest = np.zeros((2, height, width, channels + (channels == 3)))
 
     @classmethod
     def exact(cls, image: Floats, terms: int) -> _Sums:
@@ -359,6 +443,7 @@ class _Sums:
         found.total = np.broadcast_to(image[..., np.newaxis], (*image.shape, terms))
         known = np.asarray(np.isfinite(image).all(axis=-1, keepdims=True))
         found.number = known.astype(np.int32)
+        found.good = found.number[..., 0]
         return found
 
     def add(self, x: Array, good: Mask | None, units: Counts) -> None:
@@ -376,6 +461,10 @@ class _Sums:
             self.unit_total[..., to] += x[..., own]
             self.unit_number[..., to] += good[..., own]
         bright = _luminance(x)
+        if self._extremes:
+            bands = np.concatenate([bright[:, :, np.newaxis], x], axis=2) if x.shape[2] == 3 else x
+            self.lowest = np.minimum(self.lowest, bands.min(axis=-1))
+            self.highest = np.maximum(self.highest, bands.max(axis=-1))
         self.first += bright.sum(axis=-1, dtype=float)
         self.second += np.einsum("yxs,yxs->yx", bright, bright, dtype=float)
 
@@ -412,11 +501,6 @@ def _luminance(x: Array) -> Array:
     return np.asarray(np.einsum("yxcs,c->yxs", x, weights.astype(x.dtype), optimize=True))
 
 
-def _with_luminance(x: Array) -> Array:
-    """Return bands (y, x, band, ...): luminance before R, G and B; other channels as they are."""
-    return np.concatenate([_luminance(x)[:, :, np.newaxis], x], axis=2) if x.shape[2] == 3 else x
-
-
 def _cells(x: Array, cell: int) -> Image:
     """Return sums of (y, x, band, term) over cells, shape (band, y, x, term)."""
     rows = np.add.reduceat(x, np.arange(0, x.shape[0], cell), axis=0)
@@ -434,33 +518,33 @@ def _correlation(a: Array, b: Array) -> Floats:
     return np.asarray(product / np.sqrt(first * second))
 
 
-def _other(b: Any) -> Samples | Floats:
-    """Return samples, or an exact image (y, x, channel)."""
-    if isinstance(b, str | Path) and Path(b).suffix.lower() == ".exr":
-        b = read_exr(b)
-    if isinstance(b, ExrImage):
-        b = b.image
-    if isinstance(b, Samples | str | Path) or np.ndim(b) != 3 or "sample" in getattr(b, "dims", ()):
-        return _independent(b)
-    return np.asarray(b, dtype=np.float64)
-
-
 def _independent(source: Any) -> Samples:
     """Return samples, or averages that are independent if the samples are not."""
     found = samples_of(source, averages=True, dependent=True)
     return found.sequence_means() if sequence_of(found.attrs) > 1 else found
 
 
-def _averaged(samples: Samples | Floats) -> int:
+def _scenes(a: Samples, b: Samples | Reference) -> tuple[str, str]:
+    """Return the names of both scenes, "" where they are unknown, and warn if they differ."""
+    about = [x.attrs if isinstance(x, Samples) else {} for x in (a, b)]
+    one, other = (str(attrs.get("scene") or "") for attrs in about)
+    hashes = [attrs.get("scene_hash") for attrs in about]
+    if one and other and one != other and (None in hashes or hashes[0] != hashes[1]):
+        warn_caller(
+            f"A and B are renders of two scenes, {one} and {other}: their means differ if their "
+            "views do"
+        )
+    return one, other
+
+
+def _averaged(samples: Samples | Reference) -> int:
     """Return how many samples each value is the average of."""
     return int(samples.attrs.get("averaged", 1)) if isinstance(samples, Samples) else 1
 
 
-def _name(source: Any, samples: Samples | Floats) -> str:
+def _name(source: Any, samples: Samples) -> str:
     of = f", averages of {_averaged(samples)}" if _averaged(samples) > 1 else ""
-    if isinstance(source, str | Path):
-        return f"{source}{of}"
-    return f"{samples.path or samples.name}{of}" if isinstance(samples, Samples) else "image"
+    return f"{source if isinstance(source, str | Path) else samples.path or samples.name}{of}"
 
 
 def _count_in(seconds: float, each: float, most: int, name: str) -> int:

@@ -15,7 +15,7 @@ of its sign are not exact. Then divisions of the samples of both renders are com
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 import numpy as np
@@ -25,6 +25,7 @@ from chdstat._core.arrays import Array, Floats, Image, Mask, Reals, Seed, genera
 
 __all__ = [
     "CHANCE_TO_MISS",
+    "LEAST_LIGHT",
     "Cells",
     "FlipMoments",
     "WindowTest",
@@ -48,12 +49,13 @@ _ONE_SIDED = 0.02
 """If the sums of both signs have a smaller ratio, the rarer sign may have been missed."""
 _DARK = 1e-3
 """Share of the image's mean radiance below which a pixel has no scale of its own."""
-_LEAST_LIGHT = 1e-3
+LEAST_LIGHT = 1e-3
 """Share of the image's light below which light is not worth more samples."""
 _FLIPS = 499
 _OF_WINDOWS = 7
 """Edge of the neighbourhood of a window, in windows, which overlap by two thirds."""
 _ROUNDING = 1e-9
+_ROUNDING_OF_SUMS = 1e-13
 _TINY = 1e-300
 
 
@@ -139,7 +141,18 @@ class FlipMoments:
         signed = near(np.maximum(cubes, 0)) - near(np.maximum(-cubes, 0))
         skewness = signed * np.sqrt(places) / np.sqrt(sixth)
         opposed = -np.sign(self.total) * np.nan_to_num(skewness) > _SKEWED
-        return np.asarray(np.nan_to_num(square) * (opposed | (self.rarer < _ONE_SIDED)))
+        return np.asarray(np.nan_to_num(square) * (opposed | self.one_sided))
+
+    @property
+    def one_sided(self) -> Mask:
+        """Where nearly all terms have one sign."""
+        return self.rarer < _ONE_SIDED
+
+    def p_value_with(self, more: Floats) -> Floats:
+        """Return two-sided normal p-values of the sums if terms vary by so much `more` (y, x)."""
+        square = self.square + self.n * more / self.scale**2
+        z = np.abs(self.total) / np.sqrt(np.maximum(square, _TINY))
+        return np.asarray(2 * special.ndtr(-z))
 
     def p_value(self, edges: tuple[int, ...], *, against: bool) -> Floats:
         """Return two-sided normal p-values of the sums, by the terms of neighbours; see `nearby`.
@@ -186,6 +199,9 @@ class Cells:
         Number of units of the render with fewer samples.
     unit_size
         Number of samples of a unit.
+    doubt, slack
+        Against a reference: what the variance of a term lacks, and how far rounding may have moved
+        each term, shape (band, y, x).
     """
 
     differences: Image
@@ -194,6 +210,26 @@ class Cells:
     unit_level: Image | None = None
     short: int = 0
     unit_size: int = 1
+    doubt: Image | None = None
+    slack: Image | None = None
+
+    def doubted(self, seed: Seed) -> Cells:
+        """Return cells whose terms vary by `doubt` more, and have the same sums.
+
+        That adds signs to the terms, as many of one as of the other among the terms of even and
+        of odd numbers. They are the same for all bands: where one is wrong, all are.
+        """
+        if self.doubt is None:
+            return self
+        rng, (_, *shape, terms) = generator(seed), self.differences.shape
+        signs = np.zeros((*shape, terms), np.float32)
+        for half in (slice(0, None, 2), slice(1, None, 2)):
+            count = len(range(terms)[half])
+            even = np.concatenate([np.repeat([1, -1], count // 2), np.zeros(count % 2)])
+            signs[..., half] = rng.permuted(np.broadcast_to(even, (*shape, count)), axis=-1)
+        signs *= np.sqrt(terms / max(np.count_nonzero(signs[0, 0]), 1))
+        more = np.sqrt(self.doubt)[..., np.newaxis] * signs
+        return replace(self, differences=self.differences + more, doubt=None)
 
 
 @dataclass(frozen=True)
@@ -259,20 +295,23 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float]
     # Powers of 2, and the whole image last.
     edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
     scores, of_divisions, places, crossings = [], [], [], []
-    weightings = (lambda x, _: x), _weighted
+    weightings = (lambda _, mean: np.ones_like(mean)), _weights
     total, done = len(d) * len(weightings) * len(edges), 0
     for band in range(len(d)):
         for weigh in weightings:
-            values = weigh(d[band], mean[band])
+            weights = weigh(d[band], mean[band])
+            values, moved = d[band] * weights, None
+            if cells.slack is not None:
+                moved = cells.slack[band] * weights.sum(axis=-1)
             if cells.units is not None and cells.unit_level is not None:
-                units = weigh(cells.units[band], cells.unit_level[band])
+                units = cells.units[band] * weigh(cells.units[band], cells.unit_level[band])
             for edge in edges:
                 yield "contrasting regions", done / total
                 done += 1
                 if divisions is not None:
                     divided = _divided(divisions, window_sums(units, edge)[0]).max(axis=1)
                     of_divisions.append(_log_p(divided, _independent(divided[1:])))
-                largest, place = _largest(values, mean[band], edge, flips)
+                largest, place = _largest(values, mean[band], edge, flips, moved)
                 if largest is None:
                     continue
                 windows = _independent(largest[1:])
@@ -304,12 +343,20 @@ def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
         starts.append(np.unique(np.minimum(np.arange(0, last + step, step), last)))
         ends.append(np.minimum(starts[-1] + edge, size))
     rows = total[ends[0]] - total[starts[0]]
-    return rows[:, ends[1]] - rows[:, starts[1]], starts
+    sums = rows[:, ends[1]] - rows[:, starts[1]]
+    # What is left of sums over much more light is rounding, which may be alike in all terms.
+    sums[np.abs(sums) <= _ROUNDING_OF_SUMS * np.abs(total).max()] = 0
+    return sums, starts
 
 
 @np.errstate(all="ignore")
-def _largest(d: Array, mean: Array, edge: int, flips: Image) -> tuple[Any, tuple[int, int]]:
-    """Return the largest standardised sum over windows for each flip, None without any term."""
+def _largest(
+    d: Array, mean: Array, edge: int, flips: Image, slack: Array | None
+) -> tuple[Any, tuple[int, int]]:
+    """Return the largest standardised sum over windows for each flip, None without any term.
+
+    Against a reference, the sums of cells may be wrong by `slack`, shape (y, x).
+    """
     sums, starts = window_sums(d, edge)
     moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
     known = moments.square > 0
@@ -326,10 +373,28 @@ def _largest(d: Array, mean: Array, edge: int, flips: Image) -> tuple[Any, tuple
     unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
     z = np.abs(flips @ unit.astype(np.float32).T)
     missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
-    least = np.maximum(np.abs(moments.total) - missed, 0)
-    z[0] = (least / np.sqrt(np.where(square > 0, square + missed**2, 1)))[known]
+    least = np.abs(moments.total) - missed
+    if slack is not None:
+        least -= window_sums(slack[..., np.newaxis], edge)[0][..., 0] / moments.scale
+    seen = np.maximum(least, 0) / np.sqrt(np.where(square > 0, square + missed**2, 1))
+    z[0] = (seen if slack is None else _without_skewness(seen, moments))[known]
     at = np.argwhere(known)[int(z[0].argmax())]
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
+
+
+def _without_skewness(z: Floats, moments: FlipMoments) -> Floats:
+    """Return sums over their standard errors, less what skewness against them explains.
+
+    The samples of one render are skewed, and the reference is not, so that signs are not even.
+
+    References
+    ----------
+    Hall, "On the removal of skewness by transformation", 1992,
+    doi:10.1111/j.2517-6161.1992.tb01876.x.
+    """
+    against = -np.sign(moments.total) * moments.central3 / moments.central2**1.5
+    c = np.nan_to_num(np.maximum(against, 0))
+    return np.asarray(np.maximum(z - c / 6 - c * z**2 / 3 + c**2 * z**3 / 27, 0))
 
 
 def _missed(d: Array, edge: int, starts: list[Any], up: Mask) -> Floats:
@@ -412,7 +477,7 @@ def _unseen(cells: Cells, detectable: float) -> tuple[float, int] | None:
     sums = cells.units.sum(axis=(1, 2), dtype=float)
     level = cells.unit_level.sum(axis=(1, 2, 3), dtype=float)
     short, longer = sums[:, : cells.short], sums[:, cells.short :]
-    least = _LEAST_LIGHT * np.abs(level)
+    least = LEAST_LIGHT * np.abs(level)
     if cells.short > 1:
         error = short.std(axis=-1, ddof=1) / np.sqrt(cells.short)
         # Without an error, no multiple of it is detectable.
@@ -458,8 +523,8 @@ def _detectable(log_p: float, windows: float, terms: int) -> float:
     return float(t + special.ndtri(0.9))
 
 
-def _weighted(d: Array, mean: Array) -> Array:
-    """Return terms (y, x, term) times mean over variance, as known from the other half of them."""
+def _weights(d: Array, mean: Array) -> Array:
+    """Return mean over variance for terms (y, x, term), as known from the other half of them."""
     found = np.zeros(d.shape)
     mean = np.broadcast_to(mean, d.shape)
     for half in (slice(0, None, 2), slice(1, None, 2)):
@@ -471,5 +536,5 @@ def _weighted(d: Array, mean: Array) -> Array:
         near = cast("Floats", ndimage.uniform_filter(level, 3, mode="constant"))
         noise = np.maximum(ndimage.uniform_filter(square, 3, mode="constant"), 0) + near**2 * usual
         weight = near / np.where(noise > 0, noise, 1)
-        found[..., half] = d[..., half] * weight[..., np.newaxis]
+        found[..., half] = weight[..., np.newaxis]
     return found

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from chdstat._core.arrays import Array, flag_names, luminance
-from chdstat._core.display import Width
+from chdstat._core.display import Width, colour
 from chdstat._core.image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
@@ -465,7 +465,7 @@ def contrast(
     if channels is not None:
         name = one_of(names, channels)
         shown = tested = slice(names.index(name), names.index(name) + 1)
-        of = f", {verbatim(name)}"
+        of = f", {verbatim(colour(name))}"  # a channel is not render B
     first = tested.start or 0
     across = inches(width, fig)
     columns, aspect = 2 if narrow(across) else 3, upright(maps.sizes["y"], maps.sizes["x"])
