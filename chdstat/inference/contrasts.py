@@ -49,6 +49,7 @@ _LEAST_TERMS = 8
 _OF_WINDOWS = 0.8
 """Share of alpha for windows; single pixels get the rest."""
 _TENTH = 0.1
+_ROUNDING = 1e-6
 _MANY_TIMES = 10
 _STANDARD_ERRORS = 4
 """Difference that is surely found, in standard errors."""
@@ -101,6 +102,8 @@ class Contrast(Shown):
         unknown, or A or B has no variance.
     spp
         Samples per pixel of A and B that were compared; None if that of an image is unknown.
+    spp_range
+        The same in words, such as "16 to 64" if pixels differ.
     reference
         "" if B has samples. Otherwise how the noise of the image B is known: by a "variance", by
         its "spp" alone, or not at all, so that B is taken as "exact".
@@ -129,6 +132,7 @@ class Contrast(Shown):
     detectable: dict[str, float]
     efficiency_ratio: Interval[float]
     spp: tuple[int, int | None]
+    spp_range: tuple[str, str]
     reference: Literal["", "exact", "spp", "variance"]
     seconds: tuple[float, float]
     correlation: float
@@ -168,11 +172,13 @@ class Contrast(Shown):
     def _no_difference(self) -> str:
         if not np.isfinite(self.p_value).any():
             return "No difference found: the samples of A do not vary, and B is as bright"
+        found = f"No difference found (p {number(self.image_p_value)})"
+        if not np.isfinite(self.detectable["image"]):
+            return f"{found}; no loss can be stated, since the mean of A is not above 0"
         image, tenth = self._smallest("image"), self._smallest("tenth")
         return (
-            f"No difference found (p {number(self.image_p_value)}). With a probability of "
-            f"90 %, the test would have found a loss of {image} in the image, or of {tenth} in "
-            "a tenth of it"
+            f"{found}. With a probability of 90 %, the test would have found a loss of {image} in "
+            f"the image, or of {tenth} in a tenth of it"
         )
 
     def _difference(self) -> str:
@@ -199,9 +205,8 @@ class Contrast(Shown):
         maps = self.maps.sel(channel=self.window_channel).isel(here)
         one, other = (float(maps[f"mean_{name}"].mean()) for name in "ab")
         if one <= 0 or other < 0:
-            dark = "is black" if not one else f"has a mean of {number(one)}"
-            bright = "is black" if not other else f"has one of {number(other)}"
-            return f"render A {dark} and render B {bright}"
+            a, b = (f"has a mean of {number(x)}" if x else "is black" for x in (one, other))
+            return f"render A {a} and render B {b}"
         if other > _MANY_TIMES * one:
             return f"render B is {number(other / one)} times as bright"
         how = "darker" if self.window_loss > 0 else "brighter"
@@ -278,7 +283,7 @@ class Contrast(Shown):
 
     def table(self) -> dict[str, str]:
         """Return the numbers beside the conclusion, in words."""
-        counts = ["unknown" if spp is None else str(spp) for spp in self.spp]
+        counts = self.spp_range
         of_b = {
             "": f"{counts[1]} spp",
             "exact": "an image taken as exact",
@@ -468,6 +473,7 @@ def contrasting(
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
         spp=(pair.spp[0], pair.b.spp if isinstance(pair.b, Reference) else pair.spp[1]),
+        spp_range=pair.spp_range,
         reference=pair.b.known if isinstance(pair.b, Reference) else "",
         seconds=pair.seconds,
         correlation=np.nan if pair.of_image else _median(maps["correlation"]),
@@ -517,7 +523,7 @@ def _why_not(
             f"pixel are likely to miss them, and {short} has none: render {needed} of {short}"
         )
         return why, needed
-    if np.isfinite(maps["p_value"]).any() and not detectable.get("image", np.inf) < 1:
+    if detectable.get("image", np.nan) >= 1:
         return "not even the loss of all light would have been found; render more samples", None
     return "", None
 
@@ -531,7 +537,8 @@ def _hidden(
     None if it is less than would have been found.
     """
     light, total = maps["hidden"].sum(), np.nansum(maps["mean_b"][..., 0])
-    if not light > np.fmax(detectable.get("image", 0), LEAST_LIGHT) * total > 0:
+    found = detectable["image"] if np.isfinite(detectable["image"]) else 0
+    if not light > max(found, LEAST_LIGHT) * total > 0:
         return None
     error = np.sqrt(maps["doubt"][maps["hidden"] > 0].sum() / pair.terms)
     return float(light / total), int(np.ceil(pair.spp[0] * (_STANDARD_ERRORS * error / light) ** 2))
@@ -561,7 +568,7 @@ def _losses(
         detectable = {name: value + rounding for name, value in detectable.items()}
     return (
         Interval(-value, -value - reach, -value + reach, standard_error=error),
-        float(-shift / level) if level > 0 else np.nan,
+        float(-shift / level) if level > _ROUNDING * np.abs(shift) else np.nan,
         detectable,
     )
 
@@ -571,7 +578,7 @@ def _relative(d: Array, level: Array, edge: int) -> tuple[Floats, Floats]:
     sums = window_sums(d, edge)[0]
     mean, terms = sums.mean(axis=-1), sums.shape[-1]
     base = window_sums(level, edge)[0].mean(axis=-1) - mean / 2
-    base = np.where(base > 0, base, np.nan)
+    base = np.where(base > _ROUNDING * np.abs(mean), base, np.nan)  # else A is black
     error = sums.std(axis=-1, ddof=1) / np.sqrt(terms) if terms > 1 else np.nan
     return mean / base, np.broadcast_to(error / base, base.shape)
 
@@ -581,7 +588,8 @@ def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interva
     """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
     # The scale is the mean of all samples: the mean of few is as uncertain as their variance.
     mean = maps["radiance"]
-    scale = relative_scale(mean, np.nanmean(mean))
+    good = mean[np.isfinite(mean)]
+    scale = relative_scale(mean, good.sum() / max(good.size, 1))
     costs = [
         (maps[name] / scale * time).ravel()
         for name, time in zip(("variance_a", "variance_b"), seconds, strict=True)

@@ -20,12 +20,13 @@ from scipy import ndimage
 from chdstat._core.arrays import LUMINANCE, Array, Floats, Mask, whole
 from chdstat._core.display import Shown
 from chdstat.errors import InputError
-from chdstat.io.exr import ExrImage, from_xyz, read_exr
+from chdstat.io.exr import ExrImage, read_exr
 
-__all__ = ["HALF", "Reference", "unseen_variance", "with_luminance"]
+__all__ = ["PRECISION", "Reference", "unseen_variance", "with_luminance"]
 
-HALF = 2.0**-11
-"""Largest relative error of a number that is rounded to a half float."""
+PRECISION = 5.2 * 2.0**-11
+"""Largest error of R, G or B over the largest of them, if X, Y and Z of a grey were rounded to half
+floats before their conversion: 5.2 is what R adds up of their errors, 3.24 X + 1.54 Y + 0.50 Z."""
 _SINGLE = 2.0**-22
 """Relative errors of samples in single precision, and of their sums."""
 _SUBNORMAL = 2.0**-25
@@ -54,9 +55,9 @@ class Reference(Shown):
         taken to be as noisy as the render that is compared with it. With a number and no variance,
         its samples are taken to vary as those of the render. With neither, it has no noise.
     precision
-        Largest relative rounding error of a value: in the file, or before a conversion from CIE XYZ
-        to R, G and B, which magnifies it. The default is that of half floats, `HALF`, since many
-        images were half floats once; 0 takes the image as it is.
+        Largest rounding error of a value over the largest channel of its pixel. The default,
+        0.25 %, is that of half floats that were converted from CIE XYZ to R, G and B, as many
+        images have been; 0 takes the image as it is.
     name
         What it is called.
 
@@ -71,7 +72,7 @@ class Reference(Shown):
     mean: Array
     variance: Array | None = None
     spp: int | None = None
-    precision: float = HALF
+    precision: float = PRECISION
     name: str = field(default="image", kw_only=True)
 
     def __post_init__(self) -> None:
@@ -110,7 +111,7 @@ class Reference(Shown):
         *,
         variance: str | Path | None = None,
         spp: int | None = None,
-        precision: float = HALF,
+        precision: float = PRECISION,
     ) -> Reference:
         """Return a reference from EXR files: an image, and its variances if they are known.
 
@@ -159,18 +160,16 @@ class Reference(Shown):
     def rounding(self) -> Floats:
         """How far rounding may have moved each mean, shape (y, x, band).
 
-        Luminance comes first if there are R, G and B. It is the Y of CIE XYZ: rounded X, Y and Z
-        move it less than R, G and B. Images of half floats have absolute errors near 0, too.
+        Luminance comes first if there are R, G and B. Images of half floats have absolute errors
+        near 0, too.
         """
         mean = np.where(np.isfinite(self.mean), self.mean, 0)
-        size = with_luminance(np.abs(mean))
-        if self.shape[-1] == 3:
-            to_rgb = from_xyz()
-            xyz = np.abs(mean @ np.linalg.inv(to_rgb).T)
-            size[..., 1:] = np.maximum(size[..., 1:], xyz @ np.abs(to_rgb).T)
+        size = np.abs(mean).max(axis=-1, keepdims=True)
         with np.errstate(over="ignore"):
             halves = bool(self.precision) and np.array_equal(mean, mean.astype(np.float16))
-        return np.asarray((self.precision + _SINGLE) * size + _SUBNORMAL * halves)
+        found = (self.precision + _SINGLE) * size + _SUBNORMAL * halves
+        bands = mean.shape[-1] + (mean.shape[-1] == 3)
+        return np.asarray(np.broadcast_to(found, (*mean.shape[:2], bands)))
 
 
 def with_luminance(x: Array) -> Array:
@@ -184,18 +183,18 @@ def with_luminance(x: Array) -> Array:
 def unseen_variance(
     mean: Floats, variance: Floats, shift: Floats, lowest: Floats, highest: Floats
 ) -> tuple[Floats, Mask]:
-    """Return how much samples may vary of which none shows light that their pixel has.
+    """Return how much samples may vary of which hardly any shows light that their pixel has.
 
-    Samples of size e that no pixel shows, and that make its mean larger by `shift`, come in a share
-    shift / e of the samples and add a variance of shift e. With that variance, n samples that are
-    all alike are sqrt(n shift / e) standard errors from their mean, and miss the light with a
-    probability of at least (1 - shift / e)^n.
+    Samples of size e that make its mean larger by `shift` come in a share shift / e of them, and
+    add a variance of shift e. With that variance, n samples that are all alike are sqrt(n shift /
+    e) standard errors from their mean, and miss the light with a probability of at least (1 - shift
+    / e)^n.
 
-    The samples of its neighbours show how a pixel may vary, unless they lack such light on average,
-    too, or are all darker than the mean that the pixel has in the reference. Then the light is
-    hidden: e may be the largest sample of the image, and for pixels whose samples are all equal at
-    least 300 times the shift, so that 217 nulls are no evidence. Where the reference is darker,
-    samples may be missing that are as dark as the darkest, or as 0.
+    The samples of its neighbours show how a pixel may vary if they are about as bright as the
+    reference is there, and do not lack such light, too. Otherwise the light is hidden: e may be the
+    largest sample of the image, and for pixels whose samples are all equal at least 300 times the
+    shift, so that 217 nulls are no evidence. Where the reference is darker, samples may be missing
+    that are as dark as the darkest, or as 0.
 
     Parameters
     ----------
@@ -211,10 +210,11 @@ def unseen_variance(
     hidden
         Where light is hidden.
     """
-    near = ndimage.maximum_filter(highest, _NEAR) - mean
-    hidden = (shift > 0) & ((_around(shift) > _ALIKE * shift) | (shift > near))
+    near, light = ndimage.maximum_filter(highest, _NEAR) - mean, _around(mean)
+    unlike = (_around(shift) > _ALIKE * shift) | (light < (mean + shift) / 2) | (shift > near)
+    hidden = (shift > 0) & unlike
     # Samples of neighbours around the mean of the pixel.
-    spread = _around(variance + mean**2) - mean * (2 * _around(mean) - mean)
+    spread = _around(variance + mean**2) - mean * (2 * light - mean)
     equal = variance <= (_SINGLE * mean) ** 2
     far = np.maximum(highest.max(initial=0) - mean, np.where(equal, shift / _RAREST, 0))
     event = np.where(hidden, far, np.where(shift > 0, near, mean - lowest.min(initial=0)))

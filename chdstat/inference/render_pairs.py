@@ -126,6 +126,18 @@ class Pair:
         )
 
     @property
+    def spp_range(self) -> tuple[str, str]:
+        """Samples of A and B in words; "unknown" for an image that does not say it."""
+        found = []
+        for of, most in zip((self.a, self.b), self.spp, strict=True):
+            if isinstance(of, Reference):
+                found.append("unknown" if of.spp is None else str(of.spp))
+            else:
+                fewest = min(of.fewest, most)
+                found.append(str(most) if fewest == most else f"{fewest} to {most}")
+        return found[0], found[1]
+
+    @property
     def of_image(self) -> bool:
         """Whether B is a reference, which has no samples."""
         return isinstance(self.b, Reference)
@@ -234,7 +246,7 @@ class Pair:
             maps["highest"][..., band],
         )
         of_sample, spp = own, np.asarray(self.b.spp or np.inf)
-        more = np.where(moments.one_sided, unseen * averaged, 0)
+        more = np.where(moments.few_outliers, unseen * averaged, 0)
         if self.b.variance is not None:
             # Of luminance, the largest that those of the channels allow.
             variance = with_luminance(np.sqrt(self.b.variance))[..., band] ** 2
@@ -242,7 +254,7 @@ class Pair:
             of_sample, more = np.where(known, variance, own), np.where(known, variance - own, more)
             hidden = hidden & ~known
         doubt = np.asarray((more + number / spp * of_sample) / each)
-        return doubt, np.where(hidden & moments.one_sided, shift, 0)
+        return doubt, np.where(hidden & moments.few_outliers, shift, 0)
 
     def _present(self, i: int, ys: slice) -> Array | int:
         """Return the number of samples of A (0) or B (1) in the pixels of some rows, bad or not."""

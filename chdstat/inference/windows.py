@@ -47,6 +47,8 @@ _SKEWED = 1.2
 outlier, and N(0, 1) without skewness."""
 _ONE_SIDED = 0.02
 """If the sums of both signs have a smaller ratio, the rarer sign may have been missed."""
+_FEW = 0.3
+"""Skewness that about ten outliers have."""
 _DARK = 1e-3
 """Share of the image's mean radiance below which a pixel has no scale of its own."""
 LEAST_LIGHT = 1e-3
@@ -147,6 +149,21 @@ class FlipMoments:
     def one_sided(self) -> Mask:
         """Where nearly all terms have one sign."""
         return self.rarer < _ONE_SIDED
+
+    @property
+    def skewness_against(self) -> Floats:
+        """Skewness over the root of the number of terms, if it is against the sum; 1 at most.
+
+        It is one over the root of the number of outliers, if they decide.
+        """
+        spread = np.maximum(self.central2, _TINY) ** 1.5
+        skewness = np.where(spread > 0, self.central3, 0) / np.where(spread > 0, spread, 1)
+        return np.asarray(np.maximum(-np.sign(self.total) * skewness, 0))
+
+    @property
+    def few_outliers(self) -> Mask:
+        """Where the sign against the sum has no terms, or at most about ten that decide."""
+        return self.one_sided | (self.skewness_against > _FEW)
 
     def p_value_with(self, more: Floats) -> Floats:
         """Return two-sided normal p-values of the sums if terms vary by so much `more` (y, x)."""
@@ -392,8 +409,7 @@ def _without_skewness(z: Floats, moments: FlipMoments) -> Floats:
     Hall, "On the removal of skewness by transformation", 1992,
     doi:10.1111/j.2517-6161.1992.tb01876.x.
     """
-    against = -np.sign(moments.total) * moments.central3 / moments.central2**1.5
-    c = np.nan_to_num(np.maximum(against, 0))
+    c = moments.skewness_against
     return np.asarray(np.maximum(z - c / 6 - c * z**2 / 3 + c**2 * z**3 / 27, 0))
 
 

@@ -11,6 +11,7 @@ from chdstat._core.work import finished
 from chdstat.errors import InputError, Reason
 from chdstat.inference import contrast
 from chdstat.inference.contrasts import contrasting
+from chdstat.inference.references import Reference
 from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import Cells, scan_windows, window_sums
 from chdstat.io import read_exr, write_exr
@@ -251,7 +252,7 @@ def test_a_difference_in_one_channel_is_told_with_its_channel():
     found = contrast(a, b)
     assert found.window_channel == "B"
     assert 0.45 < found.window_loss < 0.55 != found.loss.value
-    assert "most clearly in channel B of the whole image, where render B is 5" in found.conclusion
+    assert "in the blue channel of the whole image, where render B is 5" in found.conclusion
 
 
 def test_pairs_show_what_independent_renders_do_not():
@@ -410,6 +411,133 @@ def test_a_converged_image_is_exact(tmp_path):
     np.testing.assert_allclose(found.maps["mean_b"][..., 1:], image)
 
 
+# --- references ---------------------------------------------------------------------------------
+
+
+def lit(rng, spp=217, edge=16):
+    return rng.gamma(2.0, 0.5, (edge, edge, 3, spp)).astype(np.float32)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("rare", [7.6e-8, 1.5e-6, 2.4e-4, 0.002])
+def test_nulls_are_no_evidence_against_an_image(rare, scale):
+    """Rare light that the image has: 217 nulls would happen in most pixels, in any unit."""
+    a, image = lit(np.random.default_rng(1)), np.ones((16, 16, 3))
+    for at in ((3, 3), (3, 4), (12, 7)):
+        a[at], image[at] = 0, rare
+    found = contrast(np.float32(scale) * a, scale * image)
+    assert found.outcome == "no difference found"
+    assert (found.p_value.to_numpy()[[3, 12], [3, 7]] > 0.1).all()
+    black = contrast(np.zeros_like(a), np.where(image < 1, scale * image, 0))
+    assert black.outcome == "cannot tell"
+    assert "100\xa0% of its light in pixels where A and its neighbours show none" in black.why
+    assert black.spp_needed > 217
+
+
+def test_a_black_pixel_among_lit_ones_is_found():
+    """The control: the neighbours see at least as much light in nearly every sample."""
+    a, image = lit(np.random.default_rng(1)), np.ones((16, 16, 3))
+    a[3, 3] = 0
+    assert (contrast(a, image).q_value[3, 3] < 0.01).all()
+
+
+def test_a_black_region_is_found_and_what_it_may_have_missed_is_said():
+    a, image = lit(np.random.default_rng(1)), np.ones((16, 16, 3))
+    a[4:12, 4:12] = 0
+    found = contrast(a, image)
+    assert found.outcome == "differ"
+    assert "samples there, which A may have missed" in found.conclusion
+
+
+@pytest.mark.parametrize("value", [0.9997, 1.0011, (1.0011, 0.9997, 0.9997)])
+def test_rounding_of_an_image_is_no_difference(value):
+    """X, Y and Z as half floats, converted to R, G and B: (1.0011, .9997, .9997) is white."""
+    a = lit(np.random.default_rng(1))
+    a[:8] = 1
+    image = np.ones((16, 16, 3))
+    image[:8] = value
+    found = contrast(a, image)
+    assert found.outcome == "no difference found"
+    assert np.isnan(found.p_value[:8]).all()
+    assert contrast(a, np.where(image == 1, image, 0.98)).outcome == "differ"
+    exact = contrast(a, Reference(np.ones((16, 16, 3)), precision=0))
+    assert found.detectable["image"] > exact.detectable["image"] + 0.002
+
+
+def test_a_constant_image_needs_no_noise_to_be_equal():
+    a = np.random.default_rng(1).random((8, 8, 3, 1), np.float32) * np.ones(32, np.float32)
+    with pytest.warns(chd.errors.InputWarning, match="passes that were compared are equal"):
+        found = contrast(a, 1.001 * a[..., 0])
+    assert found.outcome == "no difference found"
+    assert "do not vary, and B is as bright" in found.conclusion
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_half_floats_lose_no_difference_and_make_none(dtype):
+    rng = np.random.default_rng(2)
+    mean = np.linspace(1e-7, 2e-6, 256).reshape(16, 16, 1) * np.ones(3)
+    a = mean[..., np.newaxis] * lit(rng)
+    image = mean.astype(dtype).astype(np.float32)
+    assert contrast(a, image).outcome == "no difference found"
+    bright = (1e6 * mean).astype(dtype).astype(np.float32)
+    assert contrast(1e6 * a, bright).outcome == "no difference found"
+    assert contrast(0.97e6 * a, bright).outcome == "differ"
+
+
+@pytest.mark.parametrize("known", ["exact", "spp", "variance", "variance of unknown spp"])
+def test_the_noise_of_a_reference_counts_as_far_as_it_is_known(known):
+    """Of 20 pairs at 5 %, more than 4 would happen in 1 of 390 runs; taken as exact, they do."""
+    wrong = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        counts = 64, 64 if "unknown" in known else 32
+        a, b = (heavy(rng, spp, edge=16, nulls=0.2, sigma=0.5) for spp in counts)
+        variance = b.var(axis=-1, ddof=1) if "variance" in known else None
+        spp = 32 if known in ("spp", "variance") else None
+        found = contrast(a, Reference(b.mean(axis=-1), variance, spp), seed=seed)
+        wrong += found.outcome == "differ"
+        assert found.reference == known.split()[0]
+        assert found.spp == (64, spp)
+    assert (wrong > 4) == (known == "exact")
+
+
+def test_a_reference_with_a_variance_finds_what_the_samples_find():
+    rng = np.random.default_rng(3)
+    a, b = heavy(rng, 64, sigma=0.5), heavy(rng, 512, sigma=0.5)
+    reference = Reference(b.mean(axis=-1), b.var(axis=-1, ddof=1), 512)
+    for loss, outcome in ((0, "no difference found"), (0.03, "differ")):
+        dark = a * np.float32(1 - loss)
+        assert contrast(dark, reference).outcome == contrast(dark, b).outcome == outcome
+    one, other = (contrast(a, x).detectable["image"] for x in (reference, b))
+    assert 0.7 < (one - 0.0025) / other < 1.5
+
+
+def test_a_variance_tells_how_rare_light_is():
+    """Light of one of 20 samples is not missed by 217; of one of 500 samples, it is."""
+    a = np.random.default_rng(1).gamma(400, 1 / 400, (16, 16, 3, 217))
+    mean = np.ones((16, 16, 3))
+    a[3, 3], mean[3, 3] = 0, 0.05
+    for share, found in ((0.05, True), (0.002, False)):
+        variance = np.full(mean.shape, 1 / 400)
+        variance[3, 3] = 0.05**2 * (1 / share - 1)
+        p = contrast(a, Reference(mean, variance, 10_000)).p_value[3, 3]
+        assert (p < 0.01).all() if found else (p > 0.3).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mean": np.ones((4, 4))}, r"must have shape \(y, x, channel\)"),
+        ({"mean": np.ones((4, 4, 3)), "variance": np.ones((4, 4, 1))}, "shape of its mean"),
+        ({"mean": np.ones((4, 4, 3)), "spp": 0}, "spp"),
+        ({"mean": np.ones((4, 4, 3)), "precision": 1.0}, "precision must lie"),
+    ],
+)
+def test_a_reference_says_what_is_wrong(options, message):
+    with pytest.raises(InputError, match=message):
+        Reference(**options)
+
+
 def test_an_exact_image_does_not_say_what_may_have_been_missed():
     rng = np.random.default_rng(3)
     a, image = rng.gamma(4.0, 0.25, (16, 16, 1, 32)), np.full((16, 16, 1), 1.0)
@@ -417,6 +545,61 @@ def test_an_exact_image_does_not_say_what_may_have_been_missed():
     assert darker.outcome == brighter.outcome == "differ"
     assert "fewer than one of 2734 samples there" in darker.conclusion  # 256 pixels x 32 / 3.0
     assert "missed" not in brighter.conclusion
+
+
+def test_pixels_without_good_samples_are_named():
+    a, b = small(1), small(2)
+    a[3, 4] = np.nan
+    b[0, 0], b[5, 5] = np.nan, np.inf
+    found = contrast(a, b)
+    for words in (
+        "Not compared: 1 pixel where all samples of A are NaN or infinite (at y 3, x 4); ",
+        "2 pixels where all samples of B are NaN or infinite (first at y 0, x 0).",
+    ):
+        assert words in found.conclusion
+    assert found.to_dict()["pixels_left_out"] == {"a": 1, "b": 2}
+    assert found.table()["bad samples"] == "0.4\xa0% of A, 0.8\xa0% of B"
+    image = small(2).mean(axis=-1)
+    image[2, 2, 1] = np.nan
+    assert "1 pixel where B is NaN or infinite (at y 2, x 2)" in contrast(small(), image).conclusion
+
+
+def test_black_renders_are_called_black():
+    dark, bright = np.zeros((16, 16, 3, 32), np.float32), small(1)
+    assert contrast(dark, dark).conclusion == "Cannot tell: A and B are black."
+    for other in (bright, bright.mean(axis=-1) + 1):
+        found = contrast(dark, other)
+        assert found.outcome == "differ"
+        assert "where render A is black and render B has a mean of" in found.conclusion
+        assert found.table()["B − A over A"] == "—"
+    assert "render B is 100\xa0% darker" in contrast(bright, dark).conclusion
+
+
+def test_negative_means_have_no_loss():
+    noise = np.random.default_rng(1).normal(-1, 1, (16, 16, 3, 64))
+    same, other = (contrast(noise, np.full((16, 16, 3), mean)) for mean in (-1, -1.5))
+    assert "no loss can be stated" in same.conclusion
+    assert "render B has a mean of −1.50" in other.conclusion
+
+
+def test_two_scenes_are_named():
+    a, b = (chd.Samples.from_array(small(i), scene=n) for i, n in enumerate(("hall", "garden")))
+    with pytest.warns(chd.errors.InputWarning, match="two scenes, hall and garden"):
+        found = contrast(a, b)
+    assert found.scenes == ("hall", "garden")
+    assert found.table()["scenes"] == "hall and garden"
+
+
+def test_unequal_counts_of_pixels_are_told():
+    counts = np.random.default_rng(1).integers(16, 32, (16, 16))
+    a = chd.Samples.from_array(small(1), counts=counts)
+    assert contrast(a, small(2)).table()["A"] == f"samples, {counts.min()} to 32 spp"
+
+
+def test_shapes_against_an_image_are_not_known():
+    found = contrast(small(1), small(2).mean(axis=-1), distributions=True)
+    assert found.table()["distributions differ"] == "not known"
+    assert found.to_dict()["share_of_distributions"] is None
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
