@@ -217,7 +217,7 @@ def test_nothing_but_an_output_is_overwritten(run, store, tmp_path):
 def test_contrast_has_an_outcome_an_exit_code_and_a_page(run, store, tmp_path):
     again, dark = tmp_path / "again.zarr", tmp_path / "dark.zarr"
     other = chd.render("cornell-box", spp=16, size=(12, 10), seed=1, out=again, backend="scalar")
-    chd.Samples.from_array(0.5 * other.read(), scene="dark").save(dark)
+    chd.Samples.from_array(0.5 * other.read(), scene="cornell-box").save(dark)
     page = tmp_path / "page.pdf"
     code, out, err = run("contrast", store, again, "-o", page)
     assert (code, out.split(" (")[0]) == (0, "No difference found")
