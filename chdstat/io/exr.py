@@ -337,7 +337,7 @@ class Planes:
         given = self.attributes.get("chromaticities") or aces or known or REC709
         try:
             matrix = to_rec709(given)
-        except ValueError as error:
+        except (TypeError, ValueError) as error:  # TypeError: of a kind that is not known
             self.notes["chromaticities"] = f"{note}taken for linear Rec. 709: {error}"
             return None
         if matrix is not None:

@@ -221,6 +221,15 @@ def test_wrong_input_is_refused_and_nothing_written(tmp_path, options, message):
     assert not list(tmp_path.iterdir())
 
 
+def test_chromaticities_of_an_unknown_kind_are_told(tmp_path):
+    path = write_exr(tmp_path / "x.exr", np.ones((4, 5, 3)))
+    kind = b"chromaticities\0chromaticities\0"
+    content = path.read_bytes()
+    assert content.count(kind) == 1
+    path.write_bytes(content.replace(kind, b"chromaticities\0chromaticitie?\0"))
+    assert "taken for linear Rec. 709" in told(path)[1]
+
+
 def told(path, **options):
     """Read an image, and return it with what was told of it."""
     with warnings.catch_warnings(record=True, action="always") as caught:
