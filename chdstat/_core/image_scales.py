@@ -2,7 +2,7 @@
 
 - `display_stops` and `tonemap` show an image.
 - `exposure_unit` is the radiance that a usual exposure shows as 1.
-- `relative_scale` is the denominator of relative squared errors.
+- `relative_error` is the relative error of an image, and `relative_scale` its denominator.
 - `layer_weights` splits samples between layers of brightness.
 """
 
@@ -21,6 +21,7 @@ __all__ = [
     "display_stops",
     "exposure_unit",
     "layer_weights",
+    "relative_error",
     "relative_scale",
     "tonemap",
 ]
@@ -54,6 +55,30 @@ def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array
         known = value[np.isfinite(value)]
         of_scene = known.mean() if known.size else np.nan
     return np.asarray(value**2 + DARK * np.square(of_scene))
+
+
+def relative_error(squared: npt.NDArray[np.floating[Any]], image: Array) -> float:
+    """Return the relative error of an image: the root of its relMSE.
+
+    relMSE is the mean over pixels and channels of ``e^2 / (y^2 + 0.01 m^2)``, with y the radiance
+    and m the mean of its channel over the image. Pixels that are NaN are left out.
+
+    Parameters
+    ----------
+    squared
+        Squared errors e^2, shape (y, x, channel).
+    image
+        The true image y, or the best estimate of it.
+
+    Examples
+    --------
+    >>> image = np.full((2, 2, 3), 5.0)
+    >>> round(relative_error(np.full_like(image, 0.1**2), image), 3)  # 0.1 of 5
+    0.02
+    """
+    scale = relative_scale(image, np.nanmean(image, axis=(0, 1), dtype=np.float64))
+    relative = np.divide(squared, scale, out=np.zeros_like(scale), where=scale != 0)
+    return float(np.sqrt(np.nanmean(relative)))
 
 
 def display_stops(image: npt.ArrayLike) -> float:

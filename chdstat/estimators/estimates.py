@@ -37,6 +37,7 @@ from scipy import ndimage, special, stats
 from chdstat import __version__
 from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.files import checked_target, checkpoints
+from chdstat._core.image_scales import relative_error
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
@@ -488,11 +489,9 @@ class Combination(Estimates):
 
     @property
     def relative_error(self) -> float:
-        """Root mean squared error of the image over its mean, estimated from the intervals."""
+        """Relative error of the image, the root of its relMSE, estimated from the intervals."""
         width = (self.high - self.low) / (2 * stats.norm.ppf(0.5 + self.level / 2))
-        return float(np.sqrt(np.nanmean(np.square(width, dtype=np.float64)))) / float(
-            np.abs(np.nanmean(self.radiance, dtype=np.float64))
-        )
+        return relative_error(np.square(width, dtype=np.float64), self.radiance)
 
     def guarded(self, denoised: Image) -> Image:
         """Mix these estimates with their denoised image, by the weights of the denoised candidates.

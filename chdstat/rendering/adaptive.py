@@ -1,38 +1,74 @@
-"""Adaptive sampling: more samples for the pixels whose noise weighs most.
+r"""Adaptive sampling: more samples for the pixels whose noise weighs most, up to an error.
 
-The first samples of all pixels, a quarter of them (half if there are few), tell how noisy each
-pixel is. The others are drawn where they are needed. Two rules keep the result honest:
+The mean of a pixel has no bias if its number of samples does not depend on the samples that are
+averaged. Stopping when samples look quiet has one (Kirk and Arvo 1991, "Unbiased sampling
+techniques for image synthesis", doi:10.1145/122718.122735). Let :math:`x_1, x_2, ...` be the
+samples of a pixel, independent and with mean :math:`\mu`. If their number :math:`N` is a function
+of anything that is independent of all of them, then
+:math:`E[\frac1N \sum_{k \le N} x_k] = \mu`, whatever their law. All that is kept is the
+:math:`N` samples, and everybody takes their plain mean. There are two ways:
 
-- *Other* pixels decide the number of samples of a pixel, never its own samples. Pixels are the
-  squares of a chessboard, and the black ones decide for the white ones and the other way round. The
-  samples of a pixel thus do not depend on their number, and its mean has no bias. Stopping when
-  samples look quiet has a bias (Kirk and Arvo 1991, "Unbiased sampling techniques for image
-  synthesis", doi:10.1145/122718.122735). The first samples count like all others; a pilot that is
-  thrown away would cost a quarter of all samples. A second round may not look at more than the
-  first samples: the number of samples of a white pixel already depends on the black ones.
-- No pixel gets less than a quarter of the mean, so that light that no sample has found is still
-  looked for.
+- **Other pixels decide** (``adaptive=True``). The first samples of all pixels, a quarter of them
+  (half if there are few), tell how noisy each pixel is. They count like all others, so that none is
+  lost. Pixels form eight classes at random. Only samples of other classes decide for a class: the
+  need of a pixel is averaged over similar pixels of other classes around it, and the numbers of a
+  class are divided by the mean of these needs. (If the classes are the colours of a chessboard, and
+  noise lies on one colour, each colour gets what the other one needs.)
+- **Trial samples decide** (``error=``). Nothing but its own samples tells that a single pixel is
+  noisy. If the first samples decide and are kept, with the mean :math:`m` and the weight :math:`W`
+  in the mean of all, the bias is :math:`E[W (m - \mu)]`. It is 0 for all laws only if :math:`W` is
+  constant. But their share of :math:`N` samples falls as :math:`N` grows. So the samples that
+  decide are thrown away, and all others are independent of them. Between a sixteenth and an eighth
+  of all samples are enough.
 
-If the noise were known, counts in proportion to its root would minimise the relative error of the
+What is decided once stays. If the number of a pixel depended on the further samples of other
+pixels, and their number on the first samples of the pixel, it would depend on its own. But where
+trial samples decide, no number depends on samples that are kept. So the kept samples of the other
+classes may decide once whether those of a class go on; see `more`.
+
+No pixel gets less than a quarter of the mean, so that light that no sample has found is still
+looked for.
+
+If the noise were known, numbers in proportion to its root would minimise the relative error of the
 image or its MSE (Neyman 1934, "On the two different aspects of the representative method",
-doi:10.2307/2342192). But the noise is estimated, from surrounding pixels with similar albedo,
-normal and depth, and brightness is known better than noise. Counts therefore follow a smaller power
+doi:10.2307/2342192). Trial samples follow this rule, with the likely noise of each pixel. Other
+pixels know less of it, and know brightness better than noise. There, numbers follow a smaller power
 of the noise, times a power of the brightness. Both powers were chosen on the 13 scenes on which the
-how-to judges them. Regression trees, and powers learned from the image itself, gained no more
-there.
+how-to judges them. Regression trees, and powers learned from the image itself, gained no more.
+
+The error
+---------
+
+The error of an image is the root of its relMSE: `chdstat._core.image_scales.relative_error`. The
+variance of the mean, in its numerator, has no bias. The denominator is the squared mean of the
+pixel, and a single bright sample makes both large: relative to their own means, pixels never seem
+to have large errors. Relative to the means around them, pixels that differ from these do. So the
+denominator is the square of the *likely* mean: the pixel's own, drawn towards those around it, as
+far as its deviation from them is chance. Two halves of the samples tell that: see `_likely`.
+
+The interval is about the error of this very image. With :math:`c_i` the estimated squared error of
+pixel i and :math:`s_i` its standard error, the sum of the squared errors has a variance of about
+:math:`2 \sum c_i^2`, and the sum of their estimates one of :math:`\sum s_i^2`. Both sums are
+approximated by chi-squared distributions of the same mean and variance (Satterthwaite 1946, "An
+approximate distribution of estimates of variance components", doi:10.2307/3002019). Their ratio
+then follows an F distribution of :math:`(\sum c_i)^2 / \sum c_i^2` and
+:math:`2 (\sum c_i)^2 / \sum s_i^2` degrees of freedom.
 """
 
 from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
+import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Image, Mask, is_bad, spans
-from chdstat._core.image_scales import DARK
+from chdstat._core.arrays import Floats, Image, Reals, is_bad, spans
+from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat.errors import InputError, check_option
 from chdstat.samples import Samples
@@ -45,20 +81,25 @@ if TYPE_CHECKING:
 __all__ = [
     "Adaptive",
     "ErrorMeasure",
+    "Look",
     "decided",
     "density_of",
     "error_of",
     "expected_error",
+    "more",
 ]
 
 ErrorMeasure = Literal["relMSE", "MSE"]
 """The error of the image to minimise."""
+Classes = npt.NDArray[np.intp]
+"""Class of each pixel, shape (y, x)."""
 _log = logging.getLogger("chdstat")
 _SHARE, _ENOUGH, _FEWEST = 4, 32, 16
 """First samples of a pixel: one in 4, or 32 but at most half; and fewest samples of a render."""
-_SURE = 64
-"""Most first samples that predict an error."""
-_MOST = 8.0
+_TRIAL, _TRIALS = 16, 256
+"""Trial samples: they double while there are less than one in 16; at most 256."""
+_CLASSES = 8
+_MOST = 16.0
 """Largest number of samples of a pixel, over the mean."""
 _LEFT = 1 / 16
 """Share of a pixel's squared mean that is left at least when its variance is subtracted."""
@@ -74,6 +115,13 @@ _POWERS = {"relMSE": (0.35, -0.12), "MSE": (0.2, 0.2)}
 """Powers of the expected noise and of the brightness that counts follow."""
 _LITTLE = 0.02
 """Share of the mean over the image that is added to noise and brightness."""
+_ALIKE = (-6.0, -1.5, -0.5, 0.0, 0.5, 1.5, 3.0, 6.0, 12.0, 25.0, 100.0)
+"""Ends of the squared deviations, in squared standard errors and with their sign, that count as
+equally significant."""
+TOLERANCE = 1.1
+"""An error counts as reached if its estimate exceeds it by at most a tenth."""
+_SURE = 0.9
+"""Probability that the error of this very image is not larger than that, if the noise is known."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +133,12 @@ class Adaptive:
     measure
         The error of the image to minimise.
     first
-        Samples of every pixel from which counts are decided.
+        Samples that every pixel gets.
     least
         Smallest number of samples of a pixel over the mean, so that all pixels have the first
         samples.
     error
-        Relative error of the image, the root of the measure, at which to stop; None for no limit.
+        Relative error of the image at which to stop; None for no limit.
     percentile
         Percentile over the pixels that the error is about, such as 95; None for the error of the
         image.
@@ -146,8 +194,8 @@ class Adaptive:
             )
             raise InputError(message)
         first = max(spp // _SHARE, min(_ENOUGH, spp // 2))
-        if error is not None:  # of which it may take fewer
-            first = min(first, _SURE)
+        if error is not None:  # others decide, and it may take fewer
+            first = min(spp // 2, _FEWEST)
         first = held["first"] if held else first
         return cls(measure, first, min(max(1 / _SHARE, first / spp), 1.0), error, percentile)
 
@@ -156,116 +204,341 @@ class Adaptive:
         """The part that belongs to the identity of samples."""
         return {"measure": self.measure, "first": self.first}
 
-    def spp(self, noise: Mapping[str, float], most: int) -> int:
-        """Return the mean samples per pixel that reach the error, but at most `most`."""
+    def trials(self, spp: int) -> int:
+        """Return the number of trial samples to begin with, if `spp` are drawn at most."""
+        return max(min(2 * _TRIAL, spp // 8), 4)
+
+    def more_trials(self, noise: Mapping[str, Any], spp: int) -> bool:
+        """Return whether to draw as many trial samples again before they decide."""
+        drawn = noise["trials"]
+        few = _TRIAL * drawn < min(self.needed(noise), spp)
+        return bool(few and 2 * drawn <= min(_TRIALS, spp / 8))
+
+    def needed(self, noise: Mapping[str, Any]) -> float:
+        """Return the mean samples per pixel that reach the error."""
+        assert self.error is not None, "an error was asked for"
+        return max(math.ceil(noise.get("surely", noise["value"]) / self.error**2), self.first)
+
+    def spp(self, noise: Mapping[str, Any], most: int) -> int:
+        """Return the mean samples per pixel that reach the error; with trials, at most `most`."""
+        most = max(most - noise.get("trials", 0), self.first)
         if self.error is None:
             return most
-        needed = max(math.ceil(noise["value"] / self.error**2), self.first)
+        needed = int(self.needed(noise))
         if needed > most:
             expected = math.sqrt(noise["value"] / most)
             message = "an error of %g takes about %d spp; with %d, about %.2g is expected"
             _log.warning(message, self.error, needed, most, expected)
         return min(needed, most)
 
+    def told(self, found: Interval[float]) -> dict[str, Any]:
+        """Return the estimated error of a finished render, and whether it is what was asked for."""
+        told: dict[str, Any] = {n: v for n, v in found.to_dict().items() if math.isfinite(v)}
+        if self.percentile is not None:
+            told["percentile"] = self.percentile
+        if self.error is not None:
+            told |= {"asked": self.error, "reached": found.value <= TOLERANCE * self.error}
+        return told
 
-class _Seen(NamedTuple):
-    """Mean, variance and variance of the mean of each pixel, shape (y, x, channel)."""
 
-    mean: Floats
-    variance: Floats
-    square: Floats
+@dataclass(frozen=True)
+class Look:
+    """What samples tell of each pixel: the moments of those of even and of odd number.
+
+    Attributes
+    ----------
+    halves
+        Moments of both halves, shape (y, x, channel).
+    """
+
+    halves: tuple[Moments, Moments]
 
     @classmethod
-    def of(cls, samples: Samples) -> _Seen:
-        """Read samples, some rows at a time."""
-        found = cls(*(np.zeros(samples.shape[:3]) for _ in range(3)))
-        for rows in spans(samples.shape[0], _ROWS):
-            x = samples.read(rows)
-            part = Moments.of(x, np.logical_not(is_bad(x).any(axis=2, keepdims=True)))
-            found.mean[rows] = part.mean
-            found.variance[rows] = part.m2 / np.maximum(part.count - 1, 1)
-            found.square[rows] = found.variance[rows] / np.maximum(part.count, 1)
-        return found
+    def of(cls, samples: Samples) -> Look:
+        """Look at samples, some rows at a time."""
+        rows = spans(samples.shape[0], _ROWS)
+        return cls.of_blocks(samples.shape[:3], (((ys,), samples.read(ys)) for ys in rows))
 
-    def noise(self, measure: str, mean: Floats | None = None) -> Floats:
-        """Return the expected squared error of one sample of each pixel, shape (y, x).
+    @classmethod
+    def of_blocks(
+        cls, shape: tuple[int, ...], blocks: Iterable[tuple[tuple[slice, ...], Reals]]
+    ) -> Look:
+        """Look at samples that come as (place, samples), shape (y, x, channel, sample)."""
+        fields = np.zeros((2, 7, *shape))
+        for where, x in blocks:
+            for half, part in zip(fields, (x[..., ::2], x[..., 1::2]), strict=True):
+                good = np.logical_not(is_bad(part).any(axis=2, keepdims=True))
+                half[:, *where] = [*vars(Moments.of(part, good)).values()]
+        return cls((Moments(*fields[0]), Moments(*fields[1])))
 
-        It is the variance, averaged over the channels. For relMSE, it is divided by the squared
-        mean of the pixel plus 1 % of the squared mean of the scene.
+    def merge(self, other: Look) -> Look:
+        """Return the look at both sets of samples together."""
+        one, two = (a.merge(b) for a, b in zip(self.halves, other.halves, strict=True))
+        return Look((one, two))
 
-        Parameters
-        ----------
-        measure
-            "relMSE" or "MSE".
-        mean
-            Means of pixels, shape (y, x, channel); None for their own. The square of a mean of
-            samples is too large by the variance of the mean, which is subtracted.
-        """
-        if measure == "MSE":
-            return np.asarray(self.variance.mean(axis=-1))
-        square = np.maximum(self.mean**2 - self.square, _LEFT * self.mean**2)
-        of_scene = np.empty_like(square)
-        # Each half decides for the other one, without the other's samples.
-        for half in _halves(*square.shape[:2]):
-            of_scene[half] = self.mean[half].mean(axis=0) if half.any() else 0
-        scale = (square if mean is None else mean**2) + DARK * of_scene**2
-        relative = np.divide(self.variance, scale, out=np.zeros_like(scale), where=scale > 0)
-        return np.asarray(relative.mean(axis=-1))
+    @cached_property
+    def whole(self) -> Moments:
+        """Moments of all samples."""
+        return self.halves[0].merge(self.halves[1])
 
-    def noise_for_error(
-        self, measure: str, features: Mapping[str, Image], percentile: float | None, step: int = 1
-    ) -> Floats:
-        """Return the noise of each pixel from which the error of the image is predicted.
+    @cached_property
+    def brightness(self) -> Floats:
+        """Mean over the channels, shape (y, x), at least 0."""
+        return np.maximum(self.whole.mean.mean(axis=-1), 0)
 
-        Relative to its own mean, the error of a pixel never seems large: a single bright sample
-        raises both. So the noise is relative to the mean of similar pixels around. That mean counts
-        as far as it lies within one standard error of the pixel's own mean. If all the light of a
-        pixel is one sample, that interval reaches down to 0. For percentiles, the noise is averaged
-        over similar pixels: percentiles of single pixels would show its uncertainty instead.
 
-        Parameters
-        ----------
-        measure, features, percentile
-            As for `error_of`.
-        step
-            2 to use only pixels of the same colour of the chessboard.
-        """
-        error = np.sqrt(self.square)
-        around = _around(self.mean, features, _NEAR, lambda away: away > 0 and away % step == 0)
-        noise = self.noise(measure, np.clip(around, self.mean - error, self.mean + error))
-        if percentile is None:
-            return noise
-        pooled = _around(noise[..., np.newaxis], features, _NEAR, lambda away: away % step == 0)
-        return np.asarray(pooled[..., 0])
+class _Noise(NamedTuple):
+    """Expected squared error of one sample of each pixel, averaged over the channels, (y, x).
+
+    `spread` is the variance of its estimate, and `halves` has both for each half of the samples.
+    """
+
+    value: Floats
+    spread: Floats
+    halves: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
+
+    @classmethod
+    def of(cls, look: Look, scale: Floats) -> _Noise:
+        """Return the noise, relative to a scale of squared radiance (y, x, channel)."""
+        of_each = [
+            tuple(_over(values, scale) for values in (_variance(m), np.sqrt(_spread(m))))
+            for m in (look.whole, *look.halves)
+        ]
+        whole, one, two = ((value, root**2) for value, root in of_each)
+        return cls(*whole, (one, two))
+
+    def likely(
+        self,
+        features: Mapping[str, Image],
+        classes: Classes | None = None,
+        width: float = _NEAR,
+    ) -> _Noise:
+        """Return it, drawn towards that of similar pixels around, as far as it is uncertain."""
+        values, squares = (
+            np.stack([half[i] for half in self.halves], axis=-1)[:, :, np.newaxis] for i in (0, 1)
+        )
+        found = np.maximum(_likely(values, squares, features, classes, width), 0)[..., 0, :]
+        halves = [(found[..., i + 1], self.halves[i][1]) for i in (0, 1)]
+        return _Noise(found[..., 0], self.spread, (halves[0], halves[1]))
+
+
+def _variance(moments: Moments) -> Floats:
+    return np.nan_to_num(moments.variance)
+
+
+def _spread(moments: Moments) -> Floats:
+    """Return the variance of the variance, from the fourth moment; 0 below two samples."""
+    n = np.maximum(moments.count, 2)
+    found = (moments.m4 / n - (n - 3) / (n - 1) * _variance(moments) ** 2) / n
+    return np.where(moments.count > 1, np.maximum(found, 0), 0)
+
+
+def _over(values: Floats, scale: Floats) -> Floats:
+    """Return values over a scale, averaged over the channels; 0 where both are."""
+    return np.divide(values, scale, out=np.zeros_like(values), where=scale > 0).mean(axis=-1)
+
+
+def _relative(mean: Floats, of_scene: Floats, classes: Classes | None) -> Floats:
+    """Return the squared radiance to which errors of pixels are relative, (y, x, channel)."""
+    means = np.empty_like(mean)
+    for part in _parts(classes, mean.shape[:2]):
+        means[part] = of_scene[part].mean(axis=0)
+    return relative_scale(mean, means)
+
+
+def _noise_for_counts(look: Look, measure: str, classes: Classes | None) -> _Noise:
+    """Return the noise that counts follow: relative to the pixel's own mean, so never very large.
+
+    The square of a mean of samples is too large by the variance of the mean, which is subtracted.
+    """
+    if measure == "MSE":
+        return _Noise.of(look, np.ones(look.whole.mean.shape))
+    square = look.whole.mean**2
+    left = np.maximum(square - _variance(look.whole) / np.maximum(look.whole.count, 1), 0)
+    mean = np.sqrt(np.maximum(left, _LEFT * square))
+    return _Noise.of(look, _relative(mean, look.whole.mean, classes))
+
+
+def _noise_for_error(
+    look: Look, measure: str, features: Mapping[str, Image], classes: Classes | None = None
+) -> _Noise:
+    """Return the noise from which the error of the image follows: relative to the likely mean.
+
+    With `classes`, that of a class depends on its own samples only.
+    """
+    if measure == "MSE":
+        return _noise_for_counts(look, measure, classes)
+    means = np.stack([half.mean for half in look.halves], -1)
+    squares = np.stack([_variance(h) / np.maximum(h.count, 1) for h in look.halves], -1)
+    own, error = look.whole.mean, np.sqrt(_variance(look.whole) / np.maximum(look.whole.count, 1))
+    # By one standard error at most (Efron and Morris 1972, "Limiting the risk of Bayes and
+    # empirical Bayes estimators", doi:10.2307/2284711).
+    likely = _likely(means, squares, features, classes)[..., 0]
+    mean = np.clip(likely, own - error, own + error)
+    return _Noise.of(look, _relative(mean, own, classes))
+
+
+def _likely(
+    values: Floats,
+    squares: Floats,
+    features: Mapping[str, Image],
+    classes: Classes | None = None,
+    width: float = _NEAR,
+) -> Floats:
+    """Return likely values of each pixel, shape (y, x, channel, 3): by all samples and each half.
+
+    A value is drawn towards those of similar pixels around, from which it deviates by d. The
+    deviation of the other half of the samples tells how much of d is the pixel's own: its sum, over
+    the sum of d, among all pixels (of a class) where d is as significant. This is an empirical
+    Bayes estimate (Efron and Morris 1975, "Data analysis using Stein's estimator and its
+    generalizations", doi:10.2307/2285814) that assumes no family of distributions.
+
+    Parameters
+    ----------
+    values, squares
+        Estimates from both halves of the samples and their squared standard errors, shape (y, x,
+        channel, half).
+    features
+        First-hit features, as far as they exist.
+    classes
+        Class of each pixel, if those of a class may depend on its own samples only.
+    width
+        Width of the weights of pixels around, in pixels.
+    """
+    own = values.mean(axis=-1)
+    around = _around(own, features, width, _same(classes))
+    away = values - around[..., np.newaxis]
+    size = np.divide(away**2, squares, out=np.full_like(away, np.inf), where=squares > 0)
+    kinds = np.digitize(np.copysign(size, away), _ALIKE)
+    if classes is not None:
+        kinds += (len(_ALIKE) + 1) * classes[..., np.newaxis, np.newaxis]
+    share = np.empty_like(away)
+    for channel in range(own.shape[-1]):
+        for half in (0, 1):
+            kind = kinds[..., channel, half]
+            this, other = (
+                np.bincount(kind.ravel(), away[..., channel, i].ravel()) for i in (half, 1 - half)
+            )
+            of_kind = np.divide(other, this, out=np.zeros_like(this), where=this != 0)
+            share[..., channel, half] = np.clip(of_kind, 0, 1)[kind]
+    weight, total = (share * away**2).sum(axis=-1), (away**2).sum(axis=-1)
+    of_half = np.divide(weight, total, out=np.ones_like(weight), where=total > 0)
+    # Both halves together are as reliable as Spearman (1910) and Brown (1910) say.
+    whole = around + 2 * of_half / (1 + of_half) * (own - around)
+    halves = around[..., np.newaxis] + share * away
+    return np.concatenate([whole[..., np.newaxis], halves], axis=-1)
+
+
+# --- pixels around a pixel ----------------------------------------------------------------------
+
+
+def classes_of(height: int, width: int) -> Classes:
+    """Return a random class of each pixel, shape (y, x); all classes are equally large.
+
+    The numbers come from a generator whose stream no version of NumPy changes.
+    """
+    order = np.argsort(np.random.PCG64(0).random_raw(height * width), kind="stable")
+    classes = np.empty(height * width, np.intp)
+    classes[order] = np.arange(height * width) % _CLASSES
+    return classes.reshape(height, width)
+
+
+def _parts(classes: Classes | None, shape: tuple[int, ...]) -> Iterable[Any]:
+    """Yield the pixels of each class that has any; all pixels without classes."""
+    if classes is None:
+        yield np.ones(shape, bool)
+    else:
+        yield from (classes == number for number in np.unique(classes))
+
+
+def _same(classes: Classes | None) -> Callable[[Any, Any], Any]:
+    """Return which pixels count for which others: those of the same class."""
+    return lambda here, there: 1.0 if classes is None else classes[here] == classes[there]
+
+
+def _scaled(features: Mapping[str, Image], shape: tuple[int, ...]) -> Floats:
+    """Return features in units of the differences that matter, shape (y, x, number)."""
+    found: list[Any] = [np.zeros((*shape, 1))]
+    found += [features[name] / unit for name, unit in _UNITS.items() if name in features]
+    if "depth" in features:
+        found.append(np.log(np.maximum(features["depth"], 1e-6))[..., np.newaxis] / _DEPTH)
+    return np.concatenate(found, axis=-1, dtype=np.float64)
+
+
+def _around(
+    values: Floats,
+    features: Mapping[str, Image],
+    width: float,
+    counts: Callable[[Any, Any], Any] = lambda _here, _there: 1.0,
+) -> Floats:
+    """Return means over similar pixels around each pixel without itself, shape (y, x, value).
+
+    A pixel around which none counts keeps its own values.
+
+    Parameters
+    ----------
+    values
+        Values of the pixels, shape (y, x, value).
+    features
+        First-hit features, as far as they exist.
+    width
+        Width of the weights, in pixels; they reach twice as far.
+    counts
+        Whether pixels count for others, from the places of both; it is symmetric.
+    """
+    height, across = values.shape[:2]
+    likeness, reach = _scaled(features, (height, across)), int(2 * width)
+    weights, total = np.zeros((height, across, 1)), np.zeros_like(values)
+    down, beside = min(reach, height - 1), min(reach, across - 1)
+    # Half of the offsets; each is that of two pixels from each other.
+    offsets = [
+        (y, x) for y in range(down + 1) for x in range(-beside, beside + 1) if (y, x) > (0, 0)
+    ]
+    for dy, dx in offsets:
+        here, there = _overlap(dy, dx, height, across)
+        unlike = ((likeness[here] - likeness[there]) ** 2).sum(axis=-1)
+        near = math.exp(-(dy * dy + dx * dx) / (2 * width**2))
+        weight = (near * (np.exp(-unlike / 2) + _UNLIKE) * counts(here, there))[..., np.newaxis]
+        for one, two in ((here, there), (there, here)):
+            weights[one] += weight
+            total[one] += weight * values[two]
+    return np.where(weights > 0, total / np.where(weights > 0, weights, 1), values)
+
+
+def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[Any, Any]:
+    """Return where pixels have another pixel at an offset, and where the other pixels are."""
+    here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in ((dy, height), (dx, width)))
+    there = tuple(slice(max(0, d), max(0, n + min(0, d))) for d, n in ((dy, height), (dx, width)))
+    return here, there
+
+
+# --- what is decided ----------------------------------------------------------------------------
 
 
 def density_of(
-    noise: Floats,
-    brightness: Floats,
-    features: Mapping[str, Image],
-    powers: tuple[float, float] = _POWERS["relMSE"],
+    needs: Floats,
+    powers: tuple[float, ...] = _POWERS["relMSE"],
     least: float = 1 / _SHARE,
+    classes: Classes | None = None,
 ) -> Floats:
     """Return the number of samples of each pixel over the mean of all, shape (y, x).
 
     Parameters
     ----------
-    noise, brightness
-        Expected squared error of one sample, and radiance, shape (y, x).
-    features
-        First-hit features, as far as they exist.
+    needs
+        What decides: the expected squared error of one sample, and radiance, shape (y, x, 2).
     powers
-        Powers of the noise and of the brightness.
+        Power of each.
     least
         The smallest density.
+    classes
+        Class of each pixel; the densities of each class have a mean of 1.
     """
-    known = np.stack([noise, np.maximum(brightness, 0)], axis=-1)
-    expected = _around(known, features, _WIDE, lambda away: away % 2 == 1)
-    density = np.ones(noise.shape)
-    for half in _halves(*noise.shape):
-        if half.any() and (mean := expected[half].mean(axis=0)).all():
-            wanted = (expected[half] / mean + _LITTLE) ** powers
-            density[half] = _bounded(wanted.prod(axis=-1), least)
+    density = np.ones(needs.shape[:2])
+    for part in _parts(classes, density.shape):
+        if (mean := needs[part].mean(axis=0)).all():
+            wanted = (needs[part] / mean + _LITTLE) ** powers
+            density[part] = _bounded(wanted.prod(axis=-1), least)
     return density
 
 
@@ -279,123 +552,142 @@ def _bounded(wanted: Floats, least: float) -> Floats:
     return np.asarray(np.clip(high * wanted, least, _MOST))
 
 
-def _halves(height: int, width: int) -> tuple[Mask, Mask]:
-    """Return the white and the black squares of a chessboard."""
-    is_white = np.asarray(np.add.outer(np.arange(height), np.arange(width)) % 2 == 1)
-    return is_white, ~is_white
-
-
-def _scaled(features: Mapping[str, Image], shape: tuple[int, ...]) -> Floats:
-    """Return features in units of the differences that matter, shape (y, x, number)."""
-    found: list[Any] = [np.zeros((*shape, 1))]
-    found += [features[name] / unit for name, unit in _UNITS.items() if name in features]
-    if "depth" in features:
-        found.append(np.log(np.maximum(features["depth"], 1e-6))[..., np.newaxis] / _DEPTH)
-    return np.concatenate(found, axis=-1, dtype=np.float64)
-
-
-def _around(
-    values: Floats, features: Mapping[str, Image], width: float, taken: Callable[[int], bool]
-) -> Floats:
-    """Return means over similar pixels around each pixel, shape (y, x, value).
-
-    Parameters
-    ----------
-    values
-        Values of the pixels, shape (y, x, value).
-    features
-        First-hit features, as far as they exist.
-    width
-        Width of the weights, in pixels; they reach twice as far.
-    taken
-        Which pixels count, by the number of steps along the grid to them: 0 for the pixel itself,
-        odd for those of the other colour.
-    """
-    likeness, reach = _scaled(features, values.shape[:2]), int(2 * width)
-    weights, total = np.zeros((*values.shape[:2], 1)), np.zeros_like(values)
-    down, across = (range(-min(reach, n - 1), min(reach, n - 1) + 1) for n in values.shape[:2])
-    for dy, dx in ((y, x) for y in down for x in across if taken(abs(y) + abs(x))):
-        here, there = _overlap(dy, dx, *values.shape[:2])
-        unlike = ((likeness[here] - likeness[there]) ** 2).sum(axis=-1, keepdims=True)
-        near = math.exp(-(dy * dy + dx * dx) / (2 * width**2))
-        weight = near * (np.exp(-unlike / 2) + _UNLIKE)
-        weights[here] += weight
-        total[here] += weight * values[there]
-    return np.asarray(total / np.where(weights > 0, weights, 1))
-
-
-def _overlap(dy: int, dx: int, height: int, width: int) -> tuple[Any, Any]:
-    """Return where pixels have another pixel at an offset, and where the other pixels are."""
-    here = tuple(slice(max(0, -d), max(0, n - max(0, d))) for d, n in ((dy, height), (dx, width)))
-    there = tuple(slice(max(0, d), max(0, n + min(0, d))) for d, n in ((dy, height), (dx, width)))
-    return here, there
-
-
-# --- what is decided ----------------------------------------------------------------------------
-
-
-def decided(samples: Samples, how: Adaptive) -> tuple[Image, dict[str, float]]:
-    """Return the density of a render from the first samples of all pixels, and its noise.
+def decided(
+    look: Look, how: Adaptive, features: Mapping[str, Image]
+) -> tuple[Image, dict[str, Any]]:
+    """Return the density of a render, and its noise.
 
     The noise is the expected squared error of the image with one sample per pixel on average, and
     the ends of its interval if there is one. With n samples, the error is the root of the noise
-    over n. Each pixel's own variance enters, with the count that other pixels decided, so that the
-    choice does not make the error look small.
+    over n.
 
     Parameters
     ----------
-    samples
-        The first samples of all pixels.
+    look
+        At the first samples of all pixels; with `how.error`, at trial samples, which are not kept.
     how
         The plan of the render.
+    features
+        First-hit features, as far as they exist.
     """
-    seen = _Seen.of(samples)
-    noise, features = seen.noise(how.measure), samples.features
-    bright = seen.mean.mean(axis=-1)
-    density = density_of(noise, bright, features, _POWERS[how.measure], how.least)
-    of_error = seen.noise_for_error(
-        how.measure, features, how.percentile, 1 if how.error is None else 2
-    )
-    found = _over_pixels(of_error / density, how.percentile)
-    known = {name: float(value) for name, value in found.to_dict().items()}
-    if how.error is not None and found.value > 0:
-        scale = _halved(of_error, density, how.percentile) / found.value
-        known |= {name: scale * known[name] for name in ("value", "low", "high")}
+    # The error is a relative one, whatever it is that counts minimise.
+    of_error = _noise_for_error(look, how.measure if how.error is None else "relMSE", features)
+    if how.error is None:
+        density = _by_others(look, how, features)
+        found, surely = _squared(of_error.value / density, of_error.spread / density**2)
+    else:
+        needs = of_error if how.measure == "relMSE" else _noise_for_counts(look, "MSE", None)
+        needs, likely = needs.likely(features, width=_WIDE), of_error.likely(features)
+        even = of_error.value.mean()
+        if how.percentile is not None:
+            even = np.percentile(likely.value, how.percentile)
+        least = min(max(how.first * how.error**2 / even, how.least), 1.0) if even > 0 else 1.0
+        density, one, two = (
+            density_of(of[..., np.newaxis], (0.5,), least)
+            for of in (needs.value, *(half for half, _ in needs.halves))
+        )
+        each = likely.value / density
+        if how.percentile is None:
+            # Too small, since noise and number follow the same chance; and too large, since a half
+            # that decides for the other one knows less than both. The truth lies between.
+            low = of_error.value / density
+            each = (of_error.halves[0][0] / two + of_error.halves[1][0] / one) / 2
+            each *= np.sqrt(low.mean() / each.mean()) if each.any() else 1.0
+        found, surely = _squared(each, of_error.spread / density**2, how.percentile)
+    known: dict[str, Any] = {n: v for n, v in found.to_dict().items() if math.isfinite(v)}
+    if how.error is not None:
+        known["surely"] = surely
     if how.percentile is not None:
         known["percentile"] = how.percentile
-    return density.astype(np.float32), {n: v for n, v in known.items() if math.isfinite(v)}
+    return density.astype(np.float32), known
 
 
-def _over_pixels(noise: Floats, percentile: float | None) -> Interval[float]:
-    """Return the mean or a percentile over the image, with an interval from its blocks."""
-    # Loads SciPy, which a render need not wait for.
-    from chdstat._core.resampling import Blocks, mean_of, quantile_of
+def _by_others(look: Look, how: Adaptive, features: Mapping[str, Image]) -> Floats:
+    """Return densities of which the samples of other classes decide those of a class."""
+    classes = classes_of(*look.brightness.shape)
+    noise = _noise_for_counts(look, how.measure, classes).value
+    needs = _around(
+        np.stack([noise, look.brightness], axis=-1),
+        features,
+        _WIDE,
+        lambda here, there: classes[here] != classes[there],
+    )
+    return density_of(needs, _POWERS[how.measure], how.least, classes)
 
-    blocks = Blocks.grid(*noise.shape)
-    if percentile is None:
-        return mean_of(noise.ravel(), blocks)
-    return quantile_of(noise.ravel(), blocks, percentile / 100)
 
+def more(look: Look, how: Adaptive, features: Mapping[str, Image]) -> Floats | None:
+    """Return by what factor each pixel needs more samples, shape (y, x); None if none does.
 
-def _halved(noise: Floats, density: Floats, percentile: float | None) -> float:
-    """Return the noise of the image, where each half gets the samples that the other half suggests.
+    The other classes of pixels decide for a class, by the mean of their errors. The largest of them
+    counts as the next one, so that noise that only one class has, as a single pixel does, makes no
+    other class go on in vain.
 
-    The number of samples of a pixel thus does not depend on its own samples, even if one of them
-    decides the error of the whole image.
+    Parameters
+    ----------
+    look
+        At samples whose numbers are independent of them, so that trial samples decided.
+    how, features
+        As for `decided`.
     """
-    padded = np.pad(density, 1, mode="reflect")  # beside a pixel are those for which it decides
-    beside = padded[2:, 1:-1] + padded[:-2, 1:-1] + padded[1:-1, 2:] + padded[1:-1, :-2]
-    own, halves = 4 * noise / beside, [half for half in _halves(*noise.shape) if half.any()]
-    tells = [own[~half] if (~half).any() else own for half in halves]
-    needs = [x.mean() if percentile is None else np.percentile(x, percentile) for x in tells]
-    total = float(sum(n * half.mean() for n, half in zip(needs, halves, strict=True)))
-    for need, half in zip(needs, halves, strict=True):
-        density[half] *= need / total
-    return total
+    assert how.error is not None, "an error was asked for"
+    classes = classes_of(*look.brightness.shape)
+    noise = _noise_for_error(look, "relMSE", features, classes)
+    if how.percentile is not None:
+        noise = noise.likely(features, classes)
+    each = noise.value / np.maximum(look.whole.count.min(axis=-1), 1)
+    if each.size < 2 * _CLASSES:
+        return None
+
+    # What one class alone has counts as much as what the next one has.
+    needs = np.array(
+        [
+            part.mean() if how.percentile is None else np.percentile(part, how.percentile)
+            for part in (each[classes == number] for number in range(_CLASSES))
+        ]
+    )
+    factors = np.empty(_CLASSES)
+    for number in range(_CLASSES):
+        others = np.sort(np.delete(needs, number))
+        factors[number] = np.minimum(others, others[-2]).mean() / how.error**2
+    factors = np.where(factors > TOLERANCE**2, factors, 1.0)
+    return factors[classes] if (factors > 1).any() else None
+
+
+def _squared(
+    each: Floats, spread: Floats, percentile: float | None = None
+) -> tuple[Interval[float], float]:
+    """Return the squared error of an image.
+
+    Also the squared error that the image has at most, or a tenth more, in nine of ten renders: that
+    of few pixels may by chance be much larger than is expected.
+
+    Parameters
+    ----------
+    each, spread
+        Expected squared errors of the pixels, and the variances of their estimates, shape (y, x).
+    percentile
+        As for `error_of`.
+    """
+    # Loads SciPy, which a render need not wait for.
+    from scipy import stats
+
+    from chdstat._core.resampling import LEVEL, Blocks, Interval, quantile_of
+
+    if percentile is not None:
+        found = quantile_of(each.ravel(), Blocks.grid(*each.shape), percentile / 100)
+        return found, found.value
+    if not (value := float(each.mean())) > 0:
+        return Interval(0.0, 0.0, 0.0), 0.0
+    total = each.sum() ** 2
+    chance = total / np.square(each).sum()
+    doubt = 2 * total / max(float(spread.sum()), 1e-12 * total)
+    low, high = value * stats.f.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], chance, doubt)
+    surely = value * max(float(stats.chi2.ppf(_SURE, chance) / chance) / TOLERANCE**2, 1.0)
+    return Interval(value, float(low), float(high)), surely
 
 
 def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
-    """Return the relative error that the first samples of an adaptive render predict, or None.
+    """Return the error that was predicted when an adaptive render decided counts, or None.
 
     Parameters
     ----------
@@ -411,7 +703,11 @@ def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
 
 
 def error_of(
-    samples: Samples, measure: str = "relMSE", percentile: float | None = None
+    samples: Samples | Look,
+    measure: str = "relMSE",
+    percentile: float | None = None,
+    *,
+    features: Mapping[str, Image] | None = None,
 ) -> Interval[float]:
     """Return the error of the mean image, estimated from its samples: the root of relMSE or MSE.
 
@@ -420,12 +716,19 @@ def error_of(
     Parameters
     ----------
     samples
-        Independent samples.
+        Independent samples, or a `Look` at them.
     measure
-        "relMSE" or "MSE".
+        "relMSE", whose root is the relative error that `chdstat.render` reaches, or "MSE".
     percentile
         Return the error that this percentage of the pixels does not exceed, such as 95, instead of
         the image's.
+    features
+        First-hit features, which tell similar pixels; None for those of the samples.
+
+    Returns
+    -------
+    Interval
+        The error, and a 95 % interval for the error of this image.
 
     Examples
     --------
@@ -433,8 +736,12 @@ def error_of(
     >>> error_of(Samples.from_array(x), "MSE")
     Interval(value=...)
     """
-    counts = samples.counts
-    noise = _Seen.of(samples).noise_for_error(measure, samples.features, percentile)
-    return _over_pixels(
-        noise / np.maximum(samples.spp if counts is None else counts, 1), percentile
-    ).root()
+    if isinstance(samples, Samples):
+        features = samples.features if features is None else features
+        samples = Look.of(samples)
+    noise = _noise_for_error(samples, measure, features or {})
+    if percentile is not None:
+        noise = noise.likely(features or {})
+    number = np.maximum(samples.whole.count.min(axis=-1), 1)
+    found, _ = _squared(noise.value / number, noise.spread / number**2, percentile)
+    return found.root()

@@ -23,16 +23,16 @@ from chdstat._core.arrays import Image, Seed, whole
 from chdstat._core.files import free_disk, place_of
 from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
-from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, decided
+from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, Look, decided, error_of, more
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Crop, IntegratorLike, Job, RenderOptions, RenderSettings
-from chdstat.rendering.seeds import SamplerName, check_spp
+from chdstat.rendering.seeds import SamplerName, check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import GUIDE, counts_of, differing, missing_of, part_folder
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import DIRECT_DEPTH, Chunk, LightPart, chunk_grid
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import LONGEST
@@ -253,8 +253,11 @@ def _captured(
         with _features_restored(renderer, client, writer):
             _fill(renderer, writer, client, progress)
         if how is not None:
-            _decide(how, writer, job)
+            _decide(how, writer, renderer, client, progress)
             _fill(renderer, writer, client, progress)
+            look = _go_on(how, writer, job)
+            _fill(renderer, writer, client, progress)
+            _tell(how, writer, look, job.options.spp)
         parts = {}
         for which, of_part in partial.items():
             del renderer  # kernels are frozen where one scene is alive only
@@ -267,11 +270,16 @@ def _captured(
         return writer.finish(parts)
 
 
-def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
-    """Make room for the samples of each pixel, as decided from the first samples of all pixels."""
-    if writer.density is None:
-        density, noise = decided(writer.finish(), how)
-    else:
+def _decide(
+    how: Adaptive,
+    writer: Writer,
+    renderer: MitsubaRenderer,
+    client: Client | None,
+    progress: bool | None,
+) -> None:
+    """Make room for the samples of each pixel, as the first samples or trial samples decide."""
+    most = renderer.job.options.spp
+    if writer.density is not None:
         density, noise = writer.density, writer.attrs["noise"]
         if how.percentile not in (None, decided_for := noise.get("percentile")):
             of = "the whole image" if decided_for is None else f"{decided_for:g} % of the pixels"
@@ -281,10 +289,113 @@ def _decide(how: Adaptive, writer: Writer, job: Job) -> None:
                 "percentile out"
             )
             raise InputError(message)
-    spp = how.spp(noise, job.options.spp)
+    else:
+        held = writer.finish()
+        if how.error is None:
+            density, noise = decided(Look.of(held), how, held.features)
+        else:
+            density, noise = _tried(renderer, how, held.features, client, progress)
+    _make_room(writer, renderer.job, density, how.spp(noise, most), noise)
+
+
+def _make_room(
+    writer: Writer, job: Job, density: Image, spp: float, noise: Mapping[str, Any]
+) -> None:
+    """Let pixels have different numbers of samples, `spp` on average."""
     height, width = density.shape
-    check_spp(job.backend.name, width, height, int(counts_of(density, spp, how.first).max()))
+    counts = counts_of(density, spp, writer.attrs["adaptive"]["first"])
+    check_spp(job.backend.name, width, height, int(counts.max()))
     writer.decide(density, spp, noise)
+
+
+def _tried(
+    renderer: MitsubaRenderer,
+    how: Adaptive,
+    features: Mapping[str, Image],
+    client: Client | None,
+    progress: bool | None,
+) -> tuple[Image, dict[str, Any]]:
+    """Return what trial samples decide, which are not kept.
+
+    Their batches are numbered from the middle of those that have random numbers, so that none of
+    them is rendered.
+    """
+    (width, height), job = renderer.size, renderer.job
+    number = max_spp(job.backend.name, width, height) // (2 * BATCH)
+    look, drawn, wanted = None, 0, how.trials(job.options.spp)
+    while True:
+        while drawn < wanted:
+            begin, size = number * BATCH, min(BATCH, wanted - drawn)
+            chunks = chunk_grid(height, width, begin + size, ss=slice(begin, None))
+            part = _looked(renderer, list(chunks), client, progress)
+            look = part if look is None else look.merge(part)
+            number, drawn = number + 1, drawn + size
+        assert look is not None, "there are trial samples"
+        density, noise = decided(look, how, features)
+        noise["trials"] = drawn
+        if not how.more_trials(noise, job.options.spp):
+            return density, noise
+        wanted = 2 * drawn
+
+
+def _looked(
+    renderer: MitsubaRenderer, chunks: list[Chunk], client: Client | None, progress: bool | None
+) -> Look:
+    """Render chunks of one batch, look at them, and keep nothing."""
+    width, height = renderer.size
+    samples = sum(chunk.size for chunk in chunks)
+    with track(f"trying {renderer.job.scene.name}", samples, unit="S", show=progress) as advance:
+
+        def blocks() -> Iterator[tuple[tuple[slice, ...], Image]]:
+            for chunk, block in rendered(renderer, chunks, client):
+                assert block is not None, "without a store, samples are yielded"
+                yield (chunk.ys, chunk.xs), block
+                advance(chunk.size)
+
+        return Look.of_blocks((height, width, 3), blocks())
+
+
+def _go_on(how: Adaptive, writer: Writer, job: Job) -> Look | None:
+    """Make room for more samples, once, if those that were kept tell that the error needs them.
+
+    Return what was looked at, if nothing comes to it.
+    """
+    noise = writer.attrs["noise"]
+    if how.error is None or "trials" not in noise or noise.get("settled"):
+        return None
+    held, spp = writer.finish(), writer.attrs["spp"]
+    look, noise = Look.of(held), noise | {"settled": True}
+    factors, most = more(look, how, held.features), job.options.spp - noise["trials"]
+    if factors is None or most <= spp:
+        writer.update(noise=noise)
+        return look
+    assert writer.density is not None, "numbers were decided"
+    density = writer.density * factors
+    needed = spp * density.mean() / writer.density.mean()
+    noise = {k: v for k, v in noise.items() if k not in ("low", "high", "surely")}
+    noise["value"] = float(how.error**2 * needed)
+    density = writer.density * np.minimum(factors, most / spp)
+    mean = density.mean() / writer.density.mean()
+    # Rounded up: no pixel loses a sample.
+    rounded = np.nextafter((density / mean).astype(np.float32), np.float32(np.inf))
+    _make_room(writer, job, rounded, float(spp * mean), noise)
+    return None
+
+
+def _tell(how: Adaptive, writer: Writer, look: Look | None, most: int) -> None:
+    """Estimate the error of all samples, and say so if it is not what was asked for."""
+    held = writer.finish()
+    measure = how.measure if how.error is None else "relMSE"
+    found = error_of(look or Look.of(held), measure, how.percentile, features=held.features)
+    told = how.told(found)
+    writer.update(error=told)
+    if not told.get("reached", True):
+        of = "" if how.percentile is None else f" of {how.percentile:g} % of the pixels"
+        message = (
+            "the error%s is %s, not the %g that was asked for, with %.0f of at most %d spp; "
+            "a render with more spp into the same store goes on"
+        )
+        _log.warning(message, of, found, how.error, writer.attrs["spp"], most)
 
 
 def render_pixels(
@@ -493,7 +604,7 @@ class MemoryWriter:
         np.copyto(held, block, where=where)
         self._done += chunk.size
 
-    def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
+    def decide(self, density: Image, spp: float, noise: Mapping[str, Any]) -> None:
         """Let pixels have different numbers of samples from now on, `spp` on average."""
         first, self.density = self._array, density
         self.attrs |= {"spp": spp, "noise": dict(noise)}
@@ -514,6 +625,10 @@ class MemoryWriter:
         self._features = {n: image for n, image in features.items() if n not in GUIDE}
         if why_none:
             self.attrs["why_no_features"] = why_none
+
+    def update(self, **attrs: Any) -> None:
+        """Change attributes."""
+        self.attrs |= attrs
 
     def spent(self, seconds: float) -> None:
         """Record the rendering time."""

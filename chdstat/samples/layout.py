@@ -98,7 +98,7 @@ FOREIGN = (
 )
 """Errors that damaged bytes may raise in the libraries that read them."""
 _DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
-_GROWING = ("spp", "noise", "render_seconds", "appended", "why_no_features")
+_GROWING = ("spp", "noise", "error", "render_seconds", "appended", "why_no_features")
 """Attributes that change while samples are added; all others identify the store."""
 _LABEL = struct.Struct("<8s8s4IQII")
 """Mark, identity, tile_y, tile_x, batch, samples, length and checksum of the bytes before it, and

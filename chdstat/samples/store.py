@@ -560,13 +560,13 @@ class Store:
         with layout.disk_errors(self.path):
             self._save()
 
-    def decide(self, density: Image, spp: int, noise: Mapping[str, float]) -> None:
+    def decide(self, density: Image, spp: float, noise: Mapping[str, Any]) -> None:
         """Let pixels have different numbers of samples from now on, `spp` on average."""
-        if self.density is None:
+        if self.density is not None and spp <= self._attributes["spp"]:
+            return
+        if self.density is None or not np.array_equal(self.density, density):
             with layout.disk_errors(self.path):
                 self._write_feature(layout.DENSITY, density)
-        elif spp <= self._attributes["spp"]:
-            return
         self.density = density
         self._attributes |= {"noise": dict(noise), "spp": spp}
         self._grow(int(cast("Any", self.counts()).max()))
