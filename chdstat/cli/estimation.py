@@ -81,8 +81,9 @@ def train(
 @command(
     "estimate bathroom.zarr -o bathroom.exr --denoise",
     *VIEW,
-    *("store", "scheduler", "workers", "overwrite"),
+    *("error", "store", "scheduler", "workers", "overwrite"),
     *OUTPUT,
+    error="all samples",
 )
 def estimate(
     source: SceneOrStore,
@@ -103,14 +104,6 @@ def estimate(
         float | None,
         option("While rendering: stop after this many seconds.", "--time", unset="all samples"),
     ] = None,
-    relative_error: Annotated[
-        float | None,
-        option(
-            "While rendering: stop at this estimated relative error.",
-            "--error",
-            unset="all samples",
-        ),
-    ] = None,
 ) -> None:
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
@@ -118,7 +111,7 @@ def estimate(
     applies a trained model. An EXR file has the estimate, and layers for its certainty, the ends of
     its interval, and the mean of the samples. .npy and .pfm files have its linear radiance; a .png
     is tone-mapped. With --while-rendering, the file is written at each doubling of the number of
-    samples.
+    samples; --time and --error stop it.
     """
     from chdstat._core.files import kept_until_written
     from chdstat.estimators.estimates import write_estimates
@@ -127,7 +120,7 @@ def estimate(
 
     target = asked.target(out, *IMAGES)  # refused before the work, not after
     trained = None if model is None else load_model(model)
-    endless = (seconds, relative_error) != (None, None)
+    endless = (seconds, asked.error) != (None, None)
     samples = (
         _drawn(source, asked, endless=endless)
         if while_rendering
@@ -145,7 +138,7 @@ def estimate(
             client=client,
             checkpoint=checkpoint,
             seconds=seconds,
-            relative_error=relative_error,
+            relative_error=asked.error,
         )
     about = IMAGES[path.suffix.lower()]
     if asked.as_json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shlex
 import shutil
@@ -55,16 +56,16 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
 
 def _errors_of(samples: Samples) -> Mapping[str, Any]:
     """Return the predicted and the estimated error of an adaptive render, by name."""
-    from chdstat.rendering.adaptive import error_of, expected_error
+    from chdstat._core.resampling import Interval
+    from chdstat.rendering.adaptive import expected_error
 
-    expected = expected_error(samples.attrs)
-    if expected is None:
+    found, expected = samples.attrs.get("error"), expected_error(samples.attrs)
+    if found is None or expected is None:
         return {}
-    measure = samples.attrs["adaptive"]["measure"]
-    about = "relative_error" if measure == "relMSE" else "root_of_mse"
-    if (percentile := samples.attrs["noise"].get("percentile")) is not None:
+    about = "relative_error"
+    if (percentile := found.get("percentile")) is not None:
         about += f"_of_{percentile:g}_%_of_pixels"
-    estimated = error_of(samples, measure, percentile)
+    estimated = Interval(*(found.get(name, math.nan) for name in ("value", "low", "high")))
     return {f"predicted_{about}": expected, f"estimated_{about}": estimated}
 
 

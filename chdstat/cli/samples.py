@@ -16,6 +16,8 @@ from chdstat.errors import ChdstatError, InputError
 
 __all__ = ["export", "import_samples", "include", "info", "render"]
 
+_NOT_REACHED = 3
+"""Exit code of a render whose error is larger than what was asked for."""
 _OF_RENDER = ("sensor", "integrator", "crop", "color", "sampler", "sequence")
 
 
@@ -23,9 +25,10 @@ _OF_RENDER = ("sensor", "integrator", "crop", "color", "sampler", "sequence")
     "render bathroom -o bathroom.zarr --spp 512 --size 128x128",
     *VIEW,
     *_OF_RENDER,
-    *("scheduler", "workers", "overwrite"),
+    *("error", "scheduler", "workers", "overwrite"),
     *OUTPUT,
     spp="256",
+    error="--spp samples",
 )
 def render(
     scene: SceneName,
@@ -56,17 +59,9 @@ def render(
         bool,
         option(
             "Draw samples where they are needed. --spp is their mean number; a quarter of them "
-            "measures how noisy each pixel is."
+            "measures how noisy the image is. --error does so, too, with --spp as the most."
         ),
     ] = False,
-    error: Annotated[
-        float | None,
-        option(
-            "Draw as many adaptive samples as reach this relative error of the image, such as "
-            ".02, but --spp at most.",
-            metavar="ERROR",
-        ),
-    ] = None,
     percentile: Annotated[
         float | None,
         option(
@@ -83,6 +78,7 @@ def render(
 
     A store that was stopped half-way is resumed; a larger --spp appends to it. With --summary-only,
     no samples are kept: PATH gets maps of statistics, histograms and families, as of 'analyze -o'.
+    The exit code is 3 if the --error was not reached, and 2 if nothing could be rendered.
     """
     import chdstat
     from chdstat._core.files import kept_until_written
@@ -93,7 +89,7 @@ def render(
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     described = asked.scene(scene)
     if summary_only:
-        if direct or by_depth or light or adaptive or (error, percentile) != (None, None):
+        if direct or by_depth or light or adaptive or (asked.error, percentile) != (None, None):
             message = (
                 "--summary-only keeps no samples, which --direct, --by-depth, --light, --adaptive "
                 "and --error need"
@@ -117,7 +113,7 @@ def render(
             by_depth=by_depth,
             by_light=light or (),
             adaptive=adaptive,
-            error=error,
+            error=asked.error,
             percentile=percentile,
             out=out,
             client=client,
@@ -125,6 +121,8 @@ def render(
             **asked.settings,
         )
     output.say_samples(samples, as_json=asked.as_json, quiet=asked.quiet)
+    if not samples.attrs.get("error", {}).get("reached", True):
+        raise typer.Exit(_NOT_REACHED)
 
 
 def _feature(name: str) -> Any:

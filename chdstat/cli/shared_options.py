@@ -117,6 +117,14 @@ class CommonOptions:
             unset=f"{RenderOptions.spp} of a scene, all of a store",
         ),
     ] = None
+    error: Annotated[
+        float | None,
+        option(
+            "Relative error of the image at which to stop: the root of its relMSE, .02 for 2 %.",
+            "--error",
+            metavar="ERROR",
+        ),
+    ] = None
     size: Annotated[
         str | None, option("Image size in pixels.", metavar="WxH", unset="the scene's own")
     ] = None

@@ -251,8 +251,8 @@ def write_estimates(
     samples, model, spp, level, denoise, progress, client, checkpoint
         As for `estimate`.
     seconds, relative_error
-        Stop a rendering after so many seconds, or as soon as the estimated error of the image,
-        divided by its mean, is at most this.
+        Stop a rendering after so many seconds, or as soon as the estimated relative error of the
+        image (`Combination.relative_error`) is at most this.
 
     Returns
     -------
@@ -294,7 +294,9 @@ def write_estimates(
         if relative_error is not None and isinstance(found, Combination):
             _log.info("%d spp: relative error %.3g", found.spp, found.relative_error)
             if found.relative_error <= relative_error:
-                break
+                return target
+    if relative_error is not None and seconds is None:
+        _log.warning("the relative error of %g was not reached in all samples", relative_error)
     return target
 
 
@@ -489,7 +491,10 @@ class Combination(Estimates):
 
     @property
     def relative_error(self) -> float:
-        """Relative error of the image, the root of its relMSE, estimated from the intervals."""
+        """Relative error of the image: the root of its relMSE, estimated from the intervals.
+
+        The same measure as ``chdstat.render(error=)`` reaches for the mean of the samples.
+        """
         width = (self.high - self.low) / (2 * stats.norm.ppf(0.5 + self.level / 2))
         return relative_error(np.square(width, dtype=np.float64), self.radiance)
 

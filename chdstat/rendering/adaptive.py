@@ -217,7 +217,8 @@ class Adaptive:
     def needed(self, noise: Mapping[str, Any]) -> float:
         """Return the mean samples per pixel that reach the error."""
         assert self.error is not None, "an error was asked for"
-        return max(math.ceil(noise.get("surely", noise["value"]) / self.error**2), self.first)
+        value = float(noise.get("surely", noise["value"]))
+        return max(math.ceil(value / self.error**2), self.first)
 
     def spp(self, noise: Mapping[str, Any], most: int) -> int:
         """Return the mean samples per pixel that reach the error; with trials, at most `most`."""
@@ -239,6 +240,15 @@ class Adaptive:
         if self.error is not None:
             told |= {"asked": self.error, "reached": found.value <= TOLERANCE * self.error}
         return told
+
+    def not_reached(self, found: Interval[float], spp: float, most: int) -> str:
+        """Return what to tell of an error that is larger than what was asked for."""
+        assert self.error is not None, "an error was asked for"
+        of = "" if self.percentile is None else f" of {self.percentile:g} % of the pixels"
+        advice = f"a larger spp than {most} goes on"
+        if spp < 0.99 * most:
+            advice = f"error={self.error**2 / found.value:.2g} goes on"
+        return f"the error{of} is {found}, more than the {self.error:g} asked for; {advice}"
 
 
 @dataclass(frozen=True)
@@ -284,7 +294,7 @@ class Look:
     @cached_property
     def brightness(self) -> Floats:
         """Mean over the channels, shape (y, x), at least 0."""
-        return np.maximum(self.whole.mean.mean(axis=-1), 0)
+        return np.asarray(np.maximum(self.whole.mean.mean(axis=-1), 0))
 
 
 class _Noise(NamedTuple):
@@ -317,9 +327,10 @@ class _Noise(NamedTuple):
         values, squares = (
             np.stack([half[i] for half in self.halves], axis=-1)[:, :, np.newaxis] for i in (0, 1)
         )
-        found = np.maximum(_likely(values, squares, features, classes, width), 0)[..., 0, :]
-        halves = [(found[..., i + 1], self.halves[i][1]) for i in (0, 1)]
-        return _Noise(found[..., 0], self.spread, (halves[0], halves[1]))
+        found = _likely(values, squares, features, classes, width)
+        one, two = (np.maximum(found.halves[..., 0, i], 0) for i in (0, 1))
+        halves = (one, self.halves[0][1]), (two, self.halves[1][1])
+        return _Noise(np.maximum(found.value[..., 0], 0), self.spread, halves)
 
 
 def _variance(moments: Moments) -> Floats:
@@ -330,12 +341,13 @@ def _spread(moments: Moments) -> Floats:
     """Return the variance of the variance, from the fourth moment; 0 below two samples."""
     n = np.maximum(moments.count, 2)
     found = (moments.m4 / n - (n - 3) / (n - 1) * _variance(moments) ** 2) / n
-    return np.where(moments.count > 1, np.maximum(found, 0), 0)
+    return np.asarray(np.where(moments.count > 1, np.maximum(found, 0), 0))
 
 
 def _over(values: Floats, scale: Floats) -> Floats:
     """Return values over a scale, averaged over the channels; 0 where both are."""
-    return np.divide(values, scale, out=np.zeros_like(values), where=scale > 0).mean(axis=-1)
+    relative = np.divide(values, scale, out=np.zeros_like(values), where=scale > 0)
+    return np.asarray(relative.mean(axis=-1))
 
 
 def _relative(mean: Floats, of_scene: Floats, classes: Classes | None) -> Floats:
@@ -370,12 +382,25 @@ def _noise_for_error(
         return _noise_for_counts(look, measure, classes)
     means = np.stack([half.mean for half in look.halves], -1)
     squares = np.stack([_variance(h) / np.maximum(h.count, 1) for h in look.halves], -1)
-    own, error = look.whole.mean, np.sqrt(_variance(look.whole) / np.maximum(look.whole.count, 1))
+    own, square = look.whole.mean, _variance(look.whole) / np.maximum(look.whole.count, 1)
+    likely, error = _likely(means, squares, features, classes), np.sqrt(square)
     # By one standard error at most (Efron and Morris 1972, "Limiting the risk of Bayes and
     # empirical Bayes estimators", doi:10.2307/2284711).
-    likely = _likely(means, squares, features, classes)[..., 0]
-    mean = np.clip(likely, own - error, own + error)
-    return _Noise.of(look, _relative(mean, own, classes))
+    mean = np.clip(likely.value, own - error, own + error)
+    # Of a Poisson number k of bright samples, E 1 / (k + 1) is nearly 1 / E k, and E 1 / k larger.
+    known = np.sqrt(mean**2 + likely.weight * square)
+    return _Noise.of(look, _relative(known, own, classes))
+
+
+class _Likely(NamedTuple):
+    """Likely values of each pixel, shape (y, x, channel), and by each half of its samples.
+
+    `weight` is that of the pixel's own value, beside those around.
+    """
+
+    value: Floats
+    halves: Floats
+    weight: Floats
 
 
 def _likely(
@@ -384,8 +409,8 @@ def _likely(
     features: Mapping[str, Image],
     classes: Classes | None = None,
     width: float = _NEAR,
-) -> Floats:
-    """Return likely values of each pixel, shape (y, x, channel, 3): by all samples and each half.
+) -> _Likely:
+    """Return likely values of each pixel.
 
     A value is drawn towards those of similar pixels around, from which it deviates by d. The
     deviation of the other half of the samples tells how much of d is the pixel's own: its sum, over
@@ -421,12 +446,12 @@ def _likely(
             )
             of_kind = np.divide(other, this, out=np.zeros_like(this), where=this != 0)
             share[..., channel, half] = np.clip(of_kind, 0, 1)[kind]
-    weight, total = (share * away**2).sum(axis=-1), (away**2).sum(axis=-1)
-    of_half = np.divide(weight, total, out=np.ones_like(weight), where=total > 0)
+    kept, total = (share * away**2).sum(axis=-1), (away**2).sum(axis=-1)
+    of_half = np.divide(kept, total, out=np.ones_like(kept), where=total > 0)
     # Both halves together are as reliable as Spearman (1910) and Brown (1910) say.
-    whole = around + 2 * of_half / (1 + of_half) * (own - around)
+    weight = 2 * of_half / (1 + of_half)
     halves = around[..., np.newaxis] + share * away
-    return np.concatenate([whole[..., np.newaxis], halves], axis=-1)
+    return _Likely(around + weight * (own - around), halves, weight)
 
 
 # --- pixels around a pixel ----------------------------------------------------------------------
@@ -571,7 +596,7 @@ def decided(
         First-hit features, as far as they exist.
     """
     # The error is a relative one, whatever it is that counts minimise.
-    of_error = _noise_for_error(look, how.measure if how.error is None else "relMSE", features)
+    of_error = _noise_for_error(look, "relMSE", features)
     if how.error is None:
         density = _by_others(look, how, features)
         found, surely = _squared(of_error.value / density, of_error.spread / density**2)

@@ -132,16 +132,19 @@ def render(
         lights. `chdstat.patterns.attribute` returns their shares, too.
     adaptive
         Draw samples where they are needed. Every pixel gets some first (a quarter of `spp`, or 32
-        but at most half). The others are drawn where the first ones tell that the image is noisy;
-        see `chdstat.rendering.adaptive`. True minimises the relative error of the image ("relMSE"),
-        "MSE" the absolute one. The samples of a pixel do not depend on their number, so that means
-        have no bias. With llvm and cuda, they are the first samples of a render that is not
-        adaptive. With scalar, they are drawn pixel by pixel, which takes longer. An adaptive `out`
-        continues adaptively.
+        but at most half). The others are drawn where the first ones of other pixels tell that the
+        image is noisy; see `chdstat.rendering.adaptive`. True minimises the relative error of the
+        image ("relMSE"), "MSE" the absolute one. The samples of a pixel do not depend on their
+        number, so that means have no bias. With llvm and cuda, they are the first samples of a
+        render that is not adaptive. With scalar, they are drawn pixel by pixel, which takes longer.
+        An adaptive `out` continues adaptively.
     error
-        Relative error of the image to reach, such as 0.02: the root of relMSE, or with
-        ``adaptive="MSE"`` of MSE. The first samples, at most 64 per pixel, predict the number that
-        it takes; `spp` is the most that are drawn on average. The render is then adaptive.
+        Relative error of the image to reach, such as 0.02 for 2 %: the root of its relMSE (see
+        `chdstat.rendering.adaptive`). The render is then adaptive. Trial samples, which are not
+        kept, tell where and how many samples it takes; `spp` is the most that are drawn on average,
+        trials included. At the end, the error is estimated from all samples that are kept:
+        ``samples.attrs["error"]`` holds its value, the ends of its 95 % interval, and whether it is
+        ``reached``, with a tenth more allowed. If it is not, a warning says so.
     percentile
         Reach the error in single pixels: 95 means in 95 % of them. None takes the error of the
         image, which its noisiest pixels decide.
@@ -385,17 +388,12 @@ def _go_on(how: Adaptive, writer: Writer, job: Job) -> Look | None:
 def _tell(how: Adaptive, writer: Writer, look: Look | None, most: int) -> None:
     """Estimate the error of all samples, and say so if it is not what was asked for."""
     held = writer.finish()
-    measure = how.measure if how.error is None else "relMSE"
-    found = error_of(look or Look.of(held), measure, how.percentile, features=held.features)
+    found = error_of(look or Look.of(held), "relMSE", how.percentile, features=held.features)
     told = how.told(found)
     writer.update(error=told)
     if not told.get("reached", True):
-        of = "" if how.percentile is None else f" of {how.percentile:g} % of the pixels"
-        message = (
-            "the error%s is %s, not the %g that was asked for, with %.0f of at most %d spp; "
-            "a render with more spp into the same store goes on"
-        )
-        _log.warning(message, of, found, how.error, writer.attrs["spp"], most)
+        of_trials = writer.attrs["noise"].get("trials", 0)
+        _log.warning(how.not_reached(found, writer.attrs["spp"] + of_trials, most))
 
 
 def render_pixels(

@@ -661,7 +661,7 @@ ImageLike: TypeAlias = Samples | str | Path
 
 def different_counts(attrs: Mapping[str, Any], numbers: str) -> str:
     """Return how the numbers of samples per pixel differ, and what follows from that."""
-    why = "those of other pixels decided how many" if "adaptive" in attrs else _BIASED
+    why = "none of its own decided how many" if "adaptive" in attrs else _BIASED
     return f"{numbers} in a pixel; {why}"
 
 
