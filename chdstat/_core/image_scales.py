@@ -57,7 +57,7 @@ def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array
     return np.asarray(value**2 + DARK * np.square(of_scene))
 
 
-def relative_error(squared: npt.NDArray[np.floating[Any]], image: Array) -> float:
+def relative_error(squared: Reals, image: Array) -> float:
     """Return the relative error of an image: the root of its relMSE.
 
     relMSE is the mean over pixels and channels of ``e^2 / (y^2 + 0.01 m^2)``, with y the radiance
