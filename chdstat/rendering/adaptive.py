@@ -42,9 +42,9 @@ The error
 The error of an image is the root of its relMSE: `chdstat._core.image_scales.relative_error`. The
 variance of the mean, in its numerator, has no bias. The denominator is the squared mean of the
 pixel, and a single bright sample makes both large: relative to their own means, pixels never seem
-to have large errors. Relative to the means around them, pixels that differ from these do. So the
-denominator is the square of the *likely* mean: the pixel's own, drawn towards those around it, as
-far as its deviation from them is chance. Two halves of the samples tell that: see `_likely`.
+to have large errors. Relative to the means around them, pixels that differ from these do. So both
+are averaged, with a weight for the probability that the deviation of the pixel is its own, and not
+chance. Two halves of the samples tell that: see `_likely`.
 
 The interval is about the error of this very image. With :math:`c_i` the estimated squared error of
 pixel i and :math:`s_i` its standard error, the sum of the squared errors has a variance of about
@@ -118,6 +118,8 @@ _LITTLE = 0.02
 _ALIKE = (-6.0, -1.5, -0.5, 0.0, 0.5, 1.5, 3.0, 6.0, 12.0, 25.0, 100.0)
 """Ends of the squared deviations, in squared standard errors and with their sign, that count as
 equally significant."""
+_FEW = (1.2, 1.6, 2.2, 3.0, 4.5, 7.0, 12.0)
+"""Ends of the numbers of samples that make a mean, if they are few: these count as alike."""
 TOLERANCE = 1.1
 """An error counts as reached if its estimate exceeds it by at most a tenth."""
 _SURE = 0.9
@@ -386,21 +388,24 @@ def _noise_for_error(
     likely, error = _likely(means, squares, features, classes), np.sqrt(square)
     # By one standard error at most (Efron and Morris 1972, "Limiting the risk of Bayes and
     # empirical Bayes estimators", doi:10.2307/2284711).
-    mean = np.clip(likely.value, own - error, own + error)
+    around = np.clip(likely.around, own - error, own + error)
     # Of a Poisson number k of bright samples, E 1 / (k + 1) is nearly 1 / E k, and E 1 / k larger.
-    known = np.sqrt(mean**2 + likely.weight * square)
-    return _Noise.of(look, _relative(known, own, classes))
+    scales = (_relative(mean, own, classes) for mean in (np.sqrt(own**2 + square), around))
+    of_own, of_others = (np.divide(1, x, out=np.zeros_like(x), where=x > 0) for x in scales)
+    mixed = likely.weight * of_own + (1 - likely.weight) * of_others
+    return _Noise.of(look, np.divide(1, mixed, out=np.zeros_like(mixed), where=mixed > 0))
 
 
 class _Likely(NamedTuple):
-    """Likely values of each pixel, shape (y, x, channel), and by each half of its samples.
+    """Likely values of each pixel, (y, x, channel), and by each half of its samples.
 
-    `weight` is that of the pixel's own value, beside those around.
+    `weight` is that of the pixel's own value; the rest is that of the values `around`.
     """
 
     value: Floats
     halves: Floats
     weight: Floats
+    around: Floats
 
 
 def _likely(
@@ -414,9 +419,11 @@ def _likely(
 
     A value is drawn towards those of similar pixels around, from which it deviates by d. The
     deviation of the other half of the samples tells how much of d is the pixel's own: its sum, over
-    the sum of d, among all pixels (of a class) where d is as significant. This is an empirical
-    Bayes estimate (Efron and Morris 1975, "Data analysis using Stein's estimator and its
-    generalizations", doi:10.2307/2285814) that assumes no family of distributions.
+    the sum of d, among all pixels (of a class) that are alike. Alike are those whose d is as
+    significant, or, where few bright samples make the mean, as many of them: its square, over its
+    squared standard error. This is an empirical Bayes estimate (Efron and Morris 1975, "Data
+    analysis using Stein's estimator and its generalizations", doi:10.2307/2285814) that assumes no
+    family of distributions.
 
     Parameters
     ----------
@@ -433,10 +440,15 @@ def _likely(
     own = values.mean(axis=-1)
     around = _around(own, features, width, _same(classes))
     away = values - around[..., np.newaxis]
-    size = np.divide(away**2, squares, out=np.full_like(away, np.inf), where=squares > 0)
-    kinds = np.digitize(np.copysign(size, away), _ALIKE)
+    size, number = (
+        np.divide(x**2, squares, out=np.full_like(away, np.inf), where=squares > 0)
+        for x in (away, values)
+    )
+    few = np.digitize(number, _FEW)
+    by_number = len(_ALIKE) + 1 + 2 * few + (away > 0)
+    kinds = np.where(few < len(_FEW), by_number, np.digitize(np.copysign(size, away), _ALIKE))
     if classes is not None:
-        kinds += (len(_ALIKE) + 1) * classes[..., np.newaxis, np.newaxis]
+        kinds += (kinds.max() + 1) * classes[..., np.newaxis, np.newaxis]
     share = np.empty_like(away)
     for channel in range(own.shape[-1]):
         for half in (0, 1):
@@ -451,7 +463,7 @@ def _likely(
     # Both halves together are as reliable as Spearman (1910) and Brown (1910) say.
     weight = 2 * of_half / (1 + of_half)
     halves = around[..., np.newaxis] + share * away
-    return _Likely(around + weight * (own - around), halves, weight)
+    return _Likely(around + weight * (own - around), halves, weight, around)
 
 
 # --- pixels around a pixel ----------------------------------------------------------------------
