@@ -361,16 +361,15 @@ def _relative(mean: Floats, of_scene: Floats, classes: Classes | None) -> Floats
 
 
 def _noise_for_counts(look: Look, measure: str, classes: Classes | None) -> _Noise:
-    """Return the noise that counts follow: relative to the pixel's own mean, so never very large.
+    """Return the noise by which others decide: relative to own means, so never very large.
 
     The square of a mean of samples is too large by the variance of the mean, which is subtracted.
     """
     if measure == "MSE":
         return _Noise.of(look, np.ones(look.whole.mean.shape))
-    square = look.whole.mean**2
-    left = np.maximum(square - _variance(look.whole) / np.maximum(look.whole.count, 1), 0)
-    mean = np.sqrt(np.maximum(left, _LEFT * square))
-    return _Noise.of(look, _relative(mean, look.whole.mean, classes))
+    own, square = _mean_of(look.whole)
+    mean = np.sqrt(np.maximum(own**2 - square, _LEFT * own**2))
+    return _Noise.of(look, _relative(mean, own, classes))
 
 
 def _noise_for_error(
@@ -382,18 +381,50 @@ def _noise_for_error(
     """
     if measure == "MSE":
         return _noise_for_counts(look, measure, classes)
-    means = np.stack([half.mean for half in look.halves], -1)
-    squares = np.stack([_variance(h) / np.maximum(h.count, 1) for h in look.halves], -1)
-    own, square = look.whole.mean, _variance(look.whole) / np.maximum(look.whole.count, 1)
-    likely, error = _likely(means, squares, features, classes), np.sqrt(square)
-    # By one standard error at most (Efron and Morris 1972, "Limiting the risk of Bayes and
-    # empirical Bayes estimators", doi:10.2307/2284711).
-    around = np.clip(likely.around, own - error, own + error)
+    own, square, likely = _likely_means(look, features, classes)
     # Of a Poisson number k of bright samples, E 1 / (k + 1) is nearly 1 / E k, and E 1 / k larger.
-    scales = (_relative(mean, own, classes) for mean in (np.sqrt(own**2 + square), around))
+    means = np.sqrt(own**2 + square), _limited(likely.around, own, square)
+    scales = (_relative(mean, own, classes) for mean in means)
     of_own, of_others = (np.divide(1, x, out=np.zeros_like(x), where=x > 0) for x in scales)
     mixed = likely.weight * of_own + (1 - likely.weight) * of_others
     return _Noise.of(look, np.divide(1, mixed, out=np.zeros_like(mixed), where=mixed > 0))
+
+
+def _own_noise(look: Look, measure: str, features: Mapping[str, Image]) -> _Noise:
+    """Return the likely noise of each pixel, in which its own samples have a share.
+
+    It is relative to the likely mean, and to the error of the mean, so never very large: numbers
+    that follow a few fireflies leave too few for all other pixels.
+    """
+    if measure == "MSE":
+        return _noise_for_counts(look, measure, None).likely(features, width=_WIDE)
+    own, square, likely = _likely_means(look, features, None)
+    mean = np.sqrt(_limited(likely.value, own, square) ** 2 + square)
+    return _Noise.of(look, _relative(mean, own, None)).likely(features, width=_WIDE)
+
+
+def _likely_means(
+    look: Look, features: Mapping[str, Image], classes: Classes | None
+) -> tuple[Floats, Floats, _Likely]:
+    """Return the mean of each pixel, its squared standard error, and likely means."""
+    means, squares = (
+        np.stack(values, axis=-1)
+        for values in zip(*(_mean_of(half) for half in look.halves), strict=True)
+    )
+    return *_mean_of(look.whole), _likely(means, squares, features, classes)
+
+
+def _mean_of(moments: Moments) -> tuple[Floats, Floats]:
+    return moments.mean, _variance(moments) / np.maximum(moments.count, 1)
+
+
+def _limited(likely: Floats, own: Floats, square: Floats) -> Floats:
+    """Return likely means that differ from the own ones by one standard error at most.
+
+    See Efron and Morris 1972, "Limiting the risk of Bayes and empirical Bayes estimators",
+    doi:10.2307/2284711.
+    """
+    return np.clip(likely, own - np.sqrt(square), own + np.sqrt(square))
 
 
 class _Likely(NamedTuple):
@@ -613,8 +644,7 @@ def decided(
         density = _by_others(look, how, features)
         found, surely = _squared(of_error.value / density, of_error.spread / density**2)
     else:
-        needs = of_error if how.measure == "relMSE" else _noise_for_counts(look, "MSE", None)
-        needs, likely = needs.likely(features, width=_WIDE), of_error.likely(features)
+        needs, likely = _own_noise(look, how.measure, features), of_error.likely(features)
         even = of_error.value.mean()
         if how.percentile is not None:
             even = np.percentile(likely.value, how.percentile)
