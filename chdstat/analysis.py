@@ -59,8 +59,8 @@ _PREFIXED = ("modality", "normality", "averages")
 _AT_ONCE = 2**26
 """Bytes of maps that are written together."""
 _COMMENT = (
-    "where tail_variance_suspect, the moments behind this may be infinite: do not trust it; "
-    "where tail_variance_unidentified, the samples do not identify them"
+    "where tail_variance_suspect, the samples miss what the moments behind this depend on: do not "
+    "trust it; where tail_variance_unidentified, they do not tell"
 )
 
 
@@ -454,10 +454,9 @@ class Overview:
     label_agreement
         Kappa of the labels of neighbouring pixels: 0 as by chance, 1 for complete agreement.
     doubtful_variance
-        Share of the pixel channels with an estimated tail index of 1/2 or more, where the variance
-        of a generalised Pareto tail is infinite.
+        Share of the pixel channels whose error bar of so many samples is said to fail.
     unidentified_variance
-        Share of the pixel channels whose samples do not identify whether the variance is finite.
+        Share of the pixel channels whose samples do not tell whether their error bar holds.
     modes
         Share of the pixel channels with 1, 2, 3 modes of log radiance, by number.
     n_needed
@@ -507,7 +506,7 @@ def overview(found: xr.Dataset) -> Overview:
         for name in ("p_value", "rejected", "skewness")
     )
     distance = _values(found, "best_goodness_effect", fit_test="kolmogorov-smirnov")
-    margin, known = _values(found, "margin"), np.isfinite(_values(found, "tail_index"))
+    margin, known = _values(found, "margin"), np.isfinite(_values(found, "tail_coverage"))
     sizes = [found.isel(size=i) for i in range(found.sizes.get("size", 0))]
     families, held_out = (
         {name: pooled.value for name, pooled in pooled_shares(found, variable).items()}

@@ -100,6 +100,8 @@ class Reason(enum.IntEnum):
     """The likelihood is not regular or has no curvature there: there are no standard errors."""
     OUTSIDE = 14
     """Most samples lie outside of the support of the histogram, and their shape with them."""
+    EDGE = 15
+    """The edge of a mode lies among the largest samples: no tail index describes them."""
 
 
 def brief(error: BaseException) -> str:

@@ -108,6 +108,9 @@ class Statistic(Generic[Found]):
     prefix
         Prefix of the names of its variables. {} stands for the `subject`, in it, in labels and in
         `description`.
+    around
+        Names of variables that `finish` decides by the pixels around, or takes away. All others are
+        what the pixel has alone.
     """
 
     result: ClassVar[type[Result]]
@@ -116,6 +119,7 @@ class Statistic(Generic[Found]):
     binned: ClassVar[bool] = False
     logarithms: ClassVar[bool] = True
     prefix: ClassVar[str] = ""
+    around: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def subject(self) -> str:

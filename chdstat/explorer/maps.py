@@ -23,7 +23,7 @@ from chdstat import inference
 from chdstat._core.arrays import Array, Image, spans
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.explorer.place import FINITE, finite_variance
+from chdstat.explorer.place import HOLDS, error_bar
 from chdstat.explorer.sources import StoreSource
 from chdstat.fit.families import SELECTED
 from chdstat.fit.selection import FamilySelection
@@ -194,8 +194,8 @@ IMAGES = _table(
 MAPS = IMAGES | _table(
     Map("tail_index", "Tail index", "generalised Pareto ξ, luminance",
         lambda part: measured(part, TailIndex()).xi, ends=(-0.5, 1)),
-    Map("finite_variance", "Is the variance finite?", "by the tail of luminance",
-        lambda part: finite_variance(measured(part, TailIndex())), FINITE, ordered=True),
+    Map("error_bar", "Does the error bar hold?", "by the luminance of each pixel alone",
+        lambda part: error_bar(measured(part, TailIndex())), HOLDS, ordered=True),
     Map("best_family", "Best family", "by BIC, luminance", _best_family, _FAMILIES),
     Map("pattern", "Pattern", "primary label", names=_PATTERNS),
     Map("n_needed", "N needed for Gaussian averages", "samples, luminance", _n_needed),

@@ -419,9 +419,9 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
     heavy = [name for name, tail, row in tails if tail.variance_suspect[row]]
     if heavy:
         of = f" of {', '.join(dict.fromkeys(heavy))}" if len(heavy) < len(series) else ""
-        caution = f" · the variance{of} may be infinite: do not trust it"
+        caution = f" · the error bar{of} fails at so many samples: do not trust it"
     elif any(tail.variance_unidentified[row] for _, tail, row in tails):
-        caution = " · too few samples to say whether the variance is finite"
+        caution = " · the samples do not tell whether it holds"
     y = "over the mean of all" if several else ""
     return PanelData(lines, notes=[f"95 % interval of the mean{caution}"], y=y)
 

@@ -25,7 +25,6 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
-from chdstat.errors import Reason
 from chdstat.explorer.sources import MOST_POOLED, Overall, Sampled
 from chdstat.explorer.view import PixelIndex
 from chdstat.fit import Fit, Mixture
@@ -44,11 +43,11 @@ from chdstat.summary.runner import measured
 from chdstat.viz.chd import log_support
 
 __all__ = [
-    "FINITE",
+    "HOLDS",
     "MOST_TESTED",
     "RESAMPLES",
     "PlaceStatistics",
-    "finite_variance",
+    "error_bar",
     "first_pixel",
     "goodness",
     "suggest",
@@ -61,8 +60,8 @@ _POINTS = 96
 MOST_TESTED = 4096
 """Most samples that are tested: replicates for all samples of a region would take minutes."""
 
-FINITE = {0: "suspect", 1: "cannot tell", 2: "yes"}
-"""Whether a variance is finite, by the codes of `finite_variance`."""
+HOLDS = {0: "fails", 1: "cannot tell", 2: "holds"}
+"""Whether the error bar of so many samples holds, by the codes of `error_bar`."""
 
 FittedCurve = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
 """Name of a fit, and density and quantiles of its positive part."""
@@ -259,10 +258,10 @@ def _positive_quantiles(mixture: Mixture, level: Floats) -> Floats:
     return mixture.ppf(zero + (1 - zero) * level)
 
 
-def finite_variance(tail: Tail) -> Floats:
-    """Return codes of `FINITE`; NaN where there is no tail."""
-    codes = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
-    return np.where(tail.reason == Reason.OK, codes, np.nan)
+def error_bar(tail: Tail) -> Floats:
+    """Return codes of `HOLDS`, by the pixel's own samples; NaN where nothing is known."""
+    verdicts = tail.variance_suspect, tail.variance_unidentified, tail.variance_trusted
+    return np.asarray(np.select(verdicts, [0.0, 1.0, 2.0], np.nan))
 
 
 def goodness(

@@ -18,11 +18,11 @@ from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
 from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.explorer.place import (
-    FINITE,
+    HOLDS,
     MOST_TESTED,
     RESAMPLES,
     PlaceStatistics,
-    finite_variance,
+    error_bar,
 )
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
@@ -45,11 +45,6 @@ __all__ = [
 
 _ERROR = 0.01
 """Relative error of the mean that the headline counts the samples for."""
-_VARIANCE = {
-    "yes": "variance looks finite",
-    "suspect": "variance may be infinite",
-    "cannot tell": "variance: cannot tell",
-}
 _UNKNOWN = np.full(2, np.nan)
 """Ends of an interval that is not known."""
 _FIRST = 7
@@ -77,15 +72,14 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.divide(error, mean) if mean > 0 else np.nan
     needed = float(place.spp * (share / _ERROR) ** 2)
-    constant, trusted = bool(place.constant[-1]), _finite_variance(place, -1)
-    told = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
-    clear = {"suspect": "at least: heavy tail", "cannot tell": "if the tail allows it"}
+    constant, holds = bool(place.constant[-1]), _error_bar(place, -1)
+    told = f"error bar of {place.fitted_spp} spp: {holds}"
+    if constant or holds == "—":
+        told = "constant samples" if constant else "too few samples"
+    clear = {"fails": "at least: the error bar fails", "cannot tell": "if the error bar holds"}
     count = int(modes.modes[-1])
     low, high = map(percent, map(float, place.patterns.intervals["null_heavy"]))
     xi = float(tail.xi[-1])
-    if place.is_firefly:  # as in the patterns
-        xi = float(place.patterns.statistics["long_tail"])
-        told += "; the index leaves out the largest sample"
     return [
         ("Mean luminance", number(mean), f"standard error {number(error)} ({percent(share)})"),
         ("Null samples", percent(place.null_share), f"{low} to {high}"),
@@ -95,7 +89,7 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
             "—" if constant or not count else str(count),
             "constant samples" if constant else f"p of one mode {as_p(modes.dip_p_value[-1])}",
         ),
-        ("Spp for 1 % error", _count(needed), clear.get(trusted, f"{place.spp} are here")),
+        ("Spp for 1 % error", _count(needed), clear.get(holds, f"{place.spp} are here")),
     ]
 
 
@@ -259,9 +253,15 @@ def _parameters(place: PlaceStatistics, row: int) -> str:
     return "\n".join(f"{name} {number(float(v))}" for name, v in fit.parameters.items())
 
 
-def _finite_variance(place: PlaceStatistics, row: int) -> str:
-    code = float(finite_variance(place.tail)[row])
-    return FINITE[int(code)] if np.isfinite(code) else "—"
+def _error_bar(place: PlaceStatistics, row: int) -> str:
+    code = float(error_bar(place.tail)[row])
+    return HOLDS[int(code)] if np.isfinite(code) else "—"
+
+
+def _coverage(place: PlaceStatistics, row: int) -> str:
+    tail = place.tail
+    low, high = tail.coverage_own_interval[row]
+    return with_interval(tail.coverage_own[row], low, high, percent)
 
 
 def _needed(place: PlaceStatistics, row: int) -> str:
@@ -310,7 +310,8 @@ _STATISTICS: tuple[tuple[str, Callable[[PlaceStatistics, int], str], bool], ...]
         True,
     ),
     ("p of a gamma tail", lambda p, i: as_p(p.tail.p_exponential[i]), True),
-    ("finite variance", _finite_variance, True),
+    ("error bar of so many spp", _error_bar, True),
+    ("such 95 % error bars that hold", _coverage, True),
     ("modes", lambda p, i: str(p.modes.modes[i] or "—"), True),
     ("dip of log radiance", lambda p, i: number(p.modes.dip[i]), True),
     ("p of one mode (dip test)", lambda p, i: as_p(p.modes.dip_p_value[i]), True),

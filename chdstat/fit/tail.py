@@ -9,18 +9,20 @@ xi             Tail
 =============  =================================================================================
 below 0        bounded
 0              like an exponential or gamma distribution
-1/4 or more    the variance of the sample variance is infinite: an error bar means nothing
+1/4 or more    the variance of the sample variance is infinite
 1/2 or more    the variance is infinite
 1 or more      the mean is infinite
 =============  =================================================================================
 
 An automatic threshold may miss a rare heavy tail. The `FAR` largest samples therefore have an index
 of their own, and the variance of a pixel is trusted only where both indices allow it.
+
+The index describes the samples. Whether the error bar of their mean holds is another question:
+`chdstat.fit.error_bars` answers it, and `Tail.variance_suspect` and `Tail.variance_trusted` say it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
 
@@ -31,10 +33,18 @@ from scipy import interpolate, special
 from chdstat._core.arrays import Counts, Floats, Mask, rows_by_count, spans
 from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
 from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
+from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit._gamma import gamma_shape
-from chdstat.summary.runner import Source, of_source, run
+from chdstat.fit.error_bars import (
+    Bar,
+    ErrorBars,
+    shape_variables,
+    spp_in_words,
+    verdicts,
+    with_pooled_bars,
+)
+from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -62,6 +72,9 @@ The first quartile of the excesses of continuous samples was at least 1.8e-4 of 
 
 _DOMINATES = 0.5
 """The largest sample dominates if it is more than this share of the sum of all samples."""
+
+_INFINITE = 0.5
+"""Tail index from which the variance is infinite."""
 
 _FEW, _WIDEST = 512, 2.5
 """With fewer samples than `_FEW`, both estimates of the tail use nearly the same ones, so that the
@@ -94,7 +107,8 @@ class Tail(Result):
         ``0.9 / sqrt(n)``, as simulations of bounded tails show.
     interval
         Low and high end for xi, shape (..., 2). It covers the estimates with the largest sample and
-        without it; it is wide where the largest sample is more than half of the sum.
+        without it, and those of all candidates up to the one that the test does not reject; it is
+        wide where the largest sample is more than half of the sum.
     xi_far, interval_far
         Tail index of the `FAR` largest samples alone, and its interval. It detects a few samples
         from a heavier tail than the rest, which `interval` does not account for.
@@ -109,22 +123,28 @@ class Tail(Result):
         Generalised Pareto scale, and the radiance above which the tail begins.
     n, share
         Number of excesses used, and their share of the positive samples.
-    hill, hill_interval, hill_n
-        Hill's estimate, its interval, shape (..., 2), and the number of excesses behind it. Hill's
-        estimate is positive for every tail; use it for power laws only.
+    coverage_own, coverage_own_interval
+        Share of 95 % error bars ``mean ± 1.96 s / sqrt(spp)`` that hold the true mean, by the
+        pixel's own samples, and its interval: see `chdstat.fit.error_bars`. An image has also
+        ``tail_coverage``, by the pixels around, too, which see what one pixel may have missed.
     variance_suspect
-        Where xi >= 1/2. The variance may be infinite: do not trust the sample variance, or any
-        error bar made from it.
+        Where the error bar of so many samples is said to fail: it holds in less than 80 %, or the
+        interval of xi lies above 1/2, so that the variance is infinite. In an image, the pixels
+        around decide, and xi where their error bars are not known.
     variance_trusted
-        Where the upper end of the interval is below 1/2, and neither the largest candidate nor the
-        `FAR` largest samples are heavier than a gamma distribution. With fewer than 512 samples,
-        they must also vary no more than a gamma distribution. A heavy tail may still be missed if
-        few of its samples lie beyond the others: see the notes of `tail_index`.
+        Where the error bar is not said to fail, the upper end of the interval of xi is below 1/2,
+        and neither the largest candidate nor the `FAR` largest samples are heavier than a gamma
+        distribution. With fewer than 512 samples, they must also vary no more than a gamma
+        distribution. A heavy tail may still be missed if few of its samples
+        lie beyond the others: see the notes of `tail_index`. In an image: where the error bar holds
+        in 90 % or more, by the pixels around, too.
     variance_unidentified
-        Where the variance is neither suspect nor trusted: the samples do not determine whether it
-        is finite.
+        Where the variance is neither suspect nor trusted: the samples do not tell whether their
+        error bar holds.
     reason
-        `Reason` codes. Where it is not `OK`, the variance is not suspect, trusted or unidentified.
+        `Reason` codes of the tail index. Error bars have their own, in `error_bars`.
+    error_bars
+        What `variance_suspect` and the pixels of an image use: see `ErrorBars`.
     """
 
     xi: Floats = variable("generalised Pareto tail index xi", name="tail_index")
@@ -142,15 +162,13 @@ class Tail(Result):
     threshold: Floats = variable("radiance above which the tail begins", unit=RADIANCE)
     n: Counts = variable("samples above the threshold")
     share: Floats = variable("share of the positive samples above the threshold")
-    hill: Floats = variable("Hill estimate of the tail index")
-    hill_interval: Floats = variable("interval of the Hill estimate", "bound")
-    hill_n: Counts = variable("samples of the Hill estimate")
-    variance_suspect: Mask = variable("xi >= 1/2: do not trust the sample variance")
-    variance_trusted: Mask = variable("no estimate of the tail contradicts a finite variance")
-    variance_unidentified: Mask = variable(
-        "the samples do not determine whether the variance is finite"
-    )
+    coverage_own: Floats = variable("share of 95 % error bars that hold, by own samples")
+    coverage_own_interval: Floats = variable("interval of that share", "bound")
+    variance_suspect: Mask = variable("the error bar of so many samples fails: do not trust it")
+    variance_trusted: Mask = variable("nothing contradicts the error bar of so many samples")
+    variance_unidentified: Mask = variable("the samples do not tell whether their error bar holds")
     reason: npt.NDArray[np.int8] = variable("why there is no tail index")
+    error_bars: ErrorBars
     _drawn: ClassVar[str] = "share of the positive samples above it; dotted: an exponential tail"
 
     def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
@@ -168,16 +186,21 @@ class Tail(Result):
 
     def _card(self) -> Card:
         cases = {
-            "trusted": self.variance_trusted,
-            "suspect": self.variance_suspect,
-            "not determined": self.variance_unidentified,
+            "holds": self.variance_trusted,
+            "fails": self.variance_suspect,
+            "cannot tell": self.variance_unidentified,
         }
         low, high = self.interval[..., 0], self.interval[..., 1]
         facts = {
             "tail index": each(with_interval, self.xi, low, high),
             "excesses": self.n,
             "above": in_unit(written(self.threshold), RADIANCE),
-            "variance": np.select([*cases.values()], [*cases], "not known"),
+            f"error bar of {spp_in_words(self.error_bars.samples)}": np.select(
+                [*cases.values()], [*cases], "not known"
+            ),
+            "of such bars hold": each(
+                with_interval, self.coverage_own, *np.moveaxis(self.coverage_own_interval, -1, 0)
+            ),
             "not fitted": reasons(self.reason),
         }
         return Card("Tail", facts)
@@ -190,6 +213,10 @@ class TailIndex(Statistic[Tail]):
     result: ClassVar = Tail
     description: ClassVar = "measuring tails"
     prefix: ClassVar = "tail_"
+    around: ClassVar = frozenset({
+        *(f"tail_variance_{verdict}" for verdict in ("suspect", "trusted", "unidentified")),
+        *("tail_shape", "tail_shape_samples"),
+    })  # fmt: skip
 
     share: TailShare = "auto"
     tested: float = 0.25
@@ -200,6 +227,7 @@ class TailIndex(Statistic[Tail]):
 
     def measure(self, part: PositivePart) -> Tail:
         """Estimate the tail index of each row."""
+        bars = measured(part, Bar())
         reason = part.reason()
         k = _candidates(part.n.ravel(), None if self.share == "auto" else self.share)
         k = k.reshape(*part.n.shape, k.shape[-1])
@@ -211,27 +239,33 @@ class TailIndex(Statistic[Tail]):
             reason[(reason == Reason.OK) & ends] = Reason.TIED
             reason[(reason == Reason.OK) & (k[..., 0] < MINIMUM_EXCESSES)] = Reason.TOO_FEW
         usable = np.asarray(reason == Reason.OK)
-        ascending, n, k_far = part.sorted[usable], part.n[usable], k[usable][:, -1:]
-        k_tried = k[usable][:, :-1]
-        found = _fits(_generalised_pareto, ascending, n, k_tried, usable)
-        far = _fits(_generalised_pareto, ascending, n, k_far, usable)
-        hill = _fits(_power_law, ascending, n, k_tried, usable)
+        ascending, n = part.sorted[usable], part.n[usable]
+        found = _fits(ascending, n, k[usable][:, :-1], usable, self.level)
+        far = _fits(ascending, n, k[usable][:, -1:], usable, self.level)
         reason[usable & np.isnan(found.xi)] = Reason.CONSTANT
+        if self.share == "auto":
+            apart = (found.ends[..., 0] > far.high) | (found.ends[..., 1] < far.low)
+            # Where one sample dominates, the interval says that nothing is known.
+            edge = apart & ~found.accepted & ~(part.largest_share > _DOMINATES)
+            edge &= np.isfinite(found.xi)
+            reason[edge] = Reason.EDGE
+            found = found.without(edge)
         root = np.sqrt(np.maximum(found.n, 1))
-        interval = _interval(found.xi, root, self.level)
-        interval = _without_largest(
-            interval, found.n, part, usable & np.isfinite(found.xi), self.level
-        )
+        interval = np.stack([found.low, found.high], axis=-1)
+        interval = _without_largest(interval, found.n, part, np.isfinite(found.xi), self.level)
         light = _is_light(part, (found.first_xi, k[..., 0]), (far.xi, far.n))
-        suspect = np.asarray(found.xi >= 0.5)
-        trusted = np.asarray((interval[..., 1] < 0.5) & light)
+        fails, _ = verdicts(bars.coverage_own)
+        suspect = np.asarray(fails | (interval[..., 0] >= _INFINITE))
+        judged = np.isfinite(bars.coverage_own)
+        trusted = np.asarray((interval[..., 1] < _INFINITE) & light & judged & ~suspect)
         trusted[trusted] = ~_scatters(part, trusted)
+        known = np.isfinite(found.xi) | judged
         return Tail(
             xi=found.xi,
             standard_error=_deviation(found.xi) / root,
             interval=interval,
             xi_far=far.xi,
-            interval_far=_interval(far.xi, np.sqrt(np.maximum(far.n, 1)), self.level),
+            interval_far=np.stack([far.low, far.high], axis=-1),
             p_value=_p_value(found.xi, self.tested, root),
             p_exponential=_p_value(found.xi, _gamma_index(part, found.n), root),
             tested=self.tested,
@@ -240,14 +274,31 @@ class TailIndex(Statistic[Tail]):
             threshold=found.threshold,
             n=found.n,
             share=np.where(np.isnan(found.xi), np.nan, found.n / np.maximum(part.n, 1)),
-            hill=hill.xi,
-            hill_interval=_hill_interval(hill.xi, hill.n, self.level),
-            hill_n=hill.n,
+            coverage_own=bars.coverage_own,
+            coverage_own_interval=bars.coverage_own_interval,
             variance_suspect=suspect,
             variance_trusted=trusted,
-            variance_unidentified=np.isfinite(found.xi) & ~suspect & ~trusted,
+            variance_unidentified=known & ~suspect & ~trusted,
             reason=reason,
+            error_bars=bars,
         )
+
+    def variables(self, found: Tail) -> Mapped:
+        """Add what the pixels around need; `finish` takes it away."""
+        shapes = shape_variables(found.error_bars, ("channel",), "tail_")
+        return {**super().variables(found), **shapes}
+
+    def finish(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Let the pixels around say whether error bars hold."""
+        dataset = with_pooled_bars(dataset, "tail_")
+        coverage = dataset["tail_coverage"].to_numpy()
+        names = [f"tail_variance_{name}" for name in ("suspect", "trusted", "unidentified")]
+        suspect, trusted, unidentified = (dataset[name].to_numpy() for name in names)
+        known, (fails, holds) = np.isfinite(coverage), verdicts(coverage)
+        of_both = (fails, suspect), (holds, trusted), (~fails & ~holds, unidentified)
+        masks = [np.where(known, pooled, own) for pooled, own in of_both]
+        decided = zip(names, masks, strict=True)
+        return super().finish(dataset.assign({n: dataset[n].copy(data=m) for n, m in decided}))
 
 
 @of_source
@@ -299,7 +350,10 @@ def tail_index(
     512, 0.12 of 8192), and 0.7 and 0.5 times as many. The bound on the largest candidate keeps the
     bias from samples below the tail smaller than the standard error. In simulations, the error is
     smaller than with larger candidates, with Clauset's minimum of Kolmogorov's distance, and with
-    Lepski's rule. Hill's estimate follows the same rule, with a test of the power law.
+    Lepski's rule. Where a candidate is rejected, the interval also covers those of the candidates
+    tried: the excesses are not generalised Pareto, and the index depends on the depth. If all are
+    rejected and the index of the `FAR` largest samples lies apart, the edge of a mode lies among
+    the largest samples, and there is no index (`EDGE`). A given `share` has no such test.
 
     **The largest sample.** One sample can raise the index to any value. The interval therefore also
     covers the interval without the largest sample. If the largest sample is more than half of the
@@ -349,9 +403,6 @@ def tail_index(
     2048 samples on for gamma shapes below 0.5). Log-normal and Weibull samples with heavier tails
     than a gamma distribution are often not identified, although their variance is finite.
 
-    Hill's interval is valid for pure power laws only. With an offset, as in generalised Pareto
-    samples, it is too high at any threshold within the samples.
-
     **Finite radiance.** The index describes the range of the samples, not the limit. A gamma tail
     gives about 0 for shapes from 1/2 on. For smaller shapes, the density still curves where the
     tail begins:
@@ -377,12 +428,10 @@ def tail_index(
     References
     ----------
     Zhang and Stephens, "A new and efficient estimation method for the generalized Pareto
-    distribution", 2009, doi:10.1198/tech.2009.08017. Hill, "A simple general approach to inference
-    about the tail of a distribution", 1975, doi:10.1214/aos/1176343247. Bader, Yan and Zhang,
-    "Automated threshold selection for extreme value analysis via ordered goodness-of-fit tests with
-    adjustment for false discovery rate", 2018, doi:10.1214/17-AOAS1092. Choulakian and Stephens,
-    "Goodness-of-fit tests for the generalized Pareto distribution", 2001,
-    doi:10.1198/00401700152672573.
+    distribution", 2009, doi:10.1198/tech.2009.08017. Bader, Yan and Zhang, "Automated threshold
+    selection for extreme value analysis via ordered goodness-of-fit tests with adjustment for false
+    discovery rate", 2018, doi:10.1214/17-AOAS1092. Choulakian and Stephens, "Goodness-of-fit tests
+    for the generalized Pareto distribution", 2001, doi:10.1198/00401700152672573.
 
     Examples
     --------
@@ -392,6 +441,11 @@ def tail_index(
     (array([-0. ,  1.1]), array([False,  True]))
     """
     return run(TailIndex(share, tested, level), x, null=null, progress=progress)
+
+
+def is_infinite(tail: Tail) -> Mask:
+    """Return where the interval of the index says that the variance is infinite."""
+    return np.asarray(tail.interval[..., 0] >= _INFINITE)
 
 
 def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
@@ -510,7 +564,7 @@ def _interval(xi: Floats, root: Floats, level: float) -> Floats:
 
 
 def _without_largest(
-    interval: Floats, k: Counts, part: PositivePart, usable: Mask, level: float
+    interval: Floats, k: Counts, part: PositivePart, known: Mask, level: float
 ) -> Floats:
     """Widen the interval of k excesses to cover the interval without the largest sample, too.
 
@@ -518,30 +572,23 @@ def _without_largest(
     known of what lies between it and the others, and the tail may begin there. The interval then
     also covers those of the `MINIMUM_EXCESSES` largest samples, with it and without it.
     """
-    dominated = usable & (part.largest_share > _DOMINATES)
+    dominated = known & (part.largest_share > _DOMINATES)
     fewest = np.minimum(k, MINIMUM_EXCESSES)
     low, high = interval[..., 0], interval[..., 1]
     for rows, left_out, excesses in (
-        (usable, 1, k - 1),
+        (known, 1, k - 1),
         (dominated, 1, np.minimum(k - 1, fewest)),
         (dominated, 0, fewest),
     ):
         excesses = np.maximum(excesses, 1)
         n = part.n[rows] - left_out
-        k_other = excesses[rows][:, np.newaxis]
-        other = _fits(_generalised_pareto, part.sorted[rows], n, k_other, rows)
+        other = _fits(part.sorted[rows], n, excesses[rows][:, np.newaxis], rows, level)
         # If the other samples are equal, they count as a bounded tail.
         equal = rows & np.isnan(other.xi) & (left_out == 1)
-        ends = _interval(np.where(equal, -1.0, other.xi), np.sqrt(excesses), level)
-        low, high = np.fmin(low, ends[..., 0]), np.fmax(high, ends[..., 1])
-    return np.stack([low, high], axis=-1)
-
-
-def _hill_interval(hill: Floats, n: Counts, level: float) -> Floats:
-    """Return the exact interval of a power law, where n hill / xi has a gamma distribution."""
-    shape = np.maximum(n, 1)
-    ends = (special.gammaincinv(shape, p) for p in (0.5 + level / 2, 0.5 - level / 2))
-    return np.stack([hill * shape / end for end in ends], axis=-1)
+        ends = _interval(np.where(equal, -1.0, np.nan), np.sqrt(excesses), level)
+        low = np.fmin(low, np.fmin(other.low, ends[..., 0]))
+        high = np.fmax(high, np.fmax(other.high, ends[..., 1]))
+    return np.where(known[..., np.newaxis], np.stack([low, high], axis=-1), np.nan)
 
 
 def _check(share: TailShare, tested: float, level: float) -> None:
@@ -579,6 +626,12 @@ class _Fits(NamedTuple):
         Number of excesses.
     first_xi
         Tail index of the first candidate, even if the test rejects it.
+    low, high
+        Ends of the interval that covers those of all candidates tried.
+    ends
+        Interval of the chosen candidate, shape (..., 2).
+    accepted
+        Where the test does not reject the chosen candidate.
     """
 
     xi: Floats
@@ -586,6 +639,18 @@ class _Fits(NamedTuple):
     threshold: Floats
     n: Counts
     first_xi: Floats
+    low: Floats
+    high: Floats
+    ends: Floats
+    accepted: Mask
+
+    def without(self, rows: Mask) -> _Fits:
+        """Return the fits of the other rows; the first candidate stays."""
+        missing = {name: np.where(rows, np.nan, getattr(self, name)) for name in _CHOSEN}
+        return self._replace(**missing, n=np.where(rows, 0, self.n))
+
+
+_CHOSEN = ("xi", "scale", "threshold", "low", "high")
 
 
 class _Excesses(NamedTuple):
@@ -606,10 +671,6 @@ class _Excesses(NamedTuple):
     n: Counts
     threshold: Floats
     largest: Floats
-
-
-_Model = Callable[[_Excesses], tuple[Floats, Floats, Mask]]
-"""Returns xi, the scale relative to the largest excess, and where the test does not reject."""
 
 
 def _candidates(n: Counts, share: float | None) -> Counts:
@@ -651,13 +712,11 @@ def _quartile(k: Counts) -> Counts:
     return np.asarray(np.floor(k / 4 + 0.5), dtype=np.int64)
 
 
-def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask) -> _Fits:
-    """Fit a model to the excesses of each row.
+def _fits(ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask, level: float) -> _Fits:
+    """Fit a generalised Pareto distribution to the excesses of each row.
 
     Parameters
     ----------
-    model
-        `_generalised_pareto` or `_power_law`.
     ascending
         Samples of the usable rows in ascending order, shape (row, sample); the first `n` count.
     n
@@ -666,41 +725,48 @@ def _fits(model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, usab
         Numbers of excesses to try, shape (row, candidate), the preferred one first.
     usable
         Where the rows belong in the batch, shape (...); other rows get NaN and 0.
+    level
+        Level of the intervals.
     """
-    values = np.full((5, usable.size), np.nan)
+    values = np.full((8, usable.size), np.nan)
     place = np.flatnonzero(usable)
     for rows in rows_by_count(k.max(axis=1), np.ones(len(n), bool), ascending.shape[-1]):
-        values[:, place[rows]] = _choose(model, ascending, n, k, rows)
-    xi, scale, threshold, count, first_xi = values.reshape(5, *usable.shape)
-    return _Fits(xi, scale, threshold, np.nan_to_num(count).astype(np.int64), first_xi)
+        values[:, place[rows]] = _choose(ascending, n, k, rows, level)
+    xi, scale, threshold, count, first_xi, low, high, accepted = values.reshape(8, *usable.shape)
+    ends = _interval(xi, np.sqrt(np.maximum(np.nan_to_num(count), 1)), level)
+    count = np.nan_to_num(count).astype(np.int64)
+    return _Fits(xi, scale, threshold, count, first_xi, low, high, ends, accepted == 1)
 
 
 def _choose(
-    model: _Model, ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts
+    ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts, level: float
 ) -> Floats:
     """Take the first candidate whose fit is not rejected, or else the last one with a fit.
 
-    Return xi, scale, threshold, excesses, and xi of the first candidate, shape (5, row).
+    Return xi, scale, threshold, excesses, xi of the first candidate, the ends of the interval that
+    covers those of all candidates tried, and 1 where the fit is accepted, shape (8, row).
     """
-    found, open_ = np.full((5, len(rows)), np.nan), np.arange(len(rows))
+    found, open_ = np.full((8, len(rows)), np.nan), np.arange(len(rows))
     for tried in range(k.shape[1]):
         here = rows[open_]
-        excesses = _excesses(ascending, n[here], k[here, tried], here, log=model is _power_law)
-        xi, scale, accepted = model(excesses)
+        excesses = _excesses(ascending, n[here], k[here, tried], here)
+        xi, scale, accepted = _generalised_pareto(excesses, test=k.shape[1] > 1)
         if tried == 0:
             found[4] = xi
         known = np.isfinite(xi)
         chosen = xi, scale * excesses.largest, excesses.threshold, excesses.n
         found[:4, open_[known]] = np.stack(chosen)[:, known]
+        ends = _interval(xi, np.sqrt(excesses.n), level)
+        found[5, open_] = np.fmin(found[5, open_], ends[:, 0])
+        found[6, open_] = np.fmax(found[6, open_], ends[:, 1])
+        found[7, open_[known]] = accepted[known]
         open_ = open_[~accepted]
         if not len(open_):
             break
     return found
 
 
-def _excesses(
-    ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts, *, log: bool
-) -> _Excesses:
+def _excesses(ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts) -> _Excesses:
     width = int(k.max())
     columns = n[:, np.newaxis] - width + np.arange(width)
     top = ascending[rows[:, np.newaxis], np.maximum(columns, 0)].astype(np.float64)
@@ -708,16 +774,16 @@ def _excesses(
     rank = np.arange(width) - (width - k)[:, np.newaxis] + 1
     low = threshold[:, np.newaxis]
     top = np.maximum(top, low)
-    excess = np.log(top) - np.log(low) if log else top - low
+    excess = top - low
     largest = excess[:, -1].copy()
     excess /= largest[:, np.newaxis]
     return _Excesses(y=excess, rank=rank, n=k, threshold=threshold, largest=largest)
 
 
-def _generalised_pareto(e: _Excesses) -> tuple[Floats, Floats, Mask]:
+def _generalised_pareto(e: _Excesses, *, test: bool) -> tuple[Floats, Floats, Mask]:
     """Average over the profile likelihood: Zhang and Stephens (2009), section 2.
 
-    Their k is -xi and their theta is -xi / scale.
+    Their k is -xi and their theta is -xi / scale. Without a test, every fit is accepted.
     """
     count, mean = _groups(e)
     place = e.y.shape[1] - e.n + _quartile(e.n) - 1
@@ -727,6 +793,8 @@ def _generalised_pareto(e: _Excesses) -> tuple[Floats, Floats, Mask]:
     best = np.vecdot(weight, theta) / weight.sum(axis=-1)
     log = np.log1p(-best[:, np.newaxis] * e.y)
     xi = log.sum(axis=-1) / e.n
+    if not test:
+        return xi, -xi / best, np.isfinite(xi)
     passed = _anderson_darling(-log / xi[:, np.newaxis], e) <= _critical(xi, e.n)
     return xi, -xi / best, passed
 
@@ -762,16 +830,6 @@ def _groups(e: _Excesses) -> tuple[Floats, Floats]:
     count = np.diff(edges, axis=-1).astype(np.float64)
     sums = np.take_along_axis(below, edges + (width - e.n)[:, np.newaxis], axis=-1)
     return count, np.diff(sums, axis=-1) / np.maximum(count, 1)
-
-
-def _power_law(e: _Excesses) -> tuple[Floats, Floats, Mask]:
-    """Average the log excesses: Hill (1975)."""
-    mean = e.y.sum(axis=-1) / e.n
-    statistic = _anderson_darling(-e.y / mean[:, np.newaxis], e)
-    xi = np.where(mean > 0, mean * e.largest, np.nan)
-    # D'Agostino and Stephens (1986), table 4.14: 5 % of an exponential of unknown scale.
-    passed = statistic * (1 + 0.6 / e.n) <= 1.321
-    return xi, e.threshold / e.largest, np.asarray(passed)
 
 
 def _anderson_darling(log_survival: Floats, e: _Excesses) -> Floats:

@@ -444,6 +444,7 @@ def _predict(
     # With clamped samples, or those of a lamp among nulls, nothing larger is missing.
     ends = np.isin(tail.reason, [Reason.TIED, Reason.CONSTANT])
     heavy = (tail.reason == Reason.OK) & ~((index < _LARGEST_INDEX) & tail.variance_trusted)
+    heavy |= tail.reason == Reason.EDGE
     codes = [Reason.TOO_FEW, Reason.OK, Reason.UNIDENTIFIED]
     reason = np.select([few, ends, heavy], codes, tail.reason).reshape(-1).astype(np.int8)
     index = index.reshape(-1)

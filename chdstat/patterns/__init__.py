@@ -28,6 +28,7 @@ from chdstat.patterns.classification import (
 from chdstat.patterns.definitions import PATTERNS, Pattern, Thresholds
 from chdstat.patterns.pixel import Pixel, Regions
 from chdstat.patterns.simulation import (
+    BODY_ZONE,
     CHD,
     CHDS,
     FIREFLY_ZONE,
@@ -46,6 +47,7 @@ from chdstat.patterns.simulation import (
 )
 
 __all__ = [
+    "BODY_ZONE",
     "CHD",
     "CHDS",
     "FIREFLY_ZONE",

@@ -32,6 +32,13 @@ from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
+from chdstat.fit.error_bars import (
+    HOLDS,
+    ErrorBars,
+    shape_variables,
+    spp_in_words,
+    with_pooled_bars,
+)
 from chdstat.fit.families import SELECTED
 from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
 from chdstat.rendering.recipes import Region
@@ -133,17 +140,19 @@ class Patterns(Result):
         Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
     misfit
         Kolmogorov-Smirnov distance between the samples and the better of gamma and log-normal.
-    long_tail_se
-        Standard error of the tail index.
+    luminance_tail_index, long_tail_se
+        Tail index without a sample that dominates, and its standard error.
     variance_unidentified
-        Where the samples do not identify whether their variance is finite: the absence of a long
-        tail is then no promise of a short one.
+        Where the samples do not tell whether their error bar holds: the absence of a long tail is
+        then no promise of a short one.
     body_tail_index
         Tail index of the excesses over the 0.9 quantile of the better of gamma and log-normal.
     label
         `Label` codes.
     reason
         `Reason` codes of the positive part.
+    error_bars
+        What the statistic of a long tail uses: see `ErrorBars`.
     """
 
     flags: Mapping[str, Mask]
@@ -154,15 +163,15 @@ class Patterns(Result):
     dip: Floats = variable("Hartigan's dip of log10 luminance")
     luminance_family: npt.NDArray[np.int8] = variable("family of luminance with the smallest BIC")
     misfit: Floats = variable("Kolmogorov distance to the better of gamma and log-normal")
+    luminance_tail_index: Floats = variable("tail index of luminance, without a firefly")
     long_tail_se: Floats = variable("standard error of the tail index of luminance")
-    variance_unidentified: Mask = variable(
-        "the samples do not identify whether the variance is finite"
-    )
+    variance_unidentified: Mask = variable("the samples do not tell whether their error bar holds")
     body_tail_index: Floats = variable(
         "tail index of the better of gamma and log-normal above its quantile 0.9"
     )
     label: npt.NDArray[np.int8] = variable("what the pixel is first of all")
     reason: npt.NDArray[np.int8] = variable("why there is no positive part to look at")
+    error_bars: ErrorBars
 
     def _card(self) -> Card:
         first = [Label(int(code)).name.lower() for code in np.ravel(self.label)]
@@ -183,6 +192,7 @@ class Patterns(Result):
 
 
 _DEFAULT = Thresholds()
+_LONG_TAIL = next(pattern for pattern in PATTERNS if pattern.name == "long_tail")
 
 
 @dataclass(frozen=True)
@@ -213,11 +223,13 @@ class Classification(Statistic[Patterns]):
             dip=found.modes.dip,
             luminance_family=found.family,
             misfit=found.misfit,
+            luminance_tail_index=np.asarray(found.tail.xi),
             long_tail_se=np.asarray(found.tail.standard_error),
             variance_unidentified=found.tail.variance_unidentified,
             body_tail_index=found.body_index,
             label=_label(flags, reason, found.modes.modes > 0),
             reason=reason,
+            error_bars=found.error_bars,
         )
 
     def variables(self, found: Patterns) -> Mapped:
@@ -229,10 +241,14 @@ class Classification(Statistic[Patterns]):
         }
         intervals = {f"{name}_interval": (("bound",), v) for name, v in found.intervals.items()}
         variables = {name: ((), value) for name, value in single.items()}
-        return {**variables, **super().variables(found), **intervals}
+        own = {"long_tail_own": ((), found.statistics["long_tail"])}
+        around = shape_variables(found.error_bars, (), "long_tail_")
+        return {**variables, **super().variables(found), **intervals, **own, **around}
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Correct the p-values of an image, decide its flags and labels, and compare neighbours."""
+        spp = spp_in_words(dataset["long_tail_shape_samples"].to_numpy())
+        dataset = self._with_neighbours(with_pooled_bars(dataset, "long_tail_"))
         q = {p.name: q_values(dataset[f"{p.name}_p_value"].to_numpy()) for p in PATTERNS if p.test}
         flags = self._decide({p.name: dataset[p.name].to_numpy() for p in PATTERNS}, q)
         known = dataset["label"].to_numpy() != Label.UNDETERMINED
@@ -249,6 +265,9 @@ class Classification(Statistic[Patterns]):
             texts[f"{pattern.name}_p_value"] = f"p-value of no {pattern.name}"
             texts[f"{pattern.name}_q_value"] = f"q-value of no {pattern.name}"
             dataset[pattern.name].attrs["source"] = pattern.source
+        texts["long_tail_own"] = f"{_LONG_TAIL.statistic}, by its own samples"
+        for name in ("long_tail", "firefly_dominated"):
+            texts[name] += f"; at {spp}"
         dataset = label_variables(super().finish(dataset), texts)
         dataset["luminance_family"].attrs.update(place_attributes(SELECTED))
         dataset["label"].attrs.update(flag_attributes(Label))
@@ -257,6 +276,22 @@ class Classification(Statistic[Patterns]):
         )
         given = asdict(self.thresholds)
         return dataset.assign_attrs({f"threshold_{name}": value for name, value in given.items()})
+
+    def _with_neighbours(self, dataset: xr.Dataset) -> xr.Dataset:
+        """Let the pixels around say which error bars fail, where they are known."""
+        coverage, interval = (dataset[f"long_tail_{n}"] for n in ("coverage", "coverage_interval"))
+        misses, known = 1 - coverage, np.isfinite(coverage)
+        is_long = (misses > self.thresholds.misses).where(known, dataset["long_tail"])
+        named = {
+            "long_tail": is_long,
+            "long_tail_statistic": misses,
+            "long_tail_interval": 1 - interval.isel(bound=slice(None, None, -1)),
+            "variance_unidentified": (coverage < HOLDS).where(
+                known, dataset["variance_unidentified"]
+            )
+            & ~is_long,
+        }
+        return dataset.drop_vars([coverage.name, interval.name]).assign(named)
 
     def _decide(
         self, large_enough: Mapping[str, Mask], significance: Mapping[str, Floats]

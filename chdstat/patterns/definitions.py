@@ -20,8 +20,9 @@ from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import Z_95, wilson
 from chdstat.errors import InputError
+from chdstat.fit.error_bars import FAILS, Bar, ErrorBars
 from chdstat.fit.selection import FamilySelection, Selection
-from chdstat.fit.tail import Tail, TailIndex, effective_tail_index
+from chdstat.fit.tail import Tail, TailIndex, effective_tail_index, is_infinite
 from chdstat.inference.modes import Modality, Modes
 from chdstat.summary.runner import measured
 
@@ -45,8 +46,12 @@ class Thresholds:
         test.
     null_share
         A pixel is null-heavy if more than this share of its samples is null.
+    misses
+        A tail is long if more than this share of the error bars of so many samples misses the mean.
+        The bars are those of 95 %.
     tail_index
-        A tail is long if its index is at least this, and significantly above 0.
+        A body whose tail index is at least this, and significantly above a gamma tail's, is neither
+        gamma-like nor log-normal-like; a log-normal body not even if its own index is.
     ashman_d
         Neighbouring modes count as two from this separation on.
     firefly_share, firefly_samples
@@ -67,6 +72,7 @@ class Thresholds:
 
     alpha: float = 0.05
     null_share: float = 0.5
+    misses: float = 1 - FAILS
     tail_index: float = 0.2
     ashman_d: float = 2.0
     firefly_share: float = 0.1
@@ -75,12 +81,13 @@ class Thresholds:
     constant: float = 1e-4
 
     def __post_init__(self) -> None:
-        shares = (self.alpha, self.null_share, self.firefly_share)
+        shares = (self.alpha, self.null_share, self.misses, self.firefly_share)
         others = self.tail_index, self.ashman_d, self.firefly_samples, self.misfit, self.constant
         if not all(0 < share < 1 for share in shares) or not all(v >= 0 for v in others):
             message = (
-                "thresholds need alpha, null_share and firefly_share in (0, 1), and tail_index, "
-                f"ashman_d, firefly_samples, misfit and constant >= 0; got {self}"
+                "thresholds need alpha, null_share, misses and firefly_share in (0, 1), and "
+                "tail_index, ashman_d, firefly_samples, misfit and constant >= 0; got "
+                f"{self}"
             )
             raise InputError(message)
 
@@ -95,6 +102,8 @@ class PixelStatistics:
         All positive samples.
     largest_share
         Share of the sum in the largest sample.
+    error_bars
+        How often error bars of so many samples hold.
     tail, modes
         Tail and modes without a sample that dominates; all fields below are without it, too.
     vuong_z
@@ -110,6 +119,7 @@ class PixelStatistics:
 
     part: PositivePart
     largest_share: Floats
+    error_bars: ErrorBars
     tail: Tail
     modes: Modality
     vuong_z: Floats
@@ -133,7 +143,7 @@ def gather(part: PositivePart, thresholds: Thresholds) -> PixelStatistics:
     if not rows.any():
         return found
     rest = _measure(_without_largest(part, rows))
-    names = {f.name for f in fields(found)} - {"part", "largest_share"}
+    names = {f.name for f in fields(found)} - {"part", "largest_share", "error_bars"}
     return replace(found, **{n: _put(getattr(found, n), getattr(rest, n), rows) for n in names})
 
 
@@ -169,6 +179,7 @@ def _measure(part: PositivePart) -> PixelStatistics:
     return PixelStatistics(
         part=part,
         largest_share=part.largest_share,
+        error_bars=measured(part, Bar()),
         tail=measured(part, TailIndex()),
         modes=measured(part, Modes()),
         vuong_z=families.vuong_z,
@@ -322,27 +333,17 @@ def _is_described(e: PixelStatistics, t: Thresholds) -> Mask:
     return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
 
 
-def _body_is_long(e: PixelStatistics, t: Thresholds) -> Mask:
-    """Return where a pixel is log-normal with a long tail, unless its largest samples object.
-
-    The tail of a gamma distribution is exponential, however heavy it seems above its 0.9 quantile.
-    """
-    is_lognormal = e.vuong_z <= 0
-    objects = e.tail.interval[..., 1] < t.tail_index
-    is_long = is_lognormal & (e.body_index >= t.tail_index)
-    return np.asarray(_is_described(e, t) & is_long & ~objects)
+def _misses(e: PixelStatistics) -> Floats:
+    return np.asarray(1 - e.error_bars.coverage_own)
 
 
-def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
-    """Return the p-value of the tail, or of tail and body if the body's tail is long.
+def _misses_interval(e: PixelStatistics) -> Floats:
+    return 1 - e.error_bars.coverage_own_interval[..., ::-1]
 
-    Every log-normal distribution has a long body. A long body therefore also needs log-normal to be
-    significantly better than gamma: for 32 exponential samples, log-normal is often a little better
-    by chance. The smaller of the two p-values is doubled (Bonferroni).
-    """
-    of_body = np.fmax(special.ndtr(-e.body_index / e.body_index_se), special.ndtr(e.vuong_z))
-    both = np.minimum(2 * np.fmin(of_body, e.tail.p_exponential), 1.0)
-    return np.where(_body_is_long(e, t), both, e.tail.p_exponential)
+
+def _is_long(e: PixelStatistics, t: Thresholds) -> Mask:
+    """Return where error bars fail, or the variance is surely infinite."""
+    return np.asarray((_misses(e) > t.misses) | is_infinite(e.tail))
 
 
 def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
@@ -350,7 +351,9 @@ def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
 
     def large_enough(e: PixelStatistics, t: Thresholds) -> Mask:
         short = (sign > 0) | (e.body_index < t.tail_index)
-        return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short)
+        # Stricter than alpha: of an image of plain pixels, only few may look heavy by chance.
+        heavy = (e.tail.xi >= t.tail_index) & (e.tail.p_exponential <= t.alpha / 50)
+        return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short & ~heavy)
 
     return large_enough
 
@@ -359,10 +362,7 @@ def _log_spread(e: PixelStatistics) -> Floats:
     return np.asarray(np.sqrt(e.part.log_statistics.log_variance))
 
 
-_TAIL_SOURCE = (
-    "Pickands 1975, doi:10.1214/aos/1176343003; Zhang and Stephens 2009, "
-    "doi:10.1198/tech.2009.08017; Smith 1987, doi:10.1214/aos/1176350499"
-)
+_TAIL_SOURCE = "calibrated on certified pixels; Smith 1987, doi:10.1214/aos/1176350499"
 _MODE_SOURCE = (
     "Ashman, Bird and Zepf 1994, doi:10.1086/117248; Hartigan and Hartigan 1985, "
     "doi:10.1214/aos/1176346577"
@@ -370,7 +370,7 @@ _MODE_SOURCE = (
 _FAMILY_SOURCE = (
     "Vuong 1989, doi:10.2307/1912557; Stephens 1974, doi:10.1080/01621459.1974.10480196"
 )
-_NO_BODY = ("constant", "bimodal", "multimodal", "long_tail")
+_NO_BODY = ("constant", "bimodal", "multimodal")
 
 PATTERNS: tuple[Pattern, ...] = (
     Pattern(
@@ -392,21 +392,20 @@ PATTERNS: tuple[Pattern, ...] = (
     ),
     Pattern(
         name="long_tail",
-        meaning="rare bright paths carry the variance: more samples help less than they should",
+        meaning="error bars of so many samples fail: rare bright paths carry light that they miss",
         cure="sample the bright paths more often; until then, take the default estimate, not "
-        "the mean, and trust no error bar",
+        "the mean, and trust no error bar of so many samples",
         typical="a wall among many lamps: one hump, and far to its right a few samples a "
         "thousand times as bright; the running mean jumps",
-        statistic="generalised Pareto tail index, without a sample that dominates",
-        rule="the index is at least the threshold and significantly above that of a gamma tail; or "
-        "that of log-normal is, which describes the samples, and the former's interval reaches it",
-        limit="≥ {tail_index:g}",
+        statistic="share of 95 % error bars of so many samples that miss the mean",
+        rule="the share is above the threshold: by the pixels around, too, in an image; in an "
+        "array, by the pixel's own samples, or where the interval of the tail index is above 1/2",
+        limit="> {misses:.0%}",
         source=_TAIL_SOURCE,
-        measure=lambda e: e.tail.xi,
-        large_enough=lambda e, t: (e.tail.xi >= t.tail_index) | _body_is_long(e, t),
-        test=_tail_p_value,
-        decisive=True,
-        interval=lambda e: e.tail.interval,
+        measure=_misses,
+        large_enough=_is_long,
+        test=lambda e, _: e.tail.p_exponential,
+        interval=_misses_interval,
     ),
     Pattern(
         name="bimodal",
@@ -444,7 +443,7 @@ PATTERNS: tuple[Pattern, ...] = (
         cure="more samples, at the usual rate; averages are soon Gaussian",
         typical="a wall of the Cornell box: one hump, steeper on its right",
         statistic="Vuong's z of gamma against log-normal",
-        rule="one mode, no long tail, gamma is likelier than log-normal and no misfit",
+        rule="one mode, no heavy tail, gamma is likelier than log-normal and no misfit",
         limit="z > 0, misfit ≤ {misfit:g}",
         source=_FAMILY_SOURCE,
         measure=lambda e: e.vuong_z,
@@ -459,7 +458,7 @@ PATTERNS: tuple[Pattern, ...] = (
         "pixels",
         typical="a coloured wall of the Cornell box: one symmetric hump in log radiance",
         statistic="Vuong's z of log-normal against gamma",
-        rule="one mode, no long tail, log-normal is likelier than gamma and no misfit",
+        rule="one mode, no heavy tail, log-normal is likelier than gamma and no misfit",
         limit="z > 0, misfit ≤ {misfit:g}",
         source=_FAMILY_SOURCE,
         measure=lambda e: -e.vuong_z,

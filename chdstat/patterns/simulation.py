@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "BODY_ZONE",
     "CHD",
     "CHDS",
     "FIREFLY_ZONE",
@@ -375,7 +376,7 @@ CHDS: Mapping[str, CHD] = {
     "null-heavy": CHD((Component("gamma", 2.0),), null_share=0.8),
     "bimodal": CHD(_TWO),
     "multimodal": CHD((*_TWO, Component("lognormal", 0.3, 20.0, 0.5))),
-    "long-tail": CHD((Component("gamma", 2.0),), tail_index=0.6, tail_share=0.2),
+    "long-tail": CHD((Component("gamma", 2.0),), tail_index=1.0, tail_share=0.2),
     "firefly": CHD((Component("gamma", 2.0),), firefly_share=0.5),
     "constant": CHD((Component("constant"),)),
     "black": CHD((Component("constant"),), null_share=1.0),
@@ -395,7 +396,7 @@ def random_chd(rng: np.random.Generator) -> CHD:
     most = min(0.25, 0.5 * body[-1].weight)
     return CHD(
         body,
-        tail_index=rng.uniform(0, 0.75) if has_tail else None,
+        tail_index=rng.choice([rng.uniform(0, 0.5), rng.uniform(1, 1.5)]) if has_tail else None,
         tail_share=rng.uniform(0.1, most),
         null_share=null_share,
         firefly_share=rng.uniform(0.25, 0.75) if rng.random() < 0.15 else 0.0,
@@ -429,8 +430,10 @@ def _random_body(number: int, brightness: float, rng: np.random.Generator) -> tu
 
 NULL_ZONE = (0.45, 0.55)
 """Shares of nulls that are neither heavy nor light."""
-TAIL_ZONE = (0.1, 0.3)
-"""Tail indices that are neither long nor short."""
+TAIL_ZONE = (0.5, 1.0)
+"""Tail indices with a mean but no variance, whose error bars hold or fail."""
+BODY_ZONE = (0.1, 0.3)
+"""Tail indices of a body that is neither plain nor not."""
 SEPARATION_ZONE = (1.5, 2.5)
 """Ashman's D at which two components are neither two modes nor one."""
 INDISTINCT_SPREAD = 0.365
@@ -473,15 +476,15 @@ def truth(chd: CHD) -> Truth:
 
     - null-heavy: a share of nulls within 0.05 of 1/2 (`NULL_ZONE`), which 512 samples do not
       decide.
-    - long tail: a tail index in (0.1, 0.3), `TAIL_ZONE`. A body without a grafted tail has its
-      penultimate index at its 0.9 quantile. So a log-normal body is long-tailed for sigma of 1 or
-      more, not long-tailed for 0.65 or less, and undecided in between. A gamma body is never
-      long-tailed.
+    - long tail: a tail index in (0.5, 1), `TAIL_ZONE`. From 1 on, there is no mean that an error
+      bar could hold; below 1/2, error bars of 512 samples hold. A body without a grafted tail has
+      its penultimate index at its 0.9 quantile. A planted firefly is a long tail.
     - modes: neighbouring components with Ashman's D below 2.5, the end of `SEPARATION_ZONE`, or
       components that do not show as many maxima of the density of log x.
     - gamma-like and log-normal-like: bodies whose logarithm has a standard deviation below 0.365
       (`INDISTINCT_SPREAD`), that of a gamma distribution of shape 8, since both families describe
-      them. With a light grafted tail, a body is neither.
+      them; or a tail index in (0.1, 0.3), `BODY_ZONE`, such as a log-normal's for a sigma of 0.65
+      to 1. With a light grafted tail, a body is neither.
     - firefly-dominated: a planted share of the sum below 0.2, `FIREFLY_ZONE`. A heavy tail may grow
       a firefly by chance: the label is one of the samples, and the drawn samples decide.
 
@@ -494,7 +497,7 @@ def truth(chd: CHD) -> Truth:
     Examples
     --------
     >>> from chdstat.patterns import Component
-    >>> found = truth(CHD((Component("gamma", 2.0),), tail_index=0.5, null_share=0.7))
+    >>> found = truth(CHD((Component("gamma", 2.0),), tail_index=1.0, null_share=0.7))
     >>> found.label.name, found.flags["null_heavy"], found.flags["bimodal"]
     ('LONG_TAIL', True, False)
     """
@@ -518,9 +521,11 @@ def _flags(chd: CHD, tail_index: float) -> dict[str, bool | None]:
     if modes and (chd.separations().min() < SEPARATION_ZONE[1] or chd.maxima() != count):
         modes = None
     exponential = chd.tail_index is None and all(c.family == "gamma" for c in chd.body)
-    long_tail = False if chd.is_constant or exponential else _above(tail_index, TAIL_ZONE)
-    plain = count == 1 and not chd.is_constant and not long_tail
-    either = long_tail is None or first.log_deviation < INDISTINCT_SPREAD
+    light = chd.is_constant or exponential
+    firefly = chd.firefly_share > 0 and _above(chd.firefly_share, FIREFLY_ZONE)
+    heavy = False if light else _above(tail_index, BODY_ZONE)
+    plain = count == 1 and not chd.is_constant and not heavy
+    either = heavy is None or first.log_deviation < INDISTINCT_SPREAD
 
     def is_like(family: Kind) -> bool | None:
         if plain and (either or chd.tail_index is not None):
@@ -530,8 +535,8 @@ def _flags(chd: CHD, tail_index: float) -> dict[str, bool | None]:
     return {
         "null_heavy": _above(chd.null_share, NULL_ZONE),
         "constant": chd.is_constant and not chd.firefly_share,
-        "firefly_dominated": chd.firefly_share > 0 and _above(chd.firefly_share, FIREFLY_ZONE),
-        "long_tail": long_tail,
+        "firefly_dominated": firefly,
+        "long_tail": firefly if firefly is not False or light else _above(tail_index, TAIL_ZONE),
         "bimodal": modes and count == 2,
         "multimodal": modes and count > 2,
         "gamma_like": is_like("gamma"),

@@ -233,7 +233,7 @@ def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
     share = scene.patterns["firefly_dominated"]
     if share > 0 and noise.label != "firefly_dominated":
         yield (
-            f"In {percent(share)} of the pixels, one sample decides.",
+            f"In {percent(share)} of the pixels, one sample decides at {scene.spp} spp.",
             "It carries so much of their sum that their mean is too bright with it, or too dark "
             "without it.",
         )
@@ -273,8 +273,9 @@ def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
     yield (
         f"Averages of {most} samples are not Gaussian in {percent(rejected)} of the channels.",
         "Error bars that assume Gaussian averages mislead there. In "
-        f"{percent(scene.doubtful_variance)} of the channels the estimated tail index is at least "
-        "1/2: the variance may be infinite, and then no error bar holds.",
+        f"{percent(scene.doubtful_variance)} of the channels, the error bar of {scene.spp} spp is "
+        "said to fail, by the pixels around, too; in "
+        f"{percent(scene.unidentified_variance)}, the samples do not tell.",
     )
 
 
@@ -495,7 +496,7 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
                 "nulls": percent(float(found["null_share"])),
                 "variation": number(float(found["coefficient_of_variation"])),
                 "tail": with_margin(
-                    float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])
+                    float(found["luminance_tail_index"]), 2 * float(found["long_tail_se"])
                 ),
                 "family": names_of(found["luminance_family"])[int(found["luminance_family"])],
             }

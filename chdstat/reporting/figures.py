@@ -301,16 +301,15 @@ def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
 
 
 def _maps(found: xr.Dataset) -> Figure:
-    """Draw nulls, tails and families, and the samples that an average needs to be Gaussian."""
+    """Draw nulls, error bars and families, and the samples that an average needs to be Gaussian."""
     averaged = "averages_n_needed" in found
     figure = viz.map_grid(3 + averaged, columns=2, aspect=found.sizes["y"] / found.sizes["x"])
     nulls, tails, families, *needed = figure.axes
     viz.value_map(
         found["null_share"].values, title="Share of null samples", limits=(0, 1), ax=nulls
     )
-    title = "Tail index ξ without fireflies"
-    tail = found["long_tail_statistic"].values
-    viz.value_map(tail, title=title, limits=(-0.5, 1.0), ax=tails)
+    title = "Error bars of 95 % that miss"
+    viz.value_map(found["long_tail_statistic"].values, title=title, limits=(0, 0.5), ax=tails)
     named = found["luminance_family"]
     viz.categorical_map(named, title="Best family", shares=False, columns=3, ax=families)
     if averaged:

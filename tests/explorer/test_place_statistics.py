@@ -300,19 +300,22 @@ def test_too_few_samples_have_no_error():
     assert np.isfinite([e.mse_ratio for e in estimates(gamma(4096), 32)]).all()  # the control
 
 
-def test_the_tail_index_is_that_of_the_patterns_where_a_firefly_is_left_out():
+def test_a_pixel_has_one_answer_about_its_error_bar():
     x = gamma()
     x[:, int(np.argmax(x[0]))] = x.sum()
-    place, plain = (PlaceStatistics(values, RGB) for values in (x, gamma()))
-    of_place, of_plain = (tables.headline(p)[2] for p in (place, plain))
-    assert of_place[2].endswith("the index leaves out the largest sample")
-    assert of_place[1] in str(tables.patterns_table(tables.columns_of([place], "all"))["rows"])
-    index, other = (float(row[1].replace("−", "-")) for row in (of_place, of_plain))
-    assert index == pytest.approx(float(place.patterns.statistics["long_tail"]), rel=5e-3)
-    assert index != pytest.approx(float(place.tail.xi[-1]), rel=0.1)
-    # The control: without a firefly, nothing is left out.
-    assert other == pytest.approx(float(plain.tail.xi[-1]), rel=5e-3)
-    assert "left out" not in of_plain[2]
+    for values, holds in ((x, False), (gamma(), True)):
+        place = PlaceStatistics(values, RGB)
+        assert place.patterns.flags["long_tail"] == (not holds)
+        told = tables.headline(place)[2][2]
+        assert told.startswith(f"error bar of {place.spp} spp")
+        assert told.endswith("fails") == (not holds)
+        rows = {
+            row[0]: row
+            for row in tables.statistics_table(tables.columns_of([place], "all"))["rows"]
+        }
+        assert (rows["error bar of so many spp"][-1] == "fails") == (not holds)
+        misses = float(place.patterns.statistics["long_tail"])
+        assert misses == pytest.approx(1 - float(place.tail.coverage_own[-1]))
 
 
 @pytest.mark.parametrize("name", ["null", "bad", "constant", "one", "few", "huge", "subnormal"])

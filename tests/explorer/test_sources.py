@@ -153,10 +153,10 @@ def test_maps_say_what_the_library_says(flames):
     tail = chd.fit.tail_index(np.einsum("yxcs,c->yxs", flames.read()[3:5], LUMINANCE))
     found = ended(walk(source, "tail_index"))
     np.testing.assert_allclose(found[3:5], tail.xi, atol=1e-5)
-    finite = ended(walk(source, "finite_variance"))[3:5]
-    np.testing.assert_array_equal(finite == 2, tail.variance_trusted)
-    np.testing.assert_array_equal(finite == 1, tail.variance_unidentified)
-    np.testing.assert_array_equal(np.isnan(finite), tail.reason != 0)
+    holds = ended(walk(source, "error_bar"))[3:5]
+    np.testing.assert_array_equal(holds == 2, tail.variance_trusted)
+    np.testing.assert_array_equal(holds == 1, tail.variance_unidentified)
+    np.testing.assert_array_equal(holds == 0, tail.variance_suspect)
 
 
 def test_a_walk_has_values_of_every_tile_that_is_done(flames):

@@ -38,7 +38,8 @@ def test_index_and_interval_of_generalised_pareto_samples(xi):
     covered = (tail.interval[:, 0] <= xi) & (xi <= tail.interval[:, 1])
     assert 0.90 < covered.mean() < 0.98
     assert tail.standard_error.mean() / tail.xi.std() == pytest.approx(1, abs=0.15)
-    np.testing.assert_array_equal(tail.variance_suspect, tail.xi >= 0.5)
+    surely = tail.interval[:, 0] >= 0.5
+    np.testing.assert_array_equal(tail.variance_suspect, surely | (tail.coverage_own < 0.8))
     assert not (tail.variance_trusted & (tail.interval[:, 1] >= 0.5)).any()
     verdicts = tail.variance_trusted, tail.variance_suspect, tail.variance_unidentified
     np.testing.assert_array_equal(np.sum(verdicts, axis=0), 1)
@@ -80,24 +81,6 @@ def test_level_at_the_tested_index(tested, name, level):
     """Measured 4.7 to 5.8 % and, on the safe side, 0.6 to 1 %; 4 deviations are 1.4 and 0.6 %."""
     p = getattr(chd.fit.tail_index(pareto(tested, (4000, 512), 32)), name)
     assert 0.1 * level < (p < level).mean() < 1.6 * level
-
-
-def test_hill_by_its_formula():
-    x = np.random.default_rng(36).pareto(1.5, size=500) + 1
-    tail = chd.fit.tail_index(x, share=0.2)
-    top = np.sort(x)[::-1]
-    assert float(tail.hill) == pytest.approx(np.log(top[:100] / top[100]).mean())
-    assert float(tail.threshold) == top[100]
-    ends = 200 * float(tail.hill) / stats.chi2(200).ppf([0.975, 0.025])
-    np.testing.assert_allclose(tail.hill_interval, ends)
-
-
-def test_interval_of_hill_for_power_laws():
-    """Coverage 0.94 measured, since the threshold is chosen; 4 deviations are 0.03."""
-    x = np.random.default_rng(44).pareto(2.0, size=(ROWS, 512)) + 1
-    tail = chd.fit.tail_index(x)
-    covered = (tail.hill_interval[:, 0] <= 0.5) & (tail.hill_interval[:, 1] >= 0.5)
-    assert 0.90 < covered.mean() < 0.98
 
 
 def test_likelihood_is_near_its_maximum():
