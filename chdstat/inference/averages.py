@@ -47,6 +47,7 @@ __all__ = [
     "GaussianityOfMeans",
     "NormalityOfMeans",
     "gaussianity_of_means",
+    "n_of_shape",
     "nested_averages",
     "shapes",
     "sizes_of_means",
@@ -458,14 +459,16 @@ def _predict(
         bounds, sharing = _bounds(relative[known], good[at], excess, index[at])
         reason[at[sharing < _SHARING]] = Reason.UNIDENTIFIED
         bounds[2] = np.fmax(bounds[2], _of_lognormal(rows[at], good[at]))
-        needed = np.stack([_predicted(*shape, n_means=n_means) for shape in bounds])
+        needed = np.stack([n_of_shape(*shape, n_means=n_means) for shape in bounds])
         found[:, at] = np.where(sharing < _SHARING, np.nan, needed)
     low, n, high = found.reshape(3, *batch)
     return n, np.stack([low, high], axis=-1), reason.reshape(batch)
 
 
-def _predicted(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
-    """Return the N at which both lie within two standard errors for Gaussian averages.
+def n_of_shape(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
+    """Return the N at which absolute skewness and excess kurtosis of averages are a Gaussian's.
+
+    They lie within two standard errors of those of `n_means` Gaussian averages.
 
     Under normality, the variances are 6 / n_means and 24 / n_means (Cramer 1946, section 29.3).
     """

@@ -1,0 +1,231 @@
+"""Certifying pixels of a scene, and drawing samples of certified pixels again."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import chdstat
+from chdstat._core.arrays import Image, luminance, spans, whole
+from chdstat._core.work import track
+from chdstat.certification.choice import BLOCKS, chosen
+from chdstat.certification.datasets import dataset_of
+from chdstat.certification.reduction import LEAST, Numbers, reduce
+from chdstat.errors import SceneError
+from chdstat.rendering import render, render_pixels
+from chdstat.samples import Samples
+from chdstat.scenes import load_scene
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat.scenes.scene import SceneLike
+
+__all__ = ["CERTIFIED_SPP", "FRESH_SEED", "SEED", "certify", "draw"]
+
+CERTIFIED_SPP = 2**20
+"""Samples of each pixel by default."""
+SEED, FRESH_SEED = 1, 2
+"""Seeds of the samples that certify, and of those that `draw` draws by default."""
+_SIZE = (64, 64)
+_CHOICE_SPP = 512
+_FIRST = 4096
+"""Samples whose mean and checksum are kept, so that others can check that they draw the same."""
+_TOGETHER = 2**25
+"""Values drawn at once."""
+
+
+def certify(
+    scene: SceneLike,
+    *,
+    spp: int = CERTIFIED_SPP,
+    size: tuple[int, int] = _SIZE,
+    blocks: int = BLOCKS,
+    seed: int = SEED,
+    backend: str = "auto",
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Certify pixels of a scene: draw about a million samples of each, and reduce them to numbers.
+
+    One pixel is chosen from each of `blocks` x `blocks` blocks of the image, so that all patterns
+    and all degrees of noise are there, from a render of 512 spp with seed 0
+    (`chdstat.certification.choice`). The samples that certify share no random numbers with it. A
+    million samples of 64 pixels take 1 to 5 minutes with the llvm backend on two cores.
+
+    Parameters
+    ----------
+    scene
+        As for `chdstat.render`.
+    spp
+        Samples of each pixel, at least 8192. With fewer than 2^20, errors are larger and more
+        numbers are not determined.
+    size
+        (width, height) of the image in pixels.
+    blocks
+        Blocks along each side of the image.
+    seed, backend
+        As for `chdstat.rendering.render_pixels`. llvm and cuda are fastest, but their samples agree
+        to the bit only on processors of one kind; scalar ones agree wherever Mitsuba's wheel is the
+        same.
+    progress
+        As for `chdstat.render`.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `chdstat.certified` returns.
+
+    Raises
+    ------
+    InputError, SceneError, RenderError
+        If the scene cannot be rendered as asked, or there are too few samples or pixels.
+
+    Examples
+    --------
+    >>> truth = certify("cornell-box", spp=8192, size=(8, 8), blocks=2, backend="scalar")
+    >>> dict(truth.sizes)["pixel"], truth.scene.to_numpy()[0]
+    (4, 'cornell-box')
+    """
+    spp = whole("spp", spp, least=LEAST)
+    loaded = load_scene(scene)
+    view: Any = {"size": size, "backend": backend, "progress": progress}
+    looked_at = render(loaded, spp=_CHOICE_SPP, seed=0, **view)
+    choice = chosen(looked_at, blocks)
+    parts = []
+    step = max(1, _TOGETHER // (3 * spp))
+    with track(f"certifying {loaded.name}", len(choice.pixels), show=progress) as advance:
+        for piece in spans(len(choice.pixels), step):
+            x = render_pixels(
+                loaded, choice.pixels[piece], spp=spp, size=size, seed=seed, backend=backend
+            )
+            parts.append((reduce(x), first_samples(x)))
+            advance(len(x))
+    count = len(choice.pixels)
+    known = {
+        "y": choice.pixels[:, 0],
+        "x": choice.pixels[:, 1],
+        "pattern": choice.pattern,
+        "noise": choice.noise,
+        "weight": choice.weight,
+        **provenance(looked_at, seed, count),
+        **{name: np.concatenate([part[1][name] for part in parts]) for name in parts[0][1]},
+    }
+    return dataset_of(joined([part[0] for part in parts]), known, about())
+
+
+def about() -> dict[str, Any]:
+    """Return the attributes of a dataset that is made now."""
+    return {
+        "title": "Pixels of path-traced scenes with certified answers",
+        "chdstat_version": chdstat.__version__,
+        "fresh_seed": FRESH_SEED,
+    }
+
+
+def provenance(image: Samples, seed: int, count: int) -> dict[str, Any]:
+    """Return where samples of `count` pixels come from, given a render of the same image."""
+    height, width = image.shape[:2]
+    origin = {
+        "scene": image.attrs["scene"],
+        "source": image.attrs["scene_source"],
+        "scene_hash": image.attrs["scene_hash"],
+        "width": width,
+        "height": height,
+        "seed": seed,
+        "backend": image.attrs["backend"],
+        "mitsuba_version": image.attrs["mitsuba_version"],
+    }
+    return {name: np.full(count, value) for name, value in origin.items()}
+
+
+def first_samples(x: Image) -> dict[str, Any]:
+    """Return mean and checksum of the first 4096 samples of pixels, (pixel, channel, sample)."""
+    first = np.ascontiguousarray(x[..., :_FIRST], dtype="<f4")
+    means = first.mean(axis=-1, dtype=np.float64)
+    if first.shape[1] > 1:
+        of_luminance = luminance(first).mean(axis=-1, dtype=np.float64)
+        means = np.concatenate([means, of_luminance[:, np.newaxis]], axis=1)
+    checksums = [zlib.crc32(pixel.tobytes()) for pixel in first]
+    return {"first_mean": means, "checksum": np.array(checksums, np.uint32)}
+
+
+def joined(parts: list[Numbers]) -> Numbers:
+    """Return the numbers of several groups of pixels together."""
+    names = [f.name for f in fields(Numbers)]
+    return Numbers(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
+
+
+def draw(
+    truth: xr.Dataset,
+    n: int,
+    *,
+    seed: int = FRESH_SEED,
+    backend: str = "scalar",
+    progress: bool | None = None,
+) -> Image:
+    """Draw samples of certified pixels, to try a method on.
+
+    With the default seed, they are independent of the samples that certified the pixels. The
+    scalar backend draws the same samples on every machine with the same wheel of Mitsuba; 2048 of
+    512 pixels take about 15 seconds. Fewer samples are a prefix of more.
+
+    Parameters
+    ----------
+    truth
+        Pixels of `chdstat.certified`, or a selection of them.
+    n
+        Samples of each pixel.
+    seed, backend
+        As for `chdstat.rendering.render_pixels`. ``truth.seed`` and ``truth.backend`` name those
+        that draw the certifying samples again.
+    progress
+        As for `chdstat.render`.
+
+    Returns
+    -------
+    ndarray
+        Linear radiance, shape (pixel, channel, sample), float32; the channels are R, G and B.
+
+    Raises
+    ------
+    SceneError
+        If a scene is no longer what it was.
+    InputError, RenderError
+        If a scene cannot be rendered.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> truth = chd.certified().isel(pixel=slice(0, 2))
+    >>> draw(truth, 16).shape
+    (2, 3, 16)
+    """
+    count = truth.sizes["pixel"]
+    places = np.stack([truth["y"].to_numpy(), truth["x"].to_numpy()], axis=-1)
+    origin = zip(
+        *(
+            truth[name].to_numpy().tolist()
+            for name in ("scene", "source", "scene_hash", "width", "height")
+        ),
+        strict=True,
+    )
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for i, key in enumerate(origin):
+        groups.setdefault(key, []).append(i)
+    drawn = np.empty((count, 3, n), np.float32)
+    with track("drawing certified pixels", count, show=progress) as advance:
+        for (name, source, digest, width, height), rows in groups.items():
+            scene = load_scene(name if source == "chdstat" else source)
+            if scene.hash != digest:
+                message = (
+                    f"scene {name!r} is not the one whose pixels were certified: its hash is "
+                    f"{scene.hash[:8]}, expected {digest[:8]}; certify it again"
+                )
+                raise SceneError(message)
+            view: Any = {"size": (width, height), "seed": seed, "backend": backend}
+            drawn[rows] = render_pixels(scene, places[rows], spp=n, **view)
+            advance(len(rows))
+    return drawn

@@ -1,0 +1,510 @@
+"""Scores of answers on certified pixels: of this library's own, and of anybody's.
+
+`hold` scores intervals, `separation` scores a warning that error bars may not hold, and `bench`
+scores what this library answers from a few samples. All errors are 95 % intervals over pixels; the
+channels of a pixel stay together, since they share paths.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import Array, Floats, Mask, whole
+from chdstat._core.display import Card, Shown
+from chdstat._core.files import checked_target, replacing
+from chdstat._core.moments import Moments
+from chdstat._core.resampling import (
+    Z_95,
+    Blocks,
+    Interval,
+    interval_of,
+    mean_of,
+    quantile_of,
+    wilson,
+)
+from chdstat.certification.certifying import FRESH_SEED, draw
+from chdstat.certification.datasets import certified
+from chdstat.certification.reduction import SIZES
+from chdstat.errors import InputError, Reason
+from chdstat.fit import select, tail_index
+from chdstat.inference import gaussianity_of_means, modality
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat.fit.families import Fit
+
+__all__ = ["COUNTS", "FAILS", "HOLDS", "CertifiedBench", "Score", "bench", "hold", "separation"]
+
+COUNTS = (128, 512, 2048)
+"""Numbers of samples that are judged by default."""
+HOLDS, FAILS = 0.92, 0.85
+"""Error bars hold where they cover this much or more, and fail where this or less."""
+_RGB = ("R", "G", "B")
+_PREDICTS = 1379
+"""Fewest samples from which N is predicted, see `chdstat.inference.gaussianity_of_means`."""
+_CLEAR_EXCESS = 0.08
+"""Excess mass of the second mode from which on a pixel clearly has two: the least that
+`chdstat.modality` counts."""
+_RANKS = (0.05, 0.99)
+"""Least and largest quantile at which families are compared."""
+_FORMATS = (".csv", ".json")
+
+
+# --- what anybody may score ---------------------------------------------------------------------
+
+
+def hold(low: npt.ArrayLike, high: npt.ArrayLike, true: xr.DataArray) -> Interval[float]:
+    """Return the share of intervals that hold certified numbers.
+
+    Parameters
+    ----------
+    low, high
+        Ends of the intervals, with the shape of `true`; NaN where a method has no answer, which
+        does not count.
+    true
+        Certified numbers over (pixel, ...), NaN where there are none: a variable of
+        `chdstat.certified`.
+
+    Returns
+    -------
+    Interval
+        The share, and its 95 % interval over pixels.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> truth = chd.certified().mean
+    >>> print(hold(0.9 * truth, 1.1 * truth, truth))
+    1.00 [0.993, 1.00]
+    """
+    ends = _like(true, low=low, high=high)
+    inside = (ends["low"] <= true.to_numpy()) & (true.to_numpy() <= ends["high"])
+    known = np.isfinite(true.to_numpy()) & np.isfinite(ends["low"]) & np.isfinite(ends["high"])
+    return _share(inside, known, true)
+
+
+def separation(doubt: npt.ArrayLike, coverage: xr.DataArray) -> Interval[float]:
+    """Return how well a warning parts pixels whose error bars fail from those whose bars hold.
+
+    It is the area under the curve of hits against false alarms: the probability that a pixel where
+    error bars fail is more doubtful than one where they hold. 0.5 is chance, 1 is perfect. Pixels
+    with a coverage between 0.85 and 0.92 do not count.
+
+    Parameters
+    ----------
+    doubt
+        Larger where error bars are more doubtful, with the shape of `coverage`; NaN counts as no
+        doubt.
+    coverage
+        Certified coverage over (pixel, ...) for the number of samples that the warning saw:
+        ``truth.coverage.sel(size=n)``.
+
+    Returns
+    -------
+    Interval
+        The area, and its 95 % interval over pixels.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    References
+    ----------
+    Hanley and McNeil, "The meaning and use of the area under a receiver operating characteristic
+    curve", 1982, doi:10.1148/radiology.143.1.7063747.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> coverage = chd.certified().coverage.sel(size=512)
+    >>> print(separation(-coverage, coverage))
+    1.00
+    """
+    values = _like(coverage, doubt=doubt)["doubt"]
+    values = np.where(np.isnan(values), -np.inf, values)
+    held = coverage.to_numpy()
+    fails, holds = held <= FAILS, held >= HOLDS
+    judged = (fails | holds).reshape(len(held), -1)
+    row = np.nonzero(judged)[0]
+    order = np.argsort(values.reshape(judged.shape)[judged], kind="stable")
+    ordered = values.reshape(judged.shape)[judged][order]
+    if not fails.any() or not holds.any():
+        return Interval.unknown()
+    first = np.flatnonzero(np.append(True, ordered[1:] != ordered[:-1]))
+    failing = fails.reshape(judged.shape)[judged][order]
+    kept, of_pixel = np.unique(row, return_inverse=True)
+    blocks = _pixels(coverage)[kept]
+    place = of_pixel[order]
+
+    def area(weights: Floats) -> Floats:
+        weight = weights[:, place]
+        bad = np.add.reduceat(weight * failing, first, axis=1)
+        good = np.add.reduceat(weight * ~failing, first, axis=1)
+        below = np.cumsum(good, axis=1) - good / 2
+        total = bad.sum(axis=1) * good.sum(axis=1)
+        return np.asarray((bad * below).sum(axis=1) / total)
+
+    return interval_of(area, blocks, bounds=(0, 1))
+
+
+def _like(true: xr.DataArray, **given: npt.ArrayLike) -> dict[str, Floats]:
+    arrays = {name: np.asarray(value, dtype=np.float64) for name, value in given.items()}
+    for name, array in arrays.items():
+        if array.shape != true.shape:
+            message = (
+                f"{name} must have the shape of the certified numbers, {true.shape} over "
+                f"({', '.join(map(str, true.dims))}), got {array.shape}"
+            )
+            raise InputError(message)
+    return arrays
+
+
+def _pixels(of: xr.DataArray) -> Blocks:
+    """Return each pixel as a block, and each scene as a region."""
+    _, region = np.unique(of["scene"].to_numpy(), return_inverse=True)
+    return Blocks(np.arange(len(region)), region)
+
+
+def _share(inside: Mask, known: Mask, of: xr.DataArray) -> Interval[float]:
+    """Return the share of the known rows that are inside."""
+    if not known.any():
+        return Interval.unknown()
+    kept = known.reshape(len(known), -1).any(axis=1)
+    return mean_of(np.where(known, inside, np.nan)[kept], _pixels(of)[kept])
+
+
+# --- this library's own answers -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good answers to one question are.
+
+    Attributes
+    ----------
+    question
+        What was asked, in words.
+    n
+        Samples that were seen.
+    score
+        The score, with its 95 % interval over pixels.
+    answers
+        Pixels and channels that were judged.
+    """
+
+    question: str
+    n: int
+    score: Interval[float]
+    answers: int
+
+
+@dataclass(frozen=True, repr=False)
+class CertifiedBench(Shown):
+    """How this library's own answers do on certified pixels.
+
+    Attributes
+    ----------
+    scores
+        A `Score` for each question and number of samples.
+    scenes
+        Names of the scenes.
+    pixels
+        Number of pixels.
+    """
+
+    scores: tuple[Score, ...]
+    scenes: tuple[str, ...]
+    pixels: int
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return a row for each question and number of samples."""
+        return [
+            {"question": s.question, "n": s.n, **s.score.to_dict(), "answers": s.answers}
+            for s in self.scores
+        ]
+
+    def rows(self) -> list[dict[str, str]]:
+        """Return a row of text for each question, with a column for each number of samples."""
+        counts = sorted({s.n for s in self.scores})
+        found: dict[str, dict[str, str]] = {}
+        for s in self.scores:
+            row = found.setdefault(
+                s.question, {"question": s.question, **{str(n): "—" for n in counts}}
+            )
+            row[str(s.n)] = str(s.score)
+        return [*found.values()]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table, scenes and number of pixels, ready for JSON; None for NaN."""
+        rows = [
+            {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
+            for row in self.table()
+        ]
+        return {"scenes": list(self.scenes), "pixels": self.pixels, "scores": rows}
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table to a file: .csv or .json.
+
+        Raises
+        ------
+        InputError
+            If the file has another suffix.
+        """
+        target = checked_target(path, *_FORMATS)
+        with replacing(target) as draft, draft.open("w", newline="", encoding="utf-8") as file:
+            if target.suffix == ".json":
+                json.dump(self.to_dict(), file, indent=2)
+            else:
+                rows = self.table()
+                writer = csv.DictWriter(file, fieldnames=[*rows[0]])
+                writer.writeheader()
+                writer.writerows(rows)
+        return target
+
+    def _card(self) -> Card:
+        facts = {"pixels": self.pixels, "scenes": ", ".join(self.scenes)}
+        return Card("Answers on certified pixels", facts, self.rows())
+
+
+def bench(
+    truth: xr.Dataset | None = None,
+    *,
+    n: Sequence[int] = COUNTS,
+    seed: int = FRESH_SEED,
+    backend: str = "scalar",
+    progress: bool | None = None,
+) -> CertifiedBench:
+    """Judge what this library answers from a few samples of certified pixels.
+
+    The samples are drawn again, independently of those that certified the pixels. Intervals and
+    scores are 95 % intervals over pixels.
+
+    Parameters
+    ----------
+    truth
+        Certified pixels; by default, those of `chdstat.certified`.
+    n
+        Numbers of samples, powers of 2 from 32 to 4096.
+    seed, backend
+        As for `draw`.
+    progress
+        As for `chdstat.render`.
+
+    Returns
+    -------
+    CertifiedBench
+
+    Raises
+    ------
+    InputError
+        If there is no certified coverage for a number of samples.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> truth = chd.certified().isel(pixel=slice(128, 192, 4))
+    >>> found = bench(truth, n=[32], progress=False)
+    >>> found.scores[0].question, found.scores[0].answers
+    ('normal 95 % interval holds the mean', 48)
+    """
+    truth = certified() if truth is None else truth
+    counts = sorted({whole("n", count, least=1) for count in n})
+    if missing := [count for count in counts if count not in SIZES]:
+        message = (
+            f"n must be among {', '.join(map(str, SIZES))}, for which error bars are certified, got "
+            f"{', '.join(map(str, missing))}"
+        )
+        raise InputError(message)
+    x = draw(truth, counts[-1], seed=seed, backend=backend, progress=progress)
+    if "R" in truth.channel:
+        truth = truth.sel(channel=list(_RGB))
+    scores = tuple(score for count in counts for score in _scores(x[..., :count], truth))
+    scenes = tuple(dict.fromkeys(truth["scene"].to_numpy().tolist()))
+    return CertifiedBench(scores, scenes, truth.sizes["pixel"])
+
+
+def _scores(x: Array, truth: xr.Dataset) -> Iterator[Score]:
+    """Yield the scores of all answers from the samples, shape (pixel, channel, sample)."""
+    n = x.shape[-1]
+    for answer in _ANSWERS:
+        yield from (
+            Score(question, n, score, int(answers)) for question, score, answers in answer(x, truth)
+        )
+
+
+_Found = Iterator[tuple[str, Interval[float], int]]
+
+
+def _of_moments(x: Array, truth: xr.Dataset) -> _Found:
+    moments = Moments.of(x)
+    half = Z_95 * moments.standard_error
+    true = truth["mean"]
+    yield (
+        "normal 95 % interval holds the mean",
+        hold(moments.mean - half, moments.mean + half, true),
+        np.isfinite(true).sum(),
+    )
+    certain = truth["coverage"].sel(size=x.shape[-1])
+    known = certain.notnull().any("channel").to_numpy()
+    yield (
+        "  as certified",
+        mean_of(certain.to_numpy()[known], _pixels(certain)[known]),
+        np.isfinite(certain).sum(),
+    )
+    variance = truth["variance"]
+    ratio = moments.variance / variance.where(variance > 0).to_numpy()
+    known = np.isfinite(ratio)
+    yield (
+        "variance within a factor 2",
+        _share((ratio > 0.5) & (ratio < 2), known, variance),
+        known.sum(),
+    )
+    yield "median of variance / certified", quantile_of(ratio, _pixels(variance)), known.sum()
+
+
+def _of_quantiles(x: Array, truth: xr.Dataset) -> _Found:
+    for q in (0.5, 0.9, 0.99):
+        true = truth["quantile"].sel(q=q, method="nearest")
+        found = np.quantile(x, q, axis=-1)
+        positive = true.where(true > 0).to_numpy()
+        error = np.abs(found / positive - 1)
+        yield (
+            f"median relative error of the {q:g} quantile",
+            quantile_of(error, _pixels(true)),
+            np.isfinite(error).sum(),
+        )
+
+
+def _of_nulls(x: Array, truth: xr.Dataset) -> _Found:
+    true = truth["null_share"]
+    # Pixels that are never null, or always, have a share that any method finds.
+    true = true.where((true > 0) & (true < 1))
+    ends = wilson(np.count_nonzero(x == 0, axis=-1), np.array(x.shape[-1]))
+    score = hold(ends[..., 0], ends[..., 1], true)
+    yield "Wilson's interval holds the share of nulls", score, true.notnull().sum()
+
+
+def _of_tails(x: Array, truth: xr.Dataset) -> _Found:
+    found = tail_index(x)
+    index = truth["tail_index"]
+    depth = _at_depth(index, found.share)
+    ends = found.interval
+    known = np.isfinite(depth) & np.isfinite(ends[..., 0])
+    true = index.isel(share=0).copy(data=depth)
+    yield (
+        "95 % interval holds the tail index at its depth",
+        hold(ends[..., 0], ends[..., 1], true),
+        known.sum(),
+    )
+    answered = np.isfinite(ends[..., 0])
+    yield "  has an interval", _share(answered, np.ones_like(answered), true), answered.size
+    coverage = truth["coverage"].sel(size=x.shape[-1])
+    judged = coverage.to_numpy()
+    for words, which in (
+        (f"variance_suspect where error bars hold (coverage {HOLDS} or more)", judged >= HOLDS),
+        (f"variance_suspect where they fail ({FAILS} or less)", judged <= FAILS),
+    ):
+        yield words, _share(found.variance_suspect, which, coverage), which.sum()
+    count = ((judged >= HOLDS) | (judged <= FAILS)).sum()
+    yield "tail index parts the two (area under the curve)", separation(found.xi, coverage), count
+
+
+def _at_depth(index: xr.DataArray, share: Floats) -> Floats:
+    """Return certified tail indices at shares of the positive samples, by log share."""
+    known = np.log(index["share"].to_numpy()[::-1])
+    values = index.to_numpy()[..., ::-1].reshape(-1, known.size)
+    rows = zip(values, np.log(share).reshape(-1), strict=True)
+    at = [np.interp(depth, known, row, left=np.nan) for row, depth in rows]
+    return np.reshape(at, share.shape)
+
+
+def _of_averages(x: Array, truth: xr.Dataset) -> _Found:
+    if x.shape[-1] < _PREDICTS:
+        return
+    found = gaussianity_of_means(x, sizes=[1])
+    ends, true = found.n_predicted_interval, truth["n_gaussian"]
+    known = np.isfinite(ends[..., 0]) & true.notnull().to_numpy()
+    yield (
+        "95 % interval holds the N until averages are Gaussian",
+        hold(ends[..., 0], ends[..., 1], true),
+        known.sum(),
+    )
+    answered = np.isfinite(ends[..., 0])
+    yield "  has an interval", _share(answered, np.ones_like(answered), true), answered.size
+
+
+def _of_modes(x: Array, truth: xr.Dataset) -> _Found:
+    found = modality(x)
+    counts = truth["modes"]
+    alike = (counts == counts.isel(bandwidth=0)).all("bandwidth") & (
+        truth["modes_reason"] == Reason.OK
+    ).all("bandwidth")
+    middle = counts.isel(bandwidth=1)
+    several = (alike & (middle > 1)).to_numpy()
+    several &= truth["mode_excess"].isel(mode=1).to_numpy() >= _CLEAR_EXCESS
+    single = (alike & (middle == 1)).to_numpy()
+    answered = found.reason == Reason.OK
+    for words, which in (
+        ("several modes said of one", single & answered),
+        ("several modes found of several", several & answered),
+    ):
+        yield words, _share(found.modes > 1, which, middle), which.sum()
+
+
+def _of_families(x: Array, truth: xr.Dataset) -> _Found:
+    found, of = select(x), truth["mean"]
+    distances = np.stack([_distance(fit, truth) for fit in found.fits.values()], axis=-1)
+    chosen = np.take_along_axis(distances, np.maximum(found.best, 0)[..., np.newaxis], axis=-1)
+    chosen = np.where(found.best < 0, np.nan, chosen[..., 0])
+    known = np.isfinite(chosen)
+    yield (
+        "median distance of the chosen family (Kolmogorov)",
+        quantile_of(chosen, _pixels(of)),
+        known.sum(),
+    )
+    least = np.where(np.isnan(distances), np.inf, distances).min(axis=-1)
+    yield "  is within 0.02 of the closest", _share(chosen <= least + 0.02, known, of), known.sum()
+
+
+def _distance(fit: Fit, truth: xr.Dataset) -> Floats:
+    """Return the largest distance of certified from fitted probabilities, shape (pixel, channel).
+
+    The probabilities are those of the fit's quantiles; between certified quantiles, and between 0
+    and the first of them, they are interpolated.
+    """
+    q = truth["q"].to_numpy()
+    model, true = fit.ppf(q), truth["quantile"].to_numpy()
+    distance = np.full(true.shape[:-1], np.nan)
+    for at, nulls in np.ndenumerate(truth["null_share"].to_numpy()):
+        positive = true[at] > 0
+        asked = positive & (q >= _RANKS[0]) & (q <= _RANKS[1])
+        if asked.any() and np.isfinite(model[at]).all():
+            ends, ranks = np.append(0, true[at][positive]), np.append(nulls, q[positive])
+            distance[at] = np.abs(np.interp(model[at][asked], ends, ranks) - q[asked]).max()
+    return distance
+
+
+_ANSWERS = (
+    _of_moments,
+    _of_quantiles,
+    _of_nulls,
+    _of_tails,
+    _of_averages,
+    _of_modes,
+    _of_families,
+)
