@@ -13,9 +13,9 @@ __version__ = "0.1.0"
 
 _FUNCTIONS = {
     "Samples": "samples",
-    "Scene": "scenes",
     "analyze": "analysis",
     "atlas": "patterns",
+    "certified": "certification",
     "classify": "patterns",
     "bench": "comparison",
     "compare": "comparison",

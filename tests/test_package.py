@@ -36,6 +36,7 @@ ORDER = (
     "analysis",
     "estimators",
     "comparison",
+    "certification",
     "studies",
     "viz",
     "reporting",

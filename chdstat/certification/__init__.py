@@ -9,11 +9,19 @@ them to a file.
 
 from __future__ import annotations
 
-from chdstat.certification.certifying import certify, draw
+from chdstat.certification.certifying import certify, draw, of_scenes
 from chdstat.certification.datasets import certified, save
-from chdstat.certification.scores import CertifiedBench, Score, bench, hold, separation
+from chdstat.certification.scores import (
+    COUNTS,
+    CertifiedBench,
+    Score,
+    bench,
+    hold,
+    separation,
+)
 
 __all__ = [
+    "COUNTS",
     "CertifiedBench",
     "Score",
     "bench",
@@ -21,6 +29,7 @@ __all__ = [
     "certify",
     "draw",
     "hold",
+    "of_scenes",
     "save",
     "separation",
 ]

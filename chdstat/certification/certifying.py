@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,19 +14,30 @@ import chdstat
 from chdstat._core.arrays import Image, luminance, spans, whole
 from chdstat._core.work import track
 from chdstat.certification.choice import BLOCKS, chosen
-from chdstat.certification.datasets import dataset_of
+from chdstat.certification.datasets import SUFFIX, certified, dataset_of, save
 from chdstat.certification.reduction import LEAST, Numbers, reduce
-from chdstat.errors import SceneError
+from chdstat.errors import InputError, SceneError
 from chdstat.rendering import render, render_pixels
 from chdstat.samples import Samples
-from chdstat.scenes import load_scene
+from chdstat.scenes import BUILTIN, load_scene
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from chdstat.scenes.scene import SceneLike
+    from chdstat.scenes.scene import Scene, SceneLike
 
-__all__ = ["CERTIFIED_SPP", "FRESH_SEED", "SEED", "certify", "draw"]
+__all__ = [
+    "CERTIFIED_SPP",
+    "FRESH_SEED",
+    "SEED",
+    "about",
+    "certify",
+    "draw",
+    "first_samples",
+    "joined",
+    "of_scenes",
+    "provenance",
+]
 
 CERTIFIED_SPP = 2**20
 """Samples of each pixel by default."""
@@ -114,6 +127,72 @@ def certify(
         **{name: np.concatenate([part[1][name] for part in parts]) for name in parts[0][1]},
     }
     return dataset_of(joined([part[0] for part in parts]), known, about())
+
+
+def of_scenes(
+    scenes: Sequence[str],
+    *,
+    spp: int | None = None,
+    size: tuple[int, int] | None = None,
+    folder: Path | None = None,
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Return certified pixels of several scenes; without scenes, those of the library.
+
+    Parameters
+    ----------
+    scenes
+        Names of built-in scenes, XML files, which are certified, and files of certified pixels.
+    spp, size
+        As for `certify`. With either, built-in scenes are certified, too.
+    folder
+        Where a file with the pixels of each scene is written after it was certified. If it is
+        there, it is read.
+    progress
+        As for `chdstat.render`.
+
+    Raises
+    ------
+    InputError
+        If a file in the folder has other pixels than are asked for.
+    """
+    import xarray as xr
+
+    if not scenes and spp is None and size is None:
+        return certified()
+    options: dict[str, Any] = {"spp": spp or CERTIFIED_SPP, "size": size or _SIZE}
+    parts = []
+    for name in scenes or BUILTIN:
+        if name.endswith(SUFFIX):
+            parts.append(certified(name))
+        elif name in BUILTIN and spp is None and size is None:
+            known = certified()
+            parts.append(known.isel(pixel=np.flatnonzero(known["scene"].to_numpy() == name)))
+        else:
+            parts.append(_kept(load_scene(name), folder, options, progress))
+    return xr.concat(parts, "pixel", data_vars="all", combine_attrs="override")
+
+
+def _kept(
+    scene: Scene, folder: Path | None, options: dict[str, Any], progress: bool | None
+) -> xr.Dataset:
+    """Return certified pixels of a scene, from the folder if they are there."""
+    if folder is None:
+        return certify(scene, **options, progress=progress)
+    file = folder / f"{scene.name}{SUFFIX}"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        return certified(save(certify(scene, **options, progress=progress), file))
+    found = certified(file)
+    have = found["n"].max(), found["width"][0], found["height"][0], found["scene_hash"][0]
+    asked = options["spp"], *options["size"], scene.hash
+    if tuple(value.item() for value in have) != asked:
+        message = (
+            f"{file} has pixels of another scene, size or number of samples; remove it, or give "
+            "another folder"
+        )
+        raise InputError(message)
+    return found
 
 
 def about() -> dict[str, Any]:

@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -56,7 +56,6 @@ _CLEAR_EXCESS = 0.08
 `chdstat.modality` counts."""
 _RANKS = (0.05, 0.99)
 """Least and largest quantile at which families are compared."""
-_FORMATS = (".csv", ".json")
 
 
 # --- what anybody may score ---------------------------------------------------------------------
@@ -227,6 +226,9 @@ class CertifiedBench(Shown):
         Number of pixels.
     """
 
+    FORMATS: ClassVar = (".csv", ".json")
+    """File formats of the table."""
+
     scores: tuple[Score, ...]
     scenes: tuple[str, ...]
     pixels: int
@@ -265,7 +267,7 @@ class CertifiedBench(Shown):
         InputError
             If the file has another suffix.
         """
-        target = checked_target(path, *_FORMATS)
+        target = checked_target(path, *self.FORMATS)
         with replacing(target) as draft, draft.open("w", newline="", encoding="utf-8") as file:
             if target.suffix == ".json":
                 json.dump(self.to_dict(), file, indent=2)
@@ -326,8 +328,8 @@ def bench(
     counts = sorted({whole("n", count, least=1) for count in n})
     if missing := [count for count in counts if count not in SIZES]:
         message = (
-            f"n must be among {', '.join(map(str, SIZES))}, for which error bars are certified, got "
-            f"{', '.join(map(str, missing))}"
+            f"n must be among {', '.join(map(str, SIZES))}, for which error bars are certified, "
+            f"got {', '.join(map(str, missing))}"
         )
         raise InputError(message)
     x = draw(truth, counts[-1], seed=seed, backend=backend, progress=progress)

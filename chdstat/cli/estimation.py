@@ -275,14 +275,17 @@ def contrast(
     *OUTPUT,
 )
 def bench(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(metavar="SCENE|STORE...", help="Built-in names, Mitsuba XML files, stores."),
-    ],
     asked: CommonOptions,
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCENE|STORE...", help="Built-in names, Mitsuba XML files, stores."),
+    ] = None,
     spp: Annotated[
         list[int] | None,
-        option("Samples per pixel to estimate from; repeat.", unset="16 and 64"),
+        option(
+            "Samples per pixel to estimate from; repeat.",
+            unset="16 and 64; 128, 512 and 2048 if certified",
+        ),
     ] = None,
     seeds: Annotated[int, option("Number of renders of each scene to average over.")] = 1,
     reference: Annotated[
@@ -293,20 +296,48 @@ def bench(
             unset="rendered with another seed",
         ),
     ] = None,
-    reference_spp: Annotated[int, option("Samples per pixel of a rendered reference.")] = 2048,
+    reference_spp: Annotated[
+        int | None,
+        option("Samples per pixel of a rendered reference.", unset="2048; 2^20 to certify"),
+    ] = None,
     image: Annotated[
         list[str] | None,
         option(
             "A finished image of another program, EXR; can be repeated.", metavar="NAME@SCENE=FILE"
         ),
     ] = None,
-    folder: Annotated[Path | None, option("Folder that keeps renders and references.")] = None,
+    folder: Annotated[
+        Path | None, option("Folder that keeps renders, references and certified pixels.")
+    ] = None,
+    certified: Annotated[
+        bool,
+        option(
+            "Judge this library's own statistics instead, on pixels with certified answers: those "
+            "of the built-in scenes, or of each SCENE, which is certified first (minutes)."
+        ),
+    ] = False,
     out: Annotated[Path | None, option("Table to write: .csv, .json.", "--out", "-o")] = None,
 ) -> None:
-    """Compare estimators on several scenes against converged references, as a paper would."""
+    """Compare estimators on several scenes against converged references, as a paper would.
+
+    With --certified, judge intervals, tails, modes and families that this library finds in 128, 512
+    and 2048 samples. A million samples of each of 64 pixels certify the pixels of a scene.
+    """
     import chdstat
     from chdstat.comparison.benchmark import FORMATS
 
+    if certified:
+        refused = {
+            "-e": asked.estimator,
+            "--seeds": seeds > 1,
+            "--reference": reference,
+            "--image": image,
+        }
+        _bench_certified(scenes or [], asked, spp, reference_spp, folder, out, refused)
+        return
+    if not scenes:
+        message = "bench needs a scene or a store, got none; add one, or --certified"
+        raise InputError(message)
     if out is not None:
         asked.target(out, *FORMATS)  # refused before the work
     images: dict[str, dict[str, str]] = {}
@@ -319,7 +350,7 @@ def bench(
         spp=spp or (16, 64),
         seeds=seeds,
         references=pairs_of("--reference", reference),
-        reference_spp=reference_spp,
+        reference_spp=reference_spp or 2048,
         images=images,
         folder=folder,
         progress=asked.progress,
@@ -332,6 +363,46 @@ def bench(
     else:
         typer.echo(found)
     output.say_next(asked.quiet, ("compare", "STORE", "--patterns"))
+
+
+def _bench_certified(
+    scenes: list[str],
+    asked: CommonOptions,
+    spp: list[int] | None,
+    reference_spp: int | None,
+    folder: Path | None,
+    out: Path | None,
+    refused: dict[str, Any],
+) -> None:
+    """Judge this library's own answers on certified pixels."""
+    from chdstat import certification
+
+    if given := [name for name, value in refused.items() if value]:
+        message = f"--certified judges this library's statistics and takes no {', '.join(given)}"
+        raise InputError(message)
+    if out is not None:
+        asked.target(out, *certification.CertifiedBench.FORMATS)  # refused before the work
+    truth = certification.of_scenes(
+        scenes,
+        spp=reference_spp,
+        size=asked.settings.get("size"),
+        folder=folder,
+        progress=asked.progress,
+    )
+    seed = {} if asked.seed is None else {"seed": asked.seed}
+    counts = spp or certification.COUNTS
+    found = certification.bench(truth, n=counts, progress=asked.progress, **seed)
+    if out is not None:
+        found.save(out)
+    if asked.as_json:
+        output.print_json(found.to_dict())
+    else:
+        typer.echo(
+            f"{found.pixels} certified pixels of {', '.join(found.scenes)}; 95 % intervals\n"
+        )
+        titles = {name: name if name == "question" else f"n = {name}" for name in found.rows()[0]}
+        output.print_rows(found.rows(), titles)
+    output.say_next(asked.quiet, ("bench", "--certified", "SCENE.xml", "--folder", "certified"))
 
 
 _CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}
