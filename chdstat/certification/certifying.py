@@ -24,6 +24,7 @@ from chdstat.scenes import BUILTIN, load_scene
 if TYPE_CHECKING:
     import xarray as xr
 
+    from chdstat.rendering.backend import Backend
     from chdstat.scenes.scene import Scene, SceneLike
 
 __all__ = [
@@ -58,7 +59,7 @@ def certify(
     size: tuple[int, int] = _SIZE,
     blocks: int = BLOCKS,
     seed: int = SEED,
-    backend: str = "auto",
+    backend: Backend = "auto",
     progress: bool | None = None,
 ) -> xr.Dataset:
     """Certify pixels of a scene: draw about a million samples of each, and reduce them to numbers.
@@ -242,7 +243,7 @@ def draw(
     n: int,
     *,
     seed: int = FRESH_SEED,
-    backend: str = "scalar",
+    backend: Backend = "scalar",
     progress: bool | None = None,
 ) -> Image:
     """Draw samples of certified pixels, to try a method on.

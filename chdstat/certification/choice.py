@@ -91,7 +91,8 @@ def _noise(samples: Samples) -> Floats:
     values = luminance(samples.read()).astype(np.float64)
     mean = values.mean(axis=-1)
     spread = values.std(axis=-1)
-    return np.divide(spread, np.abs(mean), out=np.zeros_like(mean), where=mean != 0)
+    noise: Floats = np.divide(spread, np.abs(mean), out=np.zeros_like(mean), where=mean != 0)
+    return noise
 
 
 def _kinds(labels: Array, noise: Floats) -> Counts:

@@ -157,7 +157,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> Path:
         If the file has another suffix.
     """
     target = checked_target(path, SUFFIX)
-    arrays = {}
+    arrays: dict[str, Any] = {"attrs": np.array(json.dumps(dataset.attrs))}
     for name in (*SCHEMA, *Numbers.declared()):
         values = dataset[name].to_numpy()
         if values.dtype.kind == "f":
@@ -167,7 +167,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> Path:
             values = values.astype(np.str_)
         arrays[name] = values
     with replacing(target) as partial, partial.open("wb") as file:
-        np.savez_compressed(file, attrs=np.array(json.dumps(dataset.attrs)), **arrays)
+        np.savez_compressed(file, **arrays)
     return target
 
 

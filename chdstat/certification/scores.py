@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from chdstat.fit.families import Fit
+    from chdstat.rendering.backend import Backend
 
 __all__ = ["COUNTS", "FAILS", "HOLDS", "CertifiedBench", "Score", "bench", "hold", "separation"]
 
@@ -288,7 +289,7 @@ def bench(
     *,
     n: Sequence[int] = COUNTS,
     seed: int = FRESH_SEED,
-    backend: str = "scalar",
+    backend: Backend = "scalar",
     progress: bool | None = None,
 ) -> CertifiedBench:
     """Judge what this library answers from a few samples of certified pixels.
@@ -349,7 +350,7 @@ def _scores(x: Array, truth: xr.Dataset) -> Iterator[Score]:
         )
 
 
-_Found = Iterator[tuple[str, Interval[float], int]]
+_Found = Iterator[tuple[str, Interval[float], Any]]
 
 
 def _of_moments(x: Array, truth: xr.Dataset) -> _Found:

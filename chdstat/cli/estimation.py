@@ -389,7 +389,7 @@ def _bench_certified(
         folder=folder,
         progress=asked.progress,
     )
-    seed = {} if asked.seed is None else {"seed": asked.seed}
+    seed: dict[str, Any] = {} if asked.seed is None else {"seed": asked.seed}
     counts = spp or certification.COUNTS
     found = certification.bench(truth, n=counts, progress=asked.progress, **seed)
     if out is not None:
