@@ -46,6 +46,7 @@ COORDINATES: dict[str, tuple[tuple[Any, ...], str, str]] = {
     "top": (TOPS, "share of the samples that are the largest", "1"),
     "size": (SIZES, "samples of an error bar", "1"),
     "averaged": (AVERAGED, "samples of an average", "1"),
+    "bound": (("low", "high"), "end of an interval", ""),
     "share": (TAIL_SHARES, "share of the positive samples in the tail", "1"),
     "bandwidth": (BANDWIDTHS, "standard deviation of the kernel in decades", "1"),
     "mode": (tuple(range(1, MOST_MODES + 1)), "rank of a mode by excess mass", "1"),

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+from scipy import ndimage, optimize
 
 from chdstat._core.arrays import Array, Counts, Floats, is_bad, luminance
 from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
@@ -51,6 +51,7 @@ __all__ = [
     "TAIL_SHARES",
     "TOPS",
     "Numbers",
+    "passing_n",
     "reduce",
 ]
 
@@ -79,7 +80,8 @@ MOST_MODES = 6
 
 _SETS = 256
 """Most sets of averages that are tested for each size."""
-_ALPHA = 0.05
+_ALPHA, _PASSES = 0.05, 0.1
+"""Level of a test of averages, and the share of sets up to which they pass: twice the level."""
 _LEAST_EXCESSES = 100
 """Fewest samples of a tail with numbers of its own: the standard error of its index is 0.1."""
 _WIDE, _ENOUGH = 0.05, 2**16
@@ -140,6 +142,11 @@ class Numbers(Result):
     rejected, rejected_se
         Share of sets of 32 averages of N samples that Shapiro and Wilk's test rejects at 5 %, for N
         in `AVERAGED`; 0.05 where averages are Gaussian. All averages are of disjoint samples.
+    n_passing, n_passing_interval
+        Smallest N in `AVERAGED` from which on at most 10 % of the sets are rejected, and the N for
+        shares 1.96 standard errors lower and higher; infinite where there is none. Unlike
+        `n_gaussian`, it exists for every tail: averages pass although a kurtosis is infinite, if
+        what makes it so is too rare for 32 averages to show.
     tail_index, tail_index_se, tail_index_reason
         Index xi of the generalised Pareto distribution that fits the largest samples, by the share
         of the positive samples that they are (`TAIL_SHARES`), fitted as by
@@ -202,6 +209,10 @@ class Numbers(Result):
         "share of sets of 32 averages that are not Gaussian at 5 %", "channel", "averaged"
     )
     rejected_se: Floats = variable("standard error of that share", "channel", "averaged")
+    n_passing: Floats = variable(
+        "samples from which on few sets of averages are rejected", "channel"
+    )
+    n_passing_interval: Floats = variable("95 % interval of n_passing", "channel", "bound")
     tail_index: Floats = variable("generalised Pareto tail index", "channel", "share")
     tail_index_se: Floats = variable("standard error of the tail index", "channel", "share")
     tail_index_reason: npt.NDArray[np.int8] = variable(
@@ -278,6 +289,7 @@ def _shapes() -> dict[str, tuple[int, ...]]:
         "top": len(TOPS),
         "size": len(SIZES),
         "averaged": len(AVERAGED),
+        "bound": 2,
         "share": len(TAIL_SHARES),
         "bandwidth": len(BANDWIDTHS),
         "mode": MOST_MODES,
@@ -475,7 +487,45 @@ def _rejections(z: Floats) -> dict[str, Any]:
         share[i] = rejected.mean()
         smoothed = (rejected.sum() + 2) / (sets + 4)
         error[i] = np.sqrt(smoothed * (1 - smoothed) / (sets + 4))
-    return {"rejected": share, "rejected_se": error}
+    passing, interval = passing_n(share, error)
+    return {
+        "rejected": share,
+        "rejected_se": error,
+        "n_passing": passing,
+        "n_passing_interval": interval,
+    }
+
+
+def passing_n(rejected: Floats, error: Floats) -> tuple[Floats, Floats]:
+    """Return the N from which on averages pass, and its 95 % interval, on a new last axis.
+
+    Shares of rejections fall with N, but those of few sets are noisy: where they rise, neighbours
+    are averaged (isotonic regression, weighted by their errors; Barlow, Bartholomew, Bremner and
+    Brunk, "Statistical inference under order restrictions", 1972).
+
+    Examples
+    --------
+    >>> passing_n(np.array([0.9, 0.3, 0.08, 0.11] + 7 * [0.05]), np.full(11, 0.01))
+    (array(4.), array([4., 8.]))
+    """
+    shape = rejected.shape[:-1]
+    rows = zip(rejected.reshape(-1, len(AVERAGED)), error.reshape(-1, len(AVERAGED)), strict=True)
+    found = np.reshape([_passing(share, own) for share, own in rows], (*shape, 3))
+    return found[..., 1], found[..., [0, 2]]
+
+
+def _passing(rejected: Floats, error: Floats) -> list[float]:
+    """Return low end, value and high end of the N of one row; infinite if it passes nowhere."""
+    known = np.isfinite(rejected)
+    if not known.any():
+        return [np.nan] * 3
+    weights, ends = error[known] ** -2, []
+    for side in (-Z_95, 0, Z_95):
+        shares = rejected[known] + side * error[known]
+        falling = optimize.isotonic_regression(shares, weights=weights, increasing=False).x
+        often = np.count_nonzero(falling > _PASSES)
+        ends.append(float(AVERAGED[often]) if often < falling.size else np.inf)
+    return ends
 
 
 def _tails(x: Array) -> dict[str, Any]:

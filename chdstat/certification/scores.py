@@ -415,7 +415,7 @@ def _of_tails(x: Array, truth: xr.Dataset) -> _Found:
         known.sum(),
     )
     answered = np.isfinite(ends[..., 0])
-    yield "  has an interval", _share(answered, np.ones_like(answered), true), answered.size
+    yield "  and there is one", _share(answered, np.ones_like(answered), true), answered.size
     coverage = truth["coverage"].sel(size=x.shape[-1])
     judged = coverage.to_numpy()
     for words, which in (
@@ -448,7 +448,7 @@ def _of_averages(x: Array, truth: xr.Dataset) -> _Found:
         known.sum(),
     )
     answered = np.isfinite(ends[..., 0])
-    yield "  has an interval", _share(answered, np.ones_like(answered), true), answered.size
+    yield "  and N is predicted", _share(answered, np.ones_like(answered), true), answered.size
 
 
 def _of_modes(x: Array, truth: xr.Dataset) -> _Found:

@@ -26,7 +26,8 @@ class CertifiedSchema(SphinxDirective):
 def _lines() -> Iterator[str]:
     yield from _table("Coordinate", "Values", "Meaning")
     for name, (values, label, _) in COORDINATES.items():
-        yield from _row(f"``{name}``", ", ".join(f"{value:g}" for value in values), label)
+        shown = [value if isinstance(value, str) else f"{value:g}" for value in values]
+        yield from _row(f"``{name}``", ", ".join(shown), label)
     yield ""
     yield from _table("Of each pixel", "Dims", "Meaning")
     for name, (dims, label, unit) in SCHEMA.items():

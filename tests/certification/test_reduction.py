@@ -73,6 +73,10 @@ def test_coverage_of_error_bars_of_an_exponential(exponential):
 def test_averages_of_an_exponential(exponential):
     # Skewness 2 / sqrt(N) falls below 2 sqrt(6 / 32) at N = 5.33.
     assert exponential["n_gaussian"] == pytest.approx(6, abs=1)
+    # Simulated: 10.4 % of the sets are rejected for averages of 32, and 8.3 % for 48.
+    low, high = exponential["n_passing_interval"]
+    assert low <= 64 <= high
+    assert 16 <= exponential["n_passing"] <= 128
     # Power of Shapiro and Wilk's test, from chdstat.inference.averages.N_MEANS.
     for size, share in ((1, 0.98), (2, 0.79), (4, 0.46), (8, 0.25)):
         i = AVERAGED.index(size)
@@ -197,7 +201,13 @@ def test_a_pixel_does_not_depend_on_others_and_every_field_has_its_shape():
     rng = np.random.default_rng(11)
     x = rng.exponential(size=(2, 1, LEAST)).astype(np.float32)
     both, second = reduce(x), reduce(x[1:])
-    lengths = {"q": len(QUANTILES), "top": 2, "size": len(SIZES), "averaged": len(AVERAGED)}
+    lengths = {
+        "q": len(QUANTILES),
+        "top": 2,
+        "size": len(SIZES),
+        "averaged": len(AVERAGED),
+        "bound": 2,
+    }
     lengths |= {"share": len(TAIL_SHARES), "bandwidth": len(BANDWIDTHS), "mode": MOST_MODES}
     lengths["channel"] = 1
     for name, (own, about) in Numbers.declared().items():
