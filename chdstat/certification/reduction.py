@@ -252,8 +252,8 @@ def reduce(x: npt.ArrayLike) -> Numbers:
     >>> found = reduce(x)
     >>> float(found.mean[0, 0].round(2)), float(found.mean_se[0, 0].round(4))
     (1.0, 0.0039)
-    >>> found.coverage[0, 0, [0, -1]].round(2), int(found.modes[0, 0, 1])
-    (array([0.92, 0.88]), 1)
+    >>> found.coverage[0, 0, [0, 3]].round(2), int(found.modes[0, 0, 1])
+    (array([0.92, 0.96]), 1)
     """
     samples = np.asarray(x)
     if samples.ndim != 3 or samples.shape[1] not in (1, 3) or samples.shape[2] < LEAST:
@@ -506,12 +506,12 @@ def passing_n(rejected: Floats, error: Floats) -> tuple[Floats, Floats]:
     Examples
     --------
     >>> passing_n(np.array([0.9, 0.3, 0.08, 0.11] + 7 * [0.05]), np.full(11, 0.01))
-    (array(4.), array([4., 8.]))
+    (array(4.), array([ 4., 16.]))
     """
     shape = rejected.shape[:-1]
     rows = zip(rejected.reshape(-1, len(AVERAGED)), error.reshape(-1, len(AVERAGED)), strict=True)
     found = np.reshape([_passing(share, own) for share, own in rows], (*shape, 3))
-    return found[..., 1], found[..., [0, 2]]
+    return np.asarray(found[..., 1]), found[..., [0, 2]]
 
 
 def _passing(rejected: Floats, error: Floats) -> list[float]:
