@@ -87,7 +87,7 @@ def hold(low: npt.ArrayLike, high: npt.ArrayLike, true: xr.DataArray) -> Interva
     Examples
     --------
     >>> import chdstat as chd
-    >>> truth = chd.certified().mean
+    >>> truth = chd.certified()["mean"]
     >>> print(hold(0.9 * truth, 1.1 * truth, truth))
     1.00 [0.993, 1.00]
     """
