@@ -100,7 +100,7 @@ def certify(
     Examples
     --------
     >>> truth = certify("cornell-box", spp=8192, size=(8, 8), blocks=2, backend="scalar")
-    >>> dict(truth.sizes)["pixel"], truth.scene.to_numpy()[0]
+    >>> dict(truth.sizes)["pixel"], str(truth.scene.to_numpy()[0])
     (4, 'cornell-box')
     """
     spp = whole("spp", spp, least=LEAST)

@@ -114,7 +114,7 @@ def certified(path: str | Path | None = None) -> xr.Dataset:
     (512, ['bathroom', 'caustic', 'cornell-box'])
     >>> bars = truth.coverage.sel(channel="luminance", size=128)
     >>> print(f"95 % error bars of 128 samples hold the mean in {float(bars.mean()):.0%}")
-    95 % error bars of 128 samples hold the mean in 88%
+    95 % error bars of 128 samples hold the mean in 85%
     """
     place = _FILE if path is None else Path(path)
     try:

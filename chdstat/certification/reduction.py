@@ -373,7 +373,8 @@ def _moments(z: Floats, scale: float, mean: float) -> dict[str, Any]:
     }
     square = z * z
     variance = square.mean()
-    error, known = _error(square - variance, variance)
+    error, own = _error(square - variance, variance)
+    known &= own
     found |= {
         "variance": variance * n / (n - 1) * scale**2 if known else np.nan,
         "variance_se": error * scale**2 if known else np.nan,
@@ -386,7 +387,8 @@ def _moments(z: Floats, scale: float, mean: float) -> dict[str, Any]:
     a, b = cube.mean(), fourth.mean()
     # Influence functions of skewness and kurtosis, as in chdstat.inference.averages.
     skewness_se, _ = _error(cube - a - 3 * s - 1.5 * a * (square - 1), a)
-    kurtosis_se, known = _error(fourth - b - 4 * a * s - 2 * b * (square - 1), b)
+    kurtosis_se, own = _error(fourth - b - 4 * a * s - 2 * b * (square - 1), b)
+    known &= own  # one sample that decides the variance bounds its own influence on the kurtosis
     needed = n_of_shape(*np.abs([[a], [b - 3]]), n_means=N_MEANS)[0]
     by_skewness = 2 * abs(a) * skewness_se / (4 * 6 / N_MEANS)
     by_kurtosis = kurtosis_se / (2 * np.sqrt(24 / N_MEANS))

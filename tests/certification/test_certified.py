@@ -82,7 +82,7 @@ def test_the_recorded_seed_draws_the_same_samples_again(truth, wavefront):
     error = x.std(axis=-1) / 64
     assert (np.abs(x.mean(axis=-1, dtype=np.float64) - mean) <= 0.2 * error).all()
     far = np.abs(mean - pixels["mean"].sel(channel=["R", "G", "B"]))
-    assert (far < 5 * np.sqrt(pixels["variance"].sel(channel=["R", "G", "B"]) / 4096)).all()
+    assert (far < 5 * error).all()
 
 
 def test_a_fresh_seed_agrees_with_the_certified_numbers(some):
@@ -94,6 +94,7 @@ def test_a_fresh_seed_agrees_with_the_certified_numbers(some):
     assert np.abs(z).max() < 5
     known = (truth["kurtosis_reason"] == Reason.OK).to_numpy()
     assert known.sum() > 5
+    assert truth["variance"].notnull().to_numpy()[known].all()
     of_variance = np.sqrt((truth["kurtosis"] + 2) / 4096)
     z = (x.var(axis=-1) / truth["variance"] - 1) / of_variance
     assert np.abs(z.to_numpy()[known]).max() < 6  # the variance of few samples is skewed
@@ -188,8 +189,9 @@ def test_intervals_that_hold_are_counted_where_both_are_known(truth):
     assert hold(true - half, true + half, true).value == 1
     shifted = true.where(truth["x"] % 2 == 0, true + 1e6)
     share = hold(true - half, true + half, shifted)
-    rows = true.notnull().all("channel") & (truth["y"] % 2 == 0)
-    assert share.value == pytest.approx(float((truth["x"] % 2 == 0)[rows.to_numpy()].mean()))
+    known = true.notnull() & half.notnull()
+    expected = (known & (truth["x"] % 2 == 0)).sum() / known.sum()
+    assert share.value == pytest.approx(float(expected))
     assert share.low < share.value < share.high
     with pytest.raises(InputError, match=r"low must have the shape of the certified numbers"):
         hold(np.zeros(3), np.zeros(3), true)
