@@ -5,7 +5,7 @@
 n, and returns an `ErrorCurve`. `bench` compares on several scenes against converged references, and
 returns a `Bench`. `denoised` puts a denoiser after an estimator. `DEFAULT_ESTIMATORS` are compared
 by default, also by `chdstat.study`, `chdstat.report` and the explorer. `MEASURES` describes the
-measures; each one is an `Interval`. A `Reference` is what samples tell of the true radiance.
+measures; each one is an `Interval`. A `Judge` is what samples tell of the true radiance.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from chdstat.comparison.comparisons import (
 )
 from chdstat.comparison.entries import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
 from chdstat.comparison.error_curves import ErrorCurve, error_curve
+from chdstat.comparison.judges import Judge
 from chdstat.comparison.metrics import MEASURES
-from chdstat.comparison.references import Reference
 
 __all__ = [
     "DEFAULT_ESTIMATORS",
@@ -33,8 +33,8 @@ __all__ = [
     "Denoised",
     "ErrorCurve",
     "Interval",
+    "Judge",
     "PixelEstimates",
-    "Reference",
     "bench",
     "compare",
     "curve_sizes",

@@ -26,6 +26,7 @@ from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
 from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
 from chdstat.comparison.flip import HAS_FLIP, exposures, flip
+from chdstat.comparison.judges import PARTS, Judge, PartialSums
 from chdstat.comparison.metrics import (
     SUMS,
     columns_of,
@@ -34,7 +35,6 @@ from chdstat.comparison.metrics import (
     moved,
     shown_ratio,
 )
-from chdstat.comparison.references import PARTS, PartialSums, Reference
 from chdstat.errors import InputError, check_option
 from chdstat.estimators.registry import LearnedEstimator
 from chdstat.io import read_exr
@@ -575,13 +575,13 @@ def _held(given: Any) -> Samples | None:
 class _Converged:
     """A reference of a scene, and means of each half of its samples, shape (2, y, x, channel)."""
 
-    reference: Reference
+    reference: Judge
     halves: Array
 
     @classmethod
     def of(cls, name: str, samples: Samples) -> _Converged:
         sums = PartialSums.of(samples)
-        found = sums.reference()
+        found = sums.judge()
         if not np.isfinite(found.mean).any():
             message = f"the reference of {name} has no pixel with {PARTS} good samples"
             raise InputError(message)
@@ -594,7 +594,7 @@ class _Converged:
         scene_mean = parts[:, known].mean(axis=(0, 1)) if known.any() else np.ones(parts.shape[-1])
         error = parts.std(axis=0, ddof=1) / np.sqrt(PARTS)
         halves = np.stack([parts[k::2].mean(axis=0) for k in range(2)])
-        return cls(Reference.of_image(parts, error, scene_mean), halves)
+        return cls(Judge.of_image(parts, error, scene_mean), halves)
 
 
 def _measured(

@@ -22,6 +22,7 @@ from chdstat._core.display import Card, Shown, Width, png
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
 from chdstat.comparison.entries import Entry, choose, notes
+from chdstat.comparison.judges import Judge, check_judged
 from chdstat.comparison.judging import (
     Models,
     judge,
@@ -39,7 +40,6 @@ from chdstat.comparison.metrics import (
     stacked,
     titled,
 )
-from chdstat.comparison.references import Reference, check_reference
 from chdstat.errors import check_option
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.registry import Model
@@ -234,7 +234,7 @@ class Comparison(Shown):
     measures: Mapping[str, Interval[Array]]
     estimates: npt.NDArray[np.float32]
     first_mean: npt.NDArray[np.float32]
-    first_reference: Reference
+    first_reference: Judge
     reference: npt.NDArray[np.float64]
     test_pixels: npt.NDArray[np.bool_]
     n: int
@@ -522,7 +522,7 @@ def compare(
     if max_batches is not None:
         max_batches = whole("max_batches", max_batches, least=1)
     chosen = choose(estimators, [n], samples=samples)
-    check_reference(samples, n)
+    check_judged(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
     codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)

@@ -28,8 +28,8 @@ from chdstat.comparison.entries import (
     takes,
     without_denoiser,
 )
+from chdstat.comparison.judges import Judge, PartialSums
 from chdstat.comparison.metrics import SUMS, counts, errors_of
-from chdstat.comparison.references import PartialSums, Reference
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.held_out import draw_pixels, judging_pixels
@@ -328,7 +328,7 @@ class BatchErrors:
     excluded: int
     estimates: npt.NDArray[np.float32]
     mean: npt.NDArray[np.float32]
-    reference: Reference
+    reference: Judge
 
 
 def judge(
@@ -373,13 +373,13 @@ def judge(
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
-    shown = np.stack(estimates), first_mean, cast("Reference", first_reference)
+    shown = np.stack(estimates), first_mean, cast("Judge", first_reference)
     return BatchErrors(by_unit, excluded, *shown)
 
 
 def _errors_of_batch(
     candidates: Candidates, units: Units, n: int, batch: tuple[int, Samples]
-) -> tuple[Array, int, list[npt.NDArray[np.float32]], Reference | None]:
+) -> tuple[Array, int, list[npt.NDArray[np.float32]], Judge | None]:
     """Compute the errors of every estimator that takes n samples on one batch.
 
     Returns
@@ -390,7 +390,7 @@ def _errors_of_batch(
     """
     number, x = batch[0], batch[1].read()
     totals, features = candidates.totals, candidates.samples.features
-    average, reference = mean(x), totals.reference(x, first=number * n)
+    average, reference = mean(x), totals.judge(x, first=number * n)
     truth, of_mean = reference[units.ys, units.xs], units(average)
     usable = np.asarray(np.isfinite(truth.mean).all(axis=-1))
     truth = truth[usable]

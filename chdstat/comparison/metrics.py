@@ -7,7 +7,7 @@ pixels are correlated, so intervals are over blocks (Künsch 1989, doi:10.1214/a
 `columns_of`, `rows_of` and `data_frame_of` make tables; `in_words` and `titled` write them for a
 reader.
 
-No measure contains the noise of the reference (`chdstat.comparison.references`). What the reference
+No measure contains the noise of the reference (`chdstat.comparison.judges`). What the reference
 cannot tell is NaN: a ratio whose denominator may be 0, a relative error that the noise of its
 weights decides, a share of improved estimates if too many of them are as near as the mean.
 """
@@ -25,7 +25,7 @@ from chdstat._core.arrays import Array, generator, spans
 from chdstat._core.display import number, percent, with_interval, written
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
-from chdstat.comparison.references import Reference
+from chdstat.comparison.judges import Judge
 from chdstat.estimators.registry import LABELS
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
 
 
 def errors_of(
-    estimate: Array, mean: Array, reference: Reference, *, scene_mean: npt.ArrayLike
+    estimate: Array, mean: Array, reference: Judge, *, scene_mean: npt.ArrayLike
 ) -> Array:
     r"""Return the summands named in `SUMS` for every estimate, shape (pixel, sum, channel).
 

@@ -19,8 +19,8 @@ from chdstat import estimators
 from chdstat._core.arrays import Floats, Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.entries import choose, estimate_by, takes
+from chdstat.comparison.judges import Judge, PartialSums
 from chdstat.comparison.metrics import SUMS, UNDECIDED, errors_of
-from chdstat.comparison.references import PartialSums, Reference
 from chdstat.estimators import registry
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.sources import StoreSource
@@ -102,7 +102,7 @@ class ScoringBatches:
     """
 
     x: Image
-    reference: Reference
+    reference: Judge
     mean: Floats
 
     @property
@@ -177,7 +177,7 @@ def batches_of(
         found = [sums.of_pixel(batch, first=k * n) for k, batch in enumerate(batches)]
     else:
         found = [sums.of_pixel()] * count
-    reference = Reference.stack(found)
+    reference = Judge.stack(found)
     if not enough:
         reference = replace(reference, mean=np.full_like(reference.mean, np.nan))
     return ScoringBatches(batches, reference, np.asarray(estimators.mean(batches), np.float64))

@@ -21,8 +21,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.comparison import Interval, Reference
-from chdstat.comparison.references import PARTS
+from chdstat.comparison import Interval, Judge
+from chdstat.comparison.judges import PARTS
 from chdstat.estimators import Combination
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
 from chdstat.rendering import render_batches
@@ -56,7 +56,7 @@ def folder(tmp_path_factory):
     return Path(os.environ.get("CHDSTAT_REFERENCES") or tmp_path_factory.mktemp("references"))
 
 
-def reference_of(folder: Path, name: str, scene: str) -> Reference:
+def reference_of(folder: Path, name: str, scene: str) -> Judge:
     """Return a reference of a seed that no estimate has."""
     path = folder / f"{name}-{SIZE}-{REFERENCE_SPP}-parts.npz"
     if not path.exists():
@@ -69,7 +69,7 @@ def reference_of(folder: Path, name: str, scene: str) -> Reference:
         np.savez(path, parts=parts)
     parts = np.load(path)["parts"]
     error = parts.std(axis=0, ddof=1) / np.sqrt(PARTS)
-    return Reference.of_image(parts, error, parts.mean(axis=(0, 1, 2)))
+    return Judge.of_image(parts, error, parts.mean(axis=(0, 1, 2)))
 
 
 def better_of(errors: dict[str, np.ndarray], *names: str) -> np.ndarray:
@@ -83,13 +83,13 @@ def over(samples: chd.Samples, one: np.ndarray, other: np.ndarray) -> list[Inter
     return [whole.ratio(a, b) for a, b in zip(one.T, other.T, strict=True)]
 
 
-def errors_of(image: np.ndarray, reference: Reference) -> np.ndarray:
+def errors_of(image: np.ndarray, reference: Judge) -> np.ndarray:
     """Return the squared and the relative squared error of each pixel, shape (pixel, 2)."""
     errors = np.stack([reference.squared(image), reference.relative(image)[0]])
     return errors.mean(axis=-1).reshape(2, -1).T
 
 
-def coverage(found: Combination, reference: Reference) -> np.ndarray:
+def coverage(found: Combination, reference: Judge) -> np.ndarray:
     """Return the share of intervals that hold the reference and the truth, by thirds of brightness.
 
     Shape (2, third). As much noise again as the reference has tells what it takes from the truth's
@@ -106,7 +106,7 @@ def coverage(found: Combination, reference: Reference) -> np.ndarray:
     return np.array([once, 2 * once - twice])
 
 
-def judged(samples: chd.Samples, reference: Reference) -> dict[str, np.ndarray]:
+def judged(samples: chd.Samples, reference: Judge) -> dict[str, np.ndarray]:
     """Return squared errors (pixel, 2) of images by name, and what else is printed."""
     found = chd.estimate(samples)
     measured = Measured.of(samples)

@@ -13,9 +13,9 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.comparison import MEASURES
+from chdstat.comparison.judges import Judge
 from chdstat.comparison.judging import Units
 from chdstat.comparison.metrics import SUMS, errors_of, measures_of
-from chdstat.comparison.references import Reference
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
 from chdstat.patterns import Label
@@ -244,7 +244,7 @@ def test_an_image_without_pixels_or_samples_that_are_left_cannot_judge():
 def errors(p, mean, y, scene_mean=1.0, *, error=0.0):
     p, mean, y = (np.array(a, float)[:, np.newaxis] for a in (p, mean, y))
     parts = np.broadcast_to(y[:, np.newaxis], (4, len(y), 1, 1))
-    reference = Reference.of_image(parts, np.full(parts.shape[1:], error), np.array([scene_mean]))
+    reference = Judge.of_image(parts, np.full(parts.shape[1:], error), np.array([scene_mean]))
     found = errors_of(p, mean, reference[:, 0], scene_mean=np.array([scene_mean]))
     return dict(zip(SUMS, found[..., 0].T, strict=True))
 

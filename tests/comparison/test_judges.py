@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.comparison.references import PARTS, PartialSums, Reference
+from chdstat.comparison.judges import PARTS, Judge, PartialSums
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
 
@@ -57,7 +57,7 @@ def test_rare_light_does_not_reward_an_image_without_light():
 
 
 def test_errors_of_the_truth_are_0_on_average():
-    reference = PartialSums.of(draw(0, 0.6, 32)).reference()
+    reference = PartialSums.of(draw(0, 0.6, 32)).judge()
     errors = reference.squared(np.ones((EDGE, EDGE, 1)))
     assert abs(errors.mean()) < 4 * errors.std() / EDGE
     relative = reference.relative(np.ones((EDGE, EDGE, 1)))
@@ -68,7 +68,7 @@ def test_a_reference_without_noise_gives_the_errors_of_the_definition():
     truth = np.random.default_rng(1).gamma(0.3, size=(9, 11, 3))
     scene = truth.mean(axis=(0, 1))
     parts = np.broadcast_to(truth, (PARTS, *truth.shape))
-    reference = Reference.of_image(parts, np.zeros_like(truth), scene)
+    reference = Judge.of_image(parts, np.zeros_like(truth), scene)
     estimate = 1.5 * truth + 0.1
     squared = np.square(estimate - truth)
     np.testing.assert_allclose(reference.squared(estimate), squared)
@@ -81,8 +81,7 @@ def test_a_reference_without_noise_gives_the_errors_of_the_definition():
 def test_relative_errors_do_not_depend_on_the_unit(unit):
     x = draw(2, 0.6, 32).read()
     ours, theirs = (
-        PartialSums.of(chd.Samples.from_array(x * np.float32(scale))).reference()
-        for scale in (1, unit)
+        PartialSums.of(chd.Samples.from_array(x * np.float32(scale))).judge() for scale in (1, unit)
     )
     estimate = x[..., :4].mean(axis=-1, dtype=np.float64)
     np.testing.assert_allclose(
@@ -95,7 +94,7 @@ def test_a_batch_is_in_no_part_of_its_reference():
     spoilt = x.copy()
     spoilt[..., 16:32] += 100
     ours, theirs = (
-        PartialSums.of(chd.Samples.from_array(y)).reference(y[..., 16:32], first=16)
+        PartialSums.of(chd.Samples.from_array(y)).judge(y[..., 16:32], first=16)
         for y in (x, spoilt)
     )
     np.testing.assert_allclose(theirs.mean, ours.mean, rtol=1e-10)
@@ -107,9 +106,9 @@ def test_pixels_whose_parts_are_not_all_known_have_no_reference():
     x[1, 2, 0, 3::4] = np.nan
     x[3, 4, 0, 5] = np.inf
     sums = PartialSums.of(chd.Samples.from_array(x))
-    known = np.isfinite(sums.reference().mean[..., 0])
+    known = np.isfinite(sums.judge().mean[..., 0])
     assert np.argwhere(~known).tolist() == [[1, 2]]
-    without = sums.reference(x[..., :16])
+    without = sums.judge(x[..., :16])
     assert np.argwhere(np.isnan(without.mean[..., 0])).tolist() == [[1, 2], [3, 4]]
 
 

@@ -1,4 +1,4 @@
-r"""References: what samples tell of the true radiance, in parts of independent noise.
+r"""Judges: what held-out samples tell of the true radiance, in parts of independent noise.
 
 A squared error against a noisy reference holds the noise of the reference, and a relative error
 divided by a noisy reference is large wherever the reference missed light. So the samples that do
@@ -39,7 +39,7 @@ from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples
 from chdstat.samples.dependence import check_independent
 
-__all__ = ["PARTS", "PartialSums", "Reference", "check_reference"]
+__all__ = ["PARTS", "Judge", "PartialSums", "check_judged"]
 
 PARTS = 4
 """Parts of a reference. More would use the samples little better: the noise of all pairs of four
@@ -54,8 +54,8 @@ _PASSES = 2
 
 
 @dataclass(frozen=True)
-class Reference:
-    """The true radiance of pixels, known from samples that no estimate has seen.
+class Judge:
+    """Judge of estimates: the true radiance of pixels, from samples that no estimate has seen.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Reference:
 
     @classmethod
     def of_image(cls, parts: Floats, error: Floats, scene_mean: Floats) -> Self:
-        """Return the reference of an image from its parts.
+        """Return the judge of an image from the parts of its samples.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class Reference:
 
     @classmethod
     def stack(cls, found: Sequence[Self]) -> Self:
-        """Return the references of several places, along a new first axis."""
+        """Return the judges of several places, along a new first axis."""
         mean, error, variance = (
             np.stack([getattr(one, name) for one in found])
             for name in ("mean", "error", "variance")
@@ -112,7 +112,7 @@ class Reference:
         return cls(mean, error, variance, np.stack([one.relative_terms for one in found], axis=2))
 
     def __getitem__(self, pixels: Any) -> Self:
-        """Return the reference of some pixels."""
+        """Return the judge of some pixels."""
         chosen = pixels if isinstance(pixels, tuple) else (pixels,)
         terms = self.relative_terms[:, :, *chosen]
         return type(self)(self.mean[chosen], self.error[chosen], self.variance[chosen], terms)
@@ -200,8 +200,8 @@ class PartialSums:
         )
         return np.stack([*pairs])
 
-    def reference(self, batch: Array | None = None, *, first: int = 0) -> Reference:
-        """Return the reference from all samples, or from all but those of a batch.
+    def judge(self, batch: Array | None = None, *, first: int = 0) -> Judge:
+        """Return the judge from all samples, or from all but those of a batch.
 
         Parameters
         ----------
@@ -212,20 +212,20 @@ class PartialSums:
 
         Returns
         -------
-        Reference
+        Judge
             Unknown (NaN) where the batch holds a bad sample, or a part has no sample.
         """
-        return Reference.of_image(*self._parts(batch, first), self.scene_mean)
+        return Judge.of_image(*self._parts(batch, first), self.scene_mean)
 
-    def of_pixel(self, batch: Array | None = None, *, first: int = 0) -> Reference:
-        """Return the reference of pixels that are no image, (..., channel).
+    def of_pixel(self, batch: Array | None = None, *, first: int = 0) -> Judge:
+        """Return the judge of pixels that are no image, (..., channel).
 
         Without an image around, relative errors are not known.
         """
         parts, error = self._parts(batch, first)
         mean = parts.mean(axis=0)
         terms = np.full((2, 3, *mean.shape), np.nan)
-        return Reference(mean, error, _variance(parts - mean), terms)
+        return Judge(mean, error, _variance(parts - mean), terms)
 
     def _parts(self, batch: Array | None, first: int) -> tuple[Floats, Floats]:
         """Return the means of the parts, and the standard error of their mean."""
@@ -239,7 +239,7 @@ class PartialSums:
         return np.moveaxis(_ratio(total, count), -1, 0), error
 
 
-def check_reference(samples: Samples, n: int) -> None:
+def check_judged(samples: Samples, n: int) -> None:
     """Check that there are enough samples for estimates from n and their references.
 
     Raises
