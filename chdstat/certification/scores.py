@@ -217,6 +217,22 @@ class Score:
 class CertifiedBench(Shown):
     """How this library's own answers do on certified pixels.
 
+    Questions, for n samples:
+
+    - Do normal 95 % error bars hold the mean? The next line is the certified coverage of the same
+      pixels and channels.
+    - Is the sample variance within a factor of 2? What is the median of its ratio to the certified?
+      What is the median relative error of quantiles?
+    - Do 95 % intervals hold: Wilson's of the share of nulls; that of `chdstat.fit.tail_index`, the
+      index at the depth of its fit; that of the N of `chdstat.inference.gaussianity_of_means`?
+    - How often does ``variance_suspect`` warn of error bars that hold (a coverage of 0.92 or more),
+      and of those that fail (0.85 or less)? How well does a score part the two (`separation`)?
+    - How often does `chdstat.modality` see several modes in pixels with one, and in those with
+      several? Only pixels count whose certified number does not depend on the smoothing.
+    - How far is the family that `chdstat.fit.select` chooses from the certified quantiles, as the
+      largest difference of probabilities from 0.05 to 0.99? Is it nearly the closest of those that
+      were fitted?
+
     Attributes
     ----------
     scores
@@ -242,14 +258,19 @@ class CertifiedBench(Shown):
         ]
 
     def rows(self) -> list[dict[str, str]]:
-        """Return a row of text for each question, with a column for each number of samples."""
+        """Return a row of text for each question, with a column for each number of samples.
+
+        Margins are half the 95 % intervals of `table`.
+        """
         counts = sorted({s.n for s in self.scores})
         found: dict[str, dict[str, str]] = {}
         for s in self.scores:
             row = found.setdefault(
                 s.question, {"question": s.question, **{str(n): "—" for n in counts}}
             )
-            row[str(s.n)] = str(s.score)
+            half = (s.score.high - s.score.low) / 2
+            margin = f" ± {half:.3f}" if np.isfinite(half) else ""
+            row[str(s.n)] = f"{s.score.value:.3f}{margin}" if np.isfinite(s.score.value) else "—"
         return [*found.values()]
 
     def to_dict(self) -> dict[str, Any]:
@@ -323,7 +344,7 @@ def bench(
     >>> truth = chd.certified().isel(pixel=slice(128, 192, 4))
     >>> found = bench(truth, n=[32], progress=False)
     >>> found.scores[0].question, found.scores[0].answers
-    ('normal 95 % interval holds the mean', 42)
+    ('95 % error bars hold the mean', 42)
     """
     truth = certified() if truth is None else truth
     counts = sorted({whole("n", count, least=1) for count in n})
@@ -359,7 +380,7 @@ def _of_moments(x: Array, truth: xr.Dataset) -> _Found:
     certain = truth["coverage"].sel(size=x.shape[-1])
     true = truth["mean"].where(certain.notnull())
     yield (
-        "normal 95 % interval holds the mean",
+        "95 % error bars hold the mean",
         hold(moments.mean - half, moments.mean + half, true),
         np.isfinite(true).sum(),
     )
@@ -377,7 +398,7 @@ def _of_moments(x: Array, truth: xr.Dataset) -> _Found:
         _share((ratio > 0.5) & (ratio < 2), known, variance),
         known.sum(),
     )
-    yield "median of variance / certified", quantile_of(ratio, _pixels(variance)), known.sum()
+    yield "variance / certified, median", quantile_of(ratio, _pixels(variance)), known.sum()
 
 
 def _of_quantiles(x: Array, truth: xr.Dataset) -> _Found:
@@ -387,7 +408,7 @@ def _of_quantiles(x: Array, truth: xr.Dataset) -> _Found:
         positive = true.where(true > 0).to_numpy()
         error = np.abs(found / positive - 1)
         yield (
-            f"median relative error of the {q:g} quantile",
+            f"error of the {q:g} quantile, median",
             quantile_of(error, _pixels(true)),
             np.isfinite(error).sum(),
         )
@@ -399,7 +420,7 @@ def _of_nulls(x: Array, truth: xr.Dataset) -> _Found:
     true = true.where((true > 0) & (true < 1))
     ends = wilson(np.count_nonzero(x == 0, axis=-1), np.array(x.shape[-1]))
     score = hold(ends[..., 0], ends[..., 1], true)
-    yield "Wilson's interval holds the share of nulls", score, true.notnull().sum()
+    yield "95 % interval holds the share of nulls", score, true.notnull().sum()
 
 
 def _of_tails(x: Array, truth: xr.Dataset) -> _Found:
@@ -410,21 +431,26 @@ def _of_tails(x: Array, truth: xr.Dataset) -> _Found:
     known = np.isfinite(depth) & np.isfinite(ends[..., 0])
     true = index.isel(share=0).copy(data=depth)
     yield (
-        "95 % interval holds the tail index at its depth",
+        "95 % interval holds the tail index",
         hold(ends[..., 0], ends[..., 1], true),
         known.sum(),
     )
     answered = np.isfinite(ends[..., 0])
-    yield "  and there is one", _share(answered, np.ones_like(answered), true), answered.size
+    yield "  there is an interval", _share(answered, np.ones_like(answered), true), answered.size
     coverage = truth["coverage"].sel(size=x.shape[-1])
     judged = coverage.to_numpy()
     for words, which in (
-        (f"variance_suspect where error bars hold (coverage {HOLDS} or more)", judged >= HOLDS),
-        (f"variance_suspect where they fail ({FAILS} or less)", judged <= FAILS),
+        ("variance_suspect where error bars hold", judged >= HOLDS),
+        ("variance_suspect where they fail", judged <= FAILS),
     ):
         yield words, _share(found.variance_suspect, which, coverage), which.sum()
     count = ((judged >= HOLDS) | (judged <= FAILS)).sum()
-    yield "tail index parts the two (area under the curve)", separation(found.xi, coverage), count
+    for words, doubt in (("coverage_own", -found.coverage_own), ("the tail index", found.xi)):
+        yield f"  {words} parts the two", separation(doubt, coverage), count
+    ends = found.coverage_own_interval
+    held = hold(ends[..., 0], ends[..., 1], coverage)
+    known = np.isfinite(judged) & np.isfinite(ends[..., 0])
+    yield "95 % interval of coverage_own holds it", held, known.sum()
 
 
 def _at_depth(index: xr.DataArray, share: Floats) -> Floats:
@@ -443,12 +469,12 @@ def _of_averages(x: Array, truth: xr.Dataset) -> _Found:
     ends, true = found.n_predicted_interval, truth["n_gaussian"]
     known = np.isfinite(ends[..., 0]) & true.notnull().to_numpy()
     yield (
-        "95 % interval holds the N until averages are Gaussian",
+        "95 % interval holds n_gaussian",
         hold(ends[..., 0], ends[..., 1], true),
         known.sum(),
     )
     answered = np.isfinite(ends[..., 0])
-    yield "  and N is predicted", _share(answered, np.ones_like(answered), true), answered.size
+    yield "  N is predicted", _share(answered, np.ones_like(answered), true), answered.size
 
 
 def _of_modes(x: Array, truth: xr.Dataset) -> _Found:
@@ -476,12 +502,16 @@ def _of_families(x: Array, truth: xr.Dataset) -> _Found:
     chosen = np.where(found.best < 0, np.nan, chosen[..., 0])
     known = np.isfinite(chosen)
     yield (
-        "median distance of the chosen family (Kolmogorov)",
+        "distance of the chosen family, median",
         quantile_of(chosen, _pixels(of)),
         known.sum(),
     )
     least = np.where(np.isnan(distances), np.inf, distances).min(axis=-1)
-    yield "  is within 0.02 of the closest", _share(chosen <= least + 0.02, known, of), known.sum()
+    yield (
+        "  within 0.02 of the closest family",
+        _share(chosen <= least + 0.02, known, of),
+        known.sum(),
+    )
 
 
 def _distance(fit: Fit, truth: xr.Dataset) -> Floats:

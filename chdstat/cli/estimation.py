@@ -397,9 +397,9 @@ def _bench_certified(
     if asked.as_json:
         output.print_json(found.to_dict())
     else:
-        typer.echo(
-            f"{found.pixels} certified pixels of {', '.join(found.scenes)}; 95 % intervals\n"
-        )
+        where = f"{found.pixels} certified pixels of {', '.join(found.scenes)}"
+        output.print_sentences([f"{where}; ± half of the 95 % interval over pixels"])
+        typer.echo()
         titles = {name: name if name == "question" else f"n = {name}" for name in found.rows()[0]}
         output.print_rows(found.rows(), titles)
     output.say_next(asked.quiet, ("bench", "--certified", "SCENE.xml", "--folder", "certified"))

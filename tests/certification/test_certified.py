@@ -232,8 +232,8 @@ def test_the_command_prints_the_table(box, run, tmp_path):
     save(box, tmp_path / "box.npz")
     code, out, err = run("bench", "--certified", tmp_path / "box.npz", "--spp", "32")
     assert code == 0, err
-    assert out.startswith("4 certified pixels of cornell-box; 95 % intervals")
-    assert "normal 95 % interval holds the mean" in out
+    assert out.startswith("4 certified pixels of cornell-box; ± half of the 95 % interval")
+    assert "95 % error bars hold the mean" in out
     code, _, err = run("bench", "--certified", "-e", "mean", "--seeds", "2")
     assert code == 2
     assert "takes no -e, --seeds" in err
