@@ -107,8 +107,9 @@ class Tail(Result):
         ``0.9 / sqrt(n)``, as simulations of bounded tails show.
     interval
         Low and high end for xi, shape (..., 2). It covers the estimates with the largest sample and
-        without it, and those of all candidates up to the one that the test does not reject; it is
-        wide where the largest sample is more than half of the sum.
+        without it, and those of all candidates up to the one that the test does not reject, or of
+        all and the `FAR` largest samples; it is wide where the largest sample is more than half of
+        the sum.
     xi_far, interval_far
         Tail index of the `FAR` largest samples alone, and its interval. It detects a few samples
         from a heavier tail than the rest, which `interval` does not account for.
@@ -249,7 +250,10 @@ class TailIndex(Statistic[Tail]):
             edge = apart & ~found.accepted & ~(part.largest_share > _DOMINATES)
             edge &= np.isfinite(found.xi)
             reason[edge] = Reason.EDGE
-            found = found.without(edge)
+            found = found.without(edge)._replace(
+                low=np.where(found.accepted, found.low, np.fmin(found.low, far.low)),
+                high=np.where(found.accepted, found.high, np.fmax(found.high, far.high)),
+            )
         root = np.sqrt(np.maximum(found.n, 1))
         interval = np.stack([found.low, found.high], axis=-1)
         interval = _without_largest(interval, found.n, part, np.isfinite(found.xi), self.level)
@@ -352,8 +356,9 @@ def tail_index(
     smaller than with larger candidates, with Clauset's minimum of Kolmogorov's distance, and with
     Lepski's rule. Where a candidate is rejected, the interval also covers those of the candidates
     tried: the excesses are not generalised Pareto, and the index depends on the depth. If all are
-    rejected and the index of the `FAR` largest samples lies apart, the edge of a mode lies among
-    the largest samples, and there is no index (`EDGE`). A given `share` has no such test.
+    rejected, the interval also covers that of the `FAR` largest samples; if that lies apart from
+    the last candidate's, the edge of a mode lies among the largest samples, and there is no index
+    (`EDGE`). A given `share` has no such test.
 
     **The largest sample.** One sample can raise the index to any value. The interval therefore also
     covers the interval without the largest sample. If the largest sample is more than half of the
