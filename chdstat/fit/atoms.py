@@ -16,7 +16,8 @@ interval that was rounded to their value, but never beyond the nearest values. T
 continuous.
 
 Renderers clamp radiance against fireflies. A distribution that is cut off no longer belongs to its
-family: it looks like several components. The clamped samples are an atom at the top of the row.
+family: it looks like several components. The clamped samples are an atom at the top of the row,
+where the distribution goes on: `clamped` finds them, and those of a floor. A lamp stands apart.
 `before_clamps` replaces them by the tail that the fitted distribution has above the clamp (the EM
 algorithm for censored samples: Dempster, Laird and Rubin, "Maximum likelihood from incomplete data
 via the EM algorithm", 1977, section 4.2, doi:10.1111/j.2517-6161.1977.tb01600.x).
@@ -38,7 +39,15 @@ from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import take_part
 from chdstat.fit.groups import cumulative
 
-__all__ = ["MOST_ATOMS", "Atoms", "before_clamps", "distinct_values", "split", "with_rows"]
+__all__ = [
+    "MOST_ATOMS",
+    "Atoms",
+    "before_clamps",
+    "clamped",
+    "distinct_values",
+    "split",
+    "with_rows",
+]
 
 MOST_ATOMS = 8
 """Most atoms of a row: a row with more has no continuous part worth the name."""
@@ -382,8 +391,36 @@ def _is_discrete(log: Floats, kept: Counts) -> Mask:
 
 
 _IMPUTATIONS, _LAMP = 12, 0.1
-"""How often clamped samples are drawn anew; and the least share of the atom at the top that the
+"""How often clamped samples are drawn anew; and the least share of the atom at an end that the
 fitted tail must explain: below it, the atom is a lamp, not a clamp."""
+
+
+def clamped(atoms: Atoms, *families: str, floor: bool = False) -> Mask:
+    """Return which samples of the tied rows were set to the largest value, shape (row, sample).
+
+    These are the samples of an atom at the top that are more than the tail of one component, of any
+    of the families, explains without a lamp. With `floor`, they were set to the smallest value.
+    """
+    part, rest = atoms.part, atoms.rest
+    if not isinstance(part, PositivePart) or not isinstance(rest, PositivePart):
+        return np.zeros((len(atoms.rest.n), 0), dtype=bool)
+    found, tied = np.zeros(rest.x.shape, dtype=bool), np.flatnonzero(atoms.tied)
+    end = (part.sorted[..., 0] if floor else part.largest)[atoms.tied].astype(np.float64)
+    at_end = atoms.values[atoms.tied] == end[:, np.newaxis]
+    held = np.where(at_end, atoms.counts[atoms.tied], 0).sum(axis=-1)
+    rows = np.flatnonzero((held > 0) & ~atoms.discrete[atoms.tied])
+    if not rows.size:
+        return found
+    some, whole, end = take_part(rest, rows), take_part(part, tied[rows]), end[rows]
+    laws = [
+        family.distribution(estimate_part(some, family)[0].parameters)
+        for family in map(get_family, families)
+    ]
+    beyond = np.fmax.reduce([law.cdf(end) if floor else law.sf(end) for law in laws])
+    explained = beyond * some.n > _LAMP * held[rows]
+    at_end = whole.positive & ~some.positive & (whole.x == end[:, np.newaxis])
+    found[rows] = at_end & explained[:, np.newaxis]
+    return found
 
 
 def before_clamps(atoms: Atoms, family: str) -> Atoms:
@@ -392,32 +429,20 @@ def before_clamps(atoms: Atoms, family: str) -> Atoms:
     One component is fitted; clamped samples become the quantiles of its tail above the clamp; the
     component is fitted again, and so on. Rows without a clamp stay as they are.
     """
-    part, rest = atoms.part, atoms.rest
-    if not isinstance(part, PositivePart) or not isinstance(rest, PositivePart):
+    part, rest, cut = atoms.part, atoms.rest, clamped(atoms, family)
+    rows = np.flatnonzero(cut.any(axis=-1))
+    if not rows.size or not isinstance(part, PositivePart) or not isinstance(rest, PositivePart):
         return atoms
-    tied, top = np.flatnonzero(atoms.tied), part.largest[atoms.tied]
-    at_top = atoms.values[atoms.tied] == top[:, np.newaxis]
-    held = np.where(at_top, atoms.counts[atoms.tied], 0).sum(axis=-1)
-    at_clamp = (held > 0) & ~atoms.discrete[atoms.tied]
-    rows = np.flatnonzero(at_clamp)
-    if not rows.size:
-        return atoms
-    described, some, whole = get_family(family), take_part(rest, rows), take_part(part, tied[rows])
-    top, held = top[rows], held[rows]
-    clamped = whole.positive & ~some.positive & (whole.x == top[:, np.newaxis])
-    parameters = estimate_part(some, described)[0].parameters
-    clamped &= (described.distribution(parameters).sf(top) * some.n > _LAMP * held)[:, None]
-    row, at = np.nonzero(clamped)
-    share = (np.cumsum(clamped, axis=-1)[row, at] - 0.5) / held[row]
-    filled = replace(
-        some,
-        x=some.x.copy(),
-        positive=some.positive | clamped,
-        n=some.n + np.count_nonzero(clamped, axis=-1),
-    )
+    described, some, cut = get_family(family), take_part(rest, rows), cut[rows]
+    top, held = part.largest[atoms.tied][rows], np.count_nonzero(cut, axis=-1)
+    row, at = np.nonzero(cut)
+    share = (np.cumsum(cut, axis=-1)[row, at] - 0.5) / held[row]
+    filled = some
     for _ in range(_IMPUTATIONS):
-        law = described.distribution({name: value[row] for name, value in parameters.items()})
-        filled.x[row, at] = law.isf(share * law.sf(top[row]))
-        filled = replace(filled)
         parameters = estimate_part(filled, described)[0].parameters
+        law = described.distribution({name: value[row] for name, value in parameters.items()})
+        x = filled.x.copy()
+        x[row, at] = law.isf(share * law.sf(top[row]))
+        filled = replace(some, x=x, positive=some.positive | cut, n=some.n + held)
+    at_clamp = np.isin(np.arange(len(rest.n)), rows)
     return replace(atoms, rest=with_rows(rest, at_clamp, filled.x, filled.positive))

@@ -14,6 +14,9 @@ samples lie on many steps, they were rounded, to integers or to the few bits of 
 not a mode: its samples are spread over the interval that was rounded to it, but never across a gap
 that is wider than the steps beside it.
 
+Samples that a clamp set to its value, at either end, are left out first: a distribution that is cut
+off has as many modes as its rest. They count for the mode beside the clamp.
+
 `dips` follows Hartigan and Hartigan 1985, section 6. In an interval, at first that of all samples,
 the empirical distribution function F has a greatest convex minorant G and a least concave majorant
 L. They are farthest apart at a vertex of one of them. The next interval lies between this vertex
@@ -41,8 +44,9 @@ from chdstat._core.display import Card, Width, each, reasons, with_error, writte
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import Reason
-from chdstat.fit.atoms import before_clamps, distinct_values, split, with_rows
+from chdstat.fit.atoms import before_clamps, clamped, distinct_values, split, with_rows
 from chdstat.fit.em import Solution
+from chdstat.fit.family import take_part
 from chdstat.fit.mixtures import ChosenMixtures, Mixture, MixtureFit
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks, unimodal_scores
 from chdstat.fit.search import Piece
@@ -341,7 +345,8 @@ class Modality(Result):
     places, weights
         Radiance of the modes as log10, and the mass of each, shape (..., 3), the darkest first; NaN
         where there are fewer modes. The radiance is that of the sample nearest to the maximum, so
-        that no mode lies where there are no samples.
+        that no mode lies where there are no samples. Clamped samples have no part in the search for
+        modes, nor in the dip; their mass is that of the mode beside the clamp.
     ashman_d, ashman_d_se
         Ashman's D, ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)``, of neighbouring modes, with means and
         standard deviations of log radiance, shape (..., 2). Above 2, the modes are cleanly
@@ -401,6 +406,8 @@ class Modality(Result):
 
 
 _MINIMUM = 20
+_COMPONENTS = "lognormal", "gamma"
+"""Families of the components whose tails may be cut off by a clamp."""
 _LEVEL = 0.05
 """Level of the dip test at which uniform distributions are ruled out."""
 _CERTAIN = 0.01
@@ -423,20 +430,29 @@ class Modes(Statistic[Modality]):
         reason = part.reason(_MINIMUM)
         ok = reason == Reason.OK
         tied_share = np.where(ok, _tied_shares(part), np.nan)
-        steps = _on_steps(part, tied_share)
-        smooth = _spread_steps(part, steps) if steps.any() else part
-        dip, p_value = _dips_of_part(smooth, ok, (tied_share > 0) & ~steps)
+        inside, cut = _without_clamps(part, ok)
+        still_tied = tied_share if inside is part else np.where(ok, _tied_shares(inside), np.nan)
+        steps = _on_steps(inside, still_tied)
+        smooth = _spread_steps(inside, steps) if steps.any() else inside
+        dip, p_value = _dips_of_part(smooth, ok, (still_tied > 0) & ~steps)
         # The dip test has uniform samples as its null. Where it rejects them, a few modes side by
         # side must not be mistaken for a uniform distribution.
         bounded = p_value >= _LEVEL
         rival = unimodal_scores(part, ok, bounded)
-        if steps.any():
-            # Fits to rounded samples do not compare with fits to spread samples.
-            of_steps = PositivePart.of(smooth.x[steps])
-            rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
+        changed = steps | cut.any(axis=0)
+        if changed.any():
+            # Fits to all samples, as they are, do not compare with fits to these.
+            of_changed = PositivePart.of(smooth.x[changed])
+            rival[changed] = unimodal_scores(of_changed, ok[changed], bounded[changed])
         count, (place, weight, ashman_d, error), delta_bic = best_peaks(
             smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also
         )
+        # Clamped samples belong to the mode beside the clamp.
+        n = np.maximum(part.n, 1)
+        weight *= (1 - cut.sum(axis=0) / n)[..., np.newaxis]
+        weight[..., 0] += cut[0] / n
+        brightest = np.arange(MODES) == count[..., np.newaxis] - 1
+        weight += brightest * (cut[1] / n)[..., np.newaxis]
         return Modality(
             dip=dip,
             dip_p_value=p_value,
@@ -543,6 +559,39 @@ def _at_samples(part: PositivePart, place: Floats) -> Floats:
     )
     nearest = np.where(place - left < right - place, left, right)
     return np.where(np.isnan(place), np.nan, nearest)
+
+
+def _without_clamps(part: PositivePart, usable: Mask) -> tuple[PositivePart, Counts]:
+    """Return the part without clamped samples, and how many were at the floor and at the top.
+
+    The counts have the shape (2, ...). Rows of which fewer than `_MINIMUM` samples would be left
+    stay as they are.
+    """
+    cut = np.zeros((2, part.n.size), dtype=np.int64)
+    first, last = np.zeros_like(part.n)[..., np.newaxis], np.maximum(part.n - 1, 0)[..., np.newaxis]
+    # An atom has three samples or more.
+    inner = np.stack([first + 2, np.maximum(last - 2, 0)])
+    several = [
+        np.take_along_axis(part.sorted, end, -1) == np.take_along_axis(part.sorted, third, -1)
+        for end, third in zip((first, last), inner, strict=True)
+    ]
+    rows = np.flatnonzero(usable & np.any(several, axis=0)[..., 0])
+    if not rows.size:
+        return part, cut.reshape(2, *part.n.shape)
+    some = take_part(part, rows)
+    atoms = split(some)
+    at_end = np.stack([clamped(atoms, *_COMPONENTS, floor=floor) for floor in (True, False)])
+    held = np.count_nonzero(at_end, axis=-1)
+    stays = some.n - held.sum(axis=0) < _MINIMUM
+    at_end[:, stays], held[:, stays] = False, 0
+    cut[:, rows] = held
+    cut = cut.reshape(2, *part.n.shape)
+    gone = cut.any(axis=0)
+    if not gone.any():
+        return part, cut
+    here = held.any(axis=0)
+    inside = some.positive[here] & ~at_end[:, here].any(axis=0)
+    return with_rows(part, gone, np.where(inside, some.x[here], 0), inside), cut
 
 
 _LIGHTS, _LEAST_OF_LIGHT = 3, 3
