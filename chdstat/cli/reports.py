@@ -51,10 +51,12 @@ def analyze(
     import chdstat
     from chdstat._core.files import kept_until_written
     from chdstat.analysis import overview, save
+    from chdstat.samples.dependence import check_distribution
 
     if out is not None:
         asked.target(out)  # refused before the work, not after
     thresholds, samples = _thresholds_of(threshold), chdstat.open(store)
+    check_distribution(samples)
     with asked.client() as client, kept_until_written(out) as checkpoint:
         dataset = chdstat.analyze(
             samples,

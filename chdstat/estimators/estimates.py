@@ -567,7 +567,7 @@ def combine(
     if len(shape) != 4 or shape[2] not in (1, 3) or shape[3] < _LEAST:
         message = (
             f"expected samples (y, x, channel, sample) of 1 or 3 channels, at least {_LEAST} of a "
-            f"pixel, got shape {shape}"
+            f"pixel, got shape {shape}; render more samples per pixel, or choose channels"
         )
         raise InputError(message)
     image = (

@@ -568,14 +568,12 @@ def _without_clamps(part: PositivePart, usable: Mask) -> tuple[PositivePart, Cou
     stay as they are.
     """
     cut = np.zeros((2, part.n.size), dtype=np.int64)
-    first, last = np.zeros_like(part.n)[..., np.newaxis], np.maximum(part.n - 1, 0)[..., np.newaxis]
+    rows = np.flatnonzero(usable)
+    ascending, last = part.sorted.reshape(-1, part.x.shape[-1]), part.n.reshape(-1)[rows] - 1
     # An atom has three samples or more.
-    inner = np.stack([first + 2, np.maximum(last - 2, 0)])
-    several = [
-        np.take_along_axis(part.sorted, end, -1) == np.take_along_axis(part.sorted, third, -1)
-        for end, third in zip((first, last), inner, strict=True)
-    ]
-    rows = np.flatnonzero(usable & np.any(several, axis=0)[..., 0])
+    at_floor = ascending[rows, 0] == ascending[rows, np.minimum(last, 2)]
+    at_top = ascending[rows, last] == ascending[rows, last - 2]
+    rows = rows[at_floor | at_top]
     if not rows.size:
         return part, cut.reshape(2, *part.n.shape)
     some = take_part(part, rows)

@@ -30,7 +30,7 @@ from chdstat._core.arrays import (
     spans,
     whole,
 )
-from chdstat._core.display import Card, Shown, each, number, percent, with_interval
+from chdstat._core.display import Card, Shown, each, number, percent, reasons, with_interval
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD
 from chdstat._core.resampling import wilson
@@ -125,6 +125,7 @@ class Atlas(Shown):
             "typical pixels": self.medoids,
             "variation that repeats": percent(self.repeatable),
             "Rand index of halves": number(self.stability),
+            "without a shape": reasons(self.reason),
         })  # fmt: skip
 
 

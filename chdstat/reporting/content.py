@@ -185,7 +185,7 @@ def _headlines(found: SceneStudy) -> list[dict[str, str]]:
     if scene.spp < FEW_SAMPLES:
         rows = [
             (
-                f"{scene.spp} sample{'s' * (scene.spp > 1)} per pixel tell no distribution.",
+                f"{scene.spp} samples per pixel tell no distribution.",
                 f"From {FEW_SAMPLES} on, a report describes where the noise is and why, from "
                 f"{2 * FEW_SAMPLES} on, what helps against it.",
             )

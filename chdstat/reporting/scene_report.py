@@ -49,6 +49,7 @@ from chdstat.reporting.content import Contents
 from chdstat.reporting.documents import Document, typeset
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
+from chdstat.samples.dependence import check_distribution
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.stores import at_hand
@@ -133,7 +134,7 @@ def report(
     Raises
     ------
     InputError
-        If the output cannot be a PDF or an option is out of range.
+        If the output cannot be a PDF, an option is out of range, or pixels have one sample each.
     SceneError, RenderError, StoreError
         As for `chdstat.render` and `chdstat.open`.
     """
@@ -157,6 +158,7 @@ def report(
         if as_published:
             store = store or target.with_suffix(".zarr")
         samples = render(scene, **given, out=store, progress=progress)
+    check_distribution(samples)
     samples = at_hand(samples)
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
     report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)

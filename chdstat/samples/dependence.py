@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from chdstat.samples.samples import Samples
 
 __all__ = [
+    "check_distribution",
     "check_independent",
     "check_sequences",
     "check_single",
@@ -55,6 +56,17 @@ def check_single(samples: Samples) -> None:
         message = (
             f"expected single samples, got averages of {averaged}, which have another "
             "distribution; summarize and contrast take them"
+        )
+        raise InputError(message)
+
+
+def check_distribution(samples: Samples) -> None:
+    """Raise InputError if no pixel has two samples, which is the least that can differ."""
+    if samples.spp < 2:
+        message = (
+            f"expected at least 2 samples per pixel, got {samples.spp}: one sample tells nothing "
+            "about a distribution; render more, or import the single samples of a pixel, such as "
+            "one file for each pass"
         )
         raise InputError(message)
 

@@ -69,6 +69,42 @@ def test_samples_that_depend_on_each_other_are_named_contrasted_and_refused(run,
         assert "expected independent samples" in err
 
 
+@pytest.mark.parametrize(
+    ("command", "least"),
+    [("report", 2), ("analyze", 2), ("estimate", 4), ("compare", 64), ("train", 64)],
+)
+@pytest.mark.parametrize("spp", [1, 2, 3])
+def test_too_few_samples_are_refused_in_words(run, tmp_path, command, least, spp):
+    """What tells something of them is said, with reasons for the rest; nothing is written else."""
+    x = np.random.default_rng(spp).lognormal(size=(12, 10, 3, spp)).astype(np.float32)
+    store = tmp_path / "few.zarr"
+    chd.Samples.from_array(x, axes="yxcs").save(store)
+    out = tmp_path / {"report": "r.pdf", "estimate": "e.exr", "train": "t.safetensors"}.get(
+        command, "maps.zarr"
+    )
+    code, said, err = run(command, store, "-o", out)
+    if spp < least:
+        assert code == 2
+        assert f"at least {least}" in err
+        assert "got" in err
+        assert "render more" in err
+        assert not out.exists()
+    else:
+        assert code == 0
+        assert out.exists()
+        assert command == "report" or f"{spp} samples per pixel tell no distribution" in said
+
+
+def test_a_stack_of_one_image_tells_no_distribution(run, tmp_path):
+    image, store = tmp_path / "one.exr", tmp_path / "one.zarr"
+    chd.io.write_image(image, np.full((6, 8, 3), 0.5, dtype=np.float32))
+    assert run("import", image, "-o", store)[0] == 0
+    code, _, err = run("report", store, "-o", tmp_path / "r.pdf")
+    assert code == 2
+    assert "got 1: one sample tells nothing about a distribution" in err
+    assert run("contrast", store, store)[0] == 4
+
+
 def test_alone_it_shows_the_flow_in_its_order(run):
     code, out, _ = run()
     assert code == 0

@@ -194,6 +194,13 @@ def test_a_clamp_is_no_mode(name, n, most):
     np.testing.assert_allclose(np.nansum(result.weights, axis=-1), 1)
 
 
+@pytest.mark.parametrize("samples", [1, 2, 3, 20])
+def test_rows_of_few_samples_have_a_reason(samples):
+    result = chd.modality(np.ones((4, samples)))
+    np.testing.assert_array_equal(result.modes, 0)
+    assert (result.reason != 0).all()
+
+
 @pytest.mark.parametrize("clamp", [4.0, 5.0])
 @pytest.mark.parametrize("kind", ["float", "half"])
 def test_two_modes_are_found_below_a_clamp(kind, clamp):

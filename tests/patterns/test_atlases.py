@@ -156,6 +156,7 @@ def test_an_image_without_shapes_has_an_empty_atlas(clusters):
     assert result.share_interval.shape == result.medoids.shape == (0, 2)
     assert (result.labels == -1).all()
     assert np.isnan(result.stability)
+    assert "all null" in str(result)
 
 
 def test_an_image_of_equal_pixels_has_one_shape():

@@ -102,7 +102,7 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
 @pytest.mark.parametrize(
     ("name", "change", "said", "figures"),
     [
-        ("one sample", lambda x: x[:8, :8, :, :1], "1 sample per pixel tell no distribution", []),
+        ("two samples", lambda x: x[:8, :8, :, :2], "2 samples per pixel tell no distribution", []),
         ("four samples", lambda x: x[..., :4], "4 samples per pixel tell no", ["estimates"]),
         ("all null", lambda x: x[:8, :8] * 0, "No sample finds light", []),
         ("all bad", lambda x: x[:8, :8] * np.nan, "No sample is a number", []),
