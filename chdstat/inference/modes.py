@@ -584,7 +584,7 @@ def _without_clamps(part: PositivePart, usable: Mask) -> tuple[PositivePart, Cou
     at_end[:, stays], held[:, stays] = False, 0
     cut[:, rows] = held
     cut = cut.reshape(2, *part.n.shape)
-    gone = cut.any(axis=0)
+    gone = np.asarray(cut.any(axis=0))
     if not gone.any():
         return part, cut
     here = held.any(axis=0)
