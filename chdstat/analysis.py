@@ -339,7 +339,11 @@ def _of_summary(
                 _released(counted)
 
     image: Any = SimpleNamespace(
-        shape=(height, width), channels=tuple(counted["channel"].values), counts=None, attrs={}
+        shape=(height, width),
+        channels=tuple(counted["channel"].values),
+        counts=None,
+        unequal=False,
+        attrs={},
     )
     about: Any = {"progress": progress, "folder": folder}
     whole_image = assemble(image, placed(), description="fitting", **about).drop_vars(["y", "x"])
