@@ -9,6 +9,7 @@ show, so that such a pixel is no evidence, whatever the unit of radiance.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +34,8 @@ _SUBNORMAL = 2.0**-25
 """Largest error of half floats that are nearly 0."""
 _NEAR = 11
 """Edge of the neighbourhood that shows how bright the samples of a pixel may be, in pixels."""
+_TIMES = 16
+"""Samples of a reference that are taken for granted, as a multiple of those of the render."""
 _ALIKE = 1 / 8
 """If neighbours lack so much of what a pixel lacks, they have not seen that light, either."""
 _RAREST = 1 / 300
@@ -53,7 +56,8 @@ class Reference(Shown):
     spp
         Number of samples of each pixel; None if unknown. With a variance and no number, the mean is
         taken to be as noisy as the render that is compared with it. With a number and no variance,
-        its samples are taken to vary as those of the render. With neither, it has no noise.
+        its samples are taken to vary as those of the render. With neither, it has no noise but one
+        bright sample of at least 16 times as many as those of the render.
     precision
         Largest rounding error of a value over the largest channel of its pixel. The default,
         0.25 %, is that of half floats that were converted from CIE XYZ to R, G and B, as many
@@ -170,6 +174,23 @@ class Reference(Shown):
         found = (self.precision + _SINGLE) * size + _SUBNORMAL * halves
         bands = mean.shape[-1] + (mean.shape[-1] == 3)
         return np.asarray(np.broadcast_to(found, (*mean.shape[:2], bands)))
+
+    def outlier(self, excess: Floats, spp: int) -> float:
+        """Return by how much its brightest sample may have raised the mean of one pixel.
+
+        If its variances are known, they know that. Otherwise, M samples per pixel have a brightest
+        one that is about sqrt(M / spp) times that of `spp`, if variances are just finite. A
+        reference without a number is taken to have 16 times as many samples.
+
+        Parameters
+        ----------
+        excess
+            Largest sample of each pixel minus its mean, of a render with so many `spp`.
+        """
+        if self.variance is not None:
+            return 0.0
+        largest = float(np.max(excess, initial=0, where=np.isfinite(excess)))
+        return largest / math.sqrt(spp * (self.spp or _TIMES * spp))
 
 
 def with_luminance(x: Array) -> Array:

@@ -203,16 +203,18 @@ class Pair:
             for name in tiles[0]
         }
         lamps, p = maps.pop("lamps"), maps["p_value"]
-        doubts = []
+        doubts, outliers = [], []
         for band in range(bands):
             moments = FlipMoments.joined([part[band] for part in parts])
             p[..., band] = guarded(p[..., band], moments, lamps[..., band])
             if isinstance(self.b, Reference):
                 doubt, hidden = self._doubt(band, moments, maps)
                 doubts.append(doubt)
+                excess = maps["highest"][..., band] - maps["mean_a"][..., band]
+                outliers.append(self.b.outlier(excess, self.spp[0] * _averaged(self.a)))
                 if band == 0:
                     maps |= {"hidden": hidden, "doubt": doubt}
-                p[..., band] = np.maximum(p[..., band], moments.p_value_with(doubt))
+                p[..., band] = np.maximum(p[..., band], moments.p_value_with(doubt, outliers[-1]))
         sums = {name: maps.pop(name) for name in _OF_CELLS if name in maps}
         if isinstance(self.b, Reference):
             for name in _OF_DOUBT:
@@ -221,6 +223,7 @@ class Pair:
             sums |= {
                 "doubt": np.maximum(_cells(np.stack(doubts, axis=-1), cell), 0),
                 "slack": _cells(np.where(known, self.b.rounding, 0), cell),
+                "outlier": np.array(outliers),
             }
         return maps, Cells(**sums, short=min(self.units), unit_size=self.unit_size), cell
 
@@ -305,24 +308,25 @@ class Pair:
         """Return the maps and sums of some rows."""
         sums = self._read(ys, left_out)
         missing = ((sums[0].number == 0) | (sums[1].number == 0))[:, :, np.newaxis]
-        of_terms = [render.of_terms() for render in sums]
+        of_terms = [with_luminance(render.of_terms()) for render in sums]
         if missing.any():
             of_terms = [np.where(missing, 0, x) for x in of_terms]
-        one, other = map(with_luminance, of_terms)
+        one, other = of_terms
         d = other - one
         known = self.terms - missing.sum(axis=-1)
         means = [sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b.mean[ys]]
         mean_a, mean_b = map(with_luminance, means)
-        constant = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
-        tested, of_doubt = d, {}
+        tested, constant, of_doubt = d, np.ones(d.shape[:-1], bool), {}
         if isinstance(self.b, Reference):
             # What rounding explains is no difference of a pixel.
             slack = self.b.rounding[ys]
             shift = np.clip(d.sum(axis=-1, dtype=float) / np.maximum(known, 1), -slack, slack)
-            tested = np.where(missing, 0, d - shift.astype(d.dtype)[..., np.newaxis])
+            tested = d - shift.astype(d.dtype)[..., np.newaxis]
+            tested *= ~missing
             of_doubt = {name: getattr(sums[0], name) for name in _OF_DOUBT[1:]}
             of_doubt["number"] = sums[0].number.sum(axis=-1)
         else:
+            constant = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
             # For constant renders, such as lamps, only so many digits of files and sums count.
             d[constant & (np.abs(d[..., 0]) <= _ROUNDING * np.abs(one[..., 0]))] = 0
         bands = [tested[:, :, i] for i in range(d.shape[2])]
@@ -390,7 +394,7 @@ class Pair:
             for i, (x, good) in parts.items():
                 sums[i].add(x, good, numbers[i][ss])
         if not isinstance(self.b, Samples):
-            sums.append(_Sums.exact(self.b.mean[ys], self.terms))
+            sums.append(_Sums.exact(self.b.mean[ys]))
         return sums
 
     def _of_units(self, sums: list[_Sums], p: Floats, cell: int) -> dict[str, Any]:
@@ -449,10 +453,10 @@ class _Sums:
         self.lowest, self.highest = np.zeros((2, height, width, channels + (channels == 3)))
 
     @classmethod
-    def exact(cls, image: Floats, terms: int) -> _Sums:
+    def exact(cls, image: Floats) -> _Sums:
         """Return an image without noise (y, x, channel) as sums of one sample."""
         found = cls((*image.shape, 0), 0)
-        found.total = np.broadcast_to(image[..., np.newaxis], (*image.shape, terms))
+        found.total = image[..., np.newaxis]
         known = np.asarray(np.isfinite(image).all(axis=-1, keepdims=True))
         found.number = known.astype(np.int32)
         found.good = found.number[..., 0]
@@ -474,9 +478,11 @@ class _Sums:
             self.unit_number[..., to] += good[..., own]
         bright = _luminance(x)
         if self._extremes:
-            bands = np.concatenate([bright[:, :, np.newaxis], x], axis=2) if x.shape[2] == 3 else x
-            self.lowest = np.minimum(self.lowest, bands.min(axis=-1))
-            self.highest = np.maximum(self.highest, bands.max(axis=-1))
+            bands = [bright, x] if x.shape[2] == 3 else [x]
+            low = [values.min(axis=-1) for values in bands]
+            high = [values.max(axis=-1) for values in bands]
+            self.lowest = np.minimum(self.lowest, np.dstack(low))
+            self.highest = np.maximum(self.highest, np.dstack(high))
         self.first += bright.sum(axis=-1, dtype=float)
         self.second += np.einsum("yxs,yxs->yx", bright, bright, dtype=float)
 

@@ -165,11 +165,16 @@ class FlipMoments:
         """Where the sign against the sum has no terms, or at most about ten that decide."""
         return self.one_sided | (self.skewness_against > _FEW)
 
-    def p_value_with(self, more: Floats) -> Floats:
-        """Return two-sided normal p-values of the sums if terms vary by so much `more` (y, x)."""
+    def p_value_with(self, more: Floats, outlier: float) -> Floats:
+        """Return two-sided normal p-values of the sums if terms vary by so much `more` (y, x).
+
+        One outlier may have made each term larger by so much.
+        """
         square = self.square + self.n * more / self.scale**2
-        z = np.abs(self.total) / np.sqrt(np.maximum(square, _TINY))
-        return np.asarray(2 * special.ndtr(-z))
+        size = np.maximum(self.total - self.n * outlier / self.scale, -self.total)
+        return np.asarray(
+            2 * special.ndtr(-np.maximum(size, 0) / np.sqrt(np.maximum(square, _TINY)))
+        )
 
     def p_value(self, edges: tuple[int, ...], *, against: bool) -> Floats:
         """Return two-sided normal p-values of the sums, by the terms of neighbours; see `nearby`.
@@ -219,6 +224,8 @@ class Cells:
     doubt, slack
         Against a reference: what the variance of a term lacks, and how far rounding may have moved
         each term, shape (band, y, x).
+    outlier
+        By how much one outlier of the reference may have made terms larger, shape (band,).
     """
 
     differences: Image
@@ -229,6 +236,7 @@ class Cells:
     unit_size: int = 1
     doubt: Image | None = None
     slack: Image | None = None
+    outlier: Floats | None = None
 
     def doubted(self, seed: Seed) -> Cells:
         """Return cells whose terms vary by `doubt` more, and have the same sums.
@@ -318,8 +326,9 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float]
         for weigh in weightings:
             weights = weigh(d[band], mean[band])
             values, moved = d[band] * weights, None
-            if cells.slack is not None:
-                moved = cells.slack[band] * weights.sum(axis=-1)
+            if cells.slack is not None and cells.outlier is not None:
+                heavy = weights.sum(axis=-1)
+                moved = np.stack([cells.slack[band] * heavy, cells.outlier[band] * heavy])
             if cells.units is not None and cells.unit_level is not None:
                 units = cells.units[band] * weigh(cells.units[band], cells.unit_level[band])
             for edge in edges:
@@ -368,11 +377,12 @@ def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
 
 @np.errstate(all="ignore")
 def _largest(
-    d: Array, mean: Array, edge: int, flips: Image, slack: Array | None
+    d: Array, mean: Array, edge: int, flips: Image, moved: Array | None
 ) -> tuple[Any, tuple[int, int]]:
     """Return the largest standardised sum over windows for each flip, None without any term.
 
-    Against a reference, the sums of cells may be wrong by `slack`, shape (y, x).
+    Against a reference, all sums of cells may be `moved` by rounding, and one by an outlier, shape
+    (2, y, x).
     """
     sums, starts = window_sums(d, edge)
     moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
@@ -391,10 +401,12 @@ def _largest(
     z = np.abs(flips @ unit.astype(np.float32).T)
     missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
     least = np.abs(moments.total) - missed
-    if slack is not None:
-        least -= window_sums(slack[..., np.newaxis], edge)[0][..., 0] / moments.scale
+    if moved is not None:
+        rounding = window_sums(moved[0][..., np.newaxis], edge)[0][..., 0]
+        outlier = np.where(moments.total > 0, _highest(moved[1], edge, starts), 0)
+        least -= (rounding + outlier) / moments.scale
     seen = np.maximum(least, 0) / np.sqrt(np.where(square > 0, square + missed**2, 1))
-    z[0] = (seen if slack is None else _without_skewness(seen, moments))[known]
+    z[0] = (seen if moved is None else _without_skewness(seen, moments))[known]
     at = np.argwhere(known)[int(z[0].argmax())]
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
 
@@ -427,19 +439,24 @@ def _missed(d: Array, edge: int, starts: list[Any], up: Mask) -> Floats:
     gamma distribution", 1997, doi:10.1002/(SICI)1097-0258(19970415)16:7<791::AID-SIM500>3.0.CO;2-#.
     """
     scale = max(float(np.abs(d).max()), _TINY)
-    shape = tuple(min(edge, size) for size in d.shape[:2])
     worth, largest = [], []
     for sign in (1, -1):
         x = np.maximum(d.astype(float) * (sign / scale), 0)
         of_cells = np.stack([x.sum(axis=-1), np.square(x).sum(axis=-1)], axis=-1)
         total, square = np.moveaxis(np.maximum(window_sums(of_cells, edge)[0], 0), -1, 0)
         worth.append(total**2 / np.maximum(square, _TINY))
-        highest = np.lib.stride_tricks.sliding_window_view(x.max(axis=-1), shape)
-        largest.append(highest[np.ix_(*starts)].max(axis=(2, 3)) * scale)
+        largest.append(_highest(x.max(axis=-1), edge, starts) * scale)
     with_it, against = np.where(up, worth, worth[::-1])
     # Where terms are 0, both are rounding errors of sums over the image.
     share = np.clip(2 - 2 * against / np.maximum(np.maximum(with_it, against / 2), _TINY), 0, 1)
     return np.asarray(share * np.where(up, largest[1], largest[0]))
+
+
+def _highest(x: Array, edge: int, starts: list[Any]) -> Floats:
+    """Return the largest cell (y, x) of each window."""
+    shape = tuple(min(edge, size) for size in x.shape)
+    windows = np.lib.stride_tricks.sliding_window_view(x, shape)
+    return np.asarray(windows[np.ix_(*starts)].max(axis=(2, 3)))
 
 
 def _divisions(cells: Cells, seed: Seed) -> sparse.csr_matrix:

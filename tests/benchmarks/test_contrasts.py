@@ -15,6 +15,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
+from chdstat.inference import Reference
 from chdstat.scenes import load_scene
 
 LEVELS = np.array([0.001, 0.01, 0.05, 0.1])
@@ -211,6 +212,65 @@ def test_levels_at_unequal_spp(as_benchmark, counts):
         print(f"{law:32}{trials:4}" + "".join(f"{n:13}" for n in found), flush=True)
     print("all: " + ", ".join(_interval(int(n), total) for n in pooled))
     assert (pooled[:2] <= 0.06 * total).all()
+
+
+MEANS: dict[str, tuple[Draw, float]] = {
+    **{f"gamma {shape}": (_gamma(shape), 1) for shape in (0.2, 1.0, 20.0)},
+    **{f"log-normal {sigma}": (_log_normal(sigma), 1) for sigma in (0.5, 1.5, 2.5)},
+    **{f"Pareto {index}": (_pareto(index), index / (index - 1)) for index in (1.5, 2.5)},
+    **{f"{n:.1%} nulls": (_nulls(n, _log_normal(1)), 1 - n) for n in (0.5, 0.9, 0.95, 0.99, 0.999)},
+    "constant": (lambda _, size: np.ones(size), 1),
+    "an edge of 1 of 200": (_nulls(0.995, lambda _, size: np.ones(size)), 0.005),
+    "an edge of 199 of 200": (_nulls(0.005, lambda _, size: np.ones(size)), 0.995),
+    "gamma, 1 of 2000 x 100": (_fireflies(1 / 2000, 100, _gamma(1.0)), 1.05),
+    "constant, 1 of 300 x 10": (_fireflies(1 / 300, 10, lambda _, size: np.ones(size)), 1 + 1 / 30),
+    "constant, 1 of 2000 x 1000": (
+        _fireflies(1 / 2000, 1000, lambda _, size: np.ones(size)),
+        1.5,
+    ),
+}
+"""Laws by their means."""
+KINDS_OF_B = ("samples", "9 x samples", "exact", "half", "mean, variance", "no spp", "no variance")
+
+
+def _other(kind, rng, draw, mean, level):
+    """Return B with the mean of the law."""
+    if kind in ("exact", "half"):
+        return (mean * level[..., 0]).astype(np.float16 if kind == "half" else float)
+    spp = DRAWN * (1 if kind in ("samples", "no spp") else 9)
+    x = (draw(rng, (EDGE, EDGE, 1, spp)) * level).astype(np.float32)
+    if "samples" in kind:
+        return x
+    variance = None if kind == "no variance" else x.var(axis=-1, ddof=1, dtype=float)
+    return Reference(x.mean(axis=-1, dtype=float), variance, None if kind == "no spp" else spp)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.InputWarning")  # samples without any noise
+@pytest.mark.parametrize("dark", [False, True], ids=["smooth", "with a dark corner"])
+def test_levels_against_images_and_stores(as_benchmark, dark):
+    """Of renders of one mean, at most .05 differ, and none of a law in a share surely above .05."""
+    trials, level = 40, _level().copy()
+    if dark:
+        level[:7, 9:] *= 1e-4
+    print(f"\n{'differ (cannot tell) of 40':28}" + "".join(f"{kind:>16}" for kind in KINDS_OF_B))
+    wrong = dict.fromkeys(KINDS_OF_B, 0)
+    for law, (draw, mean) in MEANS.items():
+        line = f"{law:28}"
+        for kind in KINDS_OF_B:
+            found = []
+            for seed in range(trials):
+                rng = np.random.default_rng([seed, *map(ord, law + kind)])
+                a = (draw(rng, (EDGE, EDGE, 1, DRAWN)) * level).astype(np.float32)
+                b = _other(kind, rng, draw, mean, level)
+                found.append(chd.contrast(a, b, seed=seed).outcome)
+            differ = found.count("differ")
+            line += f"{differ:10} ({found.count('cannot tell'):3})"
+            wrong[kind] += differ
+            assert stats.binomtest(differ, trials, 0.05, alternative="greater").pvalue > 1e-3, line
+        print(line, flush=True)
+    for kind, count in wrong.items():
+        print(f"{kind:28}{_interval(count, trials * len(MEANS))}")
+        assert count <= 0.05 * trials * len(MEANS)
 
 
 def _best(mean, variance, block, spp):

@@ -501,6 +501,18 @@ def test_the_noise_of_a_reference_counts_as_far_as_it_is_known(known):
     assert (wrong > 4) == (known == "exact")
 
 
+def test_a_firefly_of_a_reference_is_no_difference():
+    """One sample of 500 in 64 x 512. It is as bright as those of A; else, the pixel differs."""
+    rng = np.random.default_rng(5)
+    calm, image = lit(rng, 64), np.ones((16, 16, 3))
+    fireflies = np.where(rng.random((16, 16, 1, 64)) < 1 / 2000, np.float32(500), calm)
+    image[4, 4] += 500 / 512
+    found = contrast(fireflies, image + 0.25)
+    assert found.outcome == "no difference found"
+    assert found.share == 0
+    assert contrast(calm, image).share == 1 / 256
+
+
 def test_a_reference_with_a_variance_finds_what_the_samples_find():
     rng = np.random.default_rng(3)
     a, b = heavy(rng, 64, sigma=0.5), heavy(rng, 512, sigma=0.5)
@@ -718,10 +730,11 @@ def test_shapes_that_differ_are_found_where_means_do_not():
     assert "distributions differ" in found.table()
 
 
-def test_the_share_that_is_done_rises(monkeypatch):
+@pytest.mark.parametrize("image", [False, True])
+def test_the_share_that_is_done_rises(monkeypatch, image):
     monkeypatch.setattr("chdstat.inference.render_pairs._AT_ONCE", 1)
     one, other = np.random.default_rng(1).gamma(1.0, size=(2, 16, 16, 3, 16))
-    told = list(contrasting(one, other))
+    told = list(contrasting(one, other.mean(axis=-1) if image else other))
     for text in ("contrasting pixels", "contrasting regions"):
         shares = [share for what, share in told if what == text]
         assert len(shares) >= 4
