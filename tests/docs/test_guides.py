@@ -166,6 +166,7 @@ class Shown:
         """Return at once."""
 
 
+@pytest.mark.filterwarnings("ignore:A and B are renders of two scenes")  # one of which stands in
 @pytest.mark.parametrize("page", dict(lines()))
 def test_every_line_to_type_succeeds(page, folder, stores, monkeypatch, run):
     monkeypatch.setattr(chd, "explore", Shown)
