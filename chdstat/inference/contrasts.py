@@ -514,9 +514,9 @@ def _why_not(
         if pair.of_image:
             why = (
                 f"B has {percent(share)} of its light in pixels where A and its neighbours show "
-                f"none of it in {spp} samples, which may be too rare: render {needed} of A"
+                f"none of it in {spp} samples, which may be too rare: render "
             )
-            return why, needed
+            return (f"{why}{needed} of A", needed) if needed > spp else (f"{why}more of A", None)
         short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
         why = (
             f"{longer} has {percent(share)} of its light in samples so rare that {spp} per "
