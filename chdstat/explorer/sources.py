@@ -214,7 +214,8 @@ class StoreSource:
 
     def __init__(self, samples: Samples) -> None:
         self.samples = samples
-        self.size, self._counts = samples.shape[:2], samples.counts
+        self.size = samples.shape[:2]
+        self._counts = samples.counts if samples.unequal else None
         self.channels = samples.channels
         self.path = samples.path
         self.name = samples.path.name if samples.path else samples.name

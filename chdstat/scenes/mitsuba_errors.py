@@ -26,6 +26,8 @@ _PLACE = re.compile(
 _NO_FILE = re.compile(r"\bnot found\b|does not exist|No such file")
 _SHOWN = 5
 """Names of missing files that are shown."""
+_LONGEST = 200
+"""Letters of a name that are shown."""
 
 
 def in_words(error: BaseException, missing: Sequence[str] = ()) -> str:
@@ -95,7 +97,8 @@ def _of_metal(match: re.Match[str]) -> str:
 
 
 def _of_files(missing: Sequence[str]) -> str:
-    shown = ", ".join(missing[:_SHOWN])
+    names = (n if len(n) <= _LONGEST else f"...{n[3 - _LONGEST :]}" for n in missing[:_SHOWN])
+    shown = ", ".join(names)
     more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
     files = "a file" if len(missing) == 1 else f"{len(missing)} files"
     return (

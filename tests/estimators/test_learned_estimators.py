@@ -86,7 +86,7 @@ def test_its_model_estimates_an_image_of_any_number_of_samples(calls):
         found = chd.estimate(image(), model, spp=spp)
         assert found.radiance == pytest.approx(image().first(spp).read().mean(axis=-1), rel=1e-5)
         assert np.isnan(found.level)
-    batches = batches_of(image()[3, 4], 16)
+    batches = batches_of(image(2048)[3, 4], 16)
     assert score_model("share", model, batches).mse_ratio == pytest.approx(1, rel=1e-6)
 
 

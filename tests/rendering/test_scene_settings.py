@@ -224,7 +224,7 @@ def test_files_are_found_in_the_resources_of_a_dict_and_belong_to_it(tmp_path):
 
 def test_a_misspelt_plugin_is_named():
     for part in ("sensor", "floor", "sky", "integrator"):
-        with pytest.raises(SceneError, match='"fisheye"'):
+        with pytest.raises(SceneError, match="'fisheye'"):
             render(floor(**{part: {"type": "fisheye"}}))
     with pytest.raises(SceneError, match="no plugin 'fisheye'"):
         scene_size(floor(sensor={"type": "fisheye"}))

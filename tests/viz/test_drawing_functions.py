@@ -219,7 +219,7 @@ def test_figures_of_results_draw_the_channel_that_is_asked_for(examples):
     np.testing.assert_allclose(
         figure.axes[3].images[0].get_array(), -np.log10(maps["p_value"]), rtol=1e-6
     )
-    assert "B − A over A, B" in texts(figure)
+    assert "B − A over A, blue" in texts(figure)
     compared = examples["estimator_measures"].args[0]
     ax = examples["estimator_measures"](channels="G").axes[0]
     np.testing.assert_array_equal(
