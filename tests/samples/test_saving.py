@@ -182,7 +182,7 @@ def test_a_pixel_is_described_as_if_it_were_alone():
     of_the_image = ("q_value", "q_exponential", "rejected", "n_needed", "agreement", "batch_means")
     of_the_image += ("tail_coverage", "tail_coverage_interval", "tail_variance_suspect")
     of_the_image += ("tail_variance_trusted", "tail_variance_unidentified")
-    of_the_image += ("long_tail_statistic", "long_tail_se", "long_tail")
+    of_the_image += ("long_tail_statistic", "long_tail_se", "long_tail_interval", "long_tail")
     for name, function in functions.items():
         found = function(samples)
         for y, column in ((0, 0), (0, 1), (0, 2), (1, 0)):
