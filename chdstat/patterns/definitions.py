@@ -395,8 +395,8 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="error bars of so many samples fail: rare bright paths carry light that they miss",
         cure="sample the bright paths more often; until then, take the default estimate, not "
         "the mean, and trust no error bar of so many samples",
-        typical="a wall among many lamps: one hump, and far to its right a few samples a "
-        "thousand times as bright; the running mean jumps",
+        typical="a dark place among many lamps: one narrow hump, and far to its right a few "
+        "samples more than a hundred times as bright; the running mean jumps",
         statistic="share of 95 % error bars of so many samples that miss the mean",
         rule="the share is above the threshold: by the pixels around, too, in an image; in an "
         "array, by the pixel's own samples, or where the interval of the tail index is above 1/2",

@@ -10,7 +10,7 @@ SCALAR = {"size": (64, 64), "backend": "scalar"}
 PIXELS = {  # scene, (y, x)
     Label.NULL_HEAVY: ("bathroom", (48, 60)),
     Label.FIREFLY_DOMINATED: ("night-room", (28, 10)),
-    Label.LONG_TAIL: ("many-lights", (40, 6)),
+    Label.LONG_TAIL: ("many-lights", (18, 0)),
     Label.BIMODAL: ("bathroom", (53, 56)),
     Label.MULTIMODAL: ("caustic", (21, 24)),
     Label.GAMMA_LIKE: ("cornell-box", (34, 31)),

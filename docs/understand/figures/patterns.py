@@ -16,7 +16,7 @@ shown = {
 }
 short = {
     "null_heavy": "nulls",
-    "long_tail": "ξ",
+    "long_tail": "misses",
     "bimodal": "D",
     "multimodal": "second D",
     "gamma_like": "z",
