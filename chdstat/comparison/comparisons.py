@@ -1,7 +1,7 @@
 """Comparisons: estimators side by side on the same batches, against a held-out reference.
 
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
-batch, and compares the estimate with the mean of all *other* samples of the pixel
+batch, and compares the estimate with all *other* samples of the pixel
 (`chdstat.comparison.judging`). Its `Comparison` holds all measures with intervals, a `Breakdown`
 holds them by pattern, and `PixelEstimates` holds a few pixels one by one. They convert to tables,
 data frames, datasets, LaTeX and JSON.

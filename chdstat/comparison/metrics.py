@@ -59,7 +59,7 @@ Columns = dict[str, tuple[Array, dict[str, str]]]
 MEASURES = {
     "mse": ("mean squared error", "(W sr-1 m-2)^2"),
     "relmse": ("relative mean squared error", "1"),
-    "improved": ("share of estimates closer to the reference than the sample mean", "1"),
+    "improved": ("share of estimates closer to the truth than the sample mean", "1"),
     "unchanged": ("share of estimates equal to the sample mean", "1"),
     "bias": ("mean error over mean reference", "1"),
     "fireflies": ("share of estimates far brighter than the reference", "1"),

@@ -306,10 +306,12 @@ def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
         f"From {n} samples, its squared error is {shown_ratio(row, 'mse_ratio')} times the mean's"
         f"{equal}; its relative squared error is {shown_ratio(row, 'relmse_ratio')} times."
     )
-    if not (surely or row["relmse_ratio_high"] < 1):
+    measures = {"squared": "mse_ratio", "relative": "relmse_ratio"}
+    lower = [word for word, measure in measures.items() if row[f"{measure}_high"] < 1]
+    if not lower:
         return f"{name} is not clearly better than the mean.", errors
     return (
-        f"{name} helps.",
+        f"{name} lowers the {' and the '.join(lower)} error.",
         f"{errors} It improves {in_words(row)['improved']} of the estimates, with a bias of "
         f"{percent(row['bias'], sign=True)}.",
     )
