@@ -13,7 +13,7 @@ them do on the same samples?
 import chdstat as chd
 from chdstat import viz
 
-samples = chd.render("gallery", spp=512, size=(64, 64), seed=1, backend="scalar")
+samples = chd.render("gallery", spp=256, size=(64, 64), seed=1, backend="scalar")
 names = ["mean", "trimmed_mean", "median_of_means", "gmon_adaptive", "zirr2018", "shared_shape"]
 found = chd.compare(samples, names, labels="classify", progress=False)
 viz.estimator_measures(found)

@@ -14,7 +14,7 @@ import chdstat as chd
 from chdstat import viz
 from chdstat.io import denoise
 
-samples = chd.render("bathroom", spp=512, size=(64, 64), seed=1, backend="scalar")
+samples = chd.render("bathroom", spp=256, size=(64, 64), seed=1, backend="scalar")
 few = samples.read(ss=slice(0, 32))
 reference = samples.read().mean(axis=-1)
 features = {name: samples.features[name] for name in ("albedo", "normal")}
@@ -29,7 +29,7 @@ images = {
     "mean, denoised": denoise(mean, **features),
     "shared shape": shared,
     "shared shape, denoised": denoise(shared, **features),
-    "mean of 512": reference,
+    "mean of 256": reference,
 }
 viz.side_by_side(images)
 
