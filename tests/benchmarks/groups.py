@@ -153,13 +153,12 @@ def _error_of_sum(apart: np.ndarray, count: int) -> float:
 
 
 def holds(found: Combination, reference: Judge) -> np.ndarray:
-    """Return whether intervals hold the reference and the truth, shape (2, y, x, channel).
+    """Return whether intervals hold the truth, shape (y, x, channel): its mean is the share.
 
-    Means over many pixels tell the share. As much noise again as the reference has tells what it
-    takes from the truth's (simulation extrapolation: Cook and Stefanski 1994,
-    doi:10.1080/01621459.1994.10476871).
+    As much noise again as the reference has tells what its noise takes from the share (simulation
+    extrapolation: Cook and Stefanski 1994, doi:10.1080/01621459.1994.10476871).
     """
     rng = np.random.default_rng(0)
     noisier = reference.mean + reference.error * rng.standard_normal(reference.mean.shape)
     once, twice = ((found.low <= r) & (r <= found.high) for r in (reference.mean, noisier))
-    return np.stack([once, 2.0 * once - twice])
+    return 2.0 * once - twice
