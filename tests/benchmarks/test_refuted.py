@@ -1,132 +1,393 @@
-"""Images whose detail is no noise, so that a learned prior is wrong: errors and intervals.
+"""The default estimate on made images with known truth, where pixels know more than what is pooled.
 
-For each image, law of the samples and number of samples, without features and with an albedo that
-has nothing to do with the image: MSE and relMSE of the default estimate over those of the mean, and
-the share of 90 % intervals that hold the truth by thirds of brightness. Then the same where the
-left half of an image has little noise and the right half has much. Run with ``--benchmark-only
--s``; CHDSTAT_SEEDS images are drawn of each kind, CHDSTAT_FILM is their edge.
+For each image, number of samples and group of its pixels and channels (the image, its quiet, loud
+and exact ones, its classes, channels, thirds of brightness, and blocks): MSE and relMSE over those
+of the mean, the share of 90 % intervals that hold the truth, and how far the sum is from the
+mean's, in standard errors of the latter. Of the image, `Combination.relative_error` over the true
+one. The last lines say what of it is held. A ratio is above a limit if it is so by two standard
+errors, which come from seeds and blocks.
+
+Run with ``--benchmark-only -s``. CHDSTAT_SEEDS images are drawn of each variant; CHDSTAT_NAMES
+names kinds, apart by semicolons, CHDSTAT_NUMBERS the samples, apart by commas. CHDSTAT_WRITE names
+a CSV file for all figures, CHDSTAT_BASELINE one of another version, to compare with.
 """
 
 from __future__ import annotations
 
-import itertools
+import csv
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageDraw
-from scipy import ndimage
+import pytest
 
 from chdstat.estimators import combine
+from tests.benchmarks.known_images import SIZE, Picture, pictures
 
 SEEDS = int(os.environ.get("CHDSTAT_SEEDS", "1"))
-SIZE = int(os.environ.get("CHDSTAT_FILM", "64"))
-NUMBERS = 16, 64, 256, 1024
-LAWS = ("exponential", 0), ("gamma", 0.5), ("lognormal", 0.8), ("pareto", 0), ("exponential", 0.95)
-"""Laws of the samples that are not null, and shares of nulls."""
+NAMES = os.environ.get("CHDSTAT_NAMES", "").split(";")
+NUMBERS = tuple(int(n) for n in os.environ.get("CHDSTAT_NUMBERS", "4,16,64,256,1024").split(","))
+CELL = 16
+"""Edge of the blocks from which standard errors come."""
+NOISES = "loud", "quiet", "exact"
+CHANNELS = "red", "green", "blue"
+THIRDS = "dark third", "middle third", "bright third"
+IN_INTERVALS = 0.85, 0.97
+OF_ERROR = 0.8, 1.25
 
 
-def images(rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield names and truths, shape (y, x)."""
-    y, x = np.indices((SIZE, SIZE))
-    for factor, share in ((3, 0.1), (3, 5), (30, 0.5), (300, 1), (1000, 0.1)):
-        glint = rng.random(x.shape) < share / 100
-        yield f"glints x{factor}, {share} %", np.where(glint, 0.1 * factor, 0.1)
-    for edge in (1, 2, 4):
-        yield f"checker of {edge}", np.where((x // edge + y // edge) % 2, 1.0, 0.1)
-    for edge in (1, 3, 5, 10):
-        near = (abs(x - SIZE // 2) < (edge + 1) // 2) & (abs(y - SIZE // 3) < (edge + 1) // 2)
-        yield f"lamp of {edge} x {edge}", np.where(near, 30.0, 0.1)
-    for scale in (0.5, 1, 2, 4):
-        smooth = ndimage.gaussian_filter(rng.normal(size=x.shape), scale, mode="wrap")
-        yield f"texture of {scale}", 0.3 * np.exp(0.7 * smooth / smooth.std())
-    lines = np.full(x.shape, 0.1)
-    for angle, a, b in zip(*rng.uniform(0, (np.pi, SIZE, SIZE), (12, 3)).T, strict=True):
-        lines[abs((y - a) * np.cos(angle) + (x - b) * np.sin(angle)) < 0.5] = 1.0
-    yield "lines", lines
-    page = Image.new("L", x.shape, 255)
-    for row in range(0, SIZE, 12):
-        ImageDraw.Draw(page).text((0, row), "samples of a pixel are draws", fill=0)
-    yield "text", 0.05 + np.asarray(page) / 255
-    yield "white noise", rng.uniform(0.05, 1, x.shape)
-    yield "gradient", np.outer(np.linspace(0.02, 1, SIZE), np.linspace(0.5, 1, SIZE))
-    yield "constant", np.full(x.shape, 0.1)
+@dataclass(frozen=True)
+class Row:
+    """Figures of one group of one image at one number of samples, over seeds.
+
+    Attributes
+    ----------
+    noise
+        Whether all of it (95 %) is loud, quiet or exact.
+    mse, relmse
+        Errors over those of the mean, with standard errors; NaN where the mean has no error.
+    error
+        Mean squared error.
+    held
+        Share of intervals that hold the truth.
+    bias
+        Sum over the sum of the truth, minus 1.
+    apart
+        Of each seed, the sum minus the mean's, in standard errors of the mean's.
+    relative_error
+        The estimated relative error over the true one.
+    kept
+        Share of estimates that equal the truth.
+    """
+
+    kind: str
+    variant: str
+    n: int
+    group: str
+    size: int
+    noise: str
+    mse: float
+    mse_error: float
+    relmse: float
+    relmse_error: float
+    error: float
+    held: float
+    bias: float
+    apart: list[float]
+    relative_error: float
+    kept: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind}, {self.variant}; {self.group} at {self.n}"
+
+    @property
+    def key(self) -> tuple[str, str, int, str]:
+        return self.kind, self.variant, self.n, self.group
 
 
-def drawn(truth: np.ndarray, law: str, null: float, rng: np.random.Generator) -> np.ndarray:
-    """Return samples (y, x, channel, sample) of means `truth` (y, x, channel)."""
-    shape = (*truth.shape[:2], 1, max(NUMBERS))
-    of_one = {
-        "exponential": lambda: rng.exponential(size=shape),
-        "gamma": lambda: rng.gamma(0.5, 2, shape),
-        "lognormal": lambda: rng.lognormal(-0.5, 1, shape),
-        "pareto": lambda: (1 + rng.pareto(2.5, shape)) * 0.6,
-    }[law]()
-    light = np.where(rng.random(shape) < null, 0, of_one / (1 - null))
-    return (truth[..., np.newaxis] * light).astype(np.float32)
+@dataclass
+class Sums:
+    """Sums over the pixels and channels of a group: for each seed, or each seed and cell."""
 
+    cells: list[np.ndarray] = field(default_factory=list)
+    apart: list[float] = field(default_factory=list)
+    lights: list[tuple[float, float]] = field(default_factory=list)
+    noise: str = ""
 
-def errors(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    squared = (image - truth) ** 2
-    weight = 1 / (truth**2 + 0.01 * truth.mean() ** 2)
-    return np.array([squared.mean(), (squared * weight).mean()])
+    def add(self, mask: np.ndarray, maps: np.ndarray, lights: np.ndarray, doubt: float) -> None:
+        """Add an image: `maps` (map, y, x, channel) and the `lights` of estimate, mean, truth."""
+        y, x, c = mask.shape
+        cut = (maps * mask).reshape(-1, y // CELL, CELL, x // CELL, CELL, c).sum(axis=(2, 4, 5))
+        self.cells += [cell for cell in cut.reshape(len(maps), -1).T if cell[0]]
+        estimate, mean, truth = lights[:, mask].sum(axis=-1)
+        self.apart.append((estimate - mean) / doubt if doubt else 0.0)
+        self.lights.append((estimate, truth))
 
-
-def judged(x: np.ndarray, features: dict, truth: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """Return both errors over the mean's, and the share of intervals that hold by thirds."""
-    found, mean = combine(x, features=features), x.mean(axis=-1, dtype=np.float64)
-    inside = ((found.low <= truth) & (truth <= found.high)).mean(axis=-1).ravel()
-    order = np.argsort(truth[..., 0], axis=None, kind="stable")
-    held = [inside[part].mean() for part in np.array_split(order, 3)]
-    return errors(found.radiance, truth) / errors(mean, truth), held
-
-
-def test_errors_over_the_mean_and_intervals(as_benchmark):
-    table, shares = [], []
-    for seed in range(SEEDS):
-        for name, grey in images(np.random.default_rng(seed)):
-            truth = grey[..., np.newaxis] * np.array((1, 0.8, 0.6))
-            for law, null in LAWS:
-                rng = np.random.default_rng((seed, zlib.crc32(f"{name} {law} {null}".encode())))
-                x = drawn(truth, law, null, rng)
-                unrelated = {"albedo": rng.uniform(size=truth.shape).astype(np.float32)}
-                for features in ({}, unrelated):
-                    row = [judged(x[..., :n], features, truth) for n in NUMBERS]
-                    table.append([ratios for ratios, _ in row])
-                    shares.append([held for _, held in row])
-                    shown = "  ".join(f"{mse:6.2f} {rel:6.2f}" for mse, rel in table[-1])
-                    print(f"{name:20s} {law:12s} {null:4.2f} {len(features)}  {shown}", flush=True)
-    ratios, held = np.array(table), np.array(shares)
-    above = (ratios.max(axis=-1) > np.where(np.array(NUMBERS) == min(NUMBERS), 1.15, 1.05)).mean(0)
-    print(f"geometric means {np.exp(np.log(ratios).mean(axis=0)).round(2).tolist()} at {NUMBERS}")
-    print(f"largest {ratios.max(axis=0).round(2).tolist()}; share above the limit {above.round(3)}")
-    for n, of in zip(NUMBERS, held.swapaxes(0, 1), strict=True):
-        print(
-            f"{n:4d} spp: intervals hold {of.mean(axis=0).round(3)} by thirds, of which "
-            f"{(of < 0.85).mean():.0%} less than 85 %, {(of > 0.96).mean():.0%} more than 96 %"
+    def row(self, name: tuple[str, str, int, str], relative_error: float) -> Row:
+        cells = np.array(self.cells)
+        size, held, kept, of_estimate, of_mean, relative, of_mean_relative = cells.T
+        return Row(
+            *name,
+            int(size.sum() / len(self.apart)),
+            self.noise,
+            *ratio(of_estimate, of_mean),
+            *ratio(relative, of_mean_relative),
+            of_estimate.sum() / size.sum(),
+            held.sum() / size.sum(),
+            np.divide(*np.sum(self.lights, axis=0)) - 1,
+            [round(z, 2) for z in self.apart],
+            relative_error / np.sqrt(relative.sum() / size.sum()) if relative.any() else np.nan,
+            kept.sum() / size.sum(),
         )
 
 
-def test_detail_with_little_noise_beside_much(as_benchmark):
-    print(f"\nleft half: MSE over the mean's, share of intervals that hold, at {NUMBERS}")
-    left, kinds = slice(SIZE // 2), ("texture of 1", "white noise", "constant")
-    for name, noise in itertools.product(kinds, (0.01, 0.05, 0.2)):
-        table = np.zeros((len(NUMBERS), 2))
-        for seed in range(SEEDS):
-            rng = np.random.default_rng(seed)
-            grey = dict(images(rng))[name]
-            truth = grey[..., np.newaxis] * np.array((1, 0.8, 0.6))
-            x = drawn(truth, "exponential", 0, rng)
-            quiet = 1 + noise * rng.normal(size=(SIZE, SIZE // 2, 1, max(NUMBERS)))
-            x[:, left] = truth[:, left, :, np.newaxis] * quiet
-            truth = truth[:, left]
-            for row, n in zip(table, NUMBERS, strict=True):
-                found = combine(x[..., :n])
-                low, high = found.low[:, left], found.high[:, left]
-                ratio, _ = errors(found.radiance[:, left], truth) / errors(
-                    found.mean[:, left], truth
+def ratio(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Return a ratio of sums over cells, and its standard error (linearised)."""
+    if not other.any():
+        return np.nan, np.nan
+    value, k = one.sum() / other.sum(), len(one)
+    if k < 3:
+        return value, np.nan
+    return value, np.sqrt(np.square(one - value * other).sum() * k / (k - 1)) / other.sum()
+
+
+def groups(picture: Picture) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield all groups of an image; of those by brightness and channel, what varies."""
+    truth, varies = picture.truth, picture.noise > 0
+    yield "image", np.ones(truth.shape, bool)
+    yield from picture.groups.items()
+    for c, name in enumerate(CHANNELS):
+        if varies[..., c].any():
+            yield name, varies & (np.arange(3) == c)
+    order = np.argsort(np.where(varies, truth, np.inf), axis=None, kind="stable")[: varies.sum()]
+    for name, part in zip(THIRDS, np.array_split(order, 3), strict=True):
+        mask = np.zeros(truth.size, bool)
+        mask[part] = True
+        yield name, mask.reshape(truth.shape)
+    half = SIZE // 2
+    for y in (0, half):
+        for x in (0, half):
+            mask = np.zeros(truth.shape, bool)
+            mask[y : y + half, x : x + half] = True
+            yield f"block {y}, {x}", mask
+
+
+def covariance(picture: Picture, x: np.ndarray) -> np.ndarray:
+    """Return the covariance of channels, (y, x, channel, channel); from samples if it has none."""
+    if np.isfinite(picture.covariance).all():
+        return picture.covariance
+    apart = x - x.mean(axis=-1, keepdims=True, dtype=np.float64)
+    return np.einsum("yxcn,yxdn->yxcd", apart, apart) / (x.shape[-1] - 1)
+
+
+def rows(seeds: Sequence[Picture], numbers: Sequence[int]) -> Iterator[Row]:
+    """Yield the figures of images that differ in their seeds."""
+    kind, variant = seeds[0].kind, seeds[0].variant
+    sums: dict[tuple[int, str], Sums] = {}
+    stop: dict[int, list[float]] = {n: [] for n in numbers}
+    for seed, picture in enumerate(seeds):
+        rng = np.random.default_rng((seed, zlib.crc32(f"{kind} {variant}".encode())))
+        drawn, truth = picture.sampler(max(numbers), rng), picture.truth
+        weight = 1 / (truth**2 + 0.01 * truth.mean(axis=(0, 1)) ** 2)
+        for n in numbers:
+            found = combine(drawn[..., :n], features=dict(picture.features) or None)
+            image = np.asarray(found.radiance, np.float64)
+            mean = drawn[..., :n].mean(axis=-1, dtype=np.float64)
+            squared, of_mean = (image - truth) ** 2, (mean - truth) ** 2
+            inside = (found.low <= truth) & (truth <= found.high)
+            kept = np.isclose(image, truth, rtol=1e-6, atol=0)
+            ones = np.ones(truth.shape)
+            maps = np.array(
+                [ones, inside, kept, squared, of_mean, squared * weight, of_mean * weight]
+            )
+            lights, of_channels = (
+                np.array([image, mean, truth]),
+                covariance(picture, drawn[..., :n]),
+            )
+            stop[n].append(found.relative_error)
+            for name, mask in groups(picture):
+                m = mask.astype(float)
+                doubt = np.sqrt(np.einsum("yxc,yxcd,yxd->", m, of_channels, m, optimize=True) / n)
+                of_group = sums.setdefault((n, name), Sums())
+                of_group.add(mask, maps, lights, doubt)
+                of_group.noise = next(
+                    (k for k in NOISES if picture.groups.get(k, ~mask)[mask].mean() >= 0.95), ""
                 )
-                row += ratio / SEEDS, ((low <= truth) & (truth <= high)).mean() / SEEDS
-        shown = "  ".join(f"{mse:6.2f} {held:.2f}" for mse, held in table)
-        print(f"{name:14s} {noise:4.2f}  {shown}", flush=True)
+    for (n, name), found in sums.items():
+        error = np.mean(stop[n]) if name == "image" else np.nan
+        yield found.row((kind, variant, n, name), error)
+
+
+def table(
+    images: Callable[[int], Iterable[Picture]], seeds: int, write: str | None = None
+) -> list[Row]:
+    """Return the figures of all images of some kinds, print them, and write them to a file."""
+    found: list[Row] = []
+    for same in zip(*map(images, range(seeds)), strict=True):
+        if not any(name in same[0].kind for name in NAMES):
+            continue
+        new = list(rows(same, same[0].numbers or NUMBERS))
+        show(new)
+        if write:
+            with Path(write).open("a" if found else "w", newline="") as file:
+                writer = csv.DictWriter(file, [f.name for f in fields(Row)])
+                if not found:
+                    writer.writeheader()
+                for row in new:
+                    of = asdict(row) | {"apart": " ".join(map(str, row.apart))}
+                    writer.writerow(
+                        {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in of.items()}
+                    )
+        found += new
+    return found
+
+
+def read(path: str) -> list[Row]:
+    """Return the figures in a file."""
+    with Path(path).open(newline="") as file:
+        texts = list(csv.DictReader(file))
+    plain = {"kind": str, "variant": str, "group": str, "noise": str, "n": int, "size": int}
+    plain["apart"] = lambda text: [float(z) for z in text.split()]
+    return [Row(**{k: plain.get(k, float)(v) for k, v in text.items()}) for text in texts]
+
+
+def show(new: list[Row]) -> None:
+    """Print an image: MSE and relMSE by number of samples, and coverage of quiet and loud."""
+    of = {row.key[2:]: row for row in new}
+    numbers = sorted({row.n for row in new})
+    print(f"\n{new[0].kind}: {new[0].variant}")
+    for group in ("image", *NOISES):
+        if any((n, group) not in of for n in numbers):
+            continue
+        cells = [of[n, group] for n in numbers]
+        shown = "  ".join(
+            f"{r.kept:6.2f}      {r.held:5.2f}"
+            if group == "exact"
+            else f"{r.mse:6.2f} {r.relmse:5.2f} {r.held:4.2f}"
+            for r in cells
+        )
+        print(f"  {group:6s}  {shown}", flush=True)
+
+
+# --- what is held ---
+
+
+@dataclass(frozen=True)
+class Line:
+    """What should be held, in how much of all, and where it is missed by how much."""
+
+    what: str
+    most: float
+    missed: list[tuple[float, str]]
+    of: int
+    about: str = ""
+
+    @property
+    def held(self) -> bool:
+        return len(self.missed) <= self.most * self.of
+
+    def __str__(self) -> str:
+        worst = sorted(self.missed, reverse=True)[:4]
+        share = len(self.missed) / max(self.of, 1)
+        return (
+            f"{'held  ' if self.held else 'MISSED'} {self.what}: not in {len(self.missed)} of "
+            f"{self.of} ({share:.1%}, limit {self.most:.1%}){self.about}"
+            + "".join(f"\n         {value:9.3g}  {name}" for value, name in worst)
+        )
+
+
+def line(
+    what: str, most: float, values: Iterable[tuple[float, Row]], limit: float, about: str = ""
+) -> Line:
+    """Return a line of values, of which those are missed that are above a limit."""
+    of = [(value, row.name) for value, row in values]
+    return Line(what, most, [pair for pair in of if pair[0] > limit], len(of), about)
+
+
+def geometric(values: Iterable[float]) -> float:
+    kept = np.array([v for v in values if np.isfinite(v) and v > 0])
+    return float(np.exp(np.log(kept).mean())) if kept.size else np.nan
+
+
+def outside(value: float, bounds: tuple[float, float]) -> float:
+    return max(bounds[0] - value, value - bounds[1])
+
+
+def surely(value: float, error: float) -> float:
+    return value - 2 * np.nan_to_num(error)
+
+
+def summary(found: Sequence[Row], baseline: Sequence[Row] = ()) -> list[Line]:
+    """Return what should be held of a table, also compared with that of another version."""
+    of: dict[str, list[Row]] = {name: [] for name in (*NOISES, *CHANNELS, *THIRDS)}
+    for row in found:
+        of.setdefault(row.group, []).append(row)
+    image, exact = of["image"], of["exact"]
+    parts = [r for r in found if r.group not in ("image", "exact", *CHANNELS, *THIRDS)]
+    quiet = [r for r in found if r.noise == "quiet" and "block" not in r.group and 8 <= r.n <= 1024]
+    judged = [r for name in (*NOISES[:2], *CHANNELS, *THIRDS) for r in of[name]]
+    stops = [r for r in image if 16 <= r.n <= 512]
+    held = np.array([r.held for r in judged])
+    stop = np.array([r.relative_error for r in stops])
+    lines = [
+        line(
+            "quiet groups: MSE at most 1.1 of the mean's",
+            0,
+            [(surely(r.mse, r.mse_error), r) for r in quiet],
+            1.1,
+            f"; geometric mean {geometric(r.mse for r in quiet):.3f}",
+        ),
+        line("exact pixels are kept", 0, [(1 - r.kept, r) for r in exact], 0),
+        line("exact pixels are in their intervals", 0, [(1 - r.held, r) for r in exact], 0),
+        line(
+            "images: MSE and relMSE at most 1.05 of the mean's",
+            0.05,
+            [(max(surely(r.mse, r.mse_error), surely(r.relmse, r.relmse_error)), r) for r in image],
+            1.05,
+            f"; geometric means {geometric(r.mse for r in image):.3f}, "
+            f"{geometric(r.relmse for r in image):.3f}",
+        ),
+        line(
+            "sums of images: at most two standard errors from the mean's",
+            0.1,
+            [(abs(z), r) for r in image for z in r.apart],
+            2,
+        ),
+        line(
+            "sums of classes and blocks: at most three standard errors from the mean's",
+            0.003,
+            [(abs(z), r) for r in parts for z in r.apart],
+            3,
+        ),
+        line(
+            "intervals: .85 to .97 in loud and quiet, channels, thirds of brightness",
+            0.1,
+            [(outside(r.held, IN_INTERVALS), r) for r in judged],
+            0,
+            f"; below in {(held < IN_INTERVALS[0]).mean():.1%}, mean {held.mean():.3f}",
+        ),
+        line(
+            "relative_error: .8 to 1.25 of the true one",
+            0.1,
+            [(abs(np.log(r.relative_error)), r) for r in stops],
+            np.log(OF_ERROR[1]),
+            f"; below in {(stop < OF_ERROR[0]).mean():.1%}, geometric mean {geometric(stop):.2f}",
+        ),
+    ]
+    if baseline:
+        before = {row.key: row for row in baseline}
+        both = [(r, before[r.key]) for r in found if r.key in before]
+        loud = [(r, b) for r, b in both if r.noise == "loud" and r.error > 0]
+        images = [(r, b) for r, b in both if r.group == "image"]
+        lines.append(
+            line(
+                "loud groups: MSE at most 1.1 of the baseline's",
+                0,
+                [(r.error / b.error * surely(1, r.mse_error / r.mse), r) for r, b in loud],
+                1.1,
+                f"; geometric mean {geometric(r.error / b.error for r, b in loud):.3f}",
+            )
+        )
+        for what in ("mse", "relmse"):
+            now, then = (
+                geometric(getattr(r, what) for r in of) for of in zip(*images, strict=True)
+            )
+            worse = [(now, "geometric mean")] if now > then else []
+            about = f"; {now:.3f} after {then:.3f}"
+            lines.append(
+                Line(f"geometric mean of {what} not above the baseline's", 0, worse, 1, about)
+            )
+    return lines
+
+
+@pytest.mark.filterwarnings("ignore:.*passes are equal")  # where nearly all samples are null
+def test_what_made_images_hold(as_benchmark):
+    found = table(pictures, SEEDS, os.environ.get("CHDSTAT_WRITE"))
+    baseline = os.environ.get("CHDSTAT_BASELINE")
+    lines = summary(found, read(baseline) if baseline else ())
+    print("", *lines, sep="\n", flush=True)
+    assert all(of.held for of in lines), "see the lines marked MISSED"
