@@ -9,7 +9,8 @@ errors, which come from seeds and blocks.
 
 Run with ``--benchmark-only -s``. CHDSTAT_SEEDS images are drawn of each variant; CHDSTAT_NAMES
 names kinds, apart by semicolons, CHDSTAT_NUMBERS the samples, apart by commas. CHDSTAT_WRITE names
-a CSV file for all figures, CHDSTAT_BASELINE one of another version, to compare with.
+a CSV file for all figures, CHDSTAT_BASELINE one of another version, to compare with:
+rows of as many seeds have the same samples.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Row:
     Attributes
     ----------
     noise
-        Whether all of it (95 %) is loud, quiet or exact.
+        Whether all of it is loud, quiet or exact; empty if it is not.
     mse, relmse
         Errors over those of the mean, with standard errors; NaN where the mean has no error.
     error
@@ -198,7 +199,7 @@ def rows(seeds: Sequence[Picture], numbers: Sequence[int]) -> Iterator[Row]:
                 of_group = sums.setdefault((n, name), Sums())
                 of_group.add(mask, maps, lights, doubt)
                 of_group.noise = next(
-                    (k for k in NOISES if picture.groups.get(k, ~mask)[mask].mean() >= 0.95), ""
+                    (k for k in NOISES if picture.groups.get(k, ~mask)[mask].all()), ""
                 )
     for (n, name), found in sums.items():
         error = np.mean(stop[n]) if name == "image" else np.nan
@@ -369,6 +370,7 @@ def summary(found: Sequence[Row], baseline: Sequence[Row] = ()) -> list[Line]:
     if baseline:
         before = {row.key: row for row in baseline}
         both = [(r, before[r.key]) for r in found if r.key in before]
+        both = [(r, b) for r, b in both if len(r.apart) == len(b.apart)]  # of the same samples
         loud = [(r, b) for r, b in both if r.noise == "loud" and r.error > 0]
         images = [(r, b) for r, b in both if r.group == "image"]
         lines.append(
