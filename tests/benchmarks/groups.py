@@ -23,8 +23,13 @@ from chdstat.estimators import Combination
 DECILES = 10
 EDGE = 32
 """Edge of the blocks whose energy is measured, in pixels."""
-UNITS = 8
-"""Blocks along an edge whose errors count as independent: standard errors come from these."""
+UNITS = 16
+"""Blocks along an edge whose errors count as independent: standard errors come from these. Larger
+blocks would count what differs from place to place in the scene as chance."""
+WORSE = 1.1
+"""Error over the mean's that a group must not surely exceed."""
+SURE = 2
+"""Standard errors that are sure."""
 
 
 @dataclass(frozen=True)
@@ -125,31 +130,33 @@ def means(group: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def ratios(group: np.ndarray, errors: np.ndarray, of_mean: np.ndarray) -> np.ndarray:
-    """Return errors over the mean's in each group, with standard errors, shape (2, group).
+    """Return errors over the mean's in each group, their standard errors, and a z.
 
-    NaN where the mean's is not known, less than two standard errors above 0. Standard errors are
-    those of a ratio of sums over blocks and seeds, which pairs both errors.
+    Shape (3, group). The ratio is NaN where the errors of the mean do not add up to more than 0. z
+    is that of errors minus `WORSE` times the mean's, from 0. Standard errors are those of sums over
+    blocks and seeds, which pairs both errors.
     """
     seeds, height, width = group.shape[:3]
     block = block_numbers(height, width, across=UNITS)
     unit = block[np.newaxis, ..., np.newaxis] + UNITS**2 * np.arange(seeds).reshape(-1, 1, 1, 1)
     unit = np.broadcast_to(unit, group.shape)
-    found = np.full((2, group.max() + 1), np.nan)
+    found = np.full((3, group.max() + 1), np.nan)
     for g in range(group.max() + 1):
         inside = group == g
         own, mean, here = (
             np.bincount(unit[inside], x[inside]) for x in (errors, of_mean, np.ones(group.shape))
         )
-        own, mean, count = own[here > 0], mean[here > 0], np.count_nonzero(here)
-        if count < 2 or mean.sum() <= 2 * _error_of_sum(mean - mean.mean(), count):
-            continue
-        ratio = own.sum() / mean.sum()
-        found[:, g] = ratio, _error_of_sum(own - ratio * mean, count) / mean.sum()
+        own, mean = own[here > 0], mean[here > 0]
+        more = own - WORSE * mean
+        found[2, g] = more.sum() / max(_error_of_sum(more), 1e-300)
+        if mean.sum() > 0:
+            ratio = own.sum() / mean.sum()
+            found[:2, g] = ratio, _error_of_sum(own - ratio * mean) / mean.sum()
     return found
 
 
-def _error_of_sum(apart: np.ndarray, count: int) -> float:
-    return float(np.sqrt(np.square(apart).sum() * count / (count - 1)))
+def _error_of_sum(values: np.ndarray) -> float:
+    return float(np.sqrt(len(values)) * values.std(ddof=1)) if len(values) > 1 else np.inf
 
 
 def holds(found: Combination, reference: Judge) -> np.ndarray:

@@ -16,10 +16,8 @@ from chdstat.comparison import Interval, Judge
 from chdstat.estimators import Combination
 from chdstat.io import denoise
 from chdstat.studies.claims import SceneData
-from tests.benchmarks.groups import Noise, errors_of_sums, holds, means, ratios, sums
+from tests.benchmarks.groups import SURE, Noise, errors_of_sums, holds, means, ratios, sums
 
-WORSE = 1.1
-"""Error over the mean's that a group must not surely exceed."""
 BY_NOISE = ("noise", "relative noise")
 """Groupings by noise: the first for squared errors, the second for relative ones."""
 
@@ -38,7 +36,7 @@ class Row:
         MSE and relMSE of the estimate over those of the better denoiser ("denoiser") and the mean's
         ("mean"), and of the better denoiser from the estimate over the former ("from it").
     by_noise
-        Errors over the mean's and their standard errors, shape (2, decile), by grouping.
+        Errors over the mean's, their standard errors and z, as of `ratios`, by grouping.
     held
         Share of 90 % intervals that hold the truth in each group, by grouping.
     bias, doubt
@@ -108,8 +106,8 @@ class Row:
             f"energy {self.from_mean:+.1f} of the mean's, {self.energy['image'][0]:+.1f}; "
             f"{self.exact} exact, {self.moved} moved, {self.outside} outside"
         ]
-        for grouping, (ratio, error) in self.by_noise.items():
-            star = np.where(ratio - 2 * error > WORSE, "*", " ")
+        for grouping, (ratio, error, z) in self.by_noise.items():
+            star = np.where(z > SURE, "*", " ")
             cells = zip(ratio, error, star, strict=True)
             groups = zip(self.held[grouping], self.energy[grouping], strict=True)
             lines += [

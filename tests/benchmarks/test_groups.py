@@ -12,6 +12,7 @@ from chdstat.comparison import Judge
 from tests.benchmarks.groups import (
     DECILES,
     EDGE,
+    SURE,
     Noise,
     errors_of_sums,
     holds,
@@ -68,11 +69,12 @@ def test_errors_over_the_mean_and_their_standard_errors(world, name):
     judged = world.reference.squared
     of_mean = np.stack([judged(m) for m in world.means])
     own = np.stack([judged(world.truth + (m - world.truth) / 2) for m in world.means])
-    ratio, error = ratios(world.groupings[name], own, of_mean)
+    ratio, error, z = ratios(world.groupings[name], own, of_mean)
+    assert z.max() < -5
     # The fixed seed is in 99.8 % of all worlds: 10 ratios within 3.7 standard errors.
     assert (abs(ratio - 0.25) < 3.7 * error).all()
     assert (error < 0.05).all()
-    same, none = ratios(world.groupings[name], of_mean, of_mean)
+    same, none, _ = ratios(world.groupings[name], of_mean, of_mean)
     assert same == pytest.approx(1)
     assert none == pytest.approx(0, abs=1e-12)
 
@@ -82,8 +84,8 @@ def test_one_loud_error_in_a_quiet_decile_is_found(world):
     of_mean = np.stack([judged(m) for m in world.means])
     quiet = world.groupings["noise"] == 0
     own = np.stack([judged(m) for m in world.means + 0.01 * quiet])
-    ratio, error = ratios(world.groupings["noise"], own, of_mean)
-    assert np.flatnonzero(ratio - 2 * error > 1.1).tolist() == [0]
+    *_, z = ratios(world.groupings["noise"], own, of_mean)
+    assert np.flatnonzero(z > SURE).tolist() == [0]
 
 
 def test_sums_in_standard_errors(world):
