@@ -18,6 +18,7 @@ __all__ = [
     "BASE",
     "DARK",
     "LAYERS",
+    "TOLERANCE",
     "display_stops",
     "exposure_unit",
     "layer_weights",
@@ -32,6 +33,8 @@ LAYERS = 6
 """Number of layers, of brightness b^0 to b^5, as in the paper."""
 DARK = 0.01
 """Share of a scene's squared mean that keeps relative errors of its dark pixels finite."""
+TOLERANCE = 1.1
+"""An error counts as reached if its estimate exceeds it by at most a tenth."""
 _WHITE, _PERCENTILE = 0.8, 90
 _KEY = 0.09
 """Least log-average of a shown image: a stop below the middle grey of Reinhard et al."""

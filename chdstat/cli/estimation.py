@@ -111,7 +111,8 @@ def estimate(
     applies a trained model. An EXR file has the estimate, and layers for its certainty, the ends of
     its interval, and the mean of the samples. .npy and .pfm files have its linear radiance; a .png
     is tone-mapped. With --while-rendering, the file is written at each doubling of the number of
-    samples; --time and --error stop it.
+    samples, and a line says the relative error and the samples that a smaller one takes; --time and
+    --error stop it.
     """
     from chdstat._core.files import kept_until_written
     from chdstat.estimators.estimates import write_estimates
@@ -126,7 +127,8 @@ def estimate(
         if while_rendering
         else asked.samples(source, seed=asked.seed)
     )
-    with asked.client() as client, kept_until_written(out) as checkpoint:
+    saying = output.saying_passes(quiet=asked.quiet)
+    with asked.client() as client, kept_until_written(out) as checkpoint, saying:
         path = write_estimates(
             target,
             samples,

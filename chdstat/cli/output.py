@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -30,6 +32,7 @@ __all__ = [
     "say_next",
     "say_samples",
     "say_written",
+    "saying_passes",
 ]
 
 _WIDE = 200
@@ -73,6 +76,18 @@ def after_render(attrs: Mapping[str, Any], path: Path | None) -> Iterator[tuple[
     """Yield commands that take a store; for dependent samples, not all do."""
     yield ("analyze", path) if sequence_of(attrs) == 1 else ("contrast", "OTHER.zarr", path)
     yield "explore", path
+
+
+@contextmanager
+def saying_passes(*, quiet: bool) -> Iterator[None]:
+    """Say on stderr what the library tells of each pass, unless the output is quiet."""
+    log = logging.getLogger("chdstat")
+    level = log.level
+    log.setLevel(level if quiet else logging.INFO)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:

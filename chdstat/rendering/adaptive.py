@@ -68,7 +68,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Image, Reals, is_bad, spans
-from chdstat._core.image_scales import relative_scale
+from chdstat._core.image_scales import TOLERANCE, relative_scale
 from chdstat._core.moments import Moments
 from chdstat.errors import InputError, check_option
 from chdstat.samples import Samples
@@ -120,8 +120,6 @@ _ALIKE = (-6.0, -1.5, -0.5, 0.0, 0.5, 1.5, 3.0, 6.0, 12.0, 25.0, 100.0)
 equally significant."""
 _FEW = (1.2, 1.6, 2.2, 3.0, 4.5, 7.0, 12.0)
 """Ends of the numbers of samples that make a mean, if they are few: these count as alike."""
-TOLERANCE = 1.1
-"""An error counts as reached if its estimate exceeds it by at most a tenth."""
 _SURE = 0.9
 """Probability that the error of this very image is not larger than that, if the noise is known."""
 

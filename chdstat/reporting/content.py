@@ -23,7 +23,8 @@ from chdstat.analysis import (
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.comparison.metrics import in_words, shown_ratio
-from chdstat.estimators import MLP
+from chdstat.estimators import MLP, Combination
+from chdstat.estimators.default_estimate.error import spp_in_words
 from chdstat.patterns import PATTERNS, Atlas, Label
 from chdstat.patterns.attribution import largest_part
 from chdstat.rendering.recipes import remake_of
@@ -64,13 +65,20 @@ _MANY_NULLS = 0.25
 _LITTLE = 5e-4
 """Share below which a number counts as none."""
 _TINY = 1e-4
+_ERRORS = 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001
+"""Relative errors for which a report says the number of samples."""
 
 
 # --- the report on a scene ----------------------------------------------------------------------
 
 
-def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
-    """Return the entries of the report, by their names, ready for JSON."""
+def report_content(
+    found: SceneStudy, contents: Contents, estimate: Combination | None
+) -> dict[str, Any]:
+    """Return the entries of the report, by their names, ready for JSON.
+
+    `estimate` is the default estimate from all samples, if there is one.
+    """
     data, scene, dataset = found.data, found.overview, found.data.analysis
     height, width, channels, spp = data.samples.shape
     pixels, each = f"{width} × {height} pixel{'s' * (height * width > 1)}", data.samples.spp_range
@@ -87,7 +95,7 @@ def report_content(found: SceneStudy, contents: Contents) -> dict[str, Any]:
         entries |= {
             "spp": each,
             "key_figures": _key_figures(found),
-            "findings": _headlines(found),
+            "findings": _headlines(found, estimate),
             "regions": _region_table(data),
             "regions_chosen": found.chosen,
             "alpha": percent(float(dataset.attrs["threshold_alpha"])),
@@ -142,7 +150,7 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
             where if noise else "The samples of no pixel vary.",
             _bad_samples(scene, samples),
         ],
-        "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found)],
+        "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found, None)],
         "families": _family_table(dataset),
         "patterns": _pattern_table(scene),
     }
@@ -176,7 +184,7 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     return [dict(zip(names, row, strict=True)) for row in rows if row[0] != "—"]
 
 
-def _headlines(found: SceneStudy) -> list[dict[str, str]]:
+def _headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str, str]]:
     """Return at most six findings in plain words, each with its evidence.
 
     They say what is noisy, why, what helps, and by how much.
@@ -194,6 +202,8 @@ def _headlines(found: SceneStudy) -> list[dict[str, str]]:
         rows = [*_where_noise_is(scene, noise), *_which_paths(found.data)]
         rows += [] if noise.label == "null_heavy" else _nulls(scene)
         rows += [*_trust(scene), *_fireflies(scene, noise)]
+    if estimate is not None:
+        rows += _how_many_samples(estimate)
     if found.comparison is not None:
         rows += _what_helps(found.comparison)
     return [dict(zip(("finding", "because"), row, strict=True)) for row in rows[:6]]
@@ -277,6 +287,19 @@ def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
         "said to fail, by the pixels around, too; in "
         f"{percent(scene.unidentified_variance)}, the samples do not tell.",
     )
+
+
+def _how_many_samples(estimate: Combination) -> Iterator[tuple[str, str]]:
+    """Yield the samples per pixel at which the default estimate has a smaller, round error."""
+    smaller = [error for error in _ERRORS if error < 0.8 * estimate.relative_error]
+    needed = [(percent(error), spp_in_words(estimate.spp_for(error))) for error in smaller[:2]]
+    if needed:
+        also = "".join(f"; for {error}, you need {spp}" for error, spp in needed[1:])
+        yield (
+            "For {} you need {}.".format(*needed[0]),
+            f"From all {estimate.spp} samples, the default estimate has a relative error, the root "
+            f"of its relMSE, of about {percent(estimate.relative_error)}{also}.",
+        )
 
 
 def _what_helps(comparison: Comparison) -> Iterator[tuple[str, str]]:

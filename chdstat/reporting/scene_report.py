@@ -27,9 +27,9 @@ from chdstat.comparison.entries import (
     without_denoiser,
 )
 from chdstat.errors import InputError, check_option
-from chdstat.estimators import LearnedEstimator, estimate
+from chdstat.estimators import Combination, LearnedEstimator, combine
 from chdstat.estimators.held_out import draw_pixels
-from chdstat.estimators.registry import Estimates, Model
+from chdstat.estimators.registry import Model
 from chdstat.estimators.training import first_samples
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
@@ -231,13 +231,13 @@ class _Report:
             chosen=not regions,
             atlas=shapes if shapes is not None and len(shapes.share) else None,
         )
-        entries = content.report_content(found, self.contents)
+        estimated = self.estimated() if noise and self.contents != "claims" else None
+        entries = content.report_content(found, self.contents, estimated)
         entries |= {"verdicts": VERDICTS, "no_estimators": why_not}
         drawn: Mapping[str, Figure] = {}
         if self.contents != "claims":
             curve = self.curve(comparison) if full and comparison is not None else None
-            alone = self.estimated() if comparison is None and noise else None
-            drawn = figures.report_figures(found, alone, curve, full=full)
+            drawn = figures.report_figures(found, estimated, curve, full=full)
         return Document("scene_report.typ", entries, drawn)
 
     def compared(self, dataset: xr.Dataset, noise: Noise) -> tuple[Comparison | None, str]:
@@ -284,10 +284,10 @@ class _Report:
                     models[entry.name] = entry.train(samples, seed=0, pixels=pixels, **options)
         return models
 
-    def estimated(self) -> Estimates | None:
+    def estimated(self) -> Combination | None:
         """Return the default estimate from all samples; None if it cannot take them."""
         with contextlib.suppress(InputError):
-            return estimate(self.samples, progress=self.progress)
+            return combine(self.samples, progress=self.progress)
         return None
 
     def curve(self, comparison: Comparison) -> ErrorCurve | None:

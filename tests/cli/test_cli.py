@@ -322,6 +322,18 @@ def test_estimate_renders_a_scene_and_keeps_samples_only_in_a_store(run, tmp_pat
     assert {"certainty", "low", "high", "mean"} <= set(found.extra)
 
 
+@pytest.mark.parametrize("quiet", [False, True])
+def test_an_estimate_while_rendering_says_the_error_of_each_pass(run, tmp_path, caplog, quiet):
+    asked = ("estimate", "cornell-box", "-o", tmp_path / "box.exr", "--while-rendering")
+    size = ("--spp", 32, "--size", "10x8", "--backend", "scalar", *["-q"] * quiet)
+    assert run(*asked, *size)[0] == 0
+    told = "\n".join(caplog.messages).replace("\N{NO-BREAK SPACE}", " ")
+    passes = re.findall(
+        r"(\d+) spp: relative error .+ %; .+ % takes about [\d,]+ spp, .+ more", told
+    )
+    assert passes == ([] if quiet else ["16", "32"])
+
+
 def test_a_report_of_chosen_estimators_says_its_pages_and_what_next(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     asked = ("report", store, "-o", target, "-e", "mean", "--json")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+import re
+
 import numpy as np
 import pytest
 
@@ -68,14 +71,31 @@ def test_too_few_samples_are_refused_before_they_are_rendered(monkeypatch):
         estimate(asked)
 
 
-def test_it_gets_better_as_samples_come_and_stops_when_asked(tmp_path):
+def test_it_gets_better_as_samples_come():
     found = list(refine(rendering(spp=72)))
     assert [image.spp for image in found] == [16, 32, 64, 72]
     assert found[-1].relative_error < found[0].relative_error
     assert [image.spp for image in refine(rendering(spp=4096), seconds=1e-6)] == [4]
-    wanted = found[1].relative_error
+
+
+def test_it_stops_when_the_error_is_surely_reached_and_tells_what_it_takes(tmp_path, caplog):
+    caplog.set_level(logging.INFO, "chdstat")
+    passes = refine(rendering(spp=4096))
+    first = next(passes)
+    wanted = first.relative_error / 1.5
+    reached = next(image for image in passes if image.error.reaches(wanted))
     file = write_estimates(tmp_path / "a.exr", rendering(spp=4096), relative_error=wanted)
-    assert read_exr(file).attributes["spp"] == "32"
+    assert read_exr(file).attributes["spp"] == str(reached.spp)
+    told = [message.replace("\N{NO-BREAK SPACE}", " ") for message in caplog.messages]
+    assert re.fullmatch(
+        r"16 spp: relative error \d+ %; \d+ % takes about \d+ spp, .+ more", told[0]
+    )
+    assert re.fullmatch(rf"{reached.spp} spp: relative error [\d.]+ %", told[-1])
+
+
+def test_a_smaller_number_of_samples_than_the_error_takes_is_said(tmp_path, caplog):
+    write_estimates(tmp_path / "a.exr", rendering(spp=16), relative_error=1e-4)
+    assert "the relative error of 0.0001 was not reached in all samples" in caplog.messages
 
 
 def test_what_is_there_already_is_not_stopped(tmp_path, box):

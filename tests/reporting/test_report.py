@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._core.display import percent
 from chdstat.errors import InputError, LeftOutWarning
 from chdstat.reporting import scene_report
 from chdstat.reporting.content import remake_note
@@ -74,6 +75,10 @@ def test_each_number_of_a_report_has_one_value(radiance, tmp_path, documents):
     (gain,) = (f for f in content["findings"] if f["finding"].startswith("The default estimate"))
     assert gain["finding"].startswith("The default estimate lowers the squared")
     assert f"its squared error is {ratio} " in gain["because"]
+    (needed,) = (f for f in content["findings"] if "you need" in f["finding"])
+    assert re.fullmatch(r"For [\d.]+.% you need about [\d,]+ spp\.", needed["finding"])
+    error = chd.estimate(chd.Samples.from_array(radiance)).relative_error
+    assert f"of its relMSE, of about {percent(error)}" in needed["because"]
 
 
 def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):

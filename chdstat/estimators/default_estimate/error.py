@@ -1,0 +1,300 @@
+"""Error of an estimate, from held-out halves of the samples, and the samples that reach a smaller.
+
+The error of an image is the root of its relMSE: `chdstat._core.image_scales.relative_error`. Nobody
+knows the truth, but each half of the samples has a mean without bias. Let a and b be the estimates
+from the halves, y and z their means, and mu the truth. Then two terms make up the squared error of
+the estimate from all samples:
+
+- **Noise**: ``E (a - b)^2 / 4``, half of the variance of a half.
+- **Bias**: ``E (a - y)(b - z)``. The halves are independent, so that this is the product of two
+  expectations ``E a - mu``. Noise that a and y share cancels, and the estimate that is the mean has
+  the bias 0 exactly. No variance of samples needs to be known, which heavy tails make impossible.
+
+The noise of the bias is that of the means, though, which may be a hundred times the error of the
+estimate. So the image is cut into details of 1, 2, 4, ... pixels (a Haar transform), and its bias
+into as many sums: a bias that is smooth stands out at coarse scales, and fine details of which
+nothing is seen do not drown it. At each scale, the bias is expected to be as large as the noise
+of the estimate there, within a factor of a few, unless the products say otherwise: smoothing that
+minimises the error balances both. The posterior mean of this normal likelihood and log-normal prior
+is never negative, follows the products where they are certain and the noise where they are not.
+
+Forecast
+--------
+
+The squared error M of the mean falls as 1 / n. That of what it is combined with, P, falls more
+slowly, since a bias falls only where less is smoothed. Weights that suit both reach the squared
+error ``F = 1 / (1 / M + 1 / P)``, so that P follows from F and M. If smoothing is adapted so that P
+is least, then ``d log P / d log n = -noise / P`` (the envelope theorem). For images whose radiance
+changes at a bounded rate, it is -1/2 (Stone 1982, "Optimal global rates of convergence for
+nonparametric regression", doi:10.1214/aos/1176345969). The forecast takes the average of both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, stats
+
+from chdstat._core.arrays import Floats, Mask, Reals
+from chdstat._core.display import duration, percent
+from chdstat._core.image_scales import TOLERANCE, relative_scale
+
+__all__ = ["ErrorOfEstimate", "error_of", "spp_in_words"]
+
+_USUAL, _WIDTH = 1.0, 1.0
+"""Median of the squared bias over the noise, and standard deviation of the logarithm of this ratio,
+before any evidence."""
+_UNUSUAL = 1e-3
+"""Probability of any other ratio, per unit of its logarithm."""
+_CERTAIN = 10.0
+"""Standard errors from which a product is certain."""
+_EDGE = 8
+"""Edge in pixels of the blocks whose squared errors count as independent, and of the smallest image
+that is cut into details: fewer would not tell how certain they are."""
+_OTHERWISE = 0.2
+"""Standard deviation of the squared error, relative to it, for what halves do not tell: they smooth
+more than all samples do."""
+_SURE = 0.9
+"""Probability that the error is not larger than `ErrorOfEstimate.surely`."""
+_RATE = 0.5
+"""Rate at which the error of smoothing falls if the image is Lipschitz."""
+_SHARE = 0.98
+"""Largest share of the mean's squared error that an estimate has in a forecast."""
+_FACTOR = 40.0
+"""Logarithm of the largest factor by which the number of samples may have to grow."""
+
+
+@dataclass(frozen=True)
+class ErrorOfEstimate:
+    """Error of an estimate, and how it depends on the number of samples.
+
+    Attributes
+    ----------
+    bias, noise
+        Parts of the relMSE of the estimate: what an average over many renders would keep, and what
+        it would lose. NaN if nothing is known.
+    of_mean
+        relMSE of the mean of the samples.
+    spread
+        Standard error of the relMSE of the estimate.
+    spp
+        Mean number of samples of a pixel.
+
+    Examples
+    --------
+    Half of the error takes four times the samples where the estimate is the mean, and more where
+    smoothing has made its error smaller:
+
+    >>> mean = ErrorOfEstimate(bias=0.0, noise=0.01, of_mean=0.01, spread=0.001, spp=100)
+    >>> round(mean.relative, 3), round(mean.spp_for(0.05))
+    (0.1, 402)
+    >>> smooth = ErrorOfEstimate(bias=0.005, noise=0.005, of_mean=0.1, spread=0.001, spp=100)
+    >>> round(smooth.relative, 3), round(smooth.spp_for(0.05))
+    (0.1, 1064)
+    """
+
+    bias: float = math.nan
+    noise: float = math.nan
+    of_mean: float = math.nan
+    spread: float = math.nan
+    spp: float = math.nan
+
+    @property
+    def relative(self) -> float:
+        """Relative error of the image, the root of its relMSE; NaN if it is not known."""
+        return math.sqrt(self.bias + self.noise)
+
+    @property
+    def surely(self) -> float:
+        """Relative error that nine of ten such images do not exceed; NaN if it is not known."""
+        if not self.relative > 0:
+            return self.relative
+        # Of a log-normal distribution of the squared error with this mean and standard deviation.
+        spread = math.sqrt(math.log1p((self.spread / self.relative**2) ** 2))
+        return self.relative * math.exp((stats.norm.ppf(_SURE) * spread - spread**2 / 2) / 2)
+
+    def reaches(self, error: float) -> bool:
+        """Return whether a relative error is reached, with a tenth to spare in nine of ten images.
+
+        A render that stops at the first estimate whose error seems small enough would otherwise
+        stop where the error seems smaller than it is.
+        """
+        return self.relative <= error and self.surely <= TOLERANCE * error
+
+    def told(self, wanted: float | None = None, seconds: float = math.nan) -> str:
+        """Return the relative error in words, and what a smaller one takes.
+
+        Parameters
+        ----------
+        wanted
+            The error that is wanted; None for half of the present one.
+        seconds
+            Time that the samples so far took.
+
+        Examples
+        --------
+        >>> found = ErrorOfEstimate(bias=0.0, noise=0.01, of_mean=0.01, spread=0.001, spp=100)
+        >>> found.told(0.02, seconds=10.0).replace("\N{NO-BREAK SPACE}", " ")
+        'relative error 10 %; 2.0 % takes about 2,500 spp, 4 min more'
+        """
+        if not self.relative >= 0:
+            return "the samples do not tell the relative error"
+        about = f"relative error {percent(self.relative)}"
+        if wanted is None and not self.relative:
+            return about
+        wanted = self.relative / 2 if wanted is None else wanted
+        if self.relative <= wanted:
+            return about + ("" if self.reaches(wanted) else f"; {percent(wanted)} is not yet sure")
+        spp = self.spp_for(wanted)
+        if not math.isfinite(spp):
+            return f"{about}; no number of samples gives {percent(wanted)}"
+        more = seconds * (spp / self.spp - 1)
+        after = f", {duration(more)} more" if math.isfinite(more) else ""
+        return f"{about}; {percent(wanted)} takes {spp_in_words(spp)}{after}"
+
+    def spp_for(self, error: float) -> float:
+        """Return the samples per pixel at which this estimate has a relative error.
+
+        NaN if the error is not known, and infinite if no number of samples is enough.
+        """
+        squared = self.relative**2
+        if not squared > 0:
+            return self.spp if squared == 0 else math.nan
+        of_mean = max(self.of_mean, squared / _SHARE)
+        smooth = 1 / (1 / squared - 1 / of_mean)
+        rate = (_RATE + self.noise / squared) / 2
+
+        def above(factor: float) -> float:
+            now = math.exp(factor) / of_mean + math.exp(rate * factor) / smooth
+            return -math.log(now) - 2 * math.log(error)
+
+        if above(_FACTOR) > 0:
+            return math.inf
+        return self.spp * math.exp(optimize.brentq(above, -_FACTOR, _FACTOR))
+
+
+def spp_in_words(spp: float) -> str:
+    """Return a forecast number of samples per pixel, with the two digits that it has.
+
+    Examples
+    --------
+    >>> spp_in_words(1234.5), spp_in_words(87.2)
+    ('about 1,200 spp', 'about 87 spp')
+    """
+    return f"about {float(f'{spp:.2g}'):,.0f} spp"
+
+
+def error_of(
+    estimate: Reals, error: Reals, halves: Sequence[tuple[Reals, Reals]], count: Reals
+) -> ErrorOfEstimate:
+    """Return the error of an estimate, from the same estimate of each half of the samples.
+
+    Parameters
+    ----------
+    estimate
+        The estimate from all samples, shape (y, x, channel), in any unit; pixels that are NaN are
+        left out.
+    error
+        Standard error of the mean of all samples, shape (y, x, channel).
+    halves
+        For each half, the estimate from it and the mean of its samples, shape (y, x, channel). The
+        more of an estimate depends on its own half alone, the better: weights that both halves
+        have decided make the error seem smaller than it is.
+    count
+        Number of samples of each pixel, shape (y, x, channel).
+
+    Examples
+    --------
+    A mean that is multiplied by .9 has a bias of .1, and .81 of the mean's variance:
+
+    >>> x = np.random.default_rng(0).exponential(size=(2, 64, 64, 1, 50))
+    >>> halves = [(0.9 * y, y) for y in x.mean(axis=-1)]
+    >>> mean = x.mean(axis=(0, -1))
+    >>> found = error_of(0.9 * mean, np.full(mean.shape, 0.1), halves, np.full(mean.shape, 100))
+    >>> truth = ((0.9 * mean - 1) ** 2).mean() / 0.9**2 / 1.01  # relative to the estimate
+    >>> round(float(truth) ** 0.5, 2), round(found.relative, 2)
+    (0.15, 0.15)
+    """
+    (a, y), (b, z) = ([np.asarray(image, np.float64) for image in half] for half in halves)
+    known = np.isfinite(estimate) & np.isfinite(a + b + y + z)
+    if not known.any():
+        return ErrorOfEstimate(spp=float(np.mean(count)))
+    image = np.where(known, estimate, np.nan).astype(np.float64)
+    scale = relative_scale(image, np.nanmean(image, axis=(0, 1)))
+    root = np.divide(1, np.sqrt(scale), out=np.zeros_like(scale), where=known & (scale > 0))
+    mine, other, apart, of_means = (
+        np.where(known, part, 0) * root for part in (a - y, b - z, (a - b) / 2, (y - z) / 2)
+    )
+    of_mean = float(np.square(np.where(known, error, 0) * root).sum() / known.sum())
+    noise, doubt = _noise(apart, of_means, of_mean, known.sum())
+    bias, variance = np.sum([_bias(*parts) for parts in _scales(mine, other, apart, known)], axis=0)
+    spread = math.sqrt(variance + doubt + (_OTHERWISE * (bias + noise)) ** 2)
+    return ErrorOfEstimate(float(bias), noise, of_mean, spread, float(np.mean(count)))
+
+
+def _noise(apart: Floats, of_means: Floats, of_mean: float, pixels: float) -> tuple[float, float]:
+    """Return the relMSE of what two halves differ in, and the variance of this number.
+
+    As far as it is in proportion to the difference of the means, their standard error is known from
+    many samples, and not from two halves only.
+    """
+    squared = np.square(of_means).sum()
+    share = (apart * of_means).sum() / squared if squared > 0 else 0.0
+    blocks = _sums(np.square(apart), _EDGE).sum(axis=-1) / pixels
+    noise = np.square(apart - share * of_means).sum() / pixels + share**2 * of_mean
+    return float(noise), float(np.square(blocks).sum())
+
+
+def _scales(
+    one: Floats, other: Floats, apart: Floats, known: Mask
+) -> Iterator[tuple[float, float, float]]:
+    """Yield the product of two images at each scale, its standard error, and the noise there.
+
+    The details of blocks of 2 x 2 pixels are one scale, those of the means of the blocks the next
+    one, until few blocks are left. The sum over all scales is the mean over the known pixels.
+    """
+    images, count, pixels = np.stack([one, other, apart]), known.astype(np.float64), known.sum()
+    while True:
+        height, width = images.shape[1:3]
+        last = max(height, width) <= _EDGE
+        number = _sums(count)
+        means = _sums(count * images) / np.maximum(number, 1)
+        around = np.repeat(np.repeat(means, 2, axis=1), 2, axis=2)[:, :height, :width]
+        one, other, apart = images if last else images - around
+        products, differences, noises = (
+            (count * parts).sum(axis=-1, keepdims=True) / pixels
+            for parts in (one * other, (one**2 - other**2) / 2, apart**2)
+        )
+        if not last:
+            products, differences = _sums(products), _sums(differences)
+        # Of normal noise, both have the same variance. What the images share is in the first, and
+        # a bright sample counts more in the second.
+        error = math.sqrt(min(np.square(products).sum(), np.square(differences).sum()))
+        yield float(products.sum()), error, float(noises.sum())
+        if last:
+            return
+        images, count = means, number
+
+
+def _bias(product: float, error: float, noise: float) -> tuple[float, float]:
+    """Return the expected squared bias at one scale, and its variance."""
+    if product > _CERTAIN * error or error == 0:
+        return max(product, 0.0), error**2
+    usual, width = math.log(max(_USUAL * noise, 1e-9 * error)), _WIDTH
+    ends = math.log(error) + np.array((math.log(1e-3), math.log(2 * _CERTAIN)))
+    grid = np.arange(min(usual - 4 * width, ends[0]), max(usual + 4 * width, ends[1]), 0.05)
+    squared = np.exp(grid)
+    likely = -np.square((squared - product) / error) / 2
+    prior = stats.norm.pdf(grid, usual, width) + _UNUSUAL
+    weight = prior * np.exp(likely - likely.max())
+    mean = float(np.average(squared, weights=weight))
+    return mean, float(np.average((squared - mean) ** 2, weights=weight))
+
+
+def _sums(image: Floats, edge: int = 2) -> Floats:
+    """Return sums of images (..., y, x, channel) over blocks; those at far edges are smaller."""
+    rows, columns = (np.arange(0, size, edge) for size in image.shape[-3:-1])
+    return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=-3), columns, axis=-2))
