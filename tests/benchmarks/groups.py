@@ -52,7 +52,7 @@ class Noise:
 
     @classmethod
     def of(cls, renders: Sequence[chd.Samples], seeds: int) -> Noise:
-        found = [(x.var(axis=-1, ddof=1), x.mean(axis=-1)) for x in map(_read, renders)]
+        found = [_moments(samples.read().astype(np.float64)) for samples in renders]
         return cls(*map(np.stack, zip(*found, strict=True)), seeds)
 
     def groupings(self, reference: Judge) -> dict[str, np.ndarray]:
@@ -96,8 +96,10 @@ class Noise:
         return (x.sum(axis=0) - x[: self.seeds]) / (len(x) - 1)
 
 
-def _read(samples: chd.Samples) -> np.ndarray:
-    return samples.read().astype(np.float64)
+def _moments(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variance and the mean of samples; the variance of equal ones is exactly 0."""
+    first = x[..., :1]
+    return (x - first).var(axis=-1, ddof=1), first[..., 0] + (x - first).mean(axis=-1)
 
 
 def _deciles(value: np.ndarray) -> np.ndarray:
