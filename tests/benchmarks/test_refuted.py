@@ -38,6 +38,8 @@ CHANNELS = "red", "green", "blue"
 THIRDS = "dark third", "middle third", "bright third"
 JUDGED = "loud", "quiet", *CHANNELS, *THIRDS
 """Groups whose intervals are judged."""
+LARGE = 300
+"""Fewest pixels and channels, over seeds, for a share of intervals."""
 IN_INTERVALS = 0.85, 0.97
 OF_ERROR = 0.8, 1.25
 
@@ -82,6 +84,11 @@ class Row:
     apart: list[float]
     relative_error: float
     kept: float
+
+    @property
+    def is_large(self) -> bool:
+        """Whether there are enough pixels for a share of intervals."""
+        return self.size * len(self.apart) >= LARGE
 
     @property
     def name(self) -> str:
@@ -320,7 +327,7 @@ def summary(found: Sequence[Row], baseline: Sequence[Row] = ()) -> list[Line]:
     image, exact = of["image"], of["exact"]
     parts = [r for r in found if r.group not in ("image", "exact", *CHANNELS, *THIRDS)]
     quiet = [r for r in found if is_quiet(r) and 8 <= r.n <= 1024]
-    judged = [r for name in JUDGED for r in of[name]]
+    judged = [r for name in JUDGED for r in of[name] if r.is_large]
     stops = [r for r in image if 16 <= r.n <= 512]
     held = np.array([r.held for r in judged])
     stop = np.array([r.relative_error for r in stops])
@@ -404,7 +411,7 @@ def by_kind(found: Sequence[Row]) -> str:
         image = [r for r in of if r.group == "image"]
         quiet = [r.mse for r in of if is_quiet(r)]
         exact = [r.kept for r in of if r.group == "exact"]
-        held = np.array([r.held for r in of if r.group in JUDGED])
+        held = np.array([r.held for r in of if r.group in JUDGED and r.is_large])
         worst = max(max(r.mse, r.relmse) for r in image)
         text += (
             f"\n{kind:34s}{geometric(r.mse for r in image):9.2f} "
