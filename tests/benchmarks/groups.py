@@ -52,7 +52,9 @@ class Noise:
 
     @classmethod
     def of(cls, renders: Sequence[chd.Samples], seeds: int) -> Noise:
-        found = [_moments(samples.read().astype(np.float64)) for samples in renders]
+        # In float64, equal samples of float32 have a variance of exactly 0.
+        every = (samples.read().astype(np.float64) for samples in renders)
+        found = [(x.var(axis=-1, ddof=1), x.mean(axis=-1)) for x in every]
         return cls(*map(np.stack, zip(*found, strict=True)), seeds)
 
     def groupings(self, reference: Judge) -> dict[str, np.ndarray]:
@@ -94,12 +96,6 @@ class Noise:
     def _of_others(self, x: np.ndarray) -> np.ndarray:
         """Return the mean over all renders but the one that is judged."""
         return (x.sum(axis=0) - x[: self.seeds]) / (len(x) - 1)
-
-
-def _moments(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variance and the mean of samples; the variance of equal ones is exactly 0."""
-    first = x[..., :1]
-    return (x - first).var(axis=-1, ddof=1), first[..., 0] + (x - first).mean(axis=-1)
 
 
 def _deciles(value: np.ndarray) -> np.ndarray:
