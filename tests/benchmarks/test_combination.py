@@ -137,7 +137,7 @@ class Figures:
         if not hasattr(Combination, "spp_for"):
             print("no forecast: Combination has no spp_for")
             return
-        known = [of[np.isfinite(of)] for of in (c.forecast_over_true for c in self.curves)]
+        known = [c.forecast_over_true[np.isfinite(c.half)] for c in self.curves]
         first = np.array([of[0] for of in known if of.size])
         words = (
             "scenes whose forecast of half of the error, from the fewest samples, is within 25 %"
