@@ -93,3 +93,13 @@ def test_figures_survive_their_file(tmp_path, monkeypatch):
     assert [row.key for row in again] == [row.key for row in found]
     np.testing.assert_allclose([r.mse for r in again], [r.mse for r in found], rtol=1e-4)
     assert [row.apart for row in again] == [row.apart for row in found]
+
+
+def test_what_is_unknown_is_missed(monkeypatch):
+    row = refuted.Row("a", "b", 16, "image", 9, "", *[1.0] * 7, [0.0], np.nan, 1.0)
+    missed = [line.what for line in refuted.summary([row]) if not line.held]
+    assert missed == ["relative_error: .8 to 1.25 of the true one"]
+    monkeypatch.setattr(refuted, "CombinationStream", stream_of(lambda mean: mean * np.nan))
+    monkeypatch.setattr(refuted, "NAMES", [""])
+    with pytest.raises(AssertionError, match="NaN or infinite"):
+        refuted.table(some, 1)
