@@ -57,7 +57,7 @@ def test_the_error_is_the_true_one(truth, change, n):
     for seed in range(4):
         found, true = halves_of(truth, n, change, seed)
         ratios.append(found.relative / true)
-    assert np.mean(ratios) == pytest.approx(1, abs=0.12)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.15)
     assert max(ratios) < 1.6 * min(ratios)
 
 
@@ -73,7 +73,7 @@ def test_rare_light_and_signed_samples_keep_their_error():
         for seed in range(4):
             found, true = halves_of(sky(), 128, change, seed, draw)
             ratios.append(found.relative / true)
-        assert np.mean(ratios) == pytest.approx(1, abs=0.2)
+        assert np.mean(ratios) == pytest.approx(1, abs=0.25)
 
 
 def test_without_the_products_of_halves_a_bias_is_not_seen():
@@ -152,3 +152,23 @@ def test_an_error_is_reached_only_if_it_is_sure():
     assert "is not yet sure" in likely.told(0.1)
     assert "takes about" in sure.told(0.05, seconds=10)
     assert "more" not in sure.told(0.05)
+
+
+def test_a_render_that_stops_has_its_error():
+    # Of small images, whose errors seem small by chance in one of many passes.
+    truth, wrong, naive, asked = sky(edge=6), 0, 0, 0.15
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        x = truth[..., np.newaxis] * rng.gamma(0.3, 1 / 0.3, size=(6, 6, 1, 1024))
+        passes = []
+        for n in range(16, 1025, 16):
+            means = [x[..., i:n:2].mean(axis=-1) for i in range(2)]
+            error = x[..., :n].std(axis=-1, ddof=1) / math.sqrt(n)
+            halves = [(0.7 * mean + 0.3 * smoothed(mean), mean) for mean in means]
+            estimate = np.mean([half for half, _ in halves], axis=0)
+            found = error_of(estimate, error, halves, np.full(truth.shape, n))
+            passes.append((found, relative_error((estimate - truth) ** 2, truth)))
+        wrong += next(true for found, true in passes if found.reaches(asked)) > 1.1 * asked
+        naive += next(true for found, true in passes if found.relative <= asked) > 1.1 * asked
+    assert wrong <= 2
+    assert naive > wrong

@@ -36,7 +36,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import ndimage, optimize, stats
 
 from chdstat._core.arrays import Floats, Mask, Reals
 from chdstat._core.display import duration, percent
@@ -54,9 +54,13 @@ _CERTAIN = 10.0
 _EDGE = 8
 """Edge in pixels of the blocks whose squared errors count as independent, and of the smallest image
 that is cut into details: fewer would not tell how certain they are."""
-_OTHERWISE = 0.2
+_OTHERWISE = 0.3
 """Standard deviation of the squared error, relative to it, for what halves do not tell: they smooth
 more than all samples do."""
+_AROUND = 2.0
+"""Standard deviation in pixels of the window in which the size of errors is averaged."""
+_VARIES = 0.5
+"""Largest relative variance of the truth around a smooth estimate: of more, no mean exists."""
 _SURE = 0.9
 """Probability that the error is not larger than `ErrorOfEstimate.surely`."""
 _RATE = 0.5
@@ -231,8 +235,27 @@ def error_of(
     of_mean = float(np.square(np.where(known, error, 0) * root).sum() / known.sum())
     noise, doubt = _noise(apart, of_means, of_mean, known.sum())
     bias, variance = np.sum([_bias(*parts) for parts in _scales(mine, other, apart, known)], axis=0)
-    spread = math.sqrt(variance + doubt + (_OTHERWISE * (bias + noise)) ** 2)
-    return ErrorOfEstimate(float(bias), noise, of_mean, spread, float(np.mean(count)))
+    bias, squared = float(bias), float(bias) + noise
+    spread = math.sqrt(variance + doubt + (_OTHERWISE * squared) ** 2)
+    own = np.square(np.where(known, estimate, 0) * root)
+    larger = _larger(np.square(apart), own, squared, bias)
+    bias, noise, of_mean, spread = (larger * part for part in (bias, noise, of_mean, spread))
+    return ErrorOfEstimate(bias, noise, of_mean, spread, float(np.mean(count)))
+
+
+def _larger(apart: Floats, own: Floats, squared: float, bias: float) -> float:
+    """Return the factor by which an error relative to the truth exceeds that to the estimate.
+
+    A smooth estimate is too bright where the truth is dark, and errors there are large relative to
+    the truth. Where the truth is gamma distributed around the estimate, with the variance t
+    relative to its square, the mean of ``(1 - x)^2 / x^2`` is ``t (1 + 5 t)``, to second order.
+    """
+    around = ndimage.gaussian_filter(apart, (_AROUND, _AROUND, 0), mode="nearest")
+    if not around.any():
+        return 1.0
+    local = around * (squared / around.mean())
+    varies = np.minimum(bias / squared * local, _VARIES) * own
+    return float(np.mean(local * (1 + 5 * varies)) / local.mean())
 
 
 def _noise(apart: Floats, of_means: Floats, of_mean: float, pixels: float) -> tuple[float, float]:
