@@ -172,3 +172,19 @@ def test_a_render_that_stops_has_its_error():
         naive += next(true for found, true in passes if found.relative <= asked) > 1.1 * asked
     assert wrong <= 2
     assert naive > wrong
+
+
+def test_an_image_of_any_shape_has_the_error_of_its_parts():
+    for shape in ((1, 1), (1, 300), (300, 1), (8, 9), (65, 130), (3000, 12)):
+        means = np.random.default_rng(0).normal(1, 0.1, (2, *shape, 1))
+        error = np.full((*shape, 1), 0.1 / math.sqrt(2))
+        found = error_of(means.mean(axis=0), error, [(y, y) for y in means], np.full(shape, 8))
+        assert found.relative == pytest.approx(0.07, rel=0.2 if math.prod(shape) > 1 else 0.5)
+        assert found.bias == 0
+
+
+def test_huge_and_tiny_values_and_a_black_channel_are_no_trouble():
+    truth = sky() * np.array((0.0, 1e30, 1e-30))
+    found, _ = halves_of(truth, 64, smoothed)
+    alone, _ = halves_of(sky(channels=(1.0,)), 64, smoothed)
+    assert found.relative == pytest.approx(math.sqrt(2 / 3) * alone.relative, rel=0.05)

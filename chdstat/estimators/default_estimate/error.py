@@ -36,9 +36,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, optimize, stats
+from scipy import optimize, stats
 
-from chdstat._core.arrays import Floats, Mask, Reals
+from chdstat._core.arrays import Floats, Reals, spans
 from chdstat._core.display import duration, percent
 from chdstat._core.image_scales import TOLERANCE, relative_scale
 
@@ -51,14 +51,14 @@ _UNUSUAL = 1e-3
 """Probability of any other ratio, per unit of its logarithm."""
 _CERTAIN = 10.0
 """Standard errors from which a product is certain."""
+_BAND = 2**15
+"""Pixels that are compared at once."""
 _EDGE = 8
 """Edge in pixels of the blocks whose squared errors count as independent, and of the smallest image
 that is cut into details: fewer would not tell how certain they are."""
 _OTHERWISE = 0.3
 """Standard deviation of the squared error, relative to it, for what halves do not tell: they smooth
 more than all samples do."""
-_AROUND = 2.0
-"""Standard deviation in pixels of the window in which the size of errors is averaged."""
 _VARIES = 0.5
 """Largest relative variance of the truth around a smooth estimate: of more, no mean exists."""
 _SURE = 0.9
@@ -222,84 +222,149 @@ def error_of(
     >>> round(float(truth) ** 0.5, 2), round(found.relative, 2)
     (0.15, 0.15)
     """
-    (a, y), (b, z) = ([np.asarray(image, np.float64) for image in half] for half in halves)
-    known = np.isfinite(estimate) & np.isfinite(a + b + y + z)
-    if not known.any():
+    known = np.isfinite(estimate)
+    number = np.maximum(known.sum(axis=(0, 1)), 1)
+    mean = np.sum(estimate, axis=(0, 1), where=known, dtype=np.float64) / number
+    found = _Found()
+    for rows in spans(len(estimate), max(_BAND // (_EDGE * estimate.shape[1]), 1) * _EDGE):
+        band = [[image[rows] for image in half] for half in halves]
+        found.add(estimate[rows], error[rows], band, mean)
+    if not found.pixels:
         return ErrorOfEstimate(spp=float(np.mean(count)))
-    image = np.where(known, estimate, np.nan).astype(np.float64)
-    scale = relative_scale(image, np.nanmean(image, axis=(0, 1)))
-    root = np.divide(1, np.sqrt(scale), out=np.zeros_like(scale), where=known & (scale > 0))
-    mine, other, apart, of_means = (
-        np.where(known, part, 0) * root for part in (a - y, b - z, (a - b) / 2, (y - z) / 2)
-    )
-    of_mean = float(np.square(np.where(known, error, 0) * root).sum() / known.sum())
-    noise, doubt = _noise(apart, of_means, of_mean, known.sum())
-    bias, variance = np.sum([_bias(*parts) for parts in _scales(mine, other, apart, known)], axis=0)
-    bias, squared = float(bias), float(bias) + noise
-    spread = math.sqrt(variance + doubt + (_OTHERWISE * squared) ** 2)
-    own = np.square(np.where(known, estimate, 0) * root)
-    larger = _larger(np.square(apart), own, squared, bias)
-    bias, noise, of_mean, spread = (larger * part for part in (bias, noise, of_mean, spread))
+    noise, doubt = found.noise()
+    bias, variance = np.sum([_bias(*scale) for scale in found.scales()], axis=0)
+    larger = found.larger(float(bias), noise)
+    spread = math.sqrt(variance + doubt + (_OTHERWISE * (bias + noise)) ** 2)
+    of_mean = found.of_mean / found.pixels
+    bias, noise, of_mean, spread = (larger * float(x) for x in (bias, noise, of_mean, spread))
     return ErrorOfEstimate(bias, noise, of_mean, spread, float(np.mean(count)))
 
 
-def _larger(apart: Floats, own: Floats, squared: float, bias: float) -> float:
-    """Return the factor by which an error relative to the truth exceeds that to the estimate.
+class _Found:
+    """Sums over the bands of an image, which keep its memory small.
 
-    A smooth estimate is too bright where the truth is dark, and errors there are large relative to
-    the truth. Where the truth is gamma distributed around the estimate, with the variance t
-    relative to its square, the mean of ``(1 - x)^2 / x^2`` is ``t (1 + 5 t)``, to second order.
+    Attributes
+    ----------
+    pixels
+        Number of known pixels and channels.
+    of_mean
+        Sum of the squared errors of the mean, relative to the estimate.
+    products
+        Sums of the squares of what the halves of estimates and of means differ in, and of their
+        products.
+    blocks
+        Per block: the sum of the squares of what the halves differ in, of the share of the
+        estimate's own square in the denominator, and the number of pixels.
+    finest
+        Sums of the finest scale: see `_within`.
+    coarser
+        Means of blocks of 2 x 2 pixels, shape (image, y, x, channel), and how many are known.
     """
-    around = ndimage.gaussian_filter(apart, (_AROUND, _AROUND, 0), mode="nearest")
-    if not around.any():
-        return 1.0
-    local = around * (squared / around.mean())
-    varies = np.minimum(bias / squared * local, _VARIES) * own
-    return float(np.mean(local * (1 + 5 * varies)) / local.mean())
 
+    def __init__(self) -> None:
+        self.pixels, self.of_mean, self.products = 0, 0.0, np.zeros(3)
+        self.blocks: list[Floats] = []
+        self.finest = np.zeros(4)
+        self.coarser: list[tuple[Floats, Floats]] = []
 
-def _noise(apart: Floats, of_means: Floats, of_mean: float, pixels: float) -> tuple[float, float]:
-    """Return the relMSE of what two halves differ in, and the variance of this number.
-
-    As far as it is in proportion to the difference of the means, their standard error is known from
-    many samples, and not from two halves only.
-    """
-    squared = np.square(of_means).sum()
-    share = (apart * of_means).sum() / squared if squared > 0 else 0.0
-    blocks = _sums(np.square(apart), _EDGE).sum(axis=-1) / pixels
-    noise = np.square(apart - share * of_means).sum() / pixels + share**2 * of_mean
-    return float(noise), float(np.square(blocks).sum())
-
-
-def _scales(
-    one: Floats, other: Floats, apart: Floats, known: Mask
-) -> Iterator[tuple[float, float, float]]:
-    """Yield the product of two images at each scale, its standard error, and the noise there.
-
-    The details of blocks of 2 x 2 pixels are one scale, those of the means of the blocks the next
-    one, until few blocks are left. The sum over all scales is the mean over the known pixels.
-    """
-    images, count, pixels = np.stack([one, other, apart]), known.astype(np.float64), known.sum()
-    while True:
-        height, width = images.shape[1:3]
-        last = max(height, width) <= _EDGE
-        number = _sums(count)
-        means = _sums(count * images) / np.maximum(number, 1)
-        around = np.repeat(np.repeat(means, 2, axis=1), 2, axis=2)[:, :height, :width]
-        one, other, apart = images if last else images - around
-        products, differences, noises = (
-            (count * parts).sum(axis=-1, keepdims=True) / pixels
-            for parts in (one * other, (one**2 - other**2) / 2, apart**2)
+    def add(
+        self, estimate: Reals, error: Reals, halves: Sequence[Sequence[Reals]], mean: Floats
+    ) -> None:
+        """Add a band of rows."""
+        (a, y), (b, z) = ([image.astype(np.float64) for image in half] for half in halves)
+        known = np.isfinite(estimate) & np.isfinite(error) & np.isfinite(a + b + y + z)
+        image = np.where(known, estimate, 0).astype(np.float64)
+        scale = relative_scale(image, mean)
+        root = np.divide(1, np.sqrt(scale), out=np.zeros_like(scale), where=known & (scale > 0))
+        mine, other, apart, of_means = (
+            np.where(known, part, 0) * root for part in (a - y, b - z, (a - b) / 2, (y - z) / 2)
         )
-        if not last:
-            products, differences = _sums(products), _sums(differences)
-        # Of normal noise, both have the same variance. What the images share is in the first, and
-        # a bright sample counts more in the second.
-        error = math.sqrt(min(np.square(products).sum(), np.square(differences).sum()))
-        yield float(products.sum()), error, float(noises.sum())
-        if last:
-            return
-        images, count = means, number
+        self.pixels += int(known.sum())
+        self.of_mean += float(np.square(np.where(known, error, 0) * root).sum())
+        self.products += [
+            np.vdot(apart, apart),
+            np.vdot(of_means, of_means),
+            np.vdot(apart, of_means),
+        ]
+        self.blocks.append(
+            _sums(np.stack([apart**2, (image * root) ** 2, known]), _EDGE).reshape(3, -1)
+        )
+        images, count = np.stack([mine, other, apart]), known.astype(np.float64)
+        means, number, details = _halved(images, count)
+        self.finest += _within(details, count)
+        self.coarser.append((means, number))
+
+    def noise(self) -> tuple[float, float]:
+        """Return the relMSE of what two halves differ in, and the variance of this number.
+
+        As far as it is in proportion to the difference of the means, their standard error is known
+        from many samples, and not from two halves only.
+        """
+        apart, of_means, both = self.products
+        share = both / of_means if of_means > 0 else 0.0
+        noise = max(apart - share**2 * of_means, 0.0) + share**2 * self.of_mean
+        doubt = sum(np.square(squared).sum() for squared, *_ in self.blocks)
+        return float(noise / self.pixels), float(doubt) / self.pixels**2
+
+    def scales(self) -> Iterator[tuple[float, float, float]]:
+        """Yield the product of the halves at each scale, its standard error, and the noise there.
+
+        The details of blocks of 2 x 2 pixels are one scale, those of the means of the blocks the
+        next one, until few blocks are left. The sum over all scales is the mean over the pixels.
+        """
+        yield self._scale(self.finest)
+        images, count = (
+            np.concatenate(parts, axis=-3) for parts in zip(*self.coarser, strict=True)
+        )
+        while max(count.shape[:2]) > _EDGE:
+            means, number, details = _halved(images, count)
+            yield self._scale(_within(details, count))
+            images, count = means, number
+        yield self._scale(_within(images, count, edge=1))
+
+    def _scale(self, sums: Floats) -> tuple[float, float, float]:
+        product, squares, differences, noise = sums / self.pixels
+        return product, math.sqrt(min(squares, differences) / self.pixels), noise
+
+    def larger(self, bias: float, noise: float) -> float:
+        """Return the factor by which an error relative to the truth exceeds that to the estimate.
+
+        A smooth estimate is too bright where the truth is dark, and errors there are large relative
+        to the truth. Where the truth is gamma distributed around the estimate, with the variance t
+        relative to its square, the mean of ``(1 - x)^2 / x^2`` is ``t (1 + 5 t)``, to second order.
+        """
+        squared, own, number = np.concatenate(self.blocks, axis=-1)
+        if not squared.any():
+            return 1.0
+        number = np.maximum(number, 1)
+        local = squared / number * (bias + noise) * self.pixels / squared.sum()
+        varies = np.minimum(bias / (bias + noise) * local, _VARIES) * own / number
+        return float(np.average(1 + 5 * varies, weights=squared))
+
+
+def _halved(images: Floats, count: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return means of blocks of 2 x 2 pixels, how many are known, and what the means leave."""
+    number = _sums(count)
+    means = _sums(count * images) / np.maximum(number, 1)
+    height, width = count.shape[:2]
+    around = np.repeat(np.repeat(means, 2, axis=1), 2, axis=2)[:, :height, :width]
+    return means, number, images - around
+
+
+def _within(images: Floats, count: Floats, edge: int = 2) -> Floats:
+    """Return sums over blocks: of products of two images, and of squares that tell their variance.
+
+    Of normal noise, the squares of the products and those of half of the difference of the squares
+    have the same mean. What two images share is in the first only, and a bright sample counts more
+    in the second. The last sum is that of the squares of the third image.
+    """
+    one, other, apart = images
+    products, differences = (
+        _sums((count * parts).sum(axis=-1, keepdims=True), edge)
+        for parts in (one * other, (one**2 - other**2) / 2)
+    )
+    sums = [products.sum(), np.square(products).sum(), np.square(differences).sum()]
+    return np.array([*sums, (count * apart**2).sum()])
 
 
 def _bias(product: float, error: float, noise: float) -> tuple[float, float]:
