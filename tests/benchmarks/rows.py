@@ -17,6 +17,7 @@ from chdstat.estimators import Combination
 from chdstat.io import denoise
 from chdstat.studies.claims import SceneData
 from tests.benchmarks.groups import SURE, Noise, errors_of_sums, holds, means, ratios, sums
+from tests.benchmarks.rendered import REFERENCE_SPP
 
 BY_NOISE = ("noise", "relative noise")
 """Groupings by noise: the first for squared errors, the second for relative ones."""
@@ -225,8 +226,14 @@ def _energy(
     apart, found = np.stack(images) - reference.mean, {}
     for name in ("image", "block", *BY_NOISE):
         group = groupings[name]
-        error = np.hypot(noise.error_of_sum(group, n), errors_of_sums(group[0], reference.error))
-        found[name] = sums(group, apart) / len(apart) / np.maximum(error, 1e-30)
+        of_reference = errors_of_sums(group[0], reference.error)
+        # Renders chose the groups by noise, and the reference may have missed rare light: the
+        # larger of both standard errors.
+        of_mean = np.maximum(
+            noise.error_of_sum(group, n), of_reference * np.sqrt(REFERENCE_SPP / n)
+        )
+        error = np.maximum(np.hypot(of_mean, of_reference), 1e-30)
+        found[name] = sums(group, apart) / len(apart) / error
     return found
 
 
