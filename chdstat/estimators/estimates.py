@@ -84,6 +84,9 @@ _AROUND = 4.0
 """Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
 _FIRST = 16
 """Samples per pixel at the first estimate while rendering."""
+_MORE, _MARGIN = 1.25, 1.05
+"""Least ratio of the numbers of samples of two passes, and margin over the number that is expected
+to reach an error."""
 _COPIES = 2.2
 """Memory that an estimate by a model takes, relative to that of the samples (measured)."""
 _USUAL_CHANNELS = (1, 3)
@@ -165,7 +168,11 @@ def estimate(
 
 
 def refine(
-    rendering: Rendering, *, level: float = 0.9, seconds: float | None = None
+    rendering: Rendering,
+    *,
+    level: float = 0.9,
+    seconds: float | None = None,
+    error: float | None = None,
 ) -> Iterator[Combination]:
     """Estimate while a scene renders: at 16 samples per pixel, and at each doubling of that number.
 
@@ -178,6 +185,10 @@ def refine(
         Probability of the intervals.
     seconds
         Stop after the first pass that ends later than this; None renders all.
+    error
+        Stop after the first pass whose relative error is at most this, and at most a tenth larger
+        in nine of ten images. The next pass comes when that is expected, if that is before the
+        number of samples has doubled.
 
     Yields
     ------
@@ -192,34 +203,38 @@ def refine(
 
     Examples
     --------
-    Stop when the estimated error of the image is below 40 %:
+    Stop when the error of the image is surely 20 %:
 
     >>> from chdstat.rendering import render_batches
     >>> rendering = render_batches("cornell-box", spp=1024, size=(16, 16), progress=False)
-    >>> for found in refine(rendering):
-    ...     if found.relative_error < 0.4:
-    ...         break
-    >>> found.spp < 1024
-    True
+    >>> *_, last = refine(rendering, error=0.2)
+    >>> last.relative_error <= 0.2, last.spp < 1024
+    (True, True)
     """
     check_probability(level=level)
     if seconds is not None:
         check_positive(seconds=seconds)
+    if error is not None:
+        check_positive(error=error)
     if rendering.spp < _LEAST:
         message = f"expected at least {_LEAST} samples of a pixel, got {rendering.spp}"
         raise InputError(message)
     y, x, channels, _ = rendering.shape
-    stream, due, begin = CombinationStream((y, x, channels)), _FIRST, time.monotonic()
+    stream, begin = CombinationStream((y, x, channels)), time.monotonic()
+    due: float = _FIRST
     for chunks in rendering.passes():
         for chunk, samples in chunks:
             stream.update(samples, rows=chunk.ys, columns=chunk.xs)
         late = seconds is not None and time.monotonic() - begin >= seconds
         enough = stream.spp >= _LEAST
         if enough and (late or stream.spp >= min(due, rendering.spp)):
-            yield stream.estimate(features=rendering.features, level=level)
-            due = 2 * stream.spp
-            if late:
+            found = stream.estimate(features=rendering.features, level=level)
+            yield found
+            if late or (error is not None and found.error.reaches(error)):
                 return
+            due = 2 * found.spp
+            if error is not None:
+                due = max(_MORE * found.spp, min(due, _MARGIN * found.error.spp_to_reach(error)))
 
 
 def write_estimates(
@@ -285,7 +300,8 @@ def write_estimates(
     if not rendered and (seconds, relative_error) != (None, None):
         message = "seconds and relative_error stop a rendering; these samples are there already"
         raise InputError(message)
-    for image in _estimates(samples, model, options, seconds):
+    reached = relative_error is None
+    for image in _estimates(samples, model, options, seconds, relative_error):
         write_image(
             target,
             image.final.radiance,
@@ -296,9 +312,8 @@ def write_estimates(
         if rendered and isinstance(image.found, Combination):
             error, spent = image.found.error, time.monotonic() - begin
             _log.info("%d spp: %s", image.found.spp, error.told(relative_error, spent))
-            if relative_error is not None and error.reaches(relative_error):
-                return target
-    if relative_error is not None and seconds is None:
+            reached = relative_error is None or error.reaches(relative_error)
+    if not reached and seconds is None:
         _log.warning("the relative error of %g was not reached in all samples", relative_error)
     return target
 
@@ -383,6 +398,7 @@ def _estimates(
     model: AnyModel | str | Path | None,
     options: _Options,
     seconds: float | None = None,
+    error: float | None = None,
 ) -> Iterator[_Estimated]:
     """Yield the estimate; for a rendering, yield estimates from more and more samples."""
     check_probability(level=options.level)
@@ -390,7 +406,7 @@ def _estimates(
     # Only a rendering has `batch`; testing for its class would import Mitsuba.
     if hasattr(source, "batch"):
         _check_rendering(source, model, options)
-        for found in refine(source, level=options.level, seconds=seconds):
+        for found in refine(source, level=options.level, seconds=seconds, error=error):
             yield _Estimated(source, options, None, found, found.mean)
         return
     samples = first_samples(source, options.spp)

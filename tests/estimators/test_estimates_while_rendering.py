@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import re
 
@@ -80,17 +81,21 @@ def test_it_gets_better_as_samples_come():
 
 def test_it_stops_when_the_error_is_surely_reached_and_tells_what_it_takes(tmp_path, caplog):
     caplog.set_level(logging.INFO, "chdstat")
-    passes = refine(rendering(spp=4096))
-    first = next(passes)
+    first = next(refine(rendering(spp=4096)))
     wanted = first.relative_error / 1.5
-    reached = next(image for image in passes if image.error.reaches(wanted))
+    passes = list(refine(rendering(spp=4096), error=wanted))
+    *before, reached = (image.error.reaches(wanted) for image in passes)
+    assert reached
+    assert not any(before)
+    numbers = [image.spp for image in passes]
+    assert all(1.25 * n <= next_n <= 2 * n for n, next_n in itertools.pairwise(numbers))
     file = write_estimates(tmp_path / "a.exr", rendering(spp=4096), relative_error=wanted)
-    assert read_exr(file).attributes["spp"] == str(reached.spp)
+    assert read_exr(file).attributes["spp"] == str(numbers[-1])
     told = [message.replace("\N{NO-BREAK SPACE}", " ") for message in caplog.messages]
     assert re.fullmatch(
         r"16 spp: relative error \d+ %; \d+ % takes about \d+ spp, .+ more", told[0]
     )
-    assert re.fullmatch(rf"{reached.spp} spp: relative error [\d.]+ %", told[-1])
+    assert re.fullmatch(rf"{numbers[-1]} spp: relative error [\d.]+ %", told[-1])
 
 
 def test_a_smaller_number_of_samples_than_the_error_takes_is_said(tmp_path, caplog):
@@ -103,3 +108,5 @@ def test_what_is_there_already_is_not_stopped(tmp_path, box):
         write_estimates(tmp_path / "a.exr", box, seconds=1)
     with pytest.raises(InputError, match="seconds must be larger than 0"):
         next(refine(rendering(), seconds=0))
+    with pytest.raises(InputError, match="error must be larger than 0"):
+        next(refine(rendering(), error=0))

@@ -128,6 +128,11 @@ class ErrorOfEstimate:
         """
         return self.relative <= error and self.surely <= TOLERANCE * error
 
+    def spp_to_reach(self, error: float) -> float:
+        """Return the samples per pixel at which an error is expected to be reached."""
+        sure = TOLERANCE * self.relative / self.surely if self.surely else 1.0
+        return self.spp_for(min(error, sure * error))
+
     def told(self, wanted: float | None = None, seconds: float = math.nan) -> str:
         """Return the relative error in words, and what a smaller one takes.
 
