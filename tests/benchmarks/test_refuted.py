@@ -401,7 +401,7 @@ def summary(found: Sequence[Row], baseline: Sequence[Row] = ()) -> list[Line]:
             now, then = (
                 geometric(getattr(r, what) for r in of) for of in zip(*images, strict=True)
             )
-            worse = [(now, "geometric mean")] if now > then else []
+            worse = [(now, "geometric mean")] if now > 1.0001 * then else []  # digits of a file
             about = f"; {now:.3f} after {then:.3f}"
             lines.append(
                 Line(f"geometric mean of {what} not above the baseline's", 0, worse, 1, about)
