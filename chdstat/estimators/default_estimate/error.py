@@ -23,10 +23,11 @@ Forecast
 
 The squared error M of the mean falls as 1 / n. That of what it is combined with, P, falls more
 slowly, since a bias falls only where less is smoothed. Weights that suit both reach the squared
-error ``F = 1 / (1 / M + 1 / P)``, so that P follows from F and M. If smoothing is adapted so that P
-is least, then ``d log P / d log n = -noise / P`` (the envelope theorem). For images whose radiance
-changes at a bounded rate, it is -1/2 (Stone 1982, "Optimal global rates of convergence for
-nonparametric regression", doi:10.1214/aos/1176345969). The forecast takes the average of both.
+error ``F = 1 / (1 / M + 1 / P)``, so that P follows from F and M. From half of the samples to all,
+an error of these parts falls from bias + 2 noise to bias + noise: at the rate ``log2(1 + noise /
+F)``, with which P would fall as n to the minus this power. For images whose radiance changes at a
+bounded rate, that power is 1/2 (Stone 1982, "Optimal global rates of convergence for nonparametric
+regression", doi:10.1214/aos/1176345969). The forecast takes the average of both.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ class ErrorOfEstimate:
     (0.1, 402)
     >>> smooth = ErrorOfEstimate(bias=0.005, noise=0.005, of_mean=0.1, spread=0.001, spp=100)
     >>> round(smooth.relative, 3), round(smooth.spp_for(0.05))
-    (0.1, 1064)
+    (0.1, 949)
     """
 
     bias: float = math.nan
@@ -174,7 +175,7 @@ class ErrorOfEstimate:
             return self.spp if squared == 0 else math.nan
         of_mean = max(self.of_mean, squared / _SHARE)
         smooth = 1 / (1 / squared - 1 / of_mean)
-        rate = (_RATE + self.noise / squared) / 2
+        rate = (_RATE + math.log2(1 + self.noise / squared)) / 2
 
         def above(factor: float) -> float:
             now = math.exp(factor) / of_mean + math.exp(rate * factor) / smooth
