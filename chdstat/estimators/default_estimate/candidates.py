@@ -175,9 +175,16 @@ def candidates(
 
 
 def _denoised(job: tuple[Reals, Mapping[str, npt.NDArray[Any]]]) -> Reals:
-    """Denoise an image; return a black one unchanged, as the denoiser would put light in it."""
+    """Denoise an image; the negative radiance of signed samples is denoised by itself.
+
+    A black image stays black, as the denoiser would put light in it.
+    """
     image, features = job
-    return through_denoiser(image, features) if (image > 0).any() else np.maximum(image, 0)
+    found = np.zeros_like(image)
+    for sign in (1, -1):
+        if (sign * image > 0).any():
+            found = found + sign * through_denoiser(sign * image, features)
+    return found
 
 
 def through_denoiser(
@@ -187,7 +194,6 @@ def through_denoiser(
 
     The denoiser takes no negative radiance: negative estimates, as of signed samples, count as 0.
     """
-    start = np.where(radiance < 0, 0, radiance)
     albedo = features.get("albedo")
     normal = None if albedo is None else features.get("normal")
-    return denoise(start, albedo=albedo, normal=normal)
+    return denoise(np.where(radiance < 0, 0, radiance), albedo=albedo, normal=normal)

@@ -1,0 +1,212 @@
+"""Lost light: the light by which the mean of an image exceeds its estimate.
+
+Denoisers and limits of fireflies take rare bright samples away, and with them light that belongs to
+the image. A single pixel cannot tell how much it lost. Many pixels together can, since their sum is
+known from their samples. `lost_light` gives it back.
+
+Nobody should get light that others lost. So pixels are grouped by channel, by their noise and the
+noise around them, and by place. The group of a pixel follows from one half of the samples, and what
+it lacks from the mean of the other half: otherwise pixels that look dark would lack nothing, and
+those that look bright too much. Calm pixels lack nothing, as their own sum says.
+
+If all pixels of a group lack light in proportion to radiance, each gets its part. Otherwise some of
+them lost more than others, and nothing tells which. Then a pixel gets no more than a fraction of
+its standard error, in proportion to it: that changes a pixel that is known well by little. The
+squares of what blocks of pixels lack, without the noise of their sums, tell how alike they are.
+
+Rates of places are shrunk towards that of the image, and that towards 0, by their noise (James and
+Stein 1961; for rates of regions: Marshall 1991, "Mapping disease and mortality rates using
+empirical Bayes estimators", doi:10.2307/2347593).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import Floats, Reals
+from chdstat.estimators.default_estimate.weights import Grid, Proposal
+
+__all__ = ["lost_light"]
+
+_BLOCK, _CLASSES = 32, 2
+"""Distance of places in pixels, and classes of groups: the noise, and the noise around it."""
+_OF_IMAGE, _OF_PLACE = 2.0, 4.0
+"""Variances of a rate that may be noise: of the image's, and of what a place's differs in."""
+_MOST = 0.25
+"""Most light that a pixel gets, in standard errors of its mean, unless its group lacks alike."""
+_ALIKE = 0.7
+"""Part of the squares of what blocks lack that one rate explains, from which a group is alike."""
+_EDGES = 1, 2, 4, 8, 16
+"""Edges of these blocks in pixels."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The estimate of all samples or of a half of them, and who is alike in it.
+
+    Attributes
+    ----------
+    grid
+        Groups of pixels.
+    estimate, error
+        The estimate, and the standard error of the mean, shape (y, x, channel).
+    mean
+        Mean of the samples.
+    light, uncertain
+        Radiance that the pixel may have lost, and how much of it is within its standard error.
+    """
+
+    grid: Grid
+    estimate: Reals
+    mean: Reals
+    error: Reals
+    light: Reals
+    uncertain: Reals
+
+    @classmethod
+    def of(cls, proposal: Proposal, estimate: Reals, moved: Reals) -> _Part:
+        light = np.abs(estimate)
+        return cls(
+            Grid(proposal, _BLOCK, _CLASSES),
+            estimate,
+            proposal.mean,
+            proposal.error,
+            moved * light,
+            moved * np.minimum(light, proposal.noise),
+        )
+
+    def lacks(self, held_out: _Part) -> tuple[Reals, Reals]:
+        """Return what each pixel lacks according to other samples, and its variance."""
+        moved = self.light > 0
+        lacking = np.where(moved, held_out.mean - self.estimate, 0)
+        return lacking, np.where(moved, np.square(held_out.error), 0)
+
+
+def lost_light(
+    proposals: Sequence[Proposal], estimates: Sequence[Reals], moved: Sequence[Reals]
+) -> tuple[list[Reals], Reals]:
+    """Return the light that each pixel gets back, and its standard error in that of all samples.
+
+    Parameters
+    ----------
+    proposals
+        Proposals of all samples, of one half of them and of the other.
+    estimates
+        Estimates of the same, shape (y, x, channel).
+    moved
+        Weights of the proposals beside the means, from 0 to 1. A pixel of weight 0 stays its mean
+        and has lost nothing.
+
+    Returns
+    -------
+    given
+        The light of all samples, of one half, and of the other, shape (y, x, channel) each.
+    error
+        Standard error of the first.
+
+    Examples
+    --------
+    An estimate that is too dark by .3 everywhere gets that back. One that lacks as much in a corner
+    gets hardly anything:
+
+    >>> image, corner = 0.7 * np.ones((64, 64, 1)), np.zeros((64, 64, 1))
+    >>> corner[:8, :8] = 0.3 * 64
+    >>> for lost in (0.3, corner):
+    ...     parts = [Proposal(image, image + lost, 0.1 * image) for _ in range(3)]
+    ...     given, _ = lost_light(parts, [image] * 3, [np.ones_like(image)] * 3)
+    ...     print(given[0].mean().round(2))
+    0.3
+    0.01
+    """
+    parts = [_Part.of(*part) for part in zip(proposals, estimates, moved, strict=True)]
+    whole, one, other = parts
+    pairs = (one, other), (other, one)
+    found = [
+        half.grid.sums(*half.lacks(held_out), half.light, half.uncertain)
+        for half, held_out in pairs
+    ]
+    of_places = _joined(*found)
+    of_image = _joined(*(sums.sum(axis=(2, 3), keepdims=True) for sums in found))
+    rate = _shrunk(0.0, of_image[:3], _OF_IMAGE)
+    most = _shrunk(0.0, of_image[[0, 1, 3]], _OF_IMAGE)
+    most = np.clip(_shrunk(most, of_places[[0, 1, 3]], _OF_PLACE), -_MOST, _MOST)
+    alike = np.clip((_explained(rate, pairs) - _ALIKE) / (1 - _ALIKE), 0, 1)
+    given = [
+        part.grid.at(alike * rate) * part.light + part.grid.at((1 - alike) * most) * part.uncertain
+        for part in parts
+    ]
+    # Halves lose more than all samples do: no channel gets more than it lacks.
+    lost = (whole.mean - whole.estimate).sum(axis=(0, 1))
+    back = given[0].sum(axis=(0, 1))
+    kept = np.clip(np.divide(lost, back, out=np.zeros_like(back), where=back != 0), 0, 1)
+    doubt = np.sqrt(of_image[1]) / np.maximum(of_image[2], 1e-30)
+    error = np.minimum(whole.grid.at(doubt) * whole.light, whole.uncertain)
+    return [kept * image for image in given], error
+
+
+def _joined(one: Floats, other: Floats) -> Floats:
+    """Return what groups lack according to both halves, its variance, and sums of shares.
+
+    Light that only one half has found may be that of a single pixel, which the variance of its
+    samples understates: what the halves differ in is a variance, too.
+    """
+    joined = one + other
+    joined[1] = np.maximum(joined[1], np.square(one[0] - other[0]))
+    return joined
+
+
+def _shrunk(before: Reals | float, sums: Reals, variances: float) -> Reals:
+    """Return what groups lack per share, as far as noise does not explain it."""
+    lacking, noise, share = sums
+    share = np.maximum(share, 1e-30)
+    apart = lacking / share - before
+    doubt = variances * noise / share**2
+    sure = 1 - np.divide(doubt, apart**2, out=np.ones_like(apart), where=apart**2 > doubt)
+    return np.asarray(before + sure * apart)
+
+
+def _explained(rate: Reals, pairs: Sequence[tuple[_Part, _Part]]) -> Reals:
+    """Return the part of the squares of what blocks lack that one rate of a group surely explains.
+
+    Shape (channel, 1, 1, class, class), as `rate` has it. Of classes that no pixel is nearest to,
+    it is that of all pixels.
+    """
+    everywhere = [np.ones_like(half.light, bool) for half, _ in pairs]
+    of_group = np.empty_like(rate)
+    of_group[:] = _largest_square(pairs, everywhere)[
+        :, np.newaxis, np.newaxis, np.newaxis, np.newaxis
+    ]
+    for number, group in enumerate(np.ndindex(rate.shape[3:])):
+        inside = [half.grid.nearest == number for half, _ in pairs]
+        if any(mask.any() for mask in inside):
+            of_group[:, 0, 0, group[0], group[1]] = _largest_square(pairs, inside)
+    return np.asarray(rate**2 / np.maximum(np.maximum(rate**2, of_group), 1e-30))
+
+
+def _largest_square(
+    pairs: Sequence[tuple[_Part, _Part]], inside: Sequence[npt.NDArray[np.bool_]]
+) -> Floats:
+    """Return what blocks lack, squared, over their squared light: the largest of all sizes."""
+    found = []
+    for edge in _EDGES:
+        squares = light = np.zeros(1)
+        for (half, held_out), mask in zip(pairs, inside, strict=True):
+            lacking, noise = half.lacks(held_out)
+            squares = squares + _sums(mask * lacking, edge) ** 2 - _sums(mask * noise, edge)
+            light = light + _sums(mask * half.light, edge) ** 2
+        whole = np.maximum(light.sum(axis=(0, 1)), 1e-30)
+        ratio = squares.sum(axis=(0, 1)) / whole
+        # Few or noisy blocks do not show that they are alike.
+        found.append(ratio + np.sqrt(np.square(squares - ratio * light).sum(axis=(0, 1))) / whole)
+    return np.asarray(np.max(found, axis=0))
+
+
+def _sums(image: Reals, edge: int) -> Floats:
+    """Return sums of an image (y, x, channel) over blocks; those at far edges may be smaller."""
+    rows, columns = (np.arange(0, size, edge) for size in image.shape[:2])
+    sums = np.add.reduceat(image.astype(np.float64), rows, axis=0)
+    return np.asarray(np.add.reduceat(sums, columns, axis=1))
