@@ -25,9 +25,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Reals
+from chdstat._core.arrays import Floats, Indices, Reals
 from chdstat.estimators.default_estimate.weights import Grid, Proposal
 
 __all__ = ["lost_light"]
@@ -38,10 +37,12 @@ _OF_IMAGE, _OF_PLACE = 2.0, 4.0
 """Variances of a rate that may be noise: of the image's, and of what a place's differs in."""
 _MOST = 0.25
 """Most light that a pixel gets, in standard errors of its mean, unless its group lacks alike."""
+_FARTHEST = 2.0
+"""Most light that a pixel of such a group gets, in standard errors of its mean."""
 _ALIKE = 0.7
 """Part of the squares of what blocks lack that one rate explains, from which a group is alike."""
 _EDGES = 1, 2, 4, 8, 16
-"""Edges of these blocks in pixels."""
+"""Edges of these blocks in pixels, each twice the one before."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class _Part:
             estimate,
             proposal.mean,
             proposal.error,
-            moved * light,
+            moved * np.minimum(light, _FARTHEST * proposal.noise),
             moved * np.minimum(light, proposal.noise),
         )
 
@@ -175,38 +176,38 @@ def _explained(rate: Reals, pairs: Sequence[tuple[_Part, _Part]]) -> Reals:
     Shape (channel, 1, 1, class, class), as `rate` has it. Of classes that no pixel is nearest to,
     it is that of all pixels.
     """
-    everywhere = [np.ones_like(half.light, bool) for half, _ in pairs]
-    of_group = np.empty_like(rate)
-    of_group[:] = _largest_square(pairs, everywhere)[
-        :, np.newaxis, np.newaxis, np.newaxis, np.newaxis
-    ]
+    known = [(half.grid.nearest, *half.lacks(held_out), half.light) for half, held_out in pairs]
+    largest = np.empty_like(rate)
+    largest[:] = _largest_square(known, None).reshape(-1, 1, 1, 1, 1)
     for number, group in enumerate(np.ndindex(rate.shape[3:])):
-        inside = [half.grid.nearest == number for half, _ in pairs]
-        if any(mask.any() for mask in inside):
-            of_group[:, 0, 0, group[0], group[1]] = _largest_square(pairs, inside)
-    return np.asarray(rate**2 / np.maximum(np.maximum(rate**2, of_group), 1e-30))
+        if any((nearest == number).any() for nearest, *_ in known):
+            largest[:, 0, 0, group[0], group[1]] = _largest_square(known, number)
+    return np.asarray(rate**2 / np.maximum(np.maximum(rate**2, largest), 1e-30))
 
 
 def _largest_square(
-    pairs: Sequence[tuple[_Part, _Part]], inside: Sequence[npt.NDArray[np.bool_]]
+    known: Sequence[tuple[Indices, Reals, Reals, Reals]], number: int | None
 ) -> Floats:
     """Return what blocks lack, squared, over their squared light: the largest of all sizes."""
+    halves = [
+        np.stack(images if number is None else [(nearest == number) * x for x in images])
+        for nearest, *images in known
+    ]
     found = []
     for edge in _EDGES:
-        squares = light = np.zeros(1)
-        for (half, held_out), mask in zip(pairs, inside, strict=True):
-            lacking, noise = half.lacks(held_out)
-            squares = squares + _sums(mask * lacking, edge) ** 2 - _sums(mask * noise, edge)
-            light = light + _sums(mask * half.light, edge) ** 2
-        whole = np.maximum(light.sum(axis=(0, 1)), 1e-30)
-        ratio = squares.sum(axis=(0, 1)) / whole
+        if edge > 1:
+            halves = [_doubled(images) for images in halves]
+        squares = sum(lacking**2 - noise for lacking, noise, _ in halves)
+        light = sum(np.square(images[2]) for images in halves)
+        whole = np.maximum(light.sum(axis=(0, 1), dtype=np.float64), 1e-30)
+        ratio = squares.sum(axis=(0, 1), dtype=np.float64) / whole
+        apart = np.square(squares - ratio * light).sum(axis=(0, 1))
         # Few or noisy blocks do not show that they are alike.
-        found.append(ratio + np.sqrt(np.square(squares - ratio * light).sum(axis=(0, 1))) / whole)
+        found.append(ratio + np.sqrt(apart) / whole)
     return np.asarray(np.max(found, axis=0))
 
 
-def _sums(image: Reals, edge: int) -> Floats:
-    """Return sums of an image (y, x, channel) over blocks; those at far edges may be smaller."""
-    rows, columns = (np.arange(0, size, edge) for size in image.shape[:2])
-    sums = np.add.reduceat(image.astype(np.float64), rows, axis=0)
-    return np.asarray(np.add.reduceat(sums, columns, axis=1))
+def _doubled(images: Reals) -> Reals:
+    """Return sums of images (image, y, x, channel) over blocks of 2 x 2."""
+    rows, columns = (np.arange(0, size, 2) for size in images.shape[1:3])
+    return np.asarray(np.add.reduceat(np.add.reduceat(images, rows, axis=1), columns, axis=2))

@@ -31,15 +31,16 @@ dark by chance.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import Floats, Indices, Mask, Reals
+from chdstat._core.arrays import Floats, Indices, Mask, Reals, spans
 
 __all__ = ["Grid", "Proposal", "weight_of_mean"]
 
@@ -81,6 +82,8 @@ _CLASS = 3
 """Axis of a grid at which the classes begin, after the channel and the place."""
 _NEARER = 0.5
 """Fraction of the way from one node to the next from which the next is nearer."""
+_BAND = 2**15
+"""Values that are pooled at once: as many stay in the cache of a processor."""
 _FAINT = 0.03
 """Share of the image's mean radiance in the unit of a pixel's errors, besides its own."""
 _LEAST = 1e-3
@@ -121,22 +124,25 @@ class Proposal:
         return np.asarray(np.maximum(self.error, least))
 
     @cached_property
+    def around(self) -> Reals:
+        """Standard error of the mean that several pixels around have at least."""
+        size = (_NEIGHBOURS, _NEIGHBOURS, 1)
+        return np.asarray(ndimage.rank_filter(self.error, -_AT_LEAST, size, mode="nearest"))
+
+    @cached_property
     def known(self) -> Mask:
         """Whether the samples of a pixel and channel are all the same, and not null."""
         return np.asarray((self.error == 0) & (self.mean != 0))
 
     def classes(self) -> list[tuple[Reals, Floats]]:
         """Return the quantities that classify pixels, each with its nodes: noise comes first."""
-        squared = np.square(self.error)
-        size = (_NEIGHBOURS, _NEIGHBOURS, 1)
-        around = np.sqrt(ndimage.rank_filter(squared, -_AT_LEAST, size, mode="nearest"))
         # With few bright samples among dark ones, the standard error is as large as the mean.
         certain = 1 - _TAKEN_OFF * self.error / np.maximum(np.abs(self.mean), 1e-30)
         bright = self.unit * np.clip(certain, 1e-3, 1) / self.unit.mean(axis=(0, 1))
         score = (self.image - self.mean) / self.noise
         return [
             (np.log(self.noise / self.unit), np.log(_NOISE)),
-            (np.log(np.maximum(around / self.noise, 1)), np.log(_LOUDER)),
+            (np.log(np.maximum(self.around / self.noise, 1)), np.log(_LOUDER)),
             (_signed_log(score), _signed_log(_SCORES)),
             (np.log(bright), np.log(_BRIGHT)),
         ]
@@ -163,7 +169,7 @@ class Grid:
     def __init__(self, pixels: Proposal, tile: int, number: int | None = None) -> None:
         height, width, channels = pixels.image.shape
         self._axes: list[tuple[Indices, Reals, int]] = [
-            (np.arange(channels), np.zeros(1), channels)
+            (np.arange(channels).reshape(1, 1, -1), np.zeros((1, 1, 1), np.float32), channels)
         ]
         for i, length in enumerate((height, width)):
             nodes = -(-length // tile) + 1
@@ -176,49 +182,71 @@ class Grid:
         self.classes = self.shape[_CLASS:]
         self._pixels = pixels.image.shape
 
-    def sums(self, *images: Reals) -> Floats:
+    @cached_property
+    def nearest(self) -> Indices:
+        """Number of the classes that each pixel is nearest to, shape (y, x, channel)."""
+        node = np.zeros(self._pixels, np.int16)
+        for before, passed, size in self._axes[_CLASS:]:
+            node = node * size + before + (passed > _NEARER)
+        return node
+
+    def sums(self, *images: Reals, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
         """Return sums of images (y, x, channel) over the pixels around each node, by their shares.
 
         Of two classes, a pixel belongs to the nearer one.
         """
         size = int(np.prod(self.shape))
-        found = np.zeros((len(images), size))
-        between = [i for i, nodes in enumerate(self.shape) if i and (i < _CLASS or nodes > 2)]
-        for node, share in self._corners(between):
+        found = np.zeros((len(images), size), dtype)
+        # A band of fewer values than there are nodes would mostly add zeros.
+        for rows, node, share in self._corners(max(size, _BAND)):
             for total, image in zip(found, images, strict=True):
-                total += np.bincount(node.ravel(), (share * image).ravel(), size)
+                total += np.bincount(node.ravel(), (share * image[rows]).ravel(), size)
         return found.reshape(len(images), *self.shape)
 
     def at(self, nodes: Reals) -> Reals:
         """Return the values of nodes, interpolated at each pixel, shape (y, x, channel)."""
-        values = np.broadcast_to(nodes, self.shape).ravel()
-        found = np.zeros(self._pixels)
-        for node, share in self._corners(range(1, len(self.shape))):
-            found += share * values[node]
+        values = np.broadcast_to(nodes, self.shape).astype(np.float32).ravel()
+        found = np.zeros(self._pixels, np.float32)
+        for rows, node, share in self._corners(_BAND):
+            found[rows] += share * values[node]
         return found
 
-    @cached_property
-    def nearest(self) -> Indices:
-        """Number of the classes that each pixel is nearest to, shape (y, x, channel)."""
-        node = np.zeros(self._pixels, np.int64)
-        for before, passed, size in self._axes[_CLASS:]:
-            node = node * size + (before + (passed > _NEARER))
-        return node
-
-    def _corners(self, between: Sequence[int]) -> Iterator[tuple[Indices, Reals]]:
+    def _corners(self, band: int) -> Iterator[tuple[slice, Indices, Reals]]:
         """Yield one corner of each pixel's cell at a time: the node, and its share.
 
-        `between` are the axes between whose nodes a pixel is; along others it is at the nearest.
+        Rows come in bands of so many values, which keep the arrays small.
         """
-        for steps in itertools.product((False, True), repeat=len(between)):
-            beyond = dict(zip(between, steps, strict=True))
-            node, share = np.zeros(self._pixels, np.int64), np.ones((1, 1, 1))
-            for axis, (before, passed, size) in enumerate(self._axes):
-                step = beyond.get(axis, passed > _NEARER)
-                node = node * size + (before + step)
-                if axis in beyond:
-                    share = share * (passed if step else 1 - passed)
-            yield node, share
+        height, width, channels = self._pixels
+        for rows in spans(height, max(1, band // (width * channels))):
+            axes = [
+                (_rows(before, rows), _rows(passed, rows), size)
+                for before, passed, size in self._axes
+            ]
+            shape = (len(range(height)[rows]), width, channels)
+            start = np.zeros(shape, np.int32), np.ones((1, 1, 1), np.float32)
+            for node, share in _beside(*start, axes):
+                yield rows, node, share
+
+
+def _rows(x: npt.NDArray[Any], rows: slice) -> npt.NDArray[Any]:
+    """Return some rows of an array that may be the same for all rows."""
+    return x[rows] if len(x) > 1 else x
+
+
+def _beside(
+    node: Indices, share: Reals, axes: Sequence[tuple[Indices, Reals, int]]
+) -> Iterator[tuple[Indices, Reals]]:
+    """Yield the nodes beside each pixel along the axes, and their shares."""
+    if not axes:
+        yield node, share
+        return
+    (before, passed, size), *others = axes
+    node = node * size + before
+    if size > 2 and passed.any():
+        yield from _beside(node, share * (1 - passed), others)
+        yield from _beside(node + 1, share * passed, others)
+    else:
+        yield from _beside(node + (passed > _NEARER), share, others)
 
 
 def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[Reals]:
@@ -260,10 +288,11 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[
     >>> print(weights[:, :28].mean().round(1), weights[:, 36:].mean().round(1))
     1.0 0.0
     """
-    grids = [Grid(proposal, _TILE) for proposal in (whole, one, other)]
-    evidence = grids[1].sums(*_evidence(one, other)) + grids[2].sums(*_evidence(other, one))
+    halves = Grid(one, _TILE), Grid(other, _TILE)
+    evidence = halves[0].sums(*_evidence(one, other), dtype=np.float32)
+    evidence += halves[1].sums(*_evidence(other, one), dtype=np.float32)
     weight = _updated(_believed(), evidence.sum(axis=(2, 3), keepdims=True))
-    scales = [0.0] * (len(grids[0].shape) - 3)
+    scales = [0.0] * len(halves[0].classes)
     for scale in _AROUND:
         around = ndimage.gaussian_filter(
             evidence, (0, 0, scale, scale, *scales), mode="nearest", truncate=3
@@ -275,10 +304,11 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[
         evidence[[0, 5]], (0, 0, _AROUND[0], _AROUND[0], *scales), mode="nearest", truncate=3
     )
     share = np.minimum(wide[1] / np.maximum(wide[0], 1e-30), weight)
-    for proposal, grid, nodes in zip(
-        (whole, one, other), grids, (_of_all(weight, share), weight, weight), strict=True
-    ):
-        yield np.where(proposal.known, 1, grid.at(nodes))
+    of_all = _of_all(weight, share)
+    del evidence, around, wide, share
+    yield np.where(whole.known, 1, Grid(whole, _TILE).at(of_all))
+    for half, grid in zip((one, other), halves, strict=True):
+        yield np.where(half.known, 1, grid.at(weight))
 
 
 def _of_all(weight: Reals, noise: Reals) -> Reals:
@@ -338,7 +368,8 @@ def _between(x: Reals, knots: Reals) -> tuple[Indices, Reals]:
     """Return the knot before each number, and the fraction of the way to the next knot."""
     x = np.clip(x, knots[0], knots[-1])
     before = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
-    return before, (x - knots[before]) / (knots[before + 1] - knots[before])
+    passed = (x - knots[before]) / (knots[before + 1] - knots[before])
+    return before.astype(np.int16), passed.astype(np.float32)
 
 
 def _signed_log(x: Reals) -> Reals:
