@@ -198,7 +198,7 @@ class Grid:
         size = int(np.prod(self.shape))
         found = np.zeros((len(images), size), dtype)
         # A band of fewer values than there are nodes would mostly add zeros.
-        for rows, node, share in self._corners(max(size, _BAND)):
+        for rows, node, share in self._corners(max(size, _BAND), nodes=3):
             for total, image in zip(found, images, strict=True):
                 total += np.bincount(node.ravel(), (share * image[rows]).ravel(), size)
         return found.reshape(len(images), *self.shape)
@@ -207,14 +207,15 @@ class Grid:
         """Return the values of nodes, interpolated at each pixel, shape (y, x, channel)."""
         values = np.broadcast_to(nodes, self.shape).astype(np.float32).ravel()
         found = np.zeros(self._pixels, np.float32)
-        for rows, node, share in self._corners(_BAND):
+        for rows, node, share in self._corners(_BAND, nodes=2):
             found[rows] += share * values[node]
         return found
 
-    def _corners(self, band: int) -> Iterator[tuple[slice, Indices, Reals]]:
+    def _corners(self, band: int, nodes: int) -> Iterator[tuple[slice, Indices, Reals]]:
         """Yield one corner of each pixel's cell at a time: the node, and its share.
 
-        Rows come in bands of so many values, which keep the arrays small.
+        Rows come in bands of so many values, which keep the arrays small. Along an axis of fewer
+        nodes, a pixel is at the nearest.
         """
         height, width, channels = self._pixels
         for rows in spans(height, max(1, band // (width * channels))):
@@ -224,7 +225,7 @@ class Grid:
             ]
             shape = (len(range(height)[rows]), width, channels)
             start = np.zeros(shape, np.int32), np.ones((1, 1, 1), np.float32)
-            for node, share in _beside(*start, axes):
+            for node, share in _beside(*start, axes, nodes):
                 yield rows, node, share
 
 
@@ -234,7 +235,7 @@ def _rows(x: npt.NDArray[Any], rows: slice) -> npt.NDArray[Any]:
 
 
 def _beside(
-    node: Indices, share: Reals, axes: Sequence[tuple[Indices, Reals, int]]
+    node: Indices, share: Reals, axes: Sequence[tuple[Indices, Reals, int]], nodes: int
 ) -> Iterator[tuple[Indices, Reals]]:
     """Yield the nodes beside each pixel along the axes, and their shares."""
     if not axes:
@@ -242,11 +243,11 @@ def _beside(
         return
     (before, passed, size), *others = axes
     node = node * size + before
-    if size > 2 and passed.any():
-        yield from _beside(node, share * (1 - passed), others)
-        yield from _beside(node + 1, share * passed, others)
+    if size >= nodes and passed.any():
+        yield from _beside(node, share * (1 - passed), others, nodes)
+        yield from _beside(node + 1, share * passed, others, nodes)
     else:
-        yield from _beside(node + (passed > _NEARER), share, others)
+        yield from _beside(node + (passed > _NEARER), share, others, nodes)
 
 
 def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[Reals]:
