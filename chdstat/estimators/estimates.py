@@ -9,9 +9,9 @@ No single candidate is the best everywhere: a denoiser loses small bright detail
 noisy. `combine` weights the candidates by their error on held-out samples: each is computed from
 one half of the samples and compared with the mean of the other half, which is unbiased and has
 independent noise (van der Laan, Polley and Hubbard 2007, "Super learner",
-doi:10.2202/1544-6115.1309). A network turns these comparisons into weights and into the width of an
-interval. `chdstat.estimators.default_estimate` contains the candidates, the network, and the rule
-for how much of the mean a pixel keeps.
+doi:10.2202/1544-6115.1309). A network turns these comparisons into a proposal. How much of its mean
+each pixel and channel keeps then follows from its own noise. The steps are the files of
+`chdstat.estimators.default_estimate`.
 
 Weights per pixel for candidates follow Back et al. 2020, "Deep combiner for independent and
 correlated pixel estimates", doi:10.1145/3414685.3417847, and Firmino et al. 2022, "Progressive
@@ -487,9 +487,10 @@ class Combination(Estimates):
     mean
         Mean of each channel's good samples, shape (y, x, channel).
     weights
-        Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is 1 minus
-        the weight of the mean. If the sum of the image differs significantly from the sum of the
-        mean, the estimate is also made brighter (or darker): see `default_estimate.light`.
+        Weight of each candidate by its name, shape (y, x), averaged over the channels, adding up to
+        1. The certainty is 1 minus the weight of the mean. Groups of pixels whose sum differs
+        significantly from that of their means are also made brighter (or darker): see
+        `default_estimate.light`.
     bias
         Difference between the sum of the image and the sum of the mean, which has no bias, divided
         by the latter.

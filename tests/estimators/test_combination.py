@@ -161,6 +161,15 @@ def test_what_is_known_exactly_is_the_estimate(n):
     assert ((found.low <= 2) & (found.high >= 2))[exact].all()
 
 
+def test_samples_that_are_equal_by_chance_are_not_certain():
+    truth = np.full((48, 48, 1), 0.9)
+    x = np.where(np.random.default_rng(2).random((48, 48, 1, 8)) < truth[..., np.newaxis], 1.0, 0.0)
+    found = combine(x)
+    equal = (x == 1).all(axis=-1)
+    assert (found.radiance[equal] == 1).all()
+    assert ((found.low <= truth) & (truth <= found.high))[equal].mean() > 0.5
+
+
 def test_the_weight_of_the_mean_falls_with_its_noise():
     rng = np.random.default_rng(3)
     noise = np.geomspace(0.01, 3, 96)[np.newaxis, :, np.newaxis] * np.ones((96, 1, 1))

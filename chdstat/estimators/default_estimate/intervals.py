@@ -63,7 +63,9 @@ def interval_around(
     # The best weight of a mean of variance v leaves the variance weight v (James and Stein 1961).
     normal = stats.norm.ppf(0.5 + level / 2)
     of_both = np.hypot((1 - weight) * half, normal * light)
-    below, above = (np.hypot(of_both, np.sqrt(weight) * side) for side in reach)
+    # Few samples that are all equal, as of visibility, may be equal by chance where others vary.
+    chance = np.where(proposals[0].known, normal * proposals[0].around, 0)
+    below, above = (np.hypot(of_both, np.sqrt(weight) * np.maximum(side, chance)) for side in reach)
     error = (below + above) / (2 * normal)
     factor = _shown_over_expected(error, weight, proposals, halves)
     return radiance - factor * below, radiance + factor * above
