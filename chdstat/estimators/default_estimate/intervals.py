@@ -23,11 +23,11 @@ _AROUND = 4.0
 """Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
 _TILE, _CLASSES = 32, 2
 """Distance, in pixels, of the places where errors are pooled, and their classes: those of noise."""
-_DOUBT = 1.0
+_DOUBT = 0.5
 """Standard errors within which what held-out halves show may be noise."""
 _KEPT = 0.95
 """Weight of the mean from which an estimate is the mean."""
-_RANGE = 0.5, 100.0
+_RANGE = 0.05, 100.0
 """Least and largest factor of a squared error."""
 
 
@@ -52,7 +52,7 @@ def interval_around(
     half
         Half of the width of the interval of the proposal.
     light
-        Standard error of the light that is given back.
+        How far the light that is given back may be from what is lost.
     proposals
         Proposals of all samples, of one half of them and of the other.
     halves
@@ -62,13 +62,14 @@ def interval_around(
     """
     # The best weight of a mean of variance v leaves the variance weight v (James and Stein 1961).
     normal = stats.norm.ppf(0.5 + level / 2)
-    of_both = np.hypot((1 - weight) * half, normal * light)
     # Few samples that are all equal, as of visibility, may be equal by chance where others vary.
     chance = np.where(proposals[0].known, normal * proposals[0].around, 0)
-    below, above = (np.hypot(of_both, np.sqrt(weight) * np.maximum(side, chance)) for side in reach)
-    error = (below + above) / (2 * normal)
-    factor = _shown_over_expected(error, weight, proposals, halves)
-    return radiance - factor * below, radiance + factor * above
+    sides = [
+        np.hypot((1 - weight) * half, np.sqrt(weight) * np.maximum(side, chance)) for side in reach
+    ]
+    factor = _shown_over_expected(sum(sides) / (2 * normal), weight, proposals, halves)
+    below, above = (np.hypot(factor * side, normal * light) for side in sides)
+    return radiance - below, radiance + above
 
 
 def spread_of_halves(one: Proposal, other: Proposal, unit: Image) -> Reals:

@@ -57,8 +57,9 @@ class _Part:
         The estimate, and the standard error of the mean, shape (y, x, channel).
     mean
         Mean of the samples.
-    light, uncertain
-        Radiance that the pixel may have lost, and how much of it is within its standard error.
+    light, uncertain, all_light
+        Radiance that the pixel may get back, how much of it is within its standard error, and all
+        that it may have lost.
     """
 
     grid: Grid
@@ -67,6 +68,7 @@ class _Part:
     error: Reals
     light: Reals
     uncertain: Reals
+    all_light: Reals
 
     @classmethod
     def of(cls, proposal: Proposal, estimate: Reals, moved: Reals) -> _Part:
@@ -78,6 +80,7 @@ class _Part:
             proposal.error,
             moved * np.minimum(light, _FARTHEST * proposal.noise),
             moved * np.minimum(light, proposal.noise),
+            moved * light,
         )
 
     def lacks(self, held_out: _Part) -> tuple[Reals, Reals]:
@@ -89,7 +92,7 @@ class _Part:
 
 def lost_light(
     proposals: Sequence[Proposal], estimates: Sequence[Reals], moved: Sequence[Reals]
-) -> tuple[list[Reals], Reals]:
+) -> tuple[Sequence[Reals], Reals]:
     """Return the light that each pixel gets back, and its standard error in that of all samples.
 
     Parameters
@@ -107,7 +110,8 @@ def lost_light(
     given
         The light of all samples, of one half, and of the other, shape (y, x, channel) each.
     error
-        Standard error of the first.
+        How far the first may be from what is lost: its standard error, and what a place lacks and
+        nobody gets.
 
     Examples
     --------
@@ -127,7 +131,7 @@ def lost_light(
     whole, one, other = parts
     pairs = (one, other), (other, one)
     found = [
-        half.grid.sums(*half.lacks(held_out), half.light, half.uncertain)
+        half.grid.sums(*half.lacks(held_out), half.light, half.uncertain, half.all_light)
         for half, held_out in pairs
     ]
     of_places = _joined(*found)
@@ -144,9 +148,11 @@ def lost_light(
     lost = (whole.mean - whole.estimate).sum(axis=(0, 1))
     back = given[0].sum(axis=(0, 1))
     kept = np.clip(np.divide(lost, back, out=np.zeros_like(back), where=back != 0), 0, 1)
-    doubt = np.sqrt(of_image[1]) / np.maximum(of_image[2], 1e-30)
-    error = np.minimum(whole.grid.at(doubt) * whole.light, whole.uncertain)
-    return [kept * image for image in given], error
+    given = [kept * image for image in given]
+    # What a place lacks and nobody gets is missing somewhere in it.
+    lacked = whole.grid.at(_shrunk(0.0, of_places[[0, 1, 4]], _OF_PLACE)) * whole.all_light
+    doubt = whole.grid.at(np.sqrt(of_places[1]) / np.maximum(of_places[4], 1e-30))
+    return given, np.hypot(doubt * whole.all_light, lacked - given[0])
 
 
 def _joined(one: Floats, other: Floats) -> Floats:
