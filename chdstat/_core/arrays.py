@@ -44,6 +44,7 @@ __all__ = [
     "as_samples",
     "batch_rows",
     "block_numbers",
+    "block_sums",
     "check_real",
     "chunks",
     "first_of",
@@ -161,6 +162,18 @@ def block_numbers(height: int, width: int, *, across: int) -> npt.NDArray[np.int
     y = np.arange(height) * rows // height
     x = np.arange(width) * columns // width
     return np.asarray(y[:, np.newaxis] * columns + x, dtype=np.int64)
+
+
+def block_sums(image: Reals, edge: int) -> npt.NDArray[Any]:
+    """Return sums of an image (..., y, x, channel) over blocks; those at far edges are smaller.
+
+    Examples
+    --------
+    >>> block_sums(np.ones((2, 3, 1)), 2)[..., 0]
+    array([[4., 2.]])
+    """
+    rows, columns = (np.arange(0, size, edge) for size in image.shape[-3:-1])
+    return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=-3), columns, axis=-2))
 
 
 def as_samples(

@@ -41,10 +41,7 @@ from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
 from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
-from chdstat.estimators.default_estimate.intervals import (
-    interval_around,
-    spread_of_halves,
-)
+from chdstat.estimators.default_estimate.intervals import interval_around, spread_of_halves
 from chdstat.estimators.default_estimate.light import lost_light
 from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
 from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean

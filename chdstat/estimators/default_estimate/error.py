@@ -39,7 +39,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
-from chdstat._core.arrays import Floats, Reals, spans
+from chdstat._core.arrays import Floats, Reals, block_sums, spans
 from chdstat._core.display import duration, percent
 from chdstat._core.image_scales import TOLERANCE, relative_scale
 
@@ -293,7 +293,7 @@ class _Found:
             np.vdot(apart, of_means),
         ]
         self.blocks.append(
-            _sums(np.stack([apart**2, (image * root) ** 2, known]), _EDGE).reshape(3, -1)
+            block_sums(np.stack([apart**2, (image * root) ** 2, known]), _EDGE).reshape(3, -1)
         )
         images, count = np.stack([mine, other, apart]), known.astype(np.float64)
         means, number, details = _halved(images, count)
@@ -350,8 +350,8 @@ class _Found:
 
 def _halved(images: Floats, count: Floats) -> tuple[Floats, Floats, Floats]:
     """Return means of blocks of 2 x 2 pixels, how many are known, and what the means leave."""
-    number = _sums(count)
-    means = _sums(count * images) / np.maximum(number, 1)
+    number = block_sums(count, 2)
+    means = block_sums(count * images, 2) / np.maximum(number, 1)
     height, width = count.shape[:2]
     around = np.repeat(np.repeat(means, 2, axis=1), 2, axis=2)[:, :height, :width]
     return means, number, images - around
@@ -366,7 +366,7 @@ def _within(images: Floats, count: Floats, edge: int = 2) -> Floats:
     """
     one, other, apart = images
     products, differences = (
-        _sums((count * parts).sum(axis=-1, keepdims=True), edge)
+        block_sums((count * parts).sum(axis=-1, keepdims=True), edge)
         for parts in (one * other, (one**2 - other**2) / 2)
     )
     sums = [products.sum(), np.square(products).sum(), np.square(differences).sum()]
@@ -386,9 +386,3 @@ def _bias(product: float, error: float, noise: float) -> tuple[float, float]:
     weight = prior * np.exp(likely - likely.max())
     mean = float(np.average(squared, weights=weight))
     return mean, float(np.average((squared - mean) ** 2, weights=weight))
-
-
-def _sums(image: Floats, edge: int = 2) -> Floats:
-    """Return sums of images (..., y, x, channel) over blocks; those at far edges are smaller."""
-    rows, columns = (np.arange(0, size, edge) for size in image.shape[-3:-1])
-    return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=-3), columns, axis=-2))

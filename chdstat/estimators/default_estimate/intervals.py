@@ -1,10 +1,11 @@
 """Intervals: how far from an estimate the radiance of a pixel may be.
 
 An interval has three parts: that of the mean and that of the proposal, each as far as the estimate
-consists of it, and the error that held-out halves show. The first two are what is expected of a
-pixel with such samples; the third holds on average over pixels that are alike, whatever was
-expected (Armstrong, Kolesar and Plagborg-Moller 2022, "Robust empirical Bayes confidence
-intervals", doi:10.3982/ECTA18597, bound the second moment of a bias to this end).
+consists of it, and that of the light that is given back. The first two are what is expected of a
+pixel with such samples. What held-out halves show makes them wider or narrower, so that they hold
+on average over pixels that are alike, whatever was expected (Armstrong, Kolesar and
+Plagborg-Moller 2022, "Robust empirical Bayes confidence intervals", doi:10.3982/ECTA18597, bound
+the second moment of a bias to this end).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from scipy import ndimage, stats
 
 from chdstat._core.arrays import Image, Reals
-from chdstat.estimators.default_estimate.weights import Grid, Proposal
+from chdstat.estimators.default_estimate.weights import BilateralGrid, Proposal
 
 __all__ = ["interval_around", "spread_of_halves"]
 
@@ -94,7 +95,7 @@ def _shown_over_expected(
     and noise. As long as its own noise explains it, what is expected stands.
     """
     whole, one, other = proposals
-    grid, unit = Grid(whole, _TILE, _CLASSES), whole.unit
+    grid, unit = BilateralGrid(whole, _TILE, _CLASSES), whole.unit
     # The error of a pixel that keeps its mean is known from its samples.
     counted = (weight < _KEPT) / unit**2
     bias = counted * (halves[0] - one.mean) * (halves[1] - other.mean)

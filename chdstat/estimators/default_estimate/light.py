@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chdstat._core.arrays import Floats, Indices, Reals
-from chdstat.estimators.default_estimate.weights import Grid, Proposal
+from chdstat._core.arrays import Floats, Indices, Reals, block_sums
+from chdstat.estimators.default_estimate.weights import BilateralGrid, Proposal
 
 __all__ = ["lost_light"]
 
@@ -38,7 +38,7 @@ _OF_IMAGE, _OF_PLACE = 2.0, 4.0
 _MOST = 0.25
 """Most light that a pixel gets, in standard errors of its mean, unless its group lacks alike."""
 _FARTHEST = 2.0
-"""Most light that a pixel of such a group gets, in standard errors of its mean."""
+"""Most light that a pixel gets if its group lacks alike, in standard errors of its mean."""
 _ALIKE = 0.7
 """Part of the squares of what blocks lack that one rate explains, from which a group is alike."""
 _EDGES = 1, 2, 4, 8, 16
@@ -62,7 +62,7 @@ class _Part:
         that it may have lost.
     """
 
-    grid: Grid
+    grid: BilateralGrid
     estimate: Reals
     mean: Reals
     error: Reals
@@ -74,7 +74,7 @@ class _Part:
     def of(cls, proposal: Proposal, estimate: Reals, moved: Reals) -> _Part:
         light = np.abs(estimate)
         return cls(
-            Grid(proposal, _BLOCK, _CLASSES),
+            BilateralGrid(proposal, _BLOCK, _CLASSES),
             estimate,
             proposal.mean,
             proposal.error,
@@ -93,7 +93,7 @@ class _Part:
 def lost_light(
     proposals: Sequence[Proposal], estimates: Sequence[Reals], moved: Sequence[Reals]
 ) -> tuple[Sequence[Reals], Reals]:
-    """Return the light that each pixel gets back, and its standard error in that of all samples.
+    """Return the light that each pixel gets back, and how far that may be from what is lost.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ def lost_light(
     given
         The light of all samples, of one half, and of the other, shape (y, x, channel) each.
     error
-        How far the first may be from what is lost: its standard error, and what a place lacks and
-        nobody gets.
+        How far the first of these may be from what is lost: its standard error, and what a place
+        lacks and nobody gets.
 
     Examples
     --------
@@ -202,7 +202,7 @@ def _largest_square(
     found = []
     for edge in _EDGES:
         if edge > 1:
-            halves = [_doubled(images) for images in halves]
+            halves = [block_sums(images, 2) for images in halves]
         squares = sum(lacking**2 - noise for lacking, noise, _ in halves)
         light = sum(np.square(images[2]) for images in halves)
         whole = np.maximum(light.sum(axis=(0, 1), dtype=np.float64), 1e-30)
@@ -211,9 +211,3 @@ def _largest_square(
         # Few or noisy blocks do not show that they are alike.
         found.append(ratio + np.sqrt(apart) / whole)
     return np.asarray(np.max(found, axis=0))
-
-
-def _doubled(images: Reals) -> Reals:
-    """Return sums of images (image, y, x, channel) over blocks of 2 x 2."""
-    rows, columns = (np.arange(0, size, 2) for size in images.shape[1:3])
-    return np.asarray(np.add.reduceat(np.add.reduceat(images, rows, axis=1), columns, axis=2))

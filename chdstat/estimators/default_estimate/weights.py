@@ -18,10 +18,11 @@ that half minus p, and t the mean of the other half. Then
 is in the second expectation only, and there only once: squares of it, which a few rare samples
 decide, would hide what the halves say. All samples have half the noise of one half (`_of_all`).
 
-The expectations are averaged over pixels that are alike: of the same channel, noise, and score of
-the proposal (`Grid`). First over the image, then over wide and over close surroundings. Each step
-either confirms the weight of the previous step or refutes it (a spike and a slab: George and
-McCulloch 1993, doi:10.1080/01621459.1993.10476353). Evidence from few pixels needs to be stronger.
+The expectations are averaged over pixels that are alike: of the same channel, noise, brightness,
+and score of the proposal (`BilateralGrid`). First over the image, then over wide and over close
+surroundings. Each step either confirms the weight of the previous step or refutes it (a spike and a
+slab: George and McCulloch 1993, doi:10.1080/01621459.1993.10476353). Evidence from few pixels needs
+to be stronger.
 
 A pixel that has not met the rare light of its place looks quiet, too, and must not keep its dark
 mean. So the noise has two parts: the pixel's own, and that around it. Pixels whose own is small and
@@ -42,7 +43,7 @@ from scipy import ndimage
 
 from chdstat._core.arrays import Floats, Indices, Mask, Reals, spans
 
-__all__ = ["Grid", "Proposal", "weight_of_mean"]
+__all__ = ["BilateralGrid", "Proposal", "weight_of_mean"]
 
 
 _SCORES = np.array((-6.0, -1.5, 1.5, 6.0))
@@ -148,8 +149,11 @@ class Proposal:
         ]
 
 
-class Grid:
+class BilateralGrid:
     """Nodes at which pixels that are alike are pooled: by channel, place, and classes.
+
+    `sums` splats images into such a grid, and `at` slices it (Chen, Paris and Durand 2007,
+    "Real-time edge-aware image processing with the bilateral grid", doi:10.1145/1276377.1276506).
 
     Parameters
     ----------
@@ -289,7 +293,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[
     >>> print(weights[:, :28].mean().round(1), weights[:, 36:].mean().round(1))
     1.0 0.0
     """
-    halves = Grid(one, _TILE), Grid(other, _TILE)
+    halves = BilateralGrid(one, _TILE), BilateralGrid(other, _TILE)
     evidence = halves[0].sums(*_evidence(one, other), dtype=np.float32)
     evidence += halves[1].sums(*_evidence(other, one), dtype=np.float32)
     weight = _updated(_believed(), evidence.sum(axis=(2, 3), keepdims=True))
@@ -307,7 +311,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[
     share = np.minimum(wide[1] / np.maximum(wide[0], 1e-30), weight)
     of_all = _of_all(weight, share)
     del evidence, around, wide, share
-    yield np.where(whole.known, 1, Grid(whole, _TILE).at(of_all))
+    yield np.where(whole.known, 1, BilateralGrid(whole, _TILE).at(of_all))
     for half, grid in zip((one, other), halves, strict=True):
         yield np.where(half.known, 1, grid.at(weight))
 
