@@ -16,13 +16,23 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Image, Seed, flag_names, is_bad, plain, seed_number, whole
+from chdstat._core.arrays import (
+    Floats,
+    Image,
+    Mapped,
+    Seed,
+    flag_names,
+    is_bad,
+    plain,
+    seed_number,
+    whole,
+)
 from chdstat._core.files import checkpoints, release, unused, writing
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.resampling import Blocks, Interval, mean_of, quantile_of, wilson
-from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
+from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat._core.work import in_order
 from chdstat.errors import InputError
 from chdstat.fit.goodness_of_fit import GoodnessOfFit
@@ -51,8 +61,6 @@ if TYPE_CHECKING:
 
     from chdstat.rendering import Rendering
     from chdstat.samples import Samples
-
-__all__ = ["Overview", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
 _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables begin with the stage's name."""

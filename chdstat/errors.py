@@ -13,22 +13,6 @@ import enum
 import re
 from collections.abc import Iterable
 
-__all__ = [
-    "ChdstatError",
-    "ClusterError",
-    "InputError",
-    "InputWarning",
-    "LeftOutWarning",
-    "Reason",
-    "RenderError",
-    "SceneError",
-    "StoreError",
-    "brief",
-    "check_option",
-    "check_probability",
-    "did_you_mean",
-]
-
 _LONGEST = 600
 _MANY = 12
 """Most names that a message lists in full."""

@@ -27,46 +27,6 @@ from chdstat.errors import InputError, InputWarning, LeftOutWarning, Reason
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "LUMINANCE",
-    "Array",
-    "Counts",
-    "Floats",
-    "Image",
-    "LeftOut",
-    "Mapped",
-    "Mask",
-    "Reals",
-    "Result",
-    "Seed",
-    "all_good",
-    "as_pixels",
-    "as_samples",
-    "batch_rows",
-    "block_numbers",
-    "block_sums",
-    "check_real",
-    "chunks",
-    "first_of",
-    "flag_attributes",
-    "flag_names",
-    "generator",
-    "is_bad",
-    "is_null",
-    "label_variables",
-    "luminance",
-    "place_attributes",
-    "plain",
-    "plain_attributes",
-    "rows_by_count",
-    "seed_number",
-    "spans",
-    "take_rows",
-    "warn_caller",
-    "warn_left_out",
-    "whole",
-]
-
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 """Weights of linear sRGB in luminance (ITU-R BT.709)."""
 

@@ -23,27 +23,6 @@ import numpy.typing as npt
 
 from chdstat.errors import InputError, Reason
 
-__all__ = [
-    "Card",
-    "Shown",
-    "Width",
-    "byte_size",
-    "channel_names",
-    "colour",
-    "duration",
-    "each",
-    "in_unit",
-    "latex",
-    "number",
-    "percent",
-    "png",
-    "reasons",
-    "with_error",
-    "with_interval",
-    "with_margin",
-    "written",
-]
-
 Width = Literal["column", "page"] | float
 """Width of a figure: that of a column or a page of a paper, or in inches."""
 

@@ -45,38 +45,6 @@ from chdstat.errors import InputError, StoreError
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = [
-    "Cache",
-    "Lock",
-    "beside",
-    "check_claim",
-    "checked_target",
-    "checkpoints",
-    "checksum",
-    "exists",
-    "free_disk",
-    "installed",
-    "is_exr",
-    "is_path",
-    "is_remote",
-    "kept_until_written",
-    "local",
-    "locked",
-    "place_of",
-    "release",
-    "remove",
-    "replacing",
-    "room",
-    "scratch",
-    "shown",
-    "sweep",
-    "tail",
-    "unused",
-    "user_cache",
-    "writing",
-    "zarr_store",
-]
-
 
 def is_path(x: object) -> TypeGuard[str | Path]:
     """Return whether something names a place: text, a path, or one of ``universal_pathlib``.

@@ -14,24 +14,11 @@ import numpy.typing as npt
 from chdstat._core.arrays import Array, Reals
 from chdstat.errors import InputError
 
-__all__ = [
-    "BASE",
-    "DARK",
-    "LAYERS",
-    "TOLERANCE",
-    "display_stops",
-    "exposure_unit",
-    "layer_weights",
-    "relative_error",
-    "relative_scale",
-    "tonemap",
-]
-
 BASE = 8.0
 """Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
 LAYERS = 6
 """Number of layers, of brightness b^0 to b^5, as in the paper."""
-DARK = 0.01
+_DARK = 0.01
 """Share of a scene's squared mean that keeps relative errors of its dark pixels finite."""
 TOLERANCE = 1.1
 """An error counts as reached if its estimate exceeds it by at most a tenth."""
@@ -57,7 +44,7 @@ def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array
     if of_scene is None:
         known = value[np.isfinite(value)]
         of_scene = known.mean() if known.size else np.nan
-    return np.asarray(value**2 + DARK * np.square(of_scene))
+    return np.asarray(value**2 + _DARK * np.square(of_scene))
 
 
 def relative_error(squared: Reals, image: Array) -> float:

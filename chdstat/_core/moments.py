@@ -17,8 +17,6 @@ import numpy.typing as npt
 from chdstat._core.arrays import Counts, Floats, Mask, chunks
 from chdstat.errors import InputError
 
-__all__ = ["COUNTS", "Batches", "Moments", "PixelMoments"]
-
 COUNTS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
 """Names of the counts of samples that `PixelMoments` keeps."""
 

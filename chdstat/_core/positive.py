@@ -39,19 +39,10 @@ from chdstat._core.arrays import (
 from chdstat._core.statistic import Statistic
 from chdstat.errors import InputError, Reason
 
-__all__ = [
-    "CONSTANT_SPREAD",
-    "SMALLEST",
-    "LogStatistics",
-    "Part",
-    "PositiveHistogram",
-    "PositivePart",
-]
-
 CONSTANT_SPREAD = 1e-6
 """Standard deviation of log x at or below which samples count as equal: 8 float32 spacings."""
 
-SMALLEST = 5e-324
+_SMALLEST = 5e-324
 """The smallest positive number in double precision."""
 
 
@@ -350,7 +341,7 @@ def _log_sums(rows: npt.NDArray[Any], positive: Mask) -> tuple[Floats, Floats, F
         ratio /= np.where(n > 0, mean, 1)[:, np.newaxis]
         if rows.dtype == np.float64:
             # The ratio of 1e-300 to 1e30 underflows, and its logarithm is infinite.
-            np.maximum(ratio, SMALLEST, out=ratio)
+            np.maximum(ratio, _SMALLEST, out=ratio)
         ratio += left_out
         log = np.log(ratio, out=ratio)
         gap = -log.sum(axis=-1) / n

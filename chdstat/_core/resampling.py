@@ -39,25 +39,6 @@ from chdstat._core.display import with_interval, written
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "LEVEL",
-    "Z_95",
-    "Blocks",
-    "Interval",
-    "Shuffles",
-    "holm",
-    "interval_of",
-    "largest_of",
-    "mean_of",
-    "p_of_means",
-    "p_of_signs",
-    "p_of_tail",
-    "q_values",
-    "quantile_of",
-    "rejections",
-    "wilson",
-]
-
 Z_95 = float(special.ndtri(0.975))
 """Standard errors on each side of a normal interval of 95 %."""
 
@@ -148,8 +129,8 @@ def wilson(count: npt.NDArray[Any], n: npt.NDArray[Any]) -> npt.NDArray[np.float
 
 LEVEL = 0.95
 """Coverage of the intervals of a finding, all its parts together."""
-REPLICATES = 1000
-LEAST_BLOCKS = 6
+_REPLICATES = 1000
+_LEAST_BLOCKS = 6
 """Fewest blocks in all: fewer show nothing of their spread."""
 _KNOWN = (0.05, 0.95)
 """Percentiles that the replicates give to a few per cent of the interval."""
@@ -348,13 +329,13 @@ def interval_of(
         values = of_replicates(np.ones((1, len(blocks))))[0].astype(np.float64)
         value = float(values.min())
         degrees = len(blocks) - len(np.unique(blocks.region))
-        if len(blocks) < LEAST_BLOCKS or degrees < 2 or not np.isfinite(values).all():
+        if len(blocks) < _LEAST_BLOCKS or degrees < 2 or not np.isfinite(values).all():
             return Interval.unknown(value, level=level)
         rng = generator(0)
-        sizes = (part.stop - part.start for part in spans(REPLICATES, _AT_ONCE))
+        sizes = (part.stop - part.start for part in spans(_REPLICATES, _AT_ONCE))
         draws = np.concatenate([of_replicates(blocks.draw(size, rng)) for size in sizes])
     moves = draws[np.isfinite(draws).all(axis=1)] - values
-    if len(moves) < REPLICATES / 2:
+    if len(moves) < _REPLICATES / 2:
         return Interval.unknown(value, level=level)
     # A statistic that resampling shifts as a whole must not lie outside its own interval.
     below, above = (
@@ -804,7 +785,7 @@ class Shuffles:
         n, m = map(np.asarray, self.n)
         mirrored = np.log(2) * (self.paired or n == m)
         choices = n * np.log(2) if self.paired else _log_choices(n + m, n)
-        return np.asarray(np.maximum(p_of_tail(statistic, shuffled), np.exp(mirrored - choices)))
+        return np.asarray(np.maximum(_p_of_tail(statistic, shuffled), np.exp(mirrored - choices)))
 
     def _correlation(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         total, apart = a + b, a - b
@@ -851,7 +832,7 @@ class Shuffles:
         return found, shuffled
 
 
-def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
+def _p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     """Return p-values of statistics that are large if the hypothesis is wrong.
 
     Parameters
@@ -879,7 +860,7 @@ def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> p = p_of_tail(np.array([0.5, 12.0]), rng.exponential(size=(2, 999)))
+    >>> p = _p_of_tail(np.array([0.5, 12.0]), rng.exponential(size=(2, 999)))
     >>> round(float(p[0]), 2), bool(1e-7 < p[1] < 1e-4)
     (0.64, True)
     """

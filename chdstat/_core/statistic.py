@@ -25,8 +25,6 @@ from chdstat._core.resampling import q_values, rejections
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["RADIANCE", "Mapped", "Result", "Statistic", "Variable", "result", "variable"]
-
 RADIANCE = "W sr-1 m-2"
 """Unit of radiance."""
 

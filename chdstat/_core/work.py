@@ -42,21 +42,6 @@ if TYPE_CHECKING:
     from rich.progress import ProgressColumn, Task
     from rich.text import Text
 
-__all__ = [
-    "Interrupted",
-    "Interrupts",
-    "Pool",
-    "check_memory",
-    "check_workers",
-    "client_of",
-    "cores",
-    "finished",
-    "in_order",
-    "memory",
-    "pool",
-    "track",
-]
-
 # Functions of the signal module may only be called in the main thread.
 _get_handler = ctypes.pythonapi.PyOS_getsig
 _get_handler.argtypes, _get_handler.restype = [ctypes.c_int], ctypes.c_void_p
@@ -198,7 +183,7 @@ def in_order(
     Raises
     ------
     ClusterError
-        If the client's cluster is lost, or fails `check_workers`.
+        If the client's cluster is lost, or fails `_check_workers`.
 
     Examples
     --------
@@ -271,7 +256,7 @@ def pool(workers: int | None = None, client: Client | None = None) -> Iterator[P
     Raises
     ------
     ClusterError
-        If the cluster is lost while the context lasts, or fails `check_workers`. Futures of Dask
+        If the cluster is lost while the context lasts, or fails `_check_workers`. Futures of Dask
         raise no error of their own when their scheduler dies; they are cancelled.
     """
     if client is None:
@@ -286,7 +271,7 @@ def pool(workers: int | None = None, client: Client | None = None) -> Iterator[P
     from distributed.comm import CommClosedError
 
     try:
-        check_workers(client)
+        _check_workers(client)
         window = 2 * max(1, sum(client.ncores().values()))
         with warnings.catch_warnings():
             # Samples in memory have to be sent.
@@ -354,7 +339,7 @@ def _unheard_by_children() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def check_workers(client: Client) -> None:
+def _check_workers(client: Client) -> None:
     """Refuse a cluster without workers, or with workers of other versions.
 
     Raises

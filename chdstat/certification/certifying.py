@@ -27,20 +27,7 @@ if TYPE_CHECKING:
     from chdstat.rendering.backend import Backend
     from chdstat.scenes.scene import Scene, SceneLike
 
-__all__ = [
-    "CERTIFIED_SPP",
-    "FRESH_SEED",
-    "SEED",
-    "about",
-    "certify",
-    "draw",
-    "first_samples",
-    "joined",
-    "of_scenes",
-    "provenance",
-]
-
-CERTIFIED_SPP = 2**20
+_CERTIFIED_SPP = 2**20
 """Samples of each pixel by default."""
 SEED, FRESH_SEED = 1, 2
 """Seeds of the samples that certify, and of those that `draw` draws by default."""
@@ -55,7 +42,7 @@ _TOGETHER = 2**25
 def certify(
     scene: SceneLike,
     *,
-    spp: int = CERTIFIED_SPP,
+    spp: int = _CERTIFIED_SPP,
     size: tuple[int, int] = _SIZE,
     blocks: int = BLOCKS,
     seed: int = SEED,
@@ -161,7 +148,7 @@ def of_scenes(
 
     if not scenes and spp is None and size is None:
         return certified()
-    options: dict[str, Any] = {"spp": spp or CERTIFIED_SPP, "size": size or _SIZE}
+    options: dict[str, Any] = {"spp": spp or _CERTIFIED_SPP, "size": size or _SIZE}
     parts = []
     for name in scenes or BUILTIN:
         if name.endswith(SUFFIX):

@@ -1,9 +1,9 @@
-"""Choice of pixels to certify: from all over an image, of every pattern, quiet and noisy ones.
+"""_Choice of pixels to certify: from all over an image, of every pattern, quiet and noisy ones.
 
 The image is cut into blocks, 8 x 8 by default, and each block gives one pixel. It is of the kind
 that was chosen least often so far. A kind is a pattern of `chdstat.classify` in one fourth of the
 image's pixels by relative noise, so that rare patterns and extreme noise are as frequent as common
-ones. `Choice.weight` undoes that, for figures of the whole image.
+ones. `_Choice.weight` undoes that, for figures of the whole image.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from chdstat.errors import InputError
 from chdstat.patterns import classify
 from chdstat.samples import Samples
 
-__all__ = ["BLOCKS", "Choice", "chosen"]
-
 BLOCKS = 8
 """Blocks along each side of the image; each gives one pixel."""
 _FOURTHS = 4
@@ -29,7 +27,7 @@ in the order, so that no region of the image gets first choice of the rare kinds
 
 
 @dataclass(frozen=True)
-class Choice:
+class _Choice:
     """Pixels of an image; all arrays over the pixels, in the order of their blocks.
 
     Attributes
@@ -50,7 +48,7 @@ class Choice:
     weight: Floats
 
 
-def chosen(samples: Samples, blocks: int = BLOCKS) -> Choice:
+def chosen(samples: Samples, blocks: int = BLOCKS) -> _Choice:
     """Choose one pixel from each of `blocks` x `blocks` blocks of an image.
 
     The choice depends on nothing but the samples.
@@ -83,7 +81,7 @@ def chosen(samples: Samples, blocks: int = BLOCKS) -> Choice:
     pattern = np.array([names[label] for label in labels.to_numpy()[at].tolist()])
     image = np.bincount(kinds.ravel())
     weight = image[kinds[at]] / np.bincount(kinds[at], minlength=len(image))[kinds[at]]
-    return Choice(places, pattern, noise[at], weight)
+    return _Choice(places, pattern, noise[at], weight)
 
 
 def _noise(samples: Samples) -> Floats:

@@ -32,9 +32,7 @@ from chdstat.errors import StoreError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["COORDINATES", "SCHEMA", "SUFFIX", "VERSION", "certified", "dataset_of", "save"]
-
-VERSION = 1
+_VERSION = 1
 """Version of the schema."""
 SUFFIX = ".npz"
 _FILE = Path(__file__).parent / "certified.npz"
@@ -121,10 +119,10 @@ def certified(path: str | Path | None = None) -> xr.Dataset:
         with np.load(place, allow_pickle=False) as held:
             arrays = {name: held[name] for name in held.files}
         attrs = json.loads(str(arrays.pop("attrs")))
-        if attrs["schema_version"] != VERSION:
+        if attrs["schema_version"] != _VERSION:
             message = (
                 f"{shown(place)} has certified pixels of schema {attrs['schema_version']}, and this"
-                f" version reads {VERSION}; certify them again, or install the version that did"
+                f" version reads {_VERSION}; certify them again, or install the version that did"
             )
             raise StoreError(message)
         return _labelled(arrays, attrs)
@@ -144,7 +142,7 @@ def dataset_of(
 ) -> xr.Dataset:
     """Return a dataset of the numbers of pixels and what is `known` of them, see `SCHEMA`."""
     arrays = {name: getattr(numbers, own) for name, (own, _) in Numbers.declared().items()}
-    return _labelled({**known, **arrays}, {"schema_version": VERSION, **attrs})
+    return _labelled({**known, **arrays}, {"schema_version": _VERSION, **attrs})
 
 
 def save(dataset: xr.Dataset, path: str | Path) -> Path:

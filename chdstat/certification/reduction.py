@@ -11,8 +11,8 @@ quantiles from the binomial ranks that hold them.
 **What is not determined is NaN.** An error estimated from samples is itself wrong where a few of
 them decide it. The terms of a sum S count as many as ``S^2 / sum of their squares`` equal ones
 would (Kish, "Survey sampling", 1965). A number is NaN and its reason is `UNIDENTIFIED` where its
-squared influences count as fewer than `LEAST_SHARING` and its standard error is more than
-`SMALL_ERROR` of it. Of 2^20 log-normal samples with sigma up to 1.5, and of Pareto samples with
+squared influences count as fewer than `_LEAST_SHARING` and its standard error is more than
+`_SMALL_ERROR` of it. Of 2^20 log-normal samples with sigma up to 1.5, and of Pareto samples with
 exponent 2.5, the means and variances that remain are 3 standard errors off in at most 2 of 60
 trials, where all variances of that Pareto distribution and of sigma = 2 are so in 16 of 60. No
 number of samples excludes light that none has met: light of probability p is missed by 2^20 samples
@@ -39,27 +39,11 @@ from chdstat.inference.averages import N_MEANS, n_of_shape
 from chdstat.inference.normality import TESTS, run_tests
 from chdstat.summary.runner import measured
 
-__all__ = [
-    "AVERAGED",
-    "BANDWIDTHS",
-    "LEAST",
-    "LEAST_SHARING",
-    "MOST_MODES",
-    "QUANTILES",
-    "SIZES",
-    "SMALL_ERROR",
-    "TAIL_SHARES",
-    "TOPS",
-    "Numbers",
-    "passing_n",
-    "reduce",
-]
-
 LEAST = 2**13
 """Fewest samples that can be certified: two batches of the largest of `SIZES`."""
-LEAST_SHARING = 10.0
+_LEAST_SHARING = 10.0
 """Fewest equal samples that the squared error of a certified number may rest on."""
-SMALL_ERROR = 0.03
+_SMALL_ERROR = 0.03
 """Standard error, as a share of the number, that may rest on fewer."""
 QUANTILES = (0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 0.9999)
 TOPS = (1e-3, 1e-4)
@@ -358,8 +342,8 @@ def _error(influence: Floats, value: float) -> tuple[float, bool]:
     square = influence * influence
     total, fourth = float(square.sum()), float(np.vecdot(square, square))
     error = np.sqrt(total) / influence.size
-    is_shared = total**2 >= LEAST_SHARING * fourth
-    return error, bool(is_shared or error <= SMALL_ERROR * abs(value))
+    is_shared = total**2 >= _LEAST_SHARING * fourth
+    return error, bool(is_shared or error <= _SMALL_ERROR * abs(value))
 
 
 def _moments(z: Floats, scale: float, mean: float) -> dict[str, Any]:
@@ -489,7 +473,7 @@ def _rejections(z: Floats) -> dict[str, Any]:
         share[i] = rejected.mean()
         smoothed = (rejected.sum() + 2) / (sets + 4)
         error[i] = np.sqrt(smoothed * (1 - smoothed) / (sets + 4))
-    passing, interval = passing_n(share, error)
+    passing, interval = _passing_n(share, error)
     return {
         "rejected": share,
         "rejected_se": error,
@@ -498,7 +482,7 @@ def _rejections(z: Floats) -> dict[str, Any]:
     }
 
 
-def passing_n(rejected: Floats, error: Floats) -> tuple[Floats, Floats]:
+def _passing_n(rejected: Floats, error: Floats) -> tuple[Floats, Floats]:
     """Return the N from which on averages pass, and its 95 % interval, on a new last axis.
 
     Shares of rejections fall with N, but those of few sets are noisy: where they rise, neighbours
@@ -507,7 +491,7 @@ def passing_n(rejected: Floats, error: Floats) -> tuple[Floats, Floats]:
 
     Examples
     --------
-    >>> passing_n(np.array([0.9, 0.3, 0.08, 0.11] + 7 * [0.05]), np.full(11, 0.01))
+    >>> _passing_n(np.array([0.9, 0.3, 0.08, 0.11] + 7 * [0.05]), np.full(11, 0.01))
     (array(4.), array([ 4., 16.]))
     """
     shape = rejected.shape[:-1]

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from chdstat.fit.families import Fit
     from chdstat.rendering.backend import Backend
 
-__all__ = ["COUNTS", "FAILS", "HOLDS", "CertifiedBench", "Score", "bench", "hold", "separation"]
-
 COUNTS = (128, 512, 2048)
 """Numbers of samples that are judged by default."""
 HOLDS, FAILS = 0.92, 0.85

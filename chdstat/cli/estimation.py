@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from chdstat.rendering import Rendering
     from chdstat.samples import Samples
 
-__all__ = ["bench", "compare", "contrast", "estimate", "train"]
-
 _ENDLESS = 2**20
 """Samples per pixel of a render that is stopped by time or error."""
 _COMPARED = {

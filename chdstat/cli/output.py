@@ -22,19 +22,6 @@ from chdstat.samples.dependence import sequence_of
 if TYPE_CHECKING:
     from chdstat.samples import Samples
 
-__all__ = [
-    "after_render",
-    "print_json",
-    "print_notes",
-    "print_rows",
-    "print_sentences",
-    "print_table",
-    "say_next",
-    "say_samples",
-    "say_written",
-    "saying_passes",
-]
-
 _WIDE = 200
 """Columns of a pipe or a file, so that lines are not wrapped."""
 

@@ -24,8 +24,6 @@ from chdstat._core.files import place_of
 from chdstat.cli.shared_options import SHARED, CommonOptions
 from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
 
-__all__ = ["app", "command", "main"]
-
 _INTERRUPTED = 130
 _TO_MEND = 2
 """Exit code of errors that a user can act on, as of wrong options; a crash ends with 1."""

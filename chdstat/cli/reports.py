@@ -25,8 +25,6 @@ from chdstat.rendering.seeds import SamplerName
 if TYPE_CHECKING:
     from chdstat.patterns import Thresholds
 
-__all__ = ["analyze", "doctor", "explore", "list_names", "report", "study"]
-
 _RECIPE_SIZE = "the recipe's, or 128 along the longer edge"
 
 

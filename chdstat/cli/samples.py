@@ -14,8 +14,6 @@ from chdstat.cli.program import command
 from chdstat.cli.shared_options import OUTPUT, VIEW, CommonOptions, SceneName, StorePath, option
 from chdstat.errors import ChdstatError, InputError
 
-__all__ = ["export", "import_samples", "include", "info", "render"]
-
 _NOT_REACHED = 3
 """Exit code of a render whose error is larger than what was asked for."""
 _OF_RENDER = ("sensor", "integrator", "crop", "color", "sampler", "sequence")

@@ -27,18 +27,6 @@ if TYPE_CHECKING:
     from chdstat.samples import Samples
     from chdstat.scenes import Scene
 
-__all__ = [
-    "OUTPUT",
-    "SHARED",
-    "VIEW",
-    "CommonOptions",
-    "SceneName",
-    "SceneOrStore",
-    "StorePath",
-    "option",
-    "pairs_of",
-]
-
 
 def option(about: str, *names: str, unset: str | None = None, **more: Any) -> Any:
     """Return an option of a command; the help shows `unset` as its default.

@@ -45,13 +45,11 @@ from chdstat.samples import open as open_samples
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ERRORS", "FORMATS", "Bench", "Case", "bench"]
-
 Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
 
 _NAMES = {"mse": "MSE", "relmse": "relMSE", "flip": "FLIP"}
-ERRORS = tuple(name for name in _NAMES if name != "flip" or HAS_FLIP)
+_ERRORS = tuple(name for name in _NAMES if name != "flip" or HAS_FLIP)
 """Errors that are divided by those of the baseline; FLIP where its package is installed."""
 FORMATS = (".csv", ".json")
 """File formats of a benchmark."""
@@ -270,7 +268,7 @@ class Bench(Shown):
         """
         table = []
         for name in self.estimators:
-            intervals = {measure: self.geometric_mean(name, measure) for measure in ERRORS}
+            intervals = {measure: self.geometric_mean(name, measure) for measure in _ERRORS}
             intervals["rank"] = self.rank(name)
             rows = [of_case[name] for of_case in self._rows if name in of_case]
             row: dict[str, Any] = {"estimator": name}
@@ -281,7 +279,7 @@ class Bench(Shown):
             row["bias"] = max((r["bias"] for r in rows), key=abs)
             row["fireflies"] = float(np.mean([r["fireflies"] for r in rows]))
             row["cases"] = len(rows)
-            table.append(row | {f"{m}_cases": len(self.told(name, m)) for m in ERRORS})
+            table.append(row | {f"{m}_cases": len(self.told(name, m)) for m in _ERRORS})
         return table
 
     @property
@@ -292,7 +290,7 @@ class Bench(Shown):
         absent = {name: f"in {every - n} of {every} cases" for name, n in own.items() if n < every}
         found = notes(self.estimators, left_out={**self.left_out, **absent})
         untold = {
-            _NAMES[m]: max(own[n] - len(self.told(n, m)) for n in self.estimators) for m in ERRORS
+            _NAMES[m]: max(own[n] - len(self.told(n, m)) for n in self.estimators) for m in _ERRORS
         }
         if lost := [f"{name} in {n} of {every} cases" for name, n in untold.items() if n]:
             found["the reference cannot tell"] = ", ".join(lost)
@@ -315,7 +313,7 @@ class Bench(Shown):
         return [
             {
                 "estimator": row["estimator"],
-                **{_NAMES[measure]: shown_ratio(row, measure) for measure in ERRORS},
+                **{_NAMES[measure]: shown_ratio(row, measure) for measure in _ERRORS},
                 "bias": percent(row["bias"], sign=True),
                 "fireflies": percent(row["fireflies"]),
                 "rank": f"{row['rank']:.1f}",

@@ -51,8 +51,6 @@ if TYPE_CHECKING:
     from distributed import Client
     from matplotlib.figure import Figure
 
-__all__ = ["Breakdown", "Comparison", "PixelEstimates", "compare"]
-
 _ALL_CHANNELS = -1
 """Index of the average over channels on the channel axis of a measure."""
 

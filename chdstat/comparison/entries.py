@@ -21,23 +21,6 @@ from chdstat.estimators.default_estimate.candidates import through_denoiser
 from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
 from chdstat.samples import Samples
 
-__all__ = [
-    "DEFAULT_ESTIMATE",
-    "DEFAULT_ESTIMATORS",
-    "Chosen",
-    "Denoised",
-    "Entry",
-    "choose",
-    "curve_sizes",
-    "denoised",
-    "entry_of",
-    "estimate_by",
-    "notes",
-    "takes",
-    "without_denoiser",
-]
-
-
 DEFAULT_ESTIMATE = "combination"
 """What `chdstat.estimate` returns by default."""
 DEFAULT_ESTIMATORS = (

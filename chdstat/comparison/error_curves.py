@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from distributed import Client
     from matplotlib.figure import Figure
 
-__all__ = ["ErrorCurve", "error_curve"]
-
 
 @dataclass(frozen=True, repr=False)
 class ErrorCurve(Shown):

@@ -17,8 +17,6 @@ import numpy as np
 
 from chdstat._core.arrays import Array
 
-__all__ = ["HAS_FLIP", "exposures", "flip"]
-
 HAS_FLIP = importlib.util.find_spec("flip_evaluator") is not None
 """Whether the package that measures it is installed."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)

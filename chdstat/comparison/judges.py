@@ -39,8 +39,6 @@ from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples
 from chdstat.samples.dependence import check_independent
 
-__all__ = ["PARTS", "Judge", "PartialSums", "check_judged"]
-
 PARTS = 4
 """Parts of a reference. More would use the samples little better: the noise of all pairs of four
 has 1.33 times the variance of that of very many."""

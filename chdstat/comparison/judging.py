@@ -42,16 +42,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-__all__ = [
-    "BatchErrors",
-    "Candidates",
-    "Models",
-    "Units",
-    "judge",
-    "labels_of",
-    "trained_candidates",
-]
-
 Models = Model | Mapping[str, Model] | None
 """A trained model, or several by the name of their estimator."""
 
@@ -305,7 +295,7 @@ def labels_of(
 
 
 @dataclass(frozen=True)
-class BatchErrors:
+class _BatchErrors:
     """Summed errors of estimators on the same batches.
 
     Attributes
@@ -339,7 +329,7 @@ def judge(
     limit: int | None,
     progress: bool | None,
     client: Client | None,
-) -> BatchErrors:
+) -> _BatchErrors:
     """Sum the errors of every estimator that takes n samples, on the same batches.
 
     The image is read with n samples at a time, and one estimator runs at a time; with a client,
@@ -374,7 +364,7 @@ def judge(
         )
         raise InputError(message)
     shown = np.stack(estimates), first_mean, cast("Judge", first_reference)
-    return BatchErrors(by_unit, excluded, *shown)
+    return _BatchErrors(by_unit, excluded, *shown)
 
 
 def _errors_of_batch(

@@ -31,26 +31,6 @@ from chdstat.estimators.registry import LABELS
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "MEASURES",
-    "SUMS",
-    "UNDECIDED",
-    "Columns",
-    "Measures",
-    "columns_of",
-    "counts",
-    "data_frame_of",
-    "described",
-    "errors_of",
-    "in_words",
-    "measures_of",
-    "moved",
-    "rows_of",
-    "shown_ratio",
-    "stacked",
-    "titled",
-]
-
 Measures = Mapping[str, Interval[Array]]
 """Intervals by the names of `MEASURES`."""
 Columns = dict[str, tuple[Array, dict[str, str]]]

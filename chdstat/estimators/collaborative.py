@@ -18,8 +18,6 @@ from chdstat._core.image_scales import exposure_unit
 from chdstat.estimators import similarity
 from chdstat.estimators.registry import check_positive, register
 
-__all__ = ["boughida2017"]
-
 _LEAST = 1e-8
 """Added to the eigenvalues of the matrix that is inverted (authors' code)."""
 _PATCHES = 2**14

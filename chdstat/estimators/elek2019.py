@@ -40,7 +40,7 @@ from chdstat._core.arrays import (
     whole,
 )
 from chdstat._core.work import track
-from chdstat.errors import InputError, check_option
+from chdstat.errors import InputError, check_option, check_probability
 from chdstat.estimators import training
 from chdstat.estimators.held_out import (
     PUBLISHED_PIXELS,
@@ -49,19 +49,11 @@ from chdstat.estimators.held_out import (
     draw_pixels,
     training_batches,
 )
-from chdstat.estimators.registry import (
-    Estimates,
-    LearnedEstimator,
-    check_probability,
-    mean_of_good,
-    register_learned,
-)
+from chdstat.estimators.registry import Estimates, LearnedEstimator, mean_of_good, register_learned
 from chdstat.samples import Samples, opened
 
 if TYPE_CHECKING:
     import torch
-
-__all__ = ["MLP", "PRESETS", "RECORD_EVERY", "Preset", "evaluate", "initial_weights"]
 
 Weights = list[npt.NDArray[np.float32]]
 

@@ -38,7 +38,7 @@ from chdstat import __version__
 from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.files import checked_target, checkpoints
 from chdstat._core.work import check_memory
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_probability
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
 from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
 from chdstat.estimators.default_estimate.intervals import interval_around, spread_of_halves
@@ -49,7 +49,6 @@ from chdstat.estimators.held_out import reordered
 from chdstat.estimators.registry import (
     Estimates,
     check_positive,
-    check_probability,
     interval_of_mean,
     mean_of_good,
     register,
@@ -67,20 +66,9 @@ if TYPE_CHECKING:
 
     from chdstat.rendering import Rendering
 
-__all__ = [
-    "Combination",
-    "CombinationStream",
-    "check_denoiser",
-    "combination",
-    "combine",
-    "estimate",
-    "refine",
-    "write_estimates",
-]
-
 _log = logging.getLogger("chdstat")
 
-AnyModel = TrainedModel[Any]
+_AnyModel = TrainedModel[Any]
 _FIRST = 16
 """Samples per pixel at the first estimate while rendering."""
 _MORE, _MARGIN = 1.25, 1.05
@@ -101,7 +89,7 @@ _LEAST = 4
 
 def estimate(
     samples: ImageLike | Rendering | npt.ArrayLike,
-    model: AnyModel | str | Path | None = None,
+    model: _AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
     level: float = 0.9,
@@ -239,7 +227,7 @@ def refine(
 def write_estimates(
     path: str | Path,
     samples: ImageLike | Rendering | npt.ArrayLike,
-    model: AnyModel | str | Path | None = None,
+    model: _AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
     level: float = 0.9,
@@ -347,7 +335,7 @@ class _Estimated:
 
     source: Samples | Rendering
     options: _Options
-    model: AnyModel | None
+    model: _AnyModel | None
     found: Estimates
     mean: npt.NDArray[np.float32]
 
@@ -394,7 +382,7 @@ class _Estimated:
 
 def _estimates(
     source: Any,
-    model: AnyModel | str | Path | None,
+    model: _AnyModel | str | Path | None,
     options: _Options,
     seconds: float | None = None,
     error: float | None = None,
@@ -424,7 +412,7 @@ def _estimates(
         yield _Estimated(samples, options, model, *_by_model(model, samples, options))
 
 
-def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) -> None:
+def _check_rendering(rendering: Any, model: _AnyModel | None, options: _Options) -> None:
     """Check before the rendering whatever would fail after it."""
     check_independent(rendering)
     message = None
@@ -449,7 +437,7 @@ def _check_rendering(rendering: Any, model: AnyModel | None, options: _Options) 
 
 
 def _by_model(
-    model: AnyModel, samples: Samples, options: _Options
+    model: _AnyModel, samples: Samples, options: _Options
 ) -> tuple[Estimates, npt.NDArray[np.float32]]:
     """Return the estimates of a model, and the mean of the samples."""
     check_memory(

@@ -22,19 +22,6 @@ from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples
 from chdstat.samples.dependence import check_independent
 
-__all__ = [
-    "PUBLISHED_PIXELS",
-    "Totals",
-    "batches",
-    "check_spp",
-    "checked_pixels",
-    "draw_pixels",
-    "judging_pixels",
-    "reordered",
-    "training_batches",
-    "without",
-]
-
 PUBLISHED_PIXELS = 6400
 """Pixels that Elek, Thomas and Forbes 2019 train on."""
 

@@ -23,18 +23,11 @@ from scipy import ndimage
 from chdstat._core.arrays import Floats, Reals, as_pixels, is_bad, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat._core.moments import Moments
-from chdstat.errors import check_option
+from chdstat.errors import check_option, check_probability
 from chdstat.estimators import similarity
 from chdstat.estimators.held_out import reordered
-from chdstat.estimators.registry import (
-    check_positive,
-    check_probability,
-    known_features,
-    register,
-)
+from chdstat.estimators.registry import check_positive, known_features, register
 from chdstat.estimators.shapes import PowerSums, ShapeStatistics
-
-__all__ = ["Fireflies", "delbracio2014", "rousselle2012", "sakai2024", "shared_patches"]
 
 Fireflies = Literal["limit", "keep"]
 

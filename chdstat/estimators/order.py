@@ -18,22 +18,9 @@ from functools import partial
 import numpy as np
 
 from chdstat._core.arrays import Floats, Reals, as_samples
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_probability
 from chdstat.estimators import registry
 from chdstat.estimators.registry import register
-
-__all__ = [
-    "balance",
-    "catoni",
-    "huber",
-    "mean",
-    "median",
-    "row_sums",
-    "trimmed_mean",
-    "tukey",
-    "winsorized_mean",
-]
-
 
 _NORMAL_MAD = 0.6744897501960817
 """Median absolute deviation of the standard normal distribution."""
@@ -321,7 +308,7 @@ def catoni(x: Reals, *, delta: float = 0.01) -> Reals:
     >>> float(np.mean(x)), float(catoni(x).round(1))
     (29.09375, 22.3)
     """
-    registry.check_probability(delta=delta)
+    check_probability(delta=delta)
     level = float(np.log(1 / delta))
     as_samples(x, minimum=int(2 * level) + 1)
 

@@ -23,9 +23,6 @@ from chdstat.estimators import registry
 from chdstat.estimators.registry import register
 from chdstat.estimators.similarity import window_sum
 
-__all__ = ["Cascade", "clamped", "decoro2010", "karis2013", "zirr2018", "zirr2018_pixel"]
-
-
 _DARKEST = 0.05
 """Luminance that always counts as reliable (authors' code)."""
 _OFF = 1e-6

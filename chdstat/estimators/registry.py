@@ -38,31 +38,8 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.image_scales import tonemap
-from chdstat.errors import InputError, check_option, check_probability
+from chdstat.errors import InputError, check_option
 from chdstat.scenes.plugins import owns_estimator
-
-__all__ = [
-    "ENTRIES",
-    "LABELS",
-    "Estimates",
-    "Estimator",
-    "LearnedEstimator",
-    "Model",
-    "check_positive",
-    "check_probability",
-    "converge",
-    "estimate_rows",
-    "forget",
-    "interval_of_mean",
-    "known_features",
-    "lookup",
-    "mean_of_good",
-    "median_of_sorted",
-    "names",
-    "register",
-    "register_learned",
-    "whole_samples",
-]
 
 Function = TypeVar("Function", bound=Callable[..., Reals])
 

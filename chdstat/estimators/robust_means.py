@@ -17,21 +17,12 @@ from typing import Literal, get_args
 import numpy as np
 
 from chdstat._core.arrays import Floats, Reals, all_good, is_bad, whole
-from chdstat.errors import InputError, check_option
+from chdstat.errors import InputError, check_option, check_probability
 from chdstat.estimators import registry
 from chdstat.estimators.order import huber, row_sums
 from chdstat.estimators.registry import register
 
-__all__ = [
-    "bayesian_median_of_means",
-    "gmon_adaptive",
-    "gmon_binary",
-    "jung2015",
-    "lee_valiant",
-    "median_of_means",
-]
-
-Location = Literal["median", "huber"]
+_Location = Literal["median", "huber"]
 
 _BUISINE = "Buisine et al. 2021, doi:10.2312/sr.20211296"
 
@@ -269,7 +260,7 @@ def lee_valiant(x: Reals, *, delta: float = 0.01, buckets: int | None = None) ->
     >>> float(lee_valiant([1.0] * 31 + [900.0]))
     1.0
     """
-    registry.check_probability(delta=delta)
+    check_probability(delta=delta)
     amount = float(np.log(1 / delta)) / 3
 
     def kernel(rows: Floats, centre: Floats) -> Floats:
@@ -305,7 +296,7 @@ def _strength(square: Floats, amount: float) -> Floats:
     place=4,
 )
 def jung2015(
-    x: Reals, *, resamples: int = 128, location: Location = "median", seed: int = 0
+    x: Reals, *, resamples: int = 128, location: _Location = "median", seed: int = 0
 ) -> Reals:
     """Robust location of the bootstrap distribution of the mean.
 
@@ -352,7 +343,7 @@ def jung2015(
     (584.5, True)
     """
     resamples, seed = whole("resamples", resamples, least=1), whole("seed", seed, least=0)
-    check_option("location", location, get_args(Location))
+    check_option("location", location, get_args(_Location))
 
     def kernel(rows: Floats) -> Floats:
         m = rows.shape[-1]

@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Reals, as_pixels, whole
+from chdstat.errors import check_probability
 from chdstat.estimators import similarity
-from chdstat.estimators.registry import check_positive, check_probability, register
-
-__all__ = ["RADIUS", "PowerSums", "ShapeStatistics", "shared_shape"]
+from chdstat.estimators.registry import check_positive, register
 
 _ROUNDING, _EQUAL = 1e-6, 1e-13
 _LIMIT, _ALPHA = 1.75, 0.005

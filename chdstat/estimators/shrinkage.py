@@ -28,15 +28,6 @@ from chdstat.fit.families import FAMILIES, FamilyFit, Fit
 from chdstat.fit.mixtures import Mixture, mixture
 from chdstat.summary.runner import measured
 
-__all__ = [
-    "gamma_shrinkage",
-    "gmon_shrinkage",
-    "james_stein",
-    "lognormal_shrinkage",
-    "mixture_shrinkage",
-]
-
-
 _SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
 
 

@@ -23,19 +23,6 @@ from chdstat._core.arrays import Floats, spans
 from chdstat._core.image_scales import exposure_unit
 from chdstat.estimators.registry import mean_of_good, whole_samples
 
-__all__ = [
-    "ScaledSamples",
-    "Window",
-    "chi_square",
-    "corrected_means",
-    "histograms",
-    "not_different",
-    "pairs",
-    "root",
-    "significance",
-    "window_sum",
-]
-
 _BINS = 20
 """Bins of a histogram (BCD)."""
 
@@ -206,7 +193,7 @@ def not_different(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats
         return np.asarray(((mean - other) ** 2 <= bound + its).all(axis=-1), np.float64)
 
 
-Weigh = Callable[[tuple[Floats, ...], tuple[Floats, ...]], Floats]
+_Weigh = Callable[[tuple[Floats, ...], tuple[Floats, ...]], Floats]
 """Weights (y, x) of pixels, from the fields here and the fields at an offset, each (y, x, ...)."""
 
 
@@ -226,7 +213,7 @@ class Window:
         Number of rows around a pair on which its weight depends.
     """
 
-    weigh: Weigh
+    weigh: _Weigh
     fields: tuple[Floats, ...]
     radius: int
     reach: int = 0

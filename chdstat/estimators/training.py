@@ -33,21 +33,6 @@ from chdstat.samples import ImageLike, Samples, samples_of
 if TYPE_CHECKING:
     import torch
 
-__all__ = [
-    "History",
-    "Trained",
-    "TrainedModel",
-    "check_choice",
-    "descend",
-    "first_samples",
-    "load_model",
-    "provenance_of",
-    "read_model",
-    "threads",
-    "train_model",
-    "write_model",
-]
-
 Arrays = dict[str, npt.NDArray[Any]]
 
 _KEY = "chdstat"
@@ -71,7 +56,7 @@ _UNFIT = (AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 class History(Shown):
     """How the training went; every field has shape (record,).
 
-    Losses are in squared radiance.
+    _Losses are in squared radiance.
 
     Attributes
     ----------
@@ -244,18 +229,18 @@ def provenance_of(samples: Samples, **facts: Any) -> dict[str, Any]:
     return image | facts | {"chdstat": chdstat.__version__}
 
 
-Losses = tuple[Any, ...]
+_Losses = tuple[Any, ...]
 
 
 def descend(
     parameters: Sequence[torch.Tensor],
-    losses: Iterator[Losses],
+    losses: Iterator[_Losses],
     *,
     iterations: int,
     every: int,
     learning_rate: float,
     advance: Callable[[float], None],
-) -> Iterator[tuple[int, list[Losses]]]:
+) -> Iterator[tuple[int, list[_Losses]]]:
     """Minimise a loss with Adam, and yield whenever a row of the history is due.
 
     Parameters
@@ -291,7 +276,7 @@ def descend(
     steps = [torch.zeros((), device=parameter.device) for parameter in trained]
     usual: Any = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8, "weight_decay": 0.0}
     usual |= {"fused": True, "amsgrad": False, "maximize": False}
-    seen: list[Losses] = []
+    seen: list[_Losses] = []
     for iteration, (loss, *others) in enumerate(losses, 1):
         gradients = list(torch.autograd.grad(loss, trained))
         with torch.no_grad():

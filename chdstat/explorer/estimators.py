@@ -26,18 +26,6 @@ from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import BATCHES, PixelIndex
 
-__all__ = [
-    "BATCHES_AROUND",
-    "SLOW",
-    "ScoredEstimate",
-    "ScoringBatches",
-    "batches_of",
-    "fixed",
-    "score_model",
-    "scored",
-    "scored_around",
-]
-
 _MOST_BATCHES = 32
 """Batches that estimators are scored on."""
 BATCHES_AROUND = 4

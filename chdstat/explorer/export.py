@@ -27,8 +27,6 @@ from chdstat.viz.styling import called
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["EXPORTS", "exported"]
-
 EXPORTS = {
     "csv": "text/csv",
     "npz": "application/octet-stream",

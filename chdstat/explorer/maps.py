@@ -20,7 +20,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from chdstat import inference
-from chdstat._core.arrays import Array, Image, spans
+from chdstat._core.arrays import Array, Image, Mapped, spans
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.explorer.place import HOLDS, error_bar
@@ -32,23 +32,10 @@ from chdstat.inference.averages import NormalityOfMeans
 from chdstat.inference.contrasts import Contrast
 from chdstat.io.writing import open_maps
 from chdstat.patterns.classification import Classification, Label
-from chdstat.samples.tiles import Mapped, assemble
+from chdstat.samples.tiles import assemble
 from chdstat.summary.runner import measured
 from chdstat.viz.maps import LABEL_COLORS, names_of
 from chdstat.viz.styling import called
-
-__all__ = [
-    "CONTRASTS",
-    "DIFFERENCES",
-    "IMAGES",
-    "MAPS",
-    "Map",
-    "map_kind",
-    "map_of",
-    "ramp",
-    "read_maps",
-    "walk",
-]
 
 _FILE = "file:"
 _DECADES = 8.0

@@ -37,8 +37,6 @@ from chdstat.explorer.view import BATCH_SIZES, FITS
 from chdstat.patterns import Label
 from chdstat.viz.styling import called
 
-__all__ = ["Page", "coarse_png", "colorbar", "isolated", "rgba"]
-
 T = TypeVar("T")
 
 _MISSING = "#00000080"

@@ -33,27 +33,6 @@ from chdstat.fit.families import FAMILIES
 from chdstat.summary.histograms import Scale
 from chdstat.viz.styling import called
 
-__all__ = [
-    "BLENDED",
-    "CHANNEL_COLORS",
-    "DASHES",
-    "FAINT",
-    "GROUND",
-    "LIGHT",
-    "PANELS",
-    "PIXEL_COLORS",
-    "TEXT",
-    "PanelData",
-    "PanelKind",
-    "Series",
-    "Trace",
-    "encode_panels",
-    "extent",
-    "panel_plot",
-    "panels",
-    "series_of",
-]
-
 BLENDED = "#d0d3d6"
 """Colour of luminance, and of everything that is not a channel."""
 CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
@@ -82,7 +61,7 @@ TEXT = "#e8e9ea"
 FAINT = "#b4b8bd"
 _LINES = "#3a3e44"
 
-Extent = tuple[float, float]
+_Extent = tuple[float, float]
 
 
 _POINTS = 160
@@ -146,7 +125,7 @@ class PanelData:
 
 
 @dataclass(frozen=True)
-class Series:
+class _Series:
     """One row of samples that panels show.
 
     Attributes
@@ -178,7 +157,7 @@ class Series:
         return float(self.place.moments.maximum[self.row])
 
 
-def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> list[Series]:
+def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> list[_Series]:
     """Return what the panels show of the selected places, by the name of the store or scene.
 
     One place of one store shows its channels; else each has one row: luminance or the channel of
@@ -189,14 +168,14 @@ def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> li
     if not others and not several:
         rows = range(len(place.channels)) if view.channel == "all" else [place.row(row)]
         named = [(i, place.names[i]) for i in rows]
-        return [Series(place, i, CHANNEL_COLORS.get(name, BLENDED), name) for i, name in named]
+        return [_Series(place, i, CHANNEL_COLORS.get(name, BLENDED), name) for i, name in named]
     found = []
     for k, (name, those) in enumerate(places.items()):
         color, dash = _SOURCE_COLORS[k % 6], "solid" if k < 6 else "dashed"
         for i, place in enumerate(those):
             pixel = i + 1 if len(those) > 1 else 0
             own = (color, name) if several else (PIXEL_COLORS[i], f"pixel {pixel}")
-            found.append(Series(place, place.row(row), *own, pixel, dash))
+            found.append(_Series(place, place.row(row), *own, pixel, dash))
     return found
 
 
@@ -204,7 +183,7 @@ def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> li
 
 
 @dataclass(frozen=True)
-class SeriesCurve:
+class _SeriesCurve:
     """Density of one series.
 
     Attributes
@@ -232,7 +211,7 @@ class SeriesCurve:
 
 
 def _densities(
-    series: Sequence[Series], density: Callable[[Series], SeriesCurve], name: str
+    series: Sequence[_Series], density: Callable[[_Series], _SeriesCurve], name: str
 ) -> PanelData:
     """Draw densities upon each other, or each pixel in a row of its own."""
     found = [(s, density(s)) for s in series]
@@ -261,7 +240,7 @@ def _densities(
     return PanelData(lines, texts, [note], rows=rows, own_x=own_x)
 
 
-def _upon_each_other(found: Iterable[tuple[Series, SeriesCurve]]) -> list[Trace]:
+def _upon_each_other(found: Iterable[tuple[_Series, _SeriesCurve]]) -> list[Trace]:
     """Draw densities on one axis, with their curves and a dashed line at their means.
 
     Nearly equal samples have no density to speak of: a spike says where they are.
@@ -280,14 +259,14 @@ def _upon_each_other(found: Iterable[tuple[Series, SeriesCurve]]) -> list[Trace]
     return lines
 
 
-def _ends(densities: Sequence[SeriesCurve]) -> Extent | None:
+def _ends(densities: Sequence[_SeriesCurve]) -> _Extent | None:
     """Return the least and the largest radiance of densities; None where there is none."""
     known = [d.value for d in densities if d.value is not None]
     known += [float(d.outline[0][i]) for d in densities if d.outline for i in (0, -1)]
     return (min(known), max(known)) if known else None
 
 
-def _in_row(lines: Sequence[Trace], base: int, ends: Extent | None) -> list[Trace]:
+def _in_row(lines: Sequence[Trace], base: int, ends: _Extent | None) -> list[Trace]:
     """Return lines above a base, over their peak, and from one end to the other if there are."""
     peak = max((float(t.y.max()) for t in lines if t.fill), default=1.0) or 1.0
     found = []
@@ -302,20 +281,20 @@ def _in_row(lines: Sequence[Trace], base: int, ends: Extent | None) -> list[Trac
     return found
 
 
-def _histograms(scale: str, view: View, series: Sequence[Series]) -> PanelData:
+def _histograms(scale: str, view: View, series: Sequence[_Series]) -> PanelData:
     return _densities(series, partial(_histogram, view, scale), scale)
 
 
-def _histogram(view: View, scale: str, s: Series) -> SeriesCurve:
+def _histogram(view: View, scale: str, s: _Series) -> _SeriesCurve:
     if s.constant is not None:
-        return SeriesCurve(value=s.constant)
+        return _SeriesCurve(value=s.constant)
     counted = s.place.histograms[scale]
     x, y = _steps(counted.edges, counted.density, s.row)
     if not x.size:
-        return SeriesCurve()
+        return _SeriesCurve()
     mean = float(s.place.moments.mean[s.row])
     mean = mean if scale == "linear" or mean > 0 else float("nan")
-    return SeriesCurve((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
+    return _SeriesCurve((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
 
 
 def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
@@ -331,7 +310,7 @@ def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
     return x, np.concatenate([[0.0], np.repeat(heights[bins], 2), [0.0]])
 
 
-def _fits(view: View, s: Series, scale: str, low: float, high: float, top: float) -> list[Trace]:
+def _fits(view: View, s: _Series, scale: str, low: float, high: float, top: float) -> list[Trace]:
     low = max(low, 1e-300)
     x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
     lines = []
@@ -349,7 +328,7 @@ def _fits(view: View, s: Series, scale: str, low: float, high: float, top: float
     return lines
 
 
-def _uncounted(series: Sequence[Series], scale: str) -> list[str]:
+def _uncounted(series: Sequence[_Series], scale: str) -> list[str]:
     """Return what is not in the bins: nulls, bad samples, those beyond the support."""
     if not series:
         return []
@@ -368,7 +347,7 @@ def _counts(place: PlaceStatistics) -> str:
 # --- quantiles, averages ------------------------------------------------------------------------
 
 
-def _qq(view: View, series: Sequence[Series]) -> PanelData:
+def _qq(view: View, series: Sequence[_Series]) -> PanelData:
     """Draw quantiles of the positive samples against those of the first family that is switched on.
 
     Both axes are logarithmic, since the tails decide.
@@ -400,7 +379,7 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
     return PanelData(lines=lines, notes=[f"against {', '.join(map(called, families))}"])
 
 
-def _running(_: View, series: Sequence[Series]) -> PanelData:
+def _running(_: View, series: Sequence[_Series]) -> PanelData:
     lines, tails = [], []
     several = any(s.pixel for s in series)
     for s in series:
@@ -426,18 +405,18 @@ def _running(_: View, series: Sequence[Series]) -> PanelData:
     return PanelData(lines, notes=[f"95 % interval of the mean{caution}"], y=y)
 
 
-def _averages(view: View, series: Sequence[Series]) -> PanelData:
+def _averages(view: View, series: Sequence[_Series]) -> PanelData:
     return _densities(series, partial(_averaged, view.batch), "averages")
 
 
-def _averaged(n: int, s: Series) -> SeriesCurve:
+def _averaged(n: int, s: _Series) -> _SeriesCurve:
     """Return the distribution of averages of N samples, with the Gaussian of the same moments."""
     averages = s.place.averages(n)[s.row]
     averages = averages[np.isfinite(averages)]
     if len(averages) < 4:
-        return SeriesCurve(note=f"too few samples for averages of {n}")
+        return _SeriesCurve(note=f"too few samples for averages of {n}")
     if averages.min() == averages.max() or (s.constant is not None and not s.place.null.any()):
-        return SeriesCurve(value=float(averages[0]))
+        return _SeriesCurve(value=float(averages[0]))
     # Bins go up to the largest average, or to where few fireflies begin.
     bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
     low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
@@ -450,7 +429,7 @@ def _averaged(n: int, s: Series) -> SeriesCurve:
         p = float(means.p_value[s.row, list(means.sizes).index(n)])
         note = f"{s.name} p = {as_p(p)}" if np.isfinite(p) else ""
     beyond = float((averages > end).mean())
-    return SeriesCurve(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
+    return _SeriesCurve(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
 
 
 def _gaussian(averages: Array, edges: Array, color: str) -> Trace:
@@ -465,7 +444,7 @@ def _gaussian(averages: Array, edges: Array, color: str) -> Trace:
 
 
 @dataclass(frozen=True)
-class PanelKind:
+class _PanelKind:
     """A row of `PANELS`.
 
     Attributes
@@ -483,29 +462,29 @@ class PanelKind:
     title: str
     x: str
     y: str
-    draw: Callable[[View, Sequence[Series]], PanelData]
+    draw: Callable[[View, Sequence[_Series]], PanelData]
     x_scale: Scale = "linear"
     y_scale: Scale = "linear"
     from_zero: bool = False
 
 
 PANELS = {
-    "log": PanelKind(
+    "log": _PanelKind(
         "Log10 histogram", "radiance", "density per decade", partial(_histograms, "log"), "log",
         from_zero=True,
     ),
-    "linear": PanelKind(
+    "linear": _PanelKind(
         "Linear histogram", "radiance", "density", partial(_histograms, "linear"), from_zero=True
     ),
-    "qq": PanelKind("Quantiles", "quantiles of the family", "of the samples", _qq, "log", "log"),
-    "running": PanelKind("Running mean", "spp", "radiance", _running, "log"),
-    "averages": PanelKind(
+    "qq": _PanelKind("Quantiles", "quantiles of the family", "of the samples", _qq, "log", "log"),
+    "running": _PanelKind("Running mean", "spp", "radiance", _running, "log"),
+    "averages": _PanelKind(
         "Averages of N samples", "radiance", "density", _averages, from_zero=True
     ),
 }  # fmt: skip
 
 
-def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
+def panels(view: View, series: Sequence[_Series]) -> dict[str, PanelData]:
     """Return all panels by name."""
     return {name: kind.draw(view, series) for name, kind in PANELS.items()}
 
@@ -625,7 +604,7 @@ _NUMBERS, _LABELS, _BELOW = 0.06, 0.36, 0.15
 _TINY = 1e-300
 
 
-def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
+def extent(name: str, panel: PanelData) -> tuple[_Extent, _Extent] | None:
     """Return what a panel shows across and up: all that it draws, and a margin; None for nothing.
 
     Examples
@@ -649,13 +628,13 @@ def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
     return _padded(across, kind.x_scale), vertical
 
 
-def _span(parts: Iterable[npt.ArrayLike], scale: str) -> Extent | None:
+def _span(parts: Iterable[npt.ArrayLike], scale: str) -> _Extent | None:
     whole = np.concatenate([np.empty(0), *(np.asarray(part, np.float64) for part in parts)])
     shown = whole[np.isfinite(whole) & ((whole > _TINY) if scale == "log" else True)]
     return (float(shown.min()), float(shown.max())) if shown.size else None
 
 
-def _padded(span: Extent, scale: str) -> Extent:
+def _padded(span: _Extent, scale: str) -> _Extent:
     """Return a span with a margin; one value alone gets a tenth, or a factor of two, around it."""
     low, high = np.log10(span) if scale == "log" else span
     alone = np.log10(2) if scale == "log" else 0.1 * abs(low) or 1.0

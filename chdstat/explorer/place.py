@@ -42,17 +42,6 @@ from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.runner import measured
 from chdstat.viz.chd import log_support
 
-__all__ = [
-    "HOLDS",
-    "MOST_TESTED",
-    "RESAMPLES",
-    "PlaceStatistics",
-    "error_bar",
-    "first_pixel",
-    "goodness",
-    "suggest",
-]
-
 _OF_FIRST = {"part", "_positive", "patterns"}
 """Attributes that depend on the first `MOST_POOLED` samples alone."""
 RESAMPLES = 199
@@ -63,7 +52,7 @@ MOST_TESTED = 4096
 HOLDS = {0: "fails", 1: "cannot tell", 2: "holds"}
 """Whether the error bar of so many samples holds, by the codes of `error_bar`."""
 
-FittedCurve = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
+_FittedCurve = tuple[str, Callable[[Floats], Floats], Callable[[Floats], Floats]]
 """Name of a fit, and density and quantiles of its positive part."""
 
 
@@ -91,7 +80,7 @@ class PlaceStatistics:
 
     def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
         self.channels = channels
-        self._positive: dict[tuple[str, int], FittedCurve | None] = {}
+        self._positive: dict[tuple[str, int], _FittedCurve | None] = {}
         self.bad = np.asarray(is_bad(x).any(axis=0))
         self.null = is_null(x) & ~self.bad
         self.names = channels
@@ -231,7 +220,7 @@ class PlaceStatistics:
             found = measured(self.part, FamilyFit(FAMILIES[family]))
         return take_rows(found, row, axis=0)
 
-    def positive(self, family: str, row: int) -> FittedCurve | None:
+    def positive(self, family: str, row: int) -> _FittedCurve | None:
         """Return name, density and quantiles of the positive part of a fit, None without a fit.
 
         They are kept: histograms and quantiles need the same, and SciPy takes longer to make a

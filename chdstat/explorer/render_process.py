@@ -24,8 +24,6 @@ from chdstat.rendering.backend import activate
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.options import Job
 
-__all__ = ["COARSE", "RenderProcess", "serve"]
-
 COARSE = 128
 """Pixels of the longer side of a coarse image."""
 

@@ -28,8 +28,6 @@ from chdstat.explorer.tables import Table
 from chdstat.explorer.view import Box, PixelIndex, View
 from chdstat.inference.differences import Difference, difference
 
-__all__ = ["SelectionPlots", "SelectionResults"]
-
 _ROUGH = 0.2
 """Relative standard error of a reference from which on scores against it are called rough."""
 

@@ -44,12 +44,10 @@ if TYPE_CHECKING:
     from chdstat.estimators.training import TrainedModel
     from chdstat.explorer.shared import Shared
 
-__all__ = ["DEFAULT_PORT", "Explorer", "Startup", "explore"]
-
 DEFAULT_PORT = 5006
 """Default port of the command line, so that the address stays the same."""
 _ADDRESS = "127.0.0.1"
-Explored = str | Path | dict[str, Any] | Scene | Samples
+_Explored = str | Path | dict[str, Any] | Scene | Samples
 """A store or its path, samples in memory, a scene, or the path of an EXR image."""
 _HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
 """Names of this machine in the header of a request."""
@@ -208,7 +206,7 @@ def _serve(startup: Startup, port: int, started: Future[tuple[Any, Any]]) -> Non
 
 
 def explore(
-    source: Explored | Sequence[Explored],
+    source: _Explored | Sequence[_Explored],
     *,
     reference: str | Path | Samples | None = None,
     models: Sequence[TrainedModel[Any] | str | Path] = (),

@@ -35,8 +35,6 @@ from chdstat.explorer.sources import MOST_SPP, ImageSource, SceneSource, StoreSo
 from chdstat.explorer.tables import Table, headline, why
 from chdstat.explorer.view import BATCHES, View, box_between, check_pixel, parse_view
 
-__all__ = ["Session"]
-
 _log = logging.getLogger("chdstat")
 
 _PAUSE = 250
@@ -54,7 +52,7 @@ Found = tuple[SelectionPlots, dict[str, Table], list[ScoredEstimate]] | None
 Check = Callable[[], None]
 
 
-class Stopped(Exception):  # noqa: N818 - not an error
+class _Stopped(Exception):  # noqa: N818 - not an error
     """The result is no longer needed."""
 
 
@@ -367,12 +365,12 @@ class Session:
         return self._found(view, check)
 
     def _check(self) -> Check:
-        """Return a function that raises `Stopped` once there is a newer selection."""
+        """Return a function that raises `_Stopped` once there is a newer selection."""
         generation = self._generation
 
         def check() -> None:
             if generation != self._generation:
-                raise Stopped
+                raise _Stopped
 
         return check
 
@@ -450,7 +448,7 @@ def _guarded(check: Check, action: Callable[..., None], *first: Any) -> Callable
     """Return an action that does nothing once there is a newer selection."""
 
     def act(*further: Any) -> None:
-        with suppress(Stopped):
+        with suppress(_Stopped):
             check()
             action(*first, *further)
 

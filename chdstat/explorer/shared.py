@@ -49,14 +49,6 @@ from chdstat.inference.contrasts import contrasting
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
-__all__ = [
-    "Pass",
-    "Passes",
-    "Shared",
-    "kept",
-    "opened",
-]
-
 # --- passes ---------------------------------------------------------------------------------------
 
 
@@ -192,7 +184,7 @@ _SHOWN_EVERY = 0.5
 """The image is shown again after 0.4 s plus this share of the time since drawing began."""
 
 T = TypeVar("T")
-Listener = Callable[[str], None]
+_Listener = Callable[[str], None]
 
 
 def kept(
@@ -322,7 +314,7 @@ class Shared:
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
             for name in ("clicks", "exports", "additions", "images")
         ]
-        self._listeners: set[Listener] = set()
+        self._listeners: set[_Listener] = set()
         self._urgent = 0
         self._lock = threading.Lock()
         self.passes = Passes(lambda: self._urgent > 0, self.tell)
@@ -345,7 +337,7 @@ class Shared:
             if isinstance(source, SceneSource):
                 source.close()
 
-    def listen(self, listener: Listener) -> Callable[[], None]:
+    def listen(self, listener: _Listener) -> Callable[[], None]:
         """Call a listener with the name of what changes; return what to call to end that.
 
         The names are "image", "working", "source", "suggested", "start" and those of maps.

@@ -26,22 +26,6 @@ from chdstat.samples.layout import BLOCK
 from chdstat.samples.tiles import TILE, Chunk
 from chdstat.summary.histograms import sample_masks
 
-__all__ = [
-    "FIRST_SPP",
-    "MOST_POOLED",
-    "MOST_SPP",
-    "AnySource",
-    "ImageAccumulator",
-    "ImageSource",
-    "Overall",
-    "Sampled",
-    "SceneSource",
-    "StoreSource",
-    "drop_oldest",
-    "pooled",
-    "stream",
-]
-
 K = TypeVar("K")
 V = TypeVar("V")
 

@@ -28,21 +28,6 @@ from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
 from chdstat.viz.styling import called, estimator_name
 
-__all__ = [
-    "Column",
-    "Table",
-    "as_p",
-    "columns_of",
-    "compared_table",
-    "estimates_table",
-    "goodness_table",
-    "headline",
-    "light_table",
-    "patterns_table",
-    "statistics_table",
-    "why",
-]
-
 _ERROR = 0.01
 """Relative error of the mean that the headline counts the samples for."""
 _UNKNOWN = np.full(2, np.nan)
@@ -50,14 +35,14 @@ _UNKNOWN = np.full(2, np.nan)
 _FIRST = 7
 """Rows of the table of estimates that are shown at once: the default ones and the best others."""
 
-Column = tuple[str, PlaceStatistics, int]
+_Column = tuple[str, PlaceStatistics, int]
 """Title, place and row of a column."""
 Table = dict[str, Any]
 """``columns``: titles; ``rows``: cells of text, and one more where a row has a tooltip; ``title``;
 ``note``: a line below; ``first``: how many rows are shown at once, where not all are."""
 
 
-def columns_of(places: Sequence[PlaceStatistics], channel: str) -> list[Column]:
+def columns_of(places: Sequence[PlaceStatistics], channel: str) -> list[_Column]:
     """Return the rows of one place, or one row of each of several."""
     if len(places) == 1:
         return [(name, places[0], i) for i, name in enumerate(places[0].names)]
@@ -99,7 +84,7 @@ def why(place: PlaceStatistics) -> tuple[str, str]:
     return called(label.name.lower()), label.meaning
 
 
-def statistics_table(columns: Sequence[Column]) -> Table:
+def statistics_table(columns: Sequence[_Column]) -> Table:
     """Return moments, parameters, tail, dip and tests."""
     rows = [
         [title, *("—" if fitted and p.constant[i] else text(p, i) for _, p, i in columns)]
@@ -111,7 +96,7 @@ def statistics_table(columns: Sequence[Column]) -> Table:
     return _table("Statistics", ["statistic", *(title for title, _, _ in columns)], rows, note)
 
 
-def patterns_table(columns: Sequence[Column]) -> Table:
+def patterns_table(columns: Sequence[_Column]) -> Table:
     """Return every pattern with its threshold and its value, filled where its flag is set.
 
     Each row has one cell more than there are columns: what is measured, and its test.

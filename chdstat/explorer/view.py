@@ -17,22 +17,8 @@ from urllib.parse import urlencode
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
 
-__all__ = [
-    "BATCHES",
-    "BATCH_SIZES",
-    "FITS",
-    "MOST_IMAGES",
-    "Box",
-    "PixelIndex",
-    "View",
-    "box_between",
-    "check_pixel",
-    "check_sources",
-    "parse_view",
-]
-
 MOST_PIXELS = 6
-MOST_IMAGES = 9
+_MOST_IMAGES = 9
 """Most images: one for each digit key."""
 FITS = ("best", *FAMILIES, "mixture")
 """Fits that can be drawn over the histograms."""
@@ -46,8 +32,8 @@ _CHOICES: Mapping[str, Sequence[object]] = {
     "batch": BATCH_SIZES,
     "tone": TONES,
     "channel": ("all", "luminance", "0", "1", "2"),
-    "shown": range(MOST_IMAGES),
-    "reference": (None, *range(MOST_IMAGES)),
+    "shown": range(_MOST_IMAGES),
+    "reference": (None, *range(_MOST_IMAGES)),
 }
 _RANGES = {"exposure": (-32.0, 32.0, "stops"), "gamma": (0.1, 10.0, "as an exponent")}
 """Ends and unit of options that are any number in a range."""
@@ -158,7 +144,7 @@ class View:
         return replace(self, pixels=pixels)
 
     def changed(self, option: str, value: Any) -> View:
-        """Set one of `OPTIONS`.
+        """Set one of `_OPTIONS`.
 
         Raises
         ------
@@ -218,7 +204,7 @@ class View:
             pairs.append(("a", self.active))
         if self.region is not None:
             pairs.append(("r", ",".join(map(str, self.region))))
-        for key, (name, _) in OPTIONS.items():
+        for key, (name, _) in _OPTIONS.items():
             value = getattr(self, name)
             if value != getattr(_DEFAULT, name):
                 text = ",".join(map(str, value)) if isinstance(value, tuple) else value
@@ -258,8 +244,10 @@ def check_sources(sources: Sequence[object]) -> None:
     InputError
         If there are none, or too many.
     """
-    if not 1 <= len(sources) <= MOST_IMAGES:
-        message = f"the explorer shows from 1 to {MOST_IMAGES} stores or images, got {len(sources)}"
+    if not 1 <= len(sources) <= _MOST_IMAGES:
+        message = (
+            f"the explorer shows from 1 to {_MOST_IMAGES} stores or images, got {len(sources)}"
+        )
         raise InputError(message)
 
 
@@ -293,7 +281,7 @@ def _numbers(text: str, what: str) -> tuple[float, ...]:
 
 
 _DEFAULT = View()
-OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
+_OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "map": ("map", str),
     "lim": ("limits", lambda text: _numbers(text, "limits must be numbers")),
     "c": ("channel", str),
@@ -326,7 +314,7 @@ def parse_view(
     ['pixel (y=99, x=2) is outside the image of 8 x 8 pixels']
     """
     view, notes = View(), list[str]()
-    keys = ("p", "r", "a", *OPTIONS)
+    keys = ("p", "r", "a", *_OPTIONS)
     for key in keys:
         texts = arguments.get(key, ())
         for text in texts if key == "p" else texts[:1]:
@@ -354,5 +342,5 @@ def _followed(view: View, key: str, text: str, height: int, width: int) -> View:
         return view.box((top, left, bottom, right))
     if key == "a":
         return view.activate(_integers(text, 1)[0])
-    option, read = OPTIONS[key]
+    option, read = _OPTIONS[key]
     return view.changed(option, read(text))

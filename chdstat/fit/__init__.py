@@ -8,7 +8,8 @@ All take one pixel, a batch with the samples on the last axis, or a whole `Sampl
 mixtures can also be fitted to log histograms.
 """
 
-from chdstat.fit.families import FAMILIES, Family, Fit, family_fit, fit
+from chdstat.fit.families import FAMILIES, Fit, family_fit, fit
+from chdstat.fit.family import Family
 from chdstat.fit.goodness_of_fit import Goodness, goodness
 from chdstat.fit.mixtures import Mixture, mixture
 from chdstat.fit.selection import HeldOut, Selection, family_shares, select

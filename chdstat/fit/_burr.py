@@ -40,8 +40,6 @@ from chdstat.errors import Reason
 from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
 
-__all__ = ["BURR"]
-
 _LEAST = 1e-4
 """Floor of b: below it, d is about 1e4 or more, which no sample can tell from the Weibull limit."""
 _NEAR_LIMIT = 0.01

@@ -25,8 +25,6 @@ from chdstat._core.positive import Part
 from chdstat._core.statistic import RADIANCE
 from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples
 
-__all__ = ["GAMMA", "gamma_shape", "gap_of_shape"]
-
 _ITERATIONS = 20
 _TOLERANCE = 1e-12
 

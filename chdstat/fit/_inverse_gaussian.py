@@ -34,8 +34,6 @@ from chdstat.fit.family import (
     summed,
 )
 
-__all__ = ["INVERSE_GAUSSIAN"]
-
 _NARROW = 1e-6
 """Squared coefficient of variation below which quantiles are those of a log-normal distribution."""
 

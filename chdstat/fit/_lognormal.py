@@ -25,8 +25,6 @@ from chdstat._core.positive import Part
 from chdstat._core.statistic import RADIANCE
 from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples
 
-__all__ = ["LOGNORMAL"]
-
 
 def _estimate(part: Part, *_search: object) -> Estimate:
     sums = part.log_statistics

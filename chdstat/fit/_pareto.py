@@ -31,8 +31,6 @@ from chdstat.errors import Reason
 from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
 
-__all__ = ["PARETO"]
-
 _GRID = np.r_[-7.0, -5:-1:5j, -0.5, 0.25, 1:4, 4:12:2, 14:46:4]
 """Starts s: the ratio xi / scale is (e^s - 1) / largest x."""
 _LEAST = -0.99

@@ -27,8 +27,6 @@ from chdstat._core.statistic import RADIANCE
 from chdstat.fit.family import Estimate, Family, Parameters, WeightedSamples, summed
 from chdstat.fit.mle import maximise
 
-__all__ = ["WEIBULL"]
-
 
 def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log k + k mean(log x) - log mean(x^k)``, by log k."""

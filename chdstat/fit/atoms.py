@@ -39,17 +39,7 @@ from chdstat.fit.families import estimate_part, get_family
 from chdstat.fit.family import take_part
 from chdstat.fit.groups import cumulative
 
-__all__ = [
-    "MOST_ATOMS",
-    "Atoms",
-    "before_clamps",
-    "clamped",
-    "distinct_values",
-    "split",
-    "with_rows",
-]
-
-MOST_ATOMS = 8
+_MOST_ATOMS = 8
 """Most atoms of a row: a row with more has no continuous part worth the name."""
 _LEVEL = 0.05
 """Share of the rows without atoms in which an atom may be found."""
@@ -100,7 +90,10 @@ class Atoms:
     def none(cls, part: Part) -> Atoms:
         """Return no atoms, for a histogram: its bins are wider than a value."""
         shape = part.n.shape
-        values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
+        values, counts = (
+            np.full((*shape, _MOST_ATOMS), np.nan),
+            np.zeros((*shape, _MOST_ATOMS), int),
+        )
         nowhere = np.zeros(shape, dtype=bool)
         return cls(part, values, counts, nowhere, nowhere, take_part(part, np.zeros(0, np.intp)))
 
@@ -208,8 +201,8 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     kept, atoms, counts, many = _without_atoms(count, _widths(log))
     discrete = many | _is_discrete(log, kept)
     # If there are only a few values, each with several samples, all of them are atoms.
-    few = discrete & (np.count_nonzero(count, axis=-1) <= MOST_ATOMS)
-    width = min(MOST_ATOMS, count.shape[-1])
+    few = discrete & (np.count_nonzero(count, axis=-1) <= _MOST_ATOMS)
+    width = min(_MOST_ATOMS, count.shape[-1])
     atoms[few, :width] = np.argsort(-count[few], axis=-1, kind="stable")[:, :width]
     counts[few] = np.take_along_axis(count[few], atoms[few], axis=-1)
     counts[few, width:] = 0
@@ -262,18 +255,18 @@ def _without_atoms(count: Counts, width: Floats) -> tuple[Counts, Counts, Counts
     """Take atoms away, the most surprising of each row first.
 
     Return the counts without atoms, which values are atoms, shape (row, atom), how many samples
-    each atom has, and which rows have more than `MOST_ATOMS`.
+    each atom has, and which rows have more than `_MOST_ATOMS`.
     """
     kept, distinct = count.copy(), np.count_nonzero(count, axis=-1)
-    atoms, counts = np.zeros((2, len(count), MOST_ATOMS), dtype=np.int64)
+    atoms, counts = np.zeros((2, len(count), _MOST_ATOMS), dtype=np.int64)
     rows, many = np.arange(len(count)), np.zeros(len(count), dtype=bool)
-    for atom in range(MOST_ATOMS + 1):
+    for atom in range(_MOST_ATOMS + 1):
         log_p, expected = _surprise(kept[rows], width[rows])
         best = log_p.argmin(axis=-1)
         here = np.arange(len(rows))
         found = log_p[here, best] < np.log(_LEVEL / distinct[rows])
         rows, best, expected = rows[found], best[found], expected[here[found], best[found]]
-        if atom == MOST_ATOMS:
+        if atom == _MOST_ATOMS:
             many[rows] = True
             break
         if not rows.size:

@@ -35,20 +35,6 @@ from chdstat._core.arrays import Floats, Mask
 from chdstat.fit._gamma import gap_of_shape
 from chdstat.fit.groups import SPREAD_FLOOR, RowsLast, SampleGroups, take_last
 
-__all__ = [
-    "COMPONENTS",
-    "ComponentFamily",
-    "MixtureFamily",
-    "Solution",
-    "bound_at",
-    "log_density",
-    "penalty",
-    "refit",
-    "responsibilities",
-    "run",
-    "state_of",
-]
-
 MixtureFamily = Literal["lognormal", "gamma"]
 
 _BRIGHTEST = 700.0

@@ -44,19 +44,6 @@ from chdstat.errors import Reason
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "FAILS",
-    "HOLDS",
-    "Bar",
-    "ErrorBars",
-    "PooledBars",
-    "pooled_bars",
-    "shape_variables",
-    "spp_in_words",
-    "verdicts",
-    "with_pooled_bars",
-]
-
 FAILS, HOLDS = 0.8, 0.9
 """An error bar of 95 % fails below the first coverage, and holds from the second one on."""
 LEAST = 64
@@ -167,7 +154,7 @@ def _shape(part: PositivePart, log_level: Floats) -> Counts:
     return counts.reshape(*part.n.shape, _BINS)
 
 
-class PooledBars(NamedTuple):
+class _PooledBars(NamedTuple):
     """How often the error bars of an image hold, by pixels and those around; shape (y, x, ...).
 
     Attributes
@@ -181,7 +168,7 @@ class PooledBars(NamedTuple):
     interval: Floats
 
 
-def pooled_bars(shape: npt.NDArray[np.int32], samples: Counts) -> PooledBars:
+def pooled_bars(shape: npt.NDArray[np.int32], samples: Counts) -> _PooledBars:
     """Return how often the error bars of an image hold.
 
     Shapes are pooled over 3 x 3 pixels, and the logits of the coverages that follow from them are
@@ -201,7 +188,7 @@ def pooled_bars(shape: npt.NDArray[np.int32], samples: Counts) -> PooledBars:
     weight = _window_sum(known.astype(np.int64), _AROUND)
     mean = _window_sum(logit, _AROUND) / np.maximum(weight, 1)
     coverage, interval = _calibrated(np.where(known, mean, np.nan), _POOLED)
-    return PooledBars(coverage, interval)
+    return _PooledBars(coverage, interval)
 
 
 def _window_sum(image: Array, radius: int) -> Array:

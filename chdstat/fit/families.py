@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Counts, Floats, Mask, Seed, generator, label_variables
+from chdstat._core.arrays import Counts, Floats, Mapped, Mask, Seed, generator, label_variables
 from chdstat._core.display import (
     Card,
     Width,
@@ -33,7 +33,7 @@ from chdstat._core.display import (
 )
 from chdstat._core.positive import Part
 from chdstat._core.resampling import wilson
-from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
+from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import Reason, check_option
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
@@ -48,22 +48,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-
-__all__ = [
-    "FAMILIES",
-    "SELECTED",
-    "Family",
-    "FamilyFit",
-    "Fit",
-    "ParametricFit",
-    "counts_of",
-    "estimate_part",
-    "expand",
-    "family_fit",
-    "fit",
-    "get_family",
-    "zero_log_likelihood",
-]
 
 FAMILIES: Mapping[str, Family] = {
     family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO, INVERSE_GAUSSIAN)

@@ -19,10 +19,8 @@ from chdstat._core.arrays import Floats, Mask, batch_rows, rows_by_count
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
 
-__all__ = ["Estimate", "Family", "Parameters", "WeightedSamples", "blocks", "of_rows", "take_part"]
-
 Parameters = Mapping[str, Floats]
-LogDensity = Callable[["WeightedSamples", Parameters], Floats]
+_LogDensity = Callable[["WeightedSamples", Parameters], Floats]
 
 TIGHT = 3e-5
 """Newton step at which a search ends; the remaining error is of the order of its square."""
@@ -95,7 +93,7 @@ class Family:
     units: Mapping[str, str]
     estimate: Callable[[Part, Parameters | None, float], Estimate]
     log_likelihood: Callable[[Part, Parameters], Floats]
-    log_density: LogDensity
+    log_density: _LogDensity
     distribution: Callable[[Parameters], Any]
     mean: Callable[[Parameters], Floats] | None = None
     errors_from: Mapping[str, int] = field(default_factory=dict)
@@ -123,7 +121,7 @@ def take(parameters: Parameters, rows: npt.NDArray[Any]) -> dict[str, Floats]:
     return {name: value.reshape(-1)[rows] for name, value in parameters.items()}
 
 
-def summed(log_density: LogDensity) -> Callable[[Part, Parameters], Floats]:
+def summed(log_density: _LogDensity) -> Callable[[Part, Parameters], Floats]:
     """Return a log-likelihood that adds up log densities, for families without sufficient sums."""
 
     def log_likelihood(part: Part, parameters: Parameters) -> Floats:
@@ -229,10 +227,10 @@ def width_of(part: Part) -> int:
     return int(held.shape[-1])
 
 
-AnyPart = TypeVar("AnyPart", bound=Part)
+_AnyPart = TypeVar("_AnyPart", bound=Part)
 
 
-def take_part(part: AnyPart, rows: npt.NDArray[np.intp]) -> AnyPart:
+def take_part(part: _AnyPart, rows: npt.NDArray[np.intp]) -> _AnyPart:
     """Select some rows of the flattened batch."""
 
     def taken(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

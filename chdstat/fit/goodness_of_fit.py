@@ -50,14 +50,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-__all__ = [
-    "FIT_TESTS",
-    "FitTest",
-    "Goodness",
-    "GoodnessOfFit",
-    "goodness",
-]
-
 FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", "chi-square"]
 FIT_TESTS: tuple[FitTest, ...] = get_args(FitTest)
 """Names of the tests."""

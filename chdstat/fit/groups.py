@@ -18,8 +18,6 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, chunks
 
-__all__ = ["RowsLast", "SampleGroups", "groups_of_bins", "groups_of_each", "groups_of_samples"]
-
 SPREAD_FLOOR = 1e-3
 """Least standard deviation of a component in log x: the root of scikit-learn's `reg_covar`."""
 _ENDS = 4

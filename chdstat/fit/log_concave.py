@@ -18,8 +18,6 @@ import numpy as np
 from chdstat._core.arrays import Counts, Floats, spans
 from chdstat.fit.groups import RowsLast, cumulative, take_last
 
-__all__ = ["log_concave_likelihood"]
-
 _KNOTS = 33
 _QUANTILES = np.sin(np.linspace(0, np.pi / 2, _KNOTS)) ** 2
 _CLOSEST = 1e-3 / _KNOTS

@@ -36,10 +36,7 @@ from chdstat.summary.runner import Source, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ChosenMixtures", "Mixture", "MixtureFit", "mixture"]
-
-
-MixtureCriterion = Literal["bic", "held_out"]
+_MixtureCriterion = Literal["bic", "held_out"]
 
 
 @result
@@ -105,7 +102,7 @@ class Mixture(Fit):
     name_of: ClassVar = "{}_mixture"
 
     family: MixtureFamily
-    criterion: MixtureCriterion
+    criterion: _MixtureCriterion
     k: npt.NDArray[np.int8] = variable("number of components")
     weights: Floats = variable("weights of the components", "component")
     atoms: Floats = variable("radiance that many samples share", "atom")
@@ -391,13 +388,13 @@ class MixtureFit(ParametricFit[Mixture]):
 
     k: int | None = None
     family: MixtureFamily = "lognormal"
-    criterion: MixtureCriterion = "bic"
+    criterion: _MixtureCriterion = "bic"
     max_k: int = 3
     effort: Effort = "thorough"
 
     def __post_init__(self) -> None:
         check_option("family", self.family, COMPONENTS)
-        check_option("criterion", self.criterion, get_args(MixtureCriterion))
+        check_option("criterion", self.criterion, get_args(_MixtureCriterion))
         check_option("effort", self.effort, EFFORTS)
         for name, given in (("k", 1 if self.k is None else self.k), ("max_k", self.max_k)):
             if not isinstance(given, (int, np.integer)) or not 1 <= given <= _LARGEST_K:
@@ -446,7 +443,7 @@ def mixture(
     k: int | None = None,
     *,
     family: MixtureFamily = "lognormal",
-    criterion: MixtureCriterion = "bic",
+    criterion: _MixtureCriterion = "bic",
     max_k: int = 3,
     effort: Effort = "thorough",
     null: npt.ArrayLike | None = None,

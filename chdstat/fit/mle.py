@@ -16,8 +16,6 @@ from chdstat._core.arrays import Floats, Mask
 from chdstat._core.positive import Part
 from chdstat.fit.family import TIGHT, WeightedSamples, of_rows
 
-__all__ = ["maximise"]
-
 _ITERATIONS, _FEW_ITERATIONS = 60, 30
 """Most steps of the search on all points, and of the search on a few points."""
 _REACH = 2.0
@@ -29,7 +27,7 @@ _NEXT, _APART = 0.3, 0.05
 _CLOSE = 0.05
 """Difference per sample that the few points may get wrong."""
 
-Surface = Callable[[WeightedSamples, Floats], Floats]
+_Surface = Callable[[WeightedSamples, Floats], Floats]
 """A function of two parameters, for some points, at parameters of shape (2, row).
 
 It returns six numbers, shape (6, row): the value; the first derivatives by the first and the second
@@ -41,7 +39,7 @@ derivatives.
 
 def maximise(
     part: Part,
-    surface: Surface,
+    surface: _Surface,
     *,
     start: Callable[[WeightedSamples], Floats],
     finish: Callable[[WeightedSamples, Floats, Mask], Floats],
@@ -132,7 +130,7 @@ def maximise(
 class _Climb:
     """Newton's method on a surface whose second parameter has a floor."""
 
-    surface: Surface
+    surface: _Surface
     floor: float
 
     def value(self, points: WeightedSamples, at: Floats) -> Floats:

@@ -40,8 +40,6 @@ from chdstat.fit.mixtures import covariance, directions
 from chdstat.fit.search import Piece, log_samples, score, search
 from chdstat.summary.runner import measured
 
-__all__ = ["LEAST_WEIGHT", "best_peaks", "unimodal_scores"]
-
 _DEPTH = 0.98
 """A valley counts where the density falls below this share of the lower peak."""
 LEAST_WEIGHT = 0.08

@@ -41,18 +41,6 @@ from chdstat.fit.groups import (
     take_last,
 )
 
-__all__ = [
-    "EFFORTS",
-    "Effort",
-    "Piece",
-    "log_likelihood",
-    "log_samples",
-    "score",
-    "search",
-    "segmentations",
-    "sums_below",
-]
-
 _LEAST_MASS = 1e-300
 _BINS = 16
 """Histograms are padded to a multiple of this many filled bins."""

@@ -18,11 +18,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import Floats, Mask, chunks, flag_names, label_variables, place_attributes
+from chdstat._core.arrays import (
+    Floats,
+    Mapped,
+    Mask,
+    chunks,
+    flag_names,
+    label_variables,
+    place_attributes,
+)
 from chdstat._core.display import Card, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.resampling import wilson
-from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
+from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.families import (
     FAMILIES,
@@ -37,16 +45,6 @@ from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "FEWEST_SHOWN",
-    "FamilySelection",
-    "HeldOut",
-    "HeldOutLikelihood",
-    "Selection",
-    "family_shares",
-    "select",
-]
 
 Criterion = Literal["aic", "bic", "held_out"]
 
@@ -149,7 +147,7 @@ class Selection(Result):
 
 
 @dataclass(frozen=True)
-class HeldOutLikelihood(Statistic[HeldOut]):
+class _HeldOutLikelihood(Statistic[HeldOut]):
     """Families compared by the likelihood of each half of the samples under fits to the other."""
 
     result: ClassVar = HeldOut
@@ -212,11 +210,11 @@ class FamilySelection(Statistic[Selection]):
         """Fit the families to each row, and compare them."""
         if self.held_out:
             found = measured(part, replace(self, held_out=False))
-            return replace(found, held_out=measured(part, HeldOutLikelihood(self.families)))
+            return replace(found, held_out=measured(part, _HeldOutLikelihood(self.families)))
         fits = {family.name: measured(part, FamilyFit(family)) for family in self.families}
         split: HeldOut | None = None
         if self.criterion == "held_out":
-            split = measured(part, HeldOutLikelihood(self.families))
+            split = measured(part, _HeldOutLikelihood(self.families))
             values = split.loss
         else:
             values = np.stack([getattr(fit, self.criterion) for fit in fits.values()], axis=-1)
@@ -242,7 +240,7 @@ class FamilySelection(Statistic[Selection]):
         for family in self.families:
             variables |= FamilyFit(family).variables(found.fits[family.name])
         if found.held_out is not None:
-            variables |= HeldOutLikelihood(self.families).variables(found.held_out)
+            variables |= _HeldOutLikelihood(self.families).variables(found.held_out)
         return variables
 
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
@@ -250,7 +248,7 @@ class FamilySelection(Statistic[Selection]):
         for family in self.families:
             dataset = FamilyFit(family).finish(dataset)
         if "held_out_loss" in dataset:
-            dataset = HeldOutLikelihood(self.families).finish(dataset)
+            dataset = _HeldOutLikelihood(self.families).finish(dataset)
         dataset = super().finish(dataset)
         names = [family.name for family in self.families]
         dataset["best_family"].attrs.update(place_attributes(names))

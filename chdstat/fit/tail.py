@@ -14,8 +14,8 @@ below 0        bounded
 1 or more      the mean is infinite
 =============  =================================================================================
 
-An automatic threshold may miss a rare heavy tail. The `FAR` largest samples therefore have an index
-of their own, and the variance of a pixel is trusted only where both indices allow it.
+An automatic threshold may miss a rare heavy tail. The `_FAR` largest samples therefore have an
+index of their own, and the variance of a pixel is trusted only where both indices allow it.
 
 The index describes the samples. Whether the error bar of their mean holds is another question:
 `chdstat.fit.error_bars` answers it, and `Tail.variance_suspect` and `Tail.variance_trusted` say it.
@@ -30,10 +30,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, special
 
-from chdstat._core.arrays import Counts, Floats, Mask, rows_by_count, spans
+from chdstat._core.arrays import Counts, Floats, Mapped, Mask, rows_by_count, spans
 from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
 from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import RADIANCE, Mapped, Result, Statistic, result, variable
+from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.error_bars import (
@@ -51,13 +51,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["FAR", "Tail", "TailIndex", "effective_tail_index", "tail_index"]
-
-TailShare = float | Literal["auto"]
+_TailShare = float | Literal["auto"]
 
 _STEP = 1e-4
 """Step of log radiance for a derivative."""
-FAR = 28
+_FAR = 28
 """Excesses of the estimate far in the tail: fewer hardly determine an index."""
 _LIGHT_LEVEL = 0.06
 """Share of exponential samples whose variance is not trusted, for the sake of rare heavy tails."""
@@ -108,10 +106,10 @@ class Tail(Result):
     interval
         Low and high end for xi, shape (..., 2). It covers the estimates with the largest sample and
         without it, and those of all candidates up to the one that the test does not reject, or of
-        all and the `FAR` largest samples; it is wide where the largest sample is more than half of
+        all and the `_FAR` largest samples; it is wide where the largest sample is more than half of
         the sum.
     xi_far, interval_far
-        Tail index of the `FAR` largest samples alone, and its interval. It detects a few samples
+        Tail index of the `_FAR` largest samples alone, and its interval. It detects a few samples
         from a heavier tail than the rest, which `interval` does not account for.
     p_value
         One-sided p-value of the hypothesis that the tail index is at most `tested`.
@@ -134,7 +132,7 @@ class Tail(Result):
         around decide, and xi where their error bars are not known.
     variance_trusted
         Where the error bar is not said to fail, the upper end of the interval of xi is below 1/2,
-        and neither the largest candidate nor the `FAR` largest samples are heavier than a gamma
+        and neither the largest candidate nor the `_FAR` largest samples are heavier than a gamma
         distribution. With fewer than 512 samples, they must also vary no more than a gamma
         distribution. A heavy tail may still be missed if few of its samples
         lie beyond the others: see the notes of `tail_index`. In an image: where the error bar holds
@@ -219,7 +217,7 @@ class TailIndex(Statistic[Tail]):
         *("tail_shape", "tail_shape_samples"),
     })  # fmt: skip
 
-    share: TailShare = "auto"
+    share: _TailShare = "auto"
     tested: float = 0.25
     level: float = 0.95
 
@@ -232,13 +230,13 @@ class TailIndex(Statistic[Tail]):
         reason = part.reason()
         k = _candidates(part.n.ravel(), None if self.share == "auto" else self.share)
         k = k.reshape(*part.n.shape, k.shape[-1])
-        reason[(reason == Reason.OK) & (k[..., 0] < MINIMUM_EXCESSES)] = Reason.TOO_FEW
+        reason[(reason == Reason.OK) & (k[..., 0] < _MINIMUM_EXCESSES)] = Reason.TOO_FEW
         if part.x.shape[-1] > 1:
             largest, second = np.moveaxis(_ranked(part, np.arange(2)), -1, 0)
-            k = _above_ties(part, np.concatenate([k, np.minimum(k[..., :1], FAR)], axis=-1))
+            k = _above_ties(part, np.concatenate([k, np.minimum(k[..., :1], _FAR)], axis=-1))
             ends = (part.n > 1) & (largest == second) | (k[..., 0] == 0)
             reason[(reason == Reason.OK) & ends] = Reason.TIED
-            reason[(reason == Reason.OK) & (k[..., 0] < MINIMUM_EXCESSES)] = Reason.TOO_FEW
+            reason[(reason == Reason.OK) & (k[..., 0] < _MINIMUM_EXCESSES)] = Reason.TOO_FEW
         usable = np.asarray(reason == Reason.OK)
         ascending, n = part.sorted[usable], part.n[usable]
         found = _fits(ascending, n, k[usable][:, :-1], usable, self.level)
@@ -309,7 +307,7 @@ class TailIndex(Statistic[Tail]):
 def tail_index(
     x: Source,
     *,
-    share: TailShare = "auto",
+    share: _TailShare = "auto",
     tested: float = 0.25,
     level: float = 0.95,
     null: npt.ArrayLike | None = None,
@@ -356,7 +354,7 @@ def tail_index(
     smaller than with larger candidates, with Clauset's minimum of Kolmogorov's distance, and with
     Lepski's rule. Where a candidate is rejected, the interval also covers those of the candidates
     tried: the excesses are not generalised Pareto, and the index depends on the depth. If all are
-    rejected, the interval also covers that of the `FAR` largest samples; if that lies apart from
+    rejected, the interval also covers that of the `_FAR` largest samples; if that lies apart from
     the last candidate's, the edge of a mode lies among the largest samples, and there is no index
     (`EDGE`). A given `share` has no such test.
 
@@ -575,10 +573,10 @@ def _without_largest(
 
     One sample can raise the index to any value. Where the largest sample dominates, nothing is
     known of what lies between it and the others, and the tail may begin there. The interval then
-    also covers those of the `MINIMUM_EXCESSES` largest samples, with it and without it.
+    also covers those of the `_MINIMUM_EXCESSES` largest samples, with it and without it.
     """
     dominated = known & (part.largest_share > _DOMINATES)
-    fewest = np.minimum(k, MINIMUM_EXCESSES)
+    fewest = np.minimum(k, _MINIMUM_EXCESSES)
     low, high = interval[..., 0], interval[..., 1]
     for rows, left_out, excesses in (
         (known, 1, k - 1),
@@ -596,7 +594,7 @@ def _without_largest(
     return np.where(known[..., np.newaxis], np.stack([low, high], axis=-1), np.nan)
 
 
-def _check(share: TailShare, tested: float, level: float) -> None:
+def _check(share: _TailShare, tested: float, level: float) -> None:
     known = share == "auto" if isinstance(share, str) else 0 < share < 1
     if not known or tested < 0 or not 0 < level < 1:
         message = (
@@ -606,7 +604,7 @@ def _check(share: TailShare, tested: float, level: float) -> None:
         raise InputError(message)
 
 
-MINIMUM_EXCESSES = 10
+_MINIMUM_EXCESSES = 10
 """With fewer samples above the threshold, there is no tail index."""
 
 _STEPS = 3
@@ -688,14 +686,14 @@ def _candidates(n: Counts, share: float | None) -> Counts:
         return np.asarray(np.floor(share * n), dtype=np.int64)[:, np.newaxis]
     largest = 1.1 * n[:, np.newaxis] ** 0.75
     k = np.floor(largest * 2.0 ** (-np.arange(_STEPS) / 2)).astype(np.int64)
-    return np.asarray(np.maximum(k, np.minimum(k[:, :1], MINIMUM_EXCESSES)))
+    return np.asarray(np.maximum(k, np.minimum(k[:, :1], _MINIMUM_EXCESSES)))
 
 
 def _above_ties(part: PositivePart, k: Counts) -> Counts:
     """Return numbers of excesses, without those that equal the threshold up to rounding.
 
     They are left out where they are a quarter or more, since the first quartile sets the scale of
-    the fit. A candidate that keeps fewer than `MINIMUM_EXCESSES` is replaced by the first one.
+    the fit. A candidate that keeps fewer than `_MINIMUM_EXCESSES` is replaced by the first one.
     """
     k, threshold, upper = k.copy(), _ranked(part, k), _ranked(part, k - _quartile(k))
     tied = (k > 0) & (upper / (1 + _ROUNDING) <= threshold)
@@ -703,7 +701,7 @@ def _above_ties(part: PositivePart, k: Counts) -> Counts:
         at = tied[..., i]
         equal_or_less = part.sorted[at] / (1 + _ROUNDING) <= threshold[at][:, i, np.newaxis]
         k[at, i] = part.n[at] - np.count_nonzero(equal_or_less, axis=-1)
-    return np.where(k < MINIMUM_EXCESSES, k[..., :1], k)
+    return np.where(k < _MINIMUM_EXCESSES, k[..., :1], k)
 
 
 def _ranked(part: PositivePart, rank: Counts) -> npt.NDArray[Any]:

@@ -39,20 +39,6 @@ from chdstat.summary.runner import Source, measured, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "MORE_THAN_TESTED",
-    "N_MEANS",
-    "UNTESTED",
-    "Averages",
-    "GaussianityOfMeans",
-    "NormalityOfMeans",
-    "gaussianity_of_means",
-    "n_of_shape",
-    "nested_averages",
-    "shapes",
-    "sizes_of_means",
-]
-
 MORE_THAN_TESTED = -1
 """N needed if normality is still rejected for averages of the largest N tested."""
 UNTESTED = 0

@@ -40,9 +40,7 @@ if TYPE_CHECKING:
 
     from chdstat.io.exr import ExrImage
 
-__all__ = ["Contrast", "contrast", "contrasting"]
-
-Outcome = Literal["no difference found", "differ", "cannot tell"]
+_Outcome = Literal["no difference found", "differ", "cannot tell"]
 
 _LEAST_TERMS = 8
 """With fewer terms, no p-value is small enough."""
@@ -120,7 +118,7 @@ class Contrast(Shown):
     names: tuple[str, str]
     scenes: tuple[str, str]
     maps: xr.Dataset
-    outcome: Outcome
+    outcome: _Outcome
     why: str
     spp_needed: int | None
     image_p_value: float

@@ -32,8 +32,6 @@ from chdstat._core.resampling import p_of_means
 from chdstat.errors import InputError
 from chdstat.samples import ImageLike, Samples, opened
 
-__all__ = ["Difference", "difference"]
-
 _MOST = 4096
 _REPLICATES = 199
 _AT_ONCE = 2**19

@@ -26,7 +26,7 @@ the left and L on the right; F deviates from it by twice the dip.
 All rows take each step together. Samples are identified by their places in the array of all rows.
 Places differ by 1 from one sample to the next, as n F does.
 
-From 20 samples on, p-values (`dip_p`) are interpolated between quantiles of sqrt(n) times the dip
+From 20 samples on, p-values (`_dip_p`) are interpolated between quantiles of sqrt(n) times the dip
 of uniform samples, simulated by tools/make_dip_table.py.
 """
 
@@ -56,16 +56,6 @@ from chdstat.summary.runner import Source, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
-
-__all__ = [
-    "MODES",
-    "ModalMixture",
-    "Modality",
-    "Modes",
-    "dip_p",
-    "dips",
-    "modality",
-]
 
 # --- the dip --------------------------------------------------------------------------------------
 
@@ -251,7 +241,7 @@ _FLOOR = 1e-5
 """Smallest p-value: the table ends at 1e-4, simulated with up to a million dips."""
 
 
-def dip_p(dip: Floats, n: Counts) -> Floats:
+def _dip_p(dip: Floats, n: Counts) -> Floats:
     """Return p-values of dips of `n` samples under uniform samples, shape (row,), at least 1e-5.
 
     Asymptotically, uniform samples have the largest dips of all unimodal distributions (Hartigan
@@ -259,13 +249,13 @@ def dip_p(dip: Floats, n: Counts) -> Floats:
 
     Examples
     --------
-    >>> dip_p(np.array([0.02, 0.05]), np.array([200, 200])).round(2)
+    >>> _dip_p(np.array([0.02, 0.05]), np.array([200, 200])).round(2)
     array([0.89, 0.  ])
     """
-    return interpolated_p(np.sqrt(n) * dip, n, DIP_QUANTILES, _FLOOR)
+    return interpolated_p(np.sqrt(n) * dip, n, _DIP_QUANTILES, _FLOOR)
 
 
-DIP_QUANTILES = np.array(
+_DIP_QUANTILES = np.array(
     [
         [0.225154, -2.39383, 81.9113, -1543.36, 16178.3, -94698.5, 288498, -355156],
         [0.226392, -0.943352, 32.8244, -686.296, 7675.04, -46442, 143031, -175210],
@@ -694,5 +684,5 @@ def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats,
         log, move = log_sorted[at], tied[at]
         log[move] = np.log(_without_ties(ascending[at[move]], n[at[move]]))
         dip[at] = dips(log, n[at])
-    p[rows] = dip_p(dip[rows], n[rows])
+    p[rows] = _dip_p(dip[rows], n[rows])
     return dip.reshape(part.n.shape), p.reshape(part.n.shape)

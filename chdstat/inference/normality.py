@@ -45,26 +45,6 @@ from chdstat.summary.runner import Source, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "LEVELS",
-    "TESTS",
-    "TRANSFORMS",
-    "Gaussianity",
-    "Normality",
-    "NormalityTest",
-    "Standardised",
-    "TestName",
-    "Transform",
-    "anderson_darling",
-    "dagostino",
-    "gaussianity",
-    "interpolated_p",
-    "run_tests",
-    "shapiro_wilk",
-    "standardise",
-]
-
-
 TestName = Literal["anderson-darling", "shapiro-wilk", "dagostino"]
 Transform = Literal["log", "linear", "sqrt"]
 
@@ -73,7 +53,7 @@ _ROWS = 2**11
 
 
 @dataclass(frozen=True)
-class Standardised:
+class _Standardised:
     """Samples in ascending order, shape (row, sample), of which the first `n` of each row count.
 
     ``z`` are the standardised samples (divisor n - 1), 0 after the last. Skewness and excess
@@ -88,7 +68,7 @@ class Standardised:
     kurtosis: Floats
 
 
-def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Standardised:
+def standardise(y: Floats, n: Counts, left_out: Mask | None) -> _Standardised:
     """Standardise ascending rows in place; values after the samples must be finite."""
     if left_out is not None:
         np.copyto(y, 0, where=left_out)
@@ -99,7 +79,7 @@ def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Standardised:
     y *= (1 / np.sqrt(np.vecdot(y, y) / (n - 1)))[:, np.newaxis]
     square = y * y
     variance = (n - 1) / n
-    return Standardised(
+    return _Standardised(
         z=y,
         n=n,
         left_out=left_out,
@@ -108,7 +88,7 @@ def standardise(y: Floats, n: Counts, left_out: Mask | None) -> Standardised:
     )
 
 
-def anderson_darling(rows: Standardised) -> Floats:
+def anderson_darling(rows: _Standardised) -> Floats:
     """Return A^2 (Anderson and Darling 1954, doi:10.1080/01621459.1954.10501232)."""
     n = rows.n[:, np.newaxis].astype(np.float64)
     # The smaller of Phi(z) and 1 - Phi(z) carries the digits.
@@ -126,14 +106,14 @@ def anderson_darling(rows: Standardised) -> Floats:
     return np.asarray(-rows.n - near.sum(axis=-1) / rows.n)
 
 
-def dagostino(rows: Standardised) -> Floats:
+def dagostino(rows: _Standardised) -> Floats:
     """Return K^2, the sum of two squared normal scores (D'Agostino and Pearson 1973)."""
     n = rows.n.astype(np.float64)
     scores = _skewness_score(rows.skewness, n), _kurtosis_score(rows.kurtosis + 3, n)
     return np.asarray(scores[0] ** 2 + scores[1] ** 2)
 
 
-def shapiro_wilk(rows: Standardised) -> Floats:
+def _shapiro_wilk(rows: _Standardised) -> Floats:
     """Return W with the weights of Royston 1995, for rows in ascending order of `n`."""
     starts = np.flatnonzero(np.diff(rows.n, prepend=-1))
     statistic = np.empty(len(rows.n))
@@ -231,7 +211,7 @@ class NormalityTest:
 
     name: TestName
     minimum: int
-    statistic: Callable[[Standardised], Floats]
+    statistic: Callable[[_Standardised], Floats]
     scaled: Callable[[Floats, Floats], Floats]
     quantiles: Floats
 
@@ -245,7 +225,7 @@ class NormalityTest:
         return interpolated_p(scaled, n, self.quantiles, _FLOOR)
 
 
-class ShapiroWilk(NormalityTest):
+class _ShapiroWilk(NormalityTest):
     """The row of W, which has a formula for p-values."""
 
     def p_value(self, statistic: Floats, n: Counts) -> Floats:
@@ -545,10 +525,10 @@ TESTS: Mapping[TestName, NormalityTest] = {
             [1.87369, -0.300492, 6.98706, -65.0651, 212.961, -243.353],
         ]),
         ),
-        ShapiroWilk(
+        _ShapiroWilk(
             "shapiro-wilk",
             8,
-            shapiro_wilk,
+            _shapiro_wilk,
             # A smaller W is less Gaussian; n (1 - W) grows slowly.
             scaled=lambda w, n: np.log(n * (1 - w)),
             quantiles=np.array([

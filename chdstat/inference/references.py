@@ -23,9 +23,7 @@ from chdstat._core.display import Shown
 from chdstat.errors import InputError
 from chdstat.io.exr import ExrImage, read_exr
 
-__all__ = ["PRECISION", "Reference", "unseen_variance", "with_luminance"]
-
-PRECISION = 5.2 * 2.0**-11
+_PRECISION = 5.2 * 2.0**-11
 """Largest error of R, G or B over the largest of them, if X, Y and Z of a grey were rounded to half
 floats before their conversion: 5.2 is what R adds up of their errors, 3.24 X + 1.54 Y + 0.50 Z."""
 _SINGLE = 2.0**-22
@@ -76,7 +74,7 @@ class Reference(Shown):
     mean: Array
     variance: Array | None = None
     spp: int | None = None
-    precision: float = PRECISION
+    precision: float = _PRECISION
     name: str = field(default="image", kw_only=True)
 
     def __post_init__(self) -> None:
@@ -115,7 +113,7 @@ class Reference(Shown):
         *,
         variance: str | Path | None = None,
         spp: int | None = None,
-        precision: float = PRECISION,
+        precision: float = _PRECISION,
     ) -> Reference:
         """Return a reference from EXR files: an image, and its variances if they are known.
 

@@ -40,8 +40,6 @@ from chdstat.inference.windows import Cells, FlipMoments, guarded
 from chdstat.samples import Samples, samples_of
 from chdstat.samples.dependence import sequence_of
 
-__all__ = ["Pair"]
-
 _TERMS = 256
 """Most terms of a pixel; of more samples, batches are averaged."""
 _UNITS, _TIMES = 1024, 16

@@ -23,17 +23,6 @@ from scipy import ndimage, sparse, special
 
 from chdstat._core.arrays import Array, Floats, Image, Mask, Reals, Seed, generator
 
-__all__ = [
-    "CHANCE_TO_MISS",
-    "LEAST_LIGHT",
-    "Cells",
-    "FlipMoments",
-    "WindowTest",
-    "guarded",
-    "scan_windows",
-    "window_sums",
-]
-
 CHANCE_TO_MISS = 0.05
 """Probability of missing the light that `Contrast.spp_needed` is about."""
 

@@ -23,8 +23,6 @@ from chdstat.errors import InputError, StoreError
 from chdstat.io.lazy import ArraySource, Joined, Opened, ReadOptions, Remapped, readable
 from chdstat.samples.samples import axes_of
 
-__all__ = ["chosen", "features_of", "load_npy", "open_npy", "open_npz"]
-
 _SAMPLES = ("samples", "radiance")
 """Names of arrays that hold the samples."""
 

@@ -18,8 +18,6 @@ from chdstat._core.arrays import Floats, Image
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError, brief
 
-__all__ = ["denoise", "library", "works"]
-
 _MEMORY = 400
 """Megabytes for the network; large images are denoised in tiles, with the same result."""
 

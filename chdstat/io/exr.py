@@ -39,8 +39,6 @@ from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
 from chdstat.io.lazy import Frame, Frames, Opened, ReadOptions
 
-__all__ = ["ExrImage", "open_exr", "read_exr", "read_feature", "write_exr"]
-
 Rectangle = tuple[int, int, int, int]
 """Left, top, right and bottom of the pixels of an image, all inclusive."""
 
@@ -139,7 +137,7 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
         ...
     chdstat.errors.StoreError: no EXR file at nowhere.exr
     """
-    planes = read_planes(Path(path))
+    planes = _read_planes(Path(path))
     if channels is None:
         names = planes.main("name those of the image with channels=, out of")
     else:
@@ -166,7 +164,7 @@ def read_feature(path: Path, name: str) -> Image:
     StoreError
         As `read_exr` does.
     """
-    planes = read_planes(path)
+    planes = _read_planes(path)
     advice = f"rename one to {name}, or give features the array of read_exr(..., channels=) of"
     held = {name.rpartition(".")[0] for name in planes.channels} | planes.channels.keys()
     names = planes.layer(name) if name in held else planes.main(advice, radiance=False)
@@ -177,7 +175,7 @@ def read_feature(path: Path, name: str) -> Image:
 
 
 @dataclass(frozen=True)
-class Planes:
+class _Planes:
     """The channels of an EXR file in its display window.
 
     Attributes
@@ -332,11 +330,11 @@ class Planes:
             return None
         texts = {re.split("[:/]", n)[-1].casefold(): v for n, v in self.texts().items()}
         space = next((texts[name] for name in _SPACES if name in texts), "")
-        known = colours_named(space)
+        known = _colours_named(space)
         aces = AP0 if self.attributes.get("acesImageContainerFlag") == 1 else ()
         given = self.attributes.get("chromaticities") or aces or known or REC709
         try:
-            matrix = to_rec709(given)
+            matrix = _to_rec709(given)
         except (TypeError, ValueError) as error:  # TypeError: of a kind that is not known
             self.notes["chromaticities"] = f"{note}taken for linear Rec. 709: {error}"
             return None
@@ -401,7 +399,7 @@ def _single(plane: Array) -> Array:
     return plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
 
 
-def read_planes(path: Path) -> Planes:
+def _read_planes(path: Path) -> _Planes:
     """Return the channels of an EXR file.
 
     Raises
@@ -448,7 +446,7 @@ def read_planes(path: Path) -> Planes:
         raise StoreError(message) from error
     coloured = [part for part, held in parts if _coloured(_own([*held]))]
     notes = _notes(path, attributes, data, display)
-    return Planes(path, attributes, display, channels, unread, coloured, notes)
+    return _Planes(path, attributes, display, channels, unread, coloured, notes)
 
 
 def _window(header: Mapping[str, Any], name: str) -> Rectangle:
@@ -519,15 +517,15 @@ def _notes(
 # --- colours --------------------------------------------------------------------------------------
 
 Matrix = npt.NDArray[np.float64]
-Chromaticities = tuple[float, ...]
+_Chromaticities = tuple[float, ...]
 """x and y of red, green, blue and white."""
 
 _D65, _ACES_WHITE = (0.3127, 0.3290), (0.32168, 0.33767)
-REC709: Chromaticities = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *_D65)
+REC709: _Chromaticities = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, *_D65)
 """Linear Rec. 709, which is linear sRGB."""
-AP0: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, *_ACES_WHITE)
+AP0: _Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, *_ACES_WHITE)
 _AP1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, *_ACES_WHITE)
-_NAMED: Mapping[str, Chromaticities] = {
+_NAMED: Mapping[str, _Chromaticities] = {
     "acescg": _AP1,
     "ap1": _AP1,
     "aces2065": AP0,
@@ -546,16 +544,16 @@ _BRADFORD = np.array(
 )
 
 
-def colours_named(space: str) -> Chromaticities | None:
+def _colours_named(space: str) -> _Chromaticities | None:
     """Return the chromaticities of a linear colour space by name; () if the name says nothing.
 
     None means that the name is not understood, or the space is not linear.
 
     Examples
     --------
-    >>> colours_named("lin_ap1_scene") == colours_named("ACES - ACEScg")
+    >>> _colours_named("lin_ap1_scene") == _colours_named("ACES - ACEScg")
     True
-    >>> colours_named("Linear"), colours_named("sRGB")
+    >>> _colours_named("Linear"), _colours_named("sRGB")
     ((), None)
     """
     plain = re.sub(r"[^a-z0-9]", "", space.casefold())
@@ -565,7 +563,7 @@ def colours_named(space: str) -> Chromaticities | None:
     return next((c for name, c in _NAMED.items() if linear and name in plain), None)
 
 
-def to_rec709(chromaticities: Sequence[Any]) -> Matrix | None:
+def _to_rec709(chromaticities: Sequence[Any]) -> Matrix | None:
     """Return the matrix that converts colours to linear Rec. 709; None if they are Rec. 709.
 
     Raises
@@ -579,7 +577,7 @@ def to_rec709(chromaticities: Sequence[Any]) -> Matrix | None:
 
     Examples
     --------
-    >>> np.round(to_rec709((0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290))[0], 4)
+    >>> np.round(_to_rec709((0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290))[0], 4)
     array([ 1.6605, -0.5876, -0.0728])
     """
     given = np.asarray(chromaticities, dtype=float)
@@ -657,7 +655,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
         windows outside of the display window; files of one stack that differ in display window,
         channels, or number of averaged samples; damaged files.
     """
-    first, told = read_planes(paths[0]), set[str]()
+    first, told = _read_planes(paths[0]), set[str]()
     names = (
         first.layer(options.variable)
         if options.variable
@@ -666,7 +664,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     layers = {name: first.layer(inside) for name, inside in options.features.items()}
     averaged = _averaged(first.attributes)
 
-    def frame(planes: Planes) -> Frame:
+    def frame(planes: _Planes) -> Frame:
         _check_equal(planes, first, [*names, *itertools.chain(*layers.values())])
         image = planes.image(names, colours=True)
         features = {n: planes.image(of, colours=n == "albedo") for n, of in layers.items()}
@@ -677,7 +675,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
 
     def decode(samples: range) -> Iterator[Frame]:
         for number in samples:
-            yield frame(read_planes(paths[number]) if number else first)
+            yield frame(_read_planes(paths[number]) if number else first)
 
     shape = (*first.shape, len(names), len(paths))
     frame(first)  # what is to be said of it, is said now
@@ -685,7 +683,7 @@ def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     return Opened(Frames(paths[0].parent, shape, decode, featured=bool(layers)), attrs)
 
 
-def _check_equal(planes: Planes, first: Planes, names: Sequence[str]) -> None:
+def _check_equal(planes: _Planes, first: _Planes, names: Sequence[str]) -> None:
     """Refuse a file that is not another sample of the first file's image."""
     path, counts = planes.path, [_averaged(p.attributes) for p in (planes, first)]
     if counts[0] != counts[1]:

@@ -27,8 +27,6 @@ from chdstat.io.array_files import chosen, features_of
 from chdstat.io.lazy import DAMAGED, ArraySource, Joined, Opened, ReadOptions
 from chdstat.samples.samples import axes_of
 
-__all__ = ["ZARR", "open_xarray"]
-
 ZARR = ("zarr.json", ".zgroup", ".zarray")
 """Files that mark a folder as an array or group of zarr."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"

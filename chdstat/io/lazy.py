@@ -30,18 +30,6 @@ from chdstat.samples.layout import FOREIGN
 from chdstat.samples.samples import single
 from chdstat.samples.tiles import BATCH, SampleSource, gathered
 
-__all__ = [
-    "DAMAGED",
-    "ArraySource",
-    "Frame",
-    "Frames",
-    "Joined",
-    "Opened",
-    "ReadOptions",
-    "Remapped",
-    "readable",
-]
-
 DAMAGED = (
     *FOREIGN,
     EOFError,

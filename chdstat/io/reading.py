@@ -32,8 +32,6 @@ from chdstat.samples.layout import canonical
 from chdstat.samples.samples import check_counts, check_features, checked_attrs
 from chdstat.samples.tiles import BATCH, SampleSource
 
-__all__ = ["FORMATS", "Format", "read"]
-
 
 @dataclass(frozen=True)
 class Format:

@@ -29,8 +29,6 @@ from chdstat.errors import InputError, StoreError
 from chdstat.io.lazy import Opened, ReadOptions, readable
 from chdstat.samples.tiles import BATCH, gathered
 
-__all__ = ["StreamSource", "get_include", "open_stream"]
-
 _VERSION = 1
 _EDGE = 64
 """Edge of the tiles of a stream, in pixels."""
@@ -53,7 +51,7 @@ _STRETCHES = 16
 _KNOWN = ("scene", "renderer", "integrator", "unit")
 _WHOLE = ("seed", "averaged")
 
-Tile = tuple[int, int]
+_Tile = tuple[int, int]
 """Row and column of a tile."""
 
 
@@ -87,7 +85,7 @@ def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
         Bytes that are not what was written; streams of other sizes; one seed in two files;
         ``axes``, ``variable``.
     """
-    source = StreamSource(paths)
+    source = _StreamSource(paths)
     for name in options.features.values():
         if name not in source.header.features:
             held = ", ".join(source.header.features) or "none"
@@ -97,7 +95,7 @@ def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
     return Opened(source, source.attrs, None if equal else source.counts)
 
 
-class StreamSource:
+class _StreamSource:
     """Samples in streams, decoded tile by tile.
 
     Attributes
@@ -117,10 +115,10 @@ class StreamSource:
         with _File(self.path) as file:
             self.header = file.header
         self._components = sum(_COMPONENTS[name] for name in self.header.features)
-        self._begins: dict[Tile, dict[Path, array[int]]] = {}
-        self._sums: dict[Tile, Array] = {}
-        told, total = [], dict[Tile, Array]()
-        seeds: dict[tuple[int, Tile], npt.NDArray[np.bool_]] = {}
+        self._begins: dict[_Tile, dict[Path, array[int]]] = {}
+        self._sums: dict[_Tile, Array] = {}
+        told, total = [], dict[_Tile, Array]()
+        seeds: dict[tuple[int, _Tile], npt.NDArray[np.bool_]] = {}
         for path in paths:
             attrs, counts = self._add(path)
             told.append(attrs)
@@ -179,10 +177,10 @@ class StreamSource:
         tile.flags.writeable = False  # parts of it are handed out
         return tile.reshape(_EDGE, _EDGE, channels, high - low)
 
-    def _add(self, path: Path) -> tuple[dict[str, Any], dict[Tile, Array]]:
+    def _add(self, path: Path) -> tuple[dict[str, Any], dict[_Tile, Array]]:
         """Add the blocks of a file; return its provenance and the samples per pixel."""
         told: dict[str, str] = {}
-        counts: dict[Tile, Array] = {}
+        counts: dict[_Tile, Array] = {}
         ended, total = False, -1
         with _File(path) as file:
             if file.header != self.header:
@@ -210,7 +208,7 @@ class StreamSource:
             raise file.damaged(begin, f"it does not end with its {count} samples")
         return _provenance(told), counts
 
-    def _count(self, block: _Block, begin: int, counts: dict[Tile, Array], file: _File) -> None:
+    def _count(self, block: _Block, begin: int, counts: dict[_Tile, Array], file: _File) -> None:
         """Count the samples, or add the features, of a block."""
         tile = block.y // _EDGE, block.x // _EDGE
         inside = block.y < self.header.height and block.x < self.header.width
@@ -241,7 +239,7 @@ class StreamSource:
         named = zip(self.header.features, parts, strict=True)
         return {n: x[..., 0] if x.shape[2] == 1 else x for n, x in named}
 
-    def _image(self, tiles: dict[Tile, Array], *components: int) -> Array:
+    def _image(self, tiles: dict[_Tile, Array], *components: int) -> Array:
         """Return an image (y, x, ...) of the existing tiles, zero elsewhere."""
         height, width = self.header.height, self.header.width
         size = 8 * math.prod((height, width, *components))
@@ -258,9 +256,9 @@ class StreamSource:
 
 
 def _check_seeds(
-    seeds: dict[tuple[int, Tile], npt.NDArray[np.bool_]],
+    seeds: dict[tuple[int, _Tile], npt.NDArray[np.bool_]],
     seed: int,
-    counts: Mapping[Tile, Array],
+    counts: Mapping[_Tile, Array],
     path: Path,
 ) -> None:
     """Refuse a file with the random numbers of another file, and note its seed."""

@@ -19,8 +19,6 @@ from chdstat.io.exr import write_exr
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["IMAGES", "open_maps", "write_image", "write_maps", "write_netcdf"]
-
 IMAGES: Mapping[str, str] = {
     ".exr": "linear radiance with all layers, for an EXR viewer",
     ".npy": "linear radiance of shape (y, x, channel) without layers, for numpy.load",

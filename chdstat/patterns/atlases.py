@@ -42,8 +42,6 @@ from chdstat.summary.histograms import Histogram, StreamingHistogram, Support
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["WIDTH", "Atlas", "atlas", "of_histograms"]
-
 _BINS = 81
 """Bins of a shape; the mean lies at the centre of the middle one."""
 WIDTH = 0.1
@@ -227,7 +225,7 @@ def atlas(
         rows = np.concatenate([rows, shapes.null_share[ok][..., np.newaxis]], axis=-1)
     points, *halves = np.moveaxis(rows.astype(np.float32), 1, 0)
     numbers = range(1, most + 1) if clusters is None else [clusters]
-    group, apart, medoids, about = find_groups(
+    group, apart, medoids, about = _find_groups(
         points, halves, numbers, min_share=min_share, rng=rng
     )
     count = np.bincount(group, minlength=len(medoids))
@@ -457,7 +455,7 @@ class _Candidate(NamedTuple):
     smallest: float
 
 
-def find_groups(
+def _find_groups(
     whole: Points,
     halves: Sequence[Points],
     numbers: Sequence[int],

@@ -22,8 +22,6 @@ from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, over_tiles, tiles
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["By", "attribute", "by_part", "groups_of", "largest_part", "part_names", "shares"]
-
 _BRIGHTEST = 0.01
 _ROUNDING = 1e-5
 _ASKED = {
@@ -132,7 +130,7 @@ def attribute(
     )
 
 
-class LargestPart(NamedTuple):
+class _LargestPart(NamedTuple):
     """The part of the light that makes most of the variance, over the pixels where that is known.
 
     ``share`` is its share of the variance with an interval, ``mean`` its share of the light, and
@@ -145,7 +143,7 @@ class LargestPart(NamedTuple):
     mean: float
 
 
-def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> LargestPart | None:
+def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> _LargestPart | None:
     """Return the path lengths, or the light, that make most of the variance; None if unknown."""
     light = attribute(samples, by=by, progress=False)
     held, mean = (light[f"{of}_share"].to_numpy() for of in ("variance", "mean"))
@@ -157,7 +155,7 @@ def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> LargestPart | N
     share = mean_of(held[known, most].astype(np.float64), blocks[known])
     name = str(light["paths" if by == "depth" else "light"].to_numpy()[most])
     place = -1 if most == held.shape[1] - 1 else most
-    return LargestPart(name, place, share, float(mean[known, most].mean()))
+    return _LargestPart(name, place, share, float(mean[known, most].mean()))
 
 
 def part_names(parts: Sequence[LightPart]) -> list[str]:

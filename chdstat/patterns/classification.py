@@ -20,6 +20,7 @@ from scipy import ndimage
 
 from chdstat._core.arrays import (
     Floats,
+    Mapped,
     Mask,
     first_of,
     flag_attributes,
@@ -30,7 +31,7 @@ from chdstat._core.arrays import (
 from chdstat._core.display import Card, Shown, number, percent, with_interval
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
-from chdstat._core.statistic import Mapped, Result, Statistic, result, variable
+from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.error_bars import (
     HOLDS,
@@ -46,16 +47,6 @@ from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "Agreement",
-    "Classification",
-    "Label",
-    "Patterns",
-    "agreement",
-    "choose_regions",
-    "classify",
-]
 
 
 class Label(enum.IntEnum):

@@ -1,7 +1,7 @@
 """The table of patterns: what each means, how it is measured, and when it counts.
 
-`PATTERNS` is the table; a new pattern is a new row. `PixelStatistics` are the scores that its rules
-compare with `Thresholds`. A firefly must not decide how the rest of a pixel looks. If one sample
+`PATTERNS` is the table; a new pattern is a new row. Its rules compare `_PixelStatistics` with
+`Thresholds`. A firefly must not decide how the rest of a pixel looks. If one sample
 carries too much of the mean, tail, modes and families are therefore measured without it.
 """
 
@@ -25,8 +25,6 @@ from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex, effective_tail_index, is_infinite
 from chdstat.inference.modes import Modality, Modes
 from chdstat.summary.runner import measured
-
-__all__ = ["PATTERNS", "Pattern", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
 
 _POINTS = 32
 """Quantiles at which a family is compared with the samples; at 512 samples, the error is 1/64."""
@@ -93,7 +91,7 @@ class Thresholds:
 
 
 @dataclass(frozen=True)
-class PixelStatistics:
+class _PixelStatistics:
     """Scores per pixel; arrays with the batch's shape, NaN where there is nothing to measure.
 
     Attributes
@@ -136,7 +134,7 @@ class PixelStatistics:
         return np.take_along_axis(d, order, axis=-1), np.take_along_axis(error, order, axis=-1)
 
 
-def gather(part: PositivePart, thresholds: Thresholds) -> PixelStatistics:
+def gather(part: PositivePart, thresholds: Thresholds) -> _PixelStatistics:
     """Measure every pixel, without a sample that dominates it, except for that sample's share."""
     found = _measure(part)
     rows = np.asarray(found.largest_share > firefly_limit(part.n, thresholds))
@@ -173,10 +171,10 @@ def _without_largest(part: PositivePart, rows: Mask) -> PositivePart:
     return PositivePart(x, positive, part.n[rows] - 1, *(count[rows] for count in others))
 
 
-def _measure(part: PositivePart) -> PixelStatistics:
+def _measure(part: PositivePart) -> _PixelStatistics:
     families = measured(part, FamilySelection())
     body_index, body_index_se = _body_index(families)
-    return PixelStatistics(
+    return _PixelStatistics(
         part=part,
         largest_share=part.largest_share,
         error_bars=measured(part, Bar()),
@@ -291,11 +289,11 @@ class Pattern:
     rule: str
     limit: str
     source: str
-    measure: Callable[[PixelStatistics], Floats]
-    large_enough: Callable[[PixelStatistics, Thresholds], Mask]
-    test: Callable[[PixelStatistics, Thresholds], Floats] | None = None
+    measure: Callable[[_PixelStatistics], Floats]
+    large_enough: Callable[[_PixelStatistics, Thresholds], Mask]
+    test: Callable[[_PixelStatistics, Thresholds], Floats] | None = None
     decisive: bool = False
-    interval: Callable[[PixelStatistics], Floats] | None = None
+    interval: Callable[[_PixelStatistics], Floats] | None = None
     excluded_by: tuple[str, ...] = ()
 
     @property
@@ -304,52 +302,52 @@ class Pattern:
         return f"understand/noise.html#{self.name.replace('_', '-')}"
 
 
-def _null_share(e: PixelStatistics) -> Floats:
+def _null_share(e: _PixelStatistics) -> Floats:
     return np.asarray(e.part.n_null / e.part.n_good)
 
 
-def _null_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
+def _null_p_value(e: _PixelStatistics, t: Thresholds) -> Floats:
     """Return P(as many nulls or more) if their share is the threshold: the exact binomial test."""
     n, nulls = e.part.n_good, e.part.n_null
     p = special.betainc(np.maximum(nulls, 1), n - nulls + 1, t.null_share)
     return np.where(n == 0, np.nan, np.where(nulls == 0, 1.0, p))
 
 
-def _clear_modes(e: PixelStatistics, t: Thresholds) -> Counts:
+def _clear_modes(e: _PixelStatistics, t: Thresholds) -> Counts:
     """Count modes that are far enough from their neighbours; 0 where modes are not known."""
     clear = 1 + np.count_nonzero(e.widest[0] >= t.ashman_d, axis=-1)
     return np.where(e.modes.modes > 0, clear, 0)
 
 
-def _separation_interval(e: PixelStatistics, widest: int) -> Floats:
+def _separation_interval(e: _PixelStatistics, widest: int) -> Floats:
     separation, error = (values[..., widest] for values in e.widest)
     ends = separation - Z_95 * error, separation + Z_95 * error
     return np.maximum(np.stack(ends, axis=-1), 0)
 
 
-def _is_described(e: PixelStatistics, t: Thresholds) -> Mask:
+def _is_described(e: _PixelStatistics, t: Thresholds) -> Mask:
     """Return where there is one mode that gamma or log-normal describes."""
     by_chance = _CHANCE / np.sqrt(np.maximum(e.part.n, 1))
     return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
 
 
-def _misses(e: PixelStatistics) -> Floats:
+def _misses(e: _PixelStatistics) -> Floats:
     return np.asarray(1 - e.error_bars.coverage_own)
 
 
-def _misses_interval(e: PixelStatistics) -> Floats:
+def _misses_interval(e: _PixelStatistics) -> Floats:
     return 1 - e.error_bars.coverage_own_interval[..., ::-1]
 
 
-def _is_long(e: PixelStatistics, t: Thresholds) -> Mask:
+def _is_long(e: _PixelStatistics, t: Thresholds) -> Mask:
     """Return where error bars fail, or the variance is surely infinite."""
     return np.asarray((_misses(e) > t.misses) | is_infinite(e.tail))
 
 
-def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
+def _is_like(sign: int) -> Callable[[_PixelStatistics, Thresholds], Mask]:
     """Return where gamma (1) or log-normal (-1) is better, with one mode and a short tail."""
 
-    def large_enough(e: PixelStatistics, t: Thresholds) -> Mask:
+    def large_enough(e: _PixelStatistics, t: Thresholds) -> Mask:
         short = (sign > 0) | (e.body_index < t.tail_index)
         # Stricter than alpha: of an image of plain pixels, only few may look heavy by chance.
         heavy = (e.tail.xi >= t.tail_index) & (e.tail.p_exponential <= t.alpha / 50)
@@ -358,7 +356,7 @@ def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
     return large_enough
 
 
-def _log_spread(e: PixelStatistics) -> Floats:
+def _log_spread(e: _PixelStatistics) -> Floats:
     return np.asarray(np.sqrt(e.part.log_statistics.log_variance))
 
 

@@ -38,11 +38,6 @@ if TYPE_CHECKING:
 
     from chdstat.viz import Panel
 
-__all__ = [
-    "Pixel",
-    "Regions",
-]
-
 
 @dataclass(frozen=True, repr=False)
 class Pixel(Shown):

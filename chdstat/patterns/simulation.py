@@ -1,7 +1,7 @@
 """Simulation: CHDs that are known exactly, images and populations of them, and scores of flags.
 
 A `CHD` is a mixture of `Component` distributions of radiance, one for each kind of light path, with
-nulls, a tail and fireflies. `CHDS` are clear cases, and `random_chd` draws one. `truth` says which
+nulls, a tail and fireflies. `CHDS` are clear cases, and `_random_chd` draws one. `truth` says which
 patterns a CHD has, with None within the indifference zone of a pattern. `simulate` draws an image
 whose regions have given CHDs. `random_chds` draws CHDs with every pattern and combination, outside
 these zones. `flag_scores` counts how often `classify` is right about them.
@@ -33,26 +33,6 @@ from chdstat.summary.runner import measured
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "BODY_ZONE",
-    "CHD",
-    "CHDS",
-    "FIREFLY_ZONE",
-    "INDISTINCT_SPREAD",
-    "NULL_ZONE",
-    "SEPARATION_ZONE",
-    "TAIL_ZONE",
-    "Component",
-    "FlagScore",
-    "Truth",
-    "flag_scores",
-    "random_chd",
-    "random_chds",
-    "simulate",
-    "truth",
-    "truth_of",
-]
 
 # --- CHDs -----------------------------------------------------------------------------------------
 
@@ -384,7 +364,7 @@ CHDS: Mapping[str, CHD] = {
 """A clear case of each pattern, by name."""
 
 
-def random_chd(rng: np.random.Generator) -> CHD:
+def _random_chd(rng: np.random.Generator) -> CHD:
     """Draw a CHD; see `chdstat.patterns.random_chds` for the table and indifference zones."""
     number = rng.choice(4, p=[0.1, 0.56, 0.17, 0.17])
     null_share = rng.choice([0.0, rng.uniform(0, 0.5), rng.uniform(0.5, 0.95)], p=[0.4, 0.3, 0.3])
@@ -744,7 +724,7 @@ def random_chds(count: int, *, seed: Seed = None) -> tuple[CHD, ...]:
     rng = generator(seed)
     chosen: list[CHD] = []
     while len(chosen) < count:
-        chd = random_chd(rng)
+        chd = _random_chd(rng)
         undecided = {name for name, holds in truth(chd).flags.items() if holds is None}
         if chd.tail_index is not None and len(chd.body) == 1:
             undecided -= {"gamma_like", "lognormal_like"}

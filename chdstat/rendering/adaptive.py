@@ -78,17 +78,6 @@ if TYPE_CHECKING:
 
     from chdstat._core.resampling import Interval
 
-__all__ = [
-    "Adaptive",
-    "ErrorMeasure",
-    "Look",
-    "decided",
-    "density_of",
-    "error_of",
-    "expected_error",
-    "more",
-]
-
 ErrorMeasure = Literal["relMSE", "MSE"]
 """The error of the image to minimise."""
 Classes = npt.NDArray[np.intp]

@@ -24,25 +24,12 @@ from chdstat._core.files import Cache, installed, user_cache
 from chdstat._core.work import cores, memory
 from chdstat.errors import InputError, RenderError, check_option, did_you_mean
 
-__all__ = [
-    "BACKENDS",
-    "COLORS",
-    "Backend",
-    "Color",
-    "TriedBackend",
-    "activate",
-    "examine",
-    "one_thread",
-    "probe",
-    "resolve",
-]
-
 Backend = Literal["auto", "scalar", "llvm", "cuda"]
 Color = Literal["rgb", "spectral", "mono"]
 
 BACKENDS = {"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 """Mitsuba variant of each backend that renders in RGB."""
-COLORS = ("rgb", "spectral", "mono")
+_COLORS = ("rgb", "spectral", "mono")
 """How light is represented during transport: the end of the names of Mitsuba's variants."""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -79,12 +66,12 @@ def resolve(backend: Backend = "auto", color: Color = "rgb") -> TriedBackend:
     Raises
     ------
     InputError
-        If the name is not "auto", "scalar", "llvm" or "cuda", the colour is not in `COLORS`, or
+        If the name is not "auto", "scalar", "llvm" or "cuda", the colour is not in `_COLORS`, or
         Mitsuba has no such variant.
     RenderError
         If the backend asked for does not work here.
     """
-    check_option("color", color, COLORS)
+    check_option("color", color, _COLORS)
     if color == "mono" and backend == "scalar":
         message = "Mitsuba has no scalar variant in mono; use the llvm or cuda backend"
         raise InputError(message)

@@ -26,8 +26,6 @@ from chdstat.samples.samples import provenance
 from chdstat.samples.tiles import BATCH, TILE, Chunk, chunk_grid, gathered
 from chdstat.scenes import SceneLike
 
-__all__ = ["Rendering", "render_batches"]
-
 _AT_ONCE = 4
 """Samples that a scalar thread draws of a tile, so that few tiles keep all threads busy."""
 

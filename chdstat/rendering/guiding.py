@@ -2,7 +2,7 @@
 
 `trained` traces paths, learns a `Guide` from them, and throws them away. A guide has a distribution
 of directions for each cell of space. `into_scene` puts a guide into the materials of a scene, so
-that all of Mitsuba's integrators use it. A share `SHARE` of the directions comes from the BSDF, the
+that all of Mitsuba's integrators use it. A share of the directions comes from the BSDF, the
 rest from the guide. Each direction is weighted by the density of both together (Veach and Guibas
 1995, the balance heuristic in one sample). A wrong guide thus makes noise, but never a bias. The
 guide is frozen before the first sample is drawn, so that samples are independent. Media are not
@@ -42,25 +42,10 @@ from chdstat.samples.layout import GUIDE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = [
-    "FEW",
-    "NOTHING",
-    "PASSES",
-    "SHARE",
-    "WORTH",
-    "Guide",
-    "Lookup",
-    "Paths",
-    "into_scene",
-    "learn",
-    "trained",
-    "uniform",
-]
-
 dr: Any = drjit
 Codes = npt.NDArray[np.uint64]
 
-SHARE = 0.7
+_SHARE = 0.7
 """Share of directions that come from the BSDF. A path that the guide does not expect is rarer by
 this factor at each vertex, and weighs more. With a smaller share, such paths are outliers; with a
 larger one, the guide helps less.
@@ -397,7 +382,7 @@ class Lookup:
         counts = len(guide.cells), longest
         self.cell_steps, self.leaf_steps = steps or ((n - 1).bit_length() for n in counts)
         # With a single leaf, the guide knows nothing.
-        self.share = dr.opaque(mi.Float, 1 if len(guide.leaves) == 1 else SHARE)
+        self.share = dr.opaque(mi.Float, 1 if len(guide.leaves) == 1 else _SHARE)
         low, high = guide.box.astype(np.float64)
         self.low, self.scale = mi.Point3f(low), mi.Vector3f(2**_AXIS / (high - low))
         self.cells = _own(mi.UInt32, guide.cells)

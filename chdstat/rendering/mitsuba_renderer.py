@@ -43,8 +43,6 @@ from chdstat.scenes.settings import check_variant
 if TYPE_CHECKING:
     from chdstat.rendering.guiding import Guide
 
-__all__ = ["MitsubaRenderer", "check_lights"]
-
 _log = logging.getLogger("chdstat")
 _LIBRARIES = tuple(str(Path(file).parent) for file in (chdstat.__file__, np.__file__))
 """Folders with functions that are not part of a scene."""

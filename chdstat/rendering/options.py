@@ -25,20 +25,6 @@ from chdstat.scenes.settings import GUIDED, LONGEST, Asked, asked_for
 if TYPE_CHECKING:
     from chdstat.rendering.guiding import Guide
 
-__all__ = [
-    "GUIDED",
-    "Crop",
-    "IntegratorLike",
-    "IntegratorObject",
-    "Job",
-    "RenderOptions",
-    "RenderSettings",
-    "refuse_render",
-    "scene_integrator",
-    "scene_size",
-    "told",
-]
-
 IntegratorLike = str | Mapping[str, Any] | Any
 """An integrator by Mitsuba's name, as a dict with its settings, or as a Mitsuba object."""
 Crop = tuple[int, int, int, int]

@@ -20,8 +20,6 @@ import numpy as np
 from chdstat._core.arrays import Image
 from chdstat.rendering.backend import one_thread
 
-__all__ = ["BLOCK", "FEATURES", "drawn", "first_hits", "sensed", "wavefront"]
-
 FEATURES = {"albedo": 3, "normal": 3, "depth": 1, "position": 3}
 """Channels of each feature, in order."""
 _AOVS = "albedo:albedo,normal:sh_normal,depth:depth,position:position"

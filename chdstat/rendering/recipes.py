@@ -21,17 +21,6 @@ from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.scene_files import is_file
 
-__all__ = [
-    "Recipe",
-    "Region",
-    "check_integrator",
-    "find_recipe",
-    "load_recipe",
-    "recipe_of",
-    "regions_of",
-    "remake_of",
-]
-
 _EDGE = 128
 """Longest edge of the image if neither the user nor a recipe gives a size."""
 SCHEMA = 1

@@ -40,8 +40,6 @@ from chdstat.scenes.settings import LONGEST
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["MemoryWriter", "checked_renderer", "render", "render_pixels"]
-
 _log = logging.getLogger("chdstat")
 _MOST_COMPRESSION = 10
 """Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
@@ -566,7 +564,7 @@ def _fill(
 # --- what keeps samples -------------------------------------------------------------------------
 
 
-class MemoryWriter:
+class _MemoryWriter:
     """Keeps rendered samples in memory, as `chdstat.samples.store.Store` does on disk."""
 
     def __init__(self, attrs: dict[str, Any], size: tuple[int, int]) -> None:
@@ -638,7 +636,7 @@ class MemoryWriter:
         return Samples(self._array, counts=self._counts, **about)
 
 
-Writer = MemoryWriter | Store
+Writer = _MemoryWriter | Store
 """Keeps rendered samples."""
 
 
@@ -647,7 +645,7 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
     """Yield the keeper of samples: a store, which may exist already, or memory."""
     attrs = renderer.provenance | ({} if how is None else {"adaptive": how.attrs})
     if out is None:
-        yield MemoryWriter(attrs, renderer.size)
+        yield _MemoryWriter(attrs, renderer.size)
         return
     is_new = not is_store(out)
     with _opened(out, attrs, renderer.size) as store:

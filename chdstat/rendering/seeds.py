@@ -44,11 +44,9 @@ from chdstat._core.arrays import whole
 from chdstat.errors import InputError, check_option
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 
-__all__ = ["SEEDS", "STREAMS", "SamplerName", "Sequences", "Streams", "check_spp", "grouped"]
-
 SamplerName = Literal["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 """Mitsuba's samplers whose samples can be kept one by one."""
-LENGTH = 16
+_LENGTH = 16
 """Samples of a sequence by default."""
 LONGEST = 1024
 """Longest sequence: more samples of a tile are too many for a wavefront."""
@@ -112,7 +110,7 @@ class Sequences:
                 )
                 raise InputError(message)
             return None
-        length = whole("sequence", LENGTH if length is None else length, least=2)
+        length = whole("sequence", _LENGTH if length is None else length, least=2)
         fits, kind = _FITS[sampler]
         if length > LONGEST or not fits(length):
             below = (n for n in range(min(length, LONGEST + 1) - 1, 1, -1) if fits(n))

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from chdstat.samples.store import Store
 
-__all__ = ["at_once", "features_remote", "render_remote", "rendered"]
-
 Group = tuple[Chunk, Sequence[Chunk]]
 """Samples that are drawn together, and the chunks in which they are stored."""
 Drawn = Sequence[tuple[Chunk, Image | None]]

@@ -38,21 +38,6 @@ from chdstat.viz.styling import NAMES, called, estimator_name, qualitative
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "FEW_PIXELS",
-    "FEW_SAMPLES",
-    "PUBLISHED_SIZE",
-    "PUBLISHED_SPP",
-    "Contents",
-    "analysis_content",
-    "atlas_content",
-    "claim_content",
-    "finding_content",
-    "remake_note",
-    "report_content",
-    "with_others",
-]
-
 Contents = Literal["short", "full", "claims"]
 """Kinds of a report on a scene."""
 

@@ -30,15 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Document",
-    "overview",
-    "pages_of",
-    "study_document",
-    "typeset",
-    "verdicts",
-]
-
 _TEMPLATES = resources.files("chdstat.reporting") / "templates"
 _FONTS = Path(mpl.get_data_path(), "fonts", "ttf")
 """Fonts of the text: the same as in figures, from Matplotlib."""

@@ -38,19 +38,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = [
-    "analysis_figures",
-    "claim_figures",
-    "depth_of",
-    "estimates_of",
-    "of_comparison",
-    "region_figure",
-    "report_figures",
-    "save_comparison",
-    "save_figure",
-    "scene_figures",
-]
-
 _BATCH, _BATCHES = 32, 64
 """Samples of a batch, and batches of a pixel, as in the first figure of Elek et al. 2019."""
 _PIXELS = 5
@@ -100,12 +87,12 @@ def report_figures(
         drawn["noise"] = _noise_maps(data.analysis)
     if full:
         drawn |= scene_figures(data, atlas=found.atlas)
-        drawn |= analysis_figures(data.analysis, found.overview)
+        drawn |= _analysis_figures(data.analysis, found.overview)
     if found.comparison is not None:
         if full:
-            drawn |= of_comparison(found.comparison, curve)
+            drawn |= _of_comparison(found.comparison, curve)
         else:
-            drawn["estimates"] = estimates_of(found.comparison, found.comparison.estimators[:2])
+            drawn["estimates"] = _estimates_of(found.comparison, found.comparison.estimators[:2])
     elif estimate is not None:
         images = {f"mean of {data.samples.spp_range}": image, "default estimate": estimate.radiance}
         parts = _noisy_parts(*images.values())
@@ -148,7 +135,7 @@ def _noise_maps(found: xr.Dataset) -> Figure:
     return figure
 
 
-def estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figure:
+def _estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figure:
     """Draw estimates from the first samples, with magnified parts where the mean is far off.
 
     `names` None takes all estimators; the mean comes first, the default estimate second.
@@ -284,7 +271,7 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
 # --- the analysis of an image -------------------------------------------------------------------
 
 
-def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
+def _analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
     """Draw the maps of the image, and how averages become Gaussian if there are enough samples."""
     drawn = {"maps": _maps(found)}
     if scene.averages:
@@ -324,10 +311,10 @@ def _maps(found: xr.Dataset) -> Figure:
 # --- a comparison -------------------------------------------------------------------------------
 
 
-def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
+def _of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
     """Draw all figures of a comparison, by name."""
     drawn: dict[str, Any] = {
-        "estimates": estimates_of(found),
+        "estimates": _estimates_of(found),
         "pixels": viz.pixel_estimates(found.draw_pixels()).figure,
     }
     if found.breakdown is not None:
@@ -377,7 +364,7 @@ def save_comparison(
             save(found.to_dataset(), partial / "comparison.zarr")
             with spelt():
                 measures = {"measures": viz.estimator_measures(found)}
-                for name, figure in (measures | of_comparison(found, curve)).items():
+                for name, figure in (measures | _of_comparison(found, curve)).items():
                     figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
             for name, model in found.models.items():
                 if isinstance(model, TrainedModel):

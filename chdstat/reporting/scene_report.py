@@ -60,8 +60,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = ["published_seconds", "report"]
-
 _SPP = 512
 _PILOT = 32
 """Samples per pixel of the render that predicts the time of a longer one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from chdstat._core.arrays import Mapped
 from chdstat.samples.layout import is_store
 from chdstat.samples.samples import ImageLike, Samples
 from chdstat.samples.store import (
@@ -12,7 +13,7 @@ from chdstat.samples.store import (
     opened,
     samples_of,
 )
-from chdstat.samples.tiles import Mapped, SampleBlocks, reduce_tiles
+from chdstat.samples.tiles import SampleBlocks, reduce_tiles
 
 __all__ = [
     "ImageLike",

@@ -28,15 +28,6 @@ from chdstat.samples.tiles import TILE
 if TYPE_CHECKING:
     from chdstat.samples.samples import Samples
 
-__all__ = [
-    "check_distribution",
-    "check_independent",
-    "check_sequences",
-    "check_single",
-    "sequence_of",
-    "warn_of_repeats",
-]
-
 
 def sequence_of(attrs: Mapping[str, Any]) -> int:
     """Return how many samples of a pixel depend on each other; 1 if they are independent.
@@ -116,7 +107,7 @@ _ENOUGH, _NAMED = 256, 4
 _ODD = np.uint64(0x9E3779B97F4A7C15)
 
 Read = Callable[[slice, slice, slice], Image]
-Hashes = npt.NDArray[np.uint64]
+_Hashes = npt.NDArray[np.uint64]
 
 
 class _Tile(NamedTuple):
@@ -173,13 +164,13 @@ class _Repeats(NamedTuple):
 
     looked: int
     tiles: list[_Tile]
-    whole: Hashes
+    whole: _Hashes
     noise: float
 
     @classmethod
     def of(cls, read: Read, places: Sequence[tuple[slice, slice]], number: int) -> _Repeats:
         """Compare the passes."""
-        whole: Hashes = np.zeros(number, np.uint64)
+        whole: _Hashes = np.zeros(number, np.uint64)
         tiles, noise, looked = list[_Tile](), list[float](), 0
         for ys, xs in places:
             block = read(ys, xs, slice(number))
@@ -240,7 +231,7 @@ _ADVICE = (
 )
 
 
-def _hashes(block: Image, edge: int) -> Hashes:
+def _hashes(block: Image, edge: int) -> _Hashes:
     """Return a hash of each pass in each tile, shape (row, column, sample)."""
     height, width, channels, _ = block.shape
     weights = np.random.default_rng(1).integers(2**64, size=(edge, edge, channels), dtype="u8")

@@ -62,20 +62,6 @@ from chdstat.errors import StoreError
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart
 from chdstat.scenes.scene_files import is_file
 
-__all__ = [
-    "BLOCK",
-    "COUNTS",
-    "DENSITY",
-    "FOREIGN",
-    "GUIDE",
-    "SCHEMA_VERSION",
-    "DamageError",
-    "canonical",
-    "differing",
-    "is_store",
-    "part_folder",
-]
-
 BLOCK = 16
 """Edge in pixels of the blocks that are compressed separately within a chunk."""
 COUNTS = "counts"

@@ -22,7 +22,17 @@ from typing import TYPE_CHECKING, Any, SupportsIndex, TypeAlias, Unpack, overloa
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, LeftOut, Reals, as_samples, check_real, is_bad, spans, whole
+from chdstat._core.arrays import (
+    Image,
+    LeftOut,
+    Mapped,
+    Reals,
+    as_samples,
+    check_real,
+    is_bad,
+    spans,
+    whole,
+)
 from chdstat._core.display import Card, channel_names, duration, png
 from chdstat._core.files import place_of, shown
 from chdstat._core.image_scales import tonemap
@@ -37,25 +47,13 @@ from chdstat.samples.dependence import (
     sequence_of,
     warn_of_repeats,
 )
-from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, Mapped, SampleSource, Work
+from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, SampleSource, Work
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
     from chdstat.patterns.pixel import Pixel, Regions
-
-__all__ = [
-    "ImageLike",
-    "Samples",
-    "axes_of",
-    "check_counts",
-    "check_features",
-    "checked_attrs",
-    "different_counts",
-    "provenance",
-    "single",
-]
 
 _BIASED = "where that number depended on the samples, means and their errors are biased"
 _ALL = slice(None)

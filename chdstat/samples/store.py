@@ -50,18 +50,6 @@ from chdstat.samples.layout import FOREIGN, DamageError, is_store
 from chdstat.samples.samples import ImageLike, Samples
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart, chunk_grid
 
-__all__ = [
-    "Store",
-    "cache_key",
-    "checkpoint_key",
-    "inspect",
-    "open",
-    "opened",
-    "reopened",
-    "samples_of",
-    "save",
-]
-
 _ALL = slice(None)
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes that decide whether the samples of two stores share random numbers."""

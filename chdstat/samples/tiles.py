@@ -27,27 +27,6 @@ if TYPE_CHECKING:
 
     from chdstat.samples.samples import Samples
 
-__all__ = [
-    "BATCH",
-    "DIRECT_DEPTH",
-    "TILE",
-    "Chunk",
-    "LightPart",
-    "Mapped",
-    "SampleBlocks",
-    "SampleSource",
-    "Work",
-    "assemble",
-    "by_pixels",
-    "chunk_grid",
-    "gathered",
-    "labelled",
-    "over_tiles",
-    "pieces",
-    "reduce_tiles",
-    "tiles",
-]
-
 TILE, BATCH = 64, 64
 """Edge in pixels and number of samples of a chunk, the unit of drawing, keeping and reading."""
 DIRECT_DEPTH = 2

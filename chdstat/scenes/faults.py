@@ -24,8 +24,6 @@ from chdstat.scenes.scene_files import digest_of, is_file
 if TYPE_CHECKING:
     from chdstat.scenes.parsing import ParsedScene
 
-__all__ = ["checked_mesh", "filled", "refuse_faults"]
-
 _DEEPEST = 1000
 """Most parts that may each hold the next one; Mitsuba's loader overflows the stack at 200,000."""
 _MESHES = ("ply", "serialized")

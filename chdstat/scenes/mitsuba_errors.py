@@ -14,8 +14,6 @@ from chdstat.errors import brief, did_you_mean
 from chdstat.scenes.plugins import known_names
 from chdstat.scenes.settings import GUIDED
 
-__all__ = ["in_words"]
-
 _MARK = re.compile(r"(?<!\S)\[(?:\w+\.(?:cpp|h):\d+|[A-Z]\w*)\]\s*")
 """Where in Mitsuba's source an error was raised."""
 _PLACE = re.compile(

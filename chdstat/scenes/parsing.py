@@ -29,8 +29,6 @@ from chdstat.scenes.scene_files import is_file
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
 
-__all__ = ["ParsedScene", "parse"]
-
 _MESHES = ("blender", "cube", "ellipsoidsmesh", "obj", "ply", "rectangle", "serialized")
 """Plugins that Mitsuba makes meshes of."""
 _RESOLVING = threading.RLock()

@@ -31,20 +31,6 @@ import numpy as np
 
 from chdstat.errors import ChdstatError, InputError
 
-__all__ = [
-    "Plugin",
-    "code_of",
-    "failure",
-    "known_names",
-    "load_plugin",
-    "loaded",
-    "own_names",
-    "owns_estimator",
-    "plugins_made",
-    "register",
-    "used",
-]
-
 _PREFIX = "chdstat_plugin_"
 """Prefix of the names of their modules, so that no other module is hidden."""
 
@@ -215,7 +201,7 @@ def owns_estimator(name: str, *, held: bool) -> bool:
     return True
 
 
-def own_names(mi: Any) -> set[str]:
+def _own_names(mi: Any) -> set[str]:
     """Return the names of Mitsuba's own plugins."""
     folder = Path(mi.__file__).parent
     files = (*(folder / "plugins").iterdir(), *(folder / "python/ad/integrators").glob("*.py"))
@@ -227,7 +213,7 @@ def known_names() -> set[str]:
     import mitsuba as mi
 
     here = (r for (variant, _), r in _REGISTERED.items() if variant == mi.variant())
-    return own_names(mi).union(*(r.parts for r in here))
+    return _own_names(mi).union(*(r.parts for r in here))
 
 
 def failure(plugins: Iterable[Plugin], error: BaseException) -> BaseException:
@@ -302,7 +288,7 @@ def _recorded(registration: _Registration, variant: str) -> Iterator[None]:
 
     mi: Any = mitsuba
     functions = {name: getattr(mi, name) for name in dir(mi) if name.startswith("register_")}
-    set_variant, own = mi.set_variant, own_names(mi)
+    set_variant, own = mi.set_variant, _own_names(mi)
 
     def recording(function: Callable[..., Any]) -> Callable[..., Any]:
         def recorded(name: str, constructor: Callable[..., Any]) -> Any:
@@ -362,7 +348,7 @@ def plugins_made(mi: Any, names: set[str]) -> Iterator[list[Any]]:
     unless all plugins are Mitsuba's own.
     """
     made: list[Any] = []
-    if names <= own_names(mi):
+    if names <= _own_names(mi):
         yield made
         return
     before = list(_plugins(mi))

@@ -30,14 +30,6 @@ from chdstat.scenes.builtin import BUILTIN, built_in
 from chdstat.scenes.plugins import code_of
 from chdstat.scenes.scene_files import described, digest_of, is_file
 
-__all__ = [
-    "LiveScene",
-    "Scene",
-    "SceneLike",
-    "is_built",
-    "load_scene",
-]
-
 SceneLike = str | Path | Mapping[str, Any] | Any
 """A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))

@@ -18,8 +18,6 @@ from typing import Any
 
 from chdstat.errors import SceneError
 
-__all__ = ["described", "digest_of", "is_file"]
-
 _DEEPEST = 100
 """Deepest nesting of elements; real scenes have ten levels, and Mitsuba's parser overflows."""
 _MOST_INCLUDES = 15

@@ -16,8 +16,6 @@ from chdstat.errors import InputError, RenderError, SceneError
 if TYPE_CHECKING:
     from chdstat.scenes.parsing import ParsedScene
 
-__all__ = ["GUIDED", "LONGEST", "Asked", "Film", "asked_for", "check_variant"]
-
 _INTEGRATOR = "path"
 """Integrator of a scene that names none."""
 GUIDED = ("guided", "auto")

@@ -11,8 +11,6 @@ from chdstat.rendering.recipes import remake_of
 from chdstat.studies.findings import Finding, MissingDataError, require
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["ENTERED", "Claim", "claim"]
-
 _ABOUT = {
     "image": "this image: other views of the scene, or other scenes, may differ",
     "paired": "this view, rendered twice: other views of the scene, or other scenes, may differ",

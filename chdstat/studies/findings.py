@@ -22,16 +22,6 @@ from chdstat._core.arrays import Array, plain
 from chdstat._core.display import Card, Shown, with_interval
 from chdstat._core.resampling import LEVEL, Interval
 
-__all__ = [
-    "ClaimTest",
-    "Finding",
-    "MissingDataError",
-    "PlotData",
-    "level_of",
-    "require",
-    "required",
-]
-
 T = TypeVar("T")
 Verdict = Literal["supported", "not supported", "cannot tell"]
 

@@ -22,19 +22,6 @@ if TYPE_CHECKING:
 
     import xarray as xr
 
-__all__ = [
-    "SAME_SHAPE",
-    "WIDTH",
-    "LogChds",
-    "aligned",
-    "counts_by_row",
-    "of_histograms",
-    "same_shape",
-    "shape_plot",
-    "squared_distance",
-    "visible",
-]
-
 WIDTH = 0.05
 """Width of a bin in decades."""
 EDGES = WIDTH * np.arange(-80, 81)
@@ -46,7 +33,7 @@ That is as far as distribution functions that differ by 10 points over one decad
 CHDs are that far apart if the spread of one is 1.5 times that of the other, at a third of a decade,
 which is usual. The paper says "the same" by eye; where the border lies is a choice of ours.
 """
-REACH = 1e5
+_REACH = 1e5
 """Factor from the pixel's mean beyond which samples are ignored: the paper's log histograms reach
 from 1e-5 to 1e5. In the bathroom, one sample in a thousand has about 1e-17, and would dominate the
 moments of logarithms."""
@@ -142,7 +129,7 @@ def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
     positive = x > 0
     count = np.maximum(positive.sum(axis=-1, keepdims=True), 1)
     mean = np.where(positive, x, 0).sum(axis=-1, keepdims=True, dtype=np.float64) / count
-    seen = positive & (x >= mean / REACH) & (x <= mean * REACH)
+    seen = positive & (x >= mean / _REACH) & (x <= mean * _REACH)
     return np.where(seen, x, 0).astype(np.float64)
 
 

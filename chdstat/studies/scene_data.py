@@ -28,20 +28,6 @@ if TYPE_CHECKING:
 
     from chdstat.comparison import Comparison
 
-__all__ = [
-    "BSDF_SAMPLING",
-    "DIRECT",
-    "QUANTILES_NEED",
-    "PixelSet",
-    "SceneData",
-    "fold_of",
-    "known_mean",
-    "largest_interval",
-    "logs",
-    "means_by_region",
-    "positive_quantiles",
-]
-
 BSDF_SAMPLING = "BSDF sampling alone"
 """Integrator that finds lights by chance, where surfaces scatter light."""
 DIRECT = "direct light, both"

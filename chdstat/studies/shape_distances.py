@@ -27,20 +27,6 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "between_channels",
-    "channel_shift",
-    "common_count",
-    "drawn",
-    "log_skewness",
-    "permuted",
-    "pooled_distance",
-    "shape_spread",
-    "squares",
-    "squares_of_pairs",
-    "standard_logs",
-]
-
 SHAPE_NEEDS = 32
 """Fewest positive samples for the shape of a pixel."""
 

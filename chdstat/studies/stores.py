@@ -36,17 +36,6 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "ROULETTE",
-    "SPREAD",
-    "Stores",
-    "StudyScene",
-    "StudySource",
-    "at_hand",
-    "scenes_of",
-    "without_emitter_sampling",
-]
-
 _SPP = 1024
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""

@@ -30,8 +30,6 @@ from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import CLAIMS, Finding, SceneData
 from chdstat.studies.stores import SPREAD, Stores, StudyScene, StudySource, scenes_of
 
-__all__ = ["ACROSS", "SceneStudy", "Study", "study"]
-
 _log = logging.getLogger("chdstat")
 
 T = TypeVar("T")

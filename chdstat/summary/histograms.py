@@ -36,20 +36,10 @@ from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, opened, re
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "LOG_VARIABLES",
-    "Histogram",
-    "StreamingHistogram",
-    "Support",
-    "histogram",
-    "label_histogram",
-    "linear_support",
-]
-
 Scale: TypeAlias = Literal["linear", "log"]
 
 SCALES: tuple[Scale, ...] = ("linear", "log")
-FIRST_DRAWS = 50
+_FIRST_DRAWS = 50
 """Draws whose span sets the linear support."""
 LOG_SUPPORT = (1e-5, 1e5)
 """Support of log histograms, in radiance."""
@@ -103,9 +93,9 @@ def linear_support(
     ----------
     Elek, Thomas, Forbes 2019, section on the instrumentation.
     """
-    first = as_samples(x)[..., :FIRST_DRAWS]
-    null, bad = (part if part is None else part[..., :FIRST_DRAWS] for part in (null, bad))
-    null, bad = checked_masks(first, null, bad)
+    first = as_samples(x)[..., :_FIRST_DRAWS]
+    null, bad = (part if part is None else part[..., :_FIRST_DRAWS] for part in (null, bad))
+    null, bad = _checked_masks(first, null, bad)
     if bad is None:
         bad = np.zeros(first.shape, dtype=np.bool_)
     used = ~(null | bad)
@@ -132,12 +122,12 @@ def linear_support(
 
 def tile_support(tile: Samples) -> Support:
     """Return the linear support of a tile, for any division of its store into batches."""
-    first = tile.read(ss=slice(FIRST_DRAWS))
+    first = tile.read(ss=slice(_FIRST_DRAWS))
     null, bad = sample_masks(first)
     return linear_support(first, null=null, bad=bad)
 
 
-def checked_support(support: GivenSupport, shape: tuple[int, ...], scale: Scale) -> Support:
+def _checked_support(support: GivenSupport, shape: tuple[int, ...], scale: Scale) -> Support:
     """Return a support of the batch shape, or raise InputError if it cannot hold bins."""
     if not isinstance(support, Support):
         start, stop = (np.asarray(end, dtype=np.float64) for end in support)
@@ -162,7 +152,7 @@ def checked_support(support: GivenSupport, shape: tuple[int, ...], scale: Scale)
     return Support(low.copy(), high.copy(), reason.copy())
 
 
-def axis_ends(scale: Scale, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+def _axis_ends(scale: Scale, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Return the support in the coordinate that the bins divide evenly."""
     return (np.log(low), np.log(high)) if scale == "log" else (low, high)
 
@@ -175,7 +165,7 @@ def sample_masks(block: npt.NDArray[Any]) -> tuple[Mask, Mask | None]:
     return null, np.asarray(is_bad(block).any(axis=-2, keepdims=True))
 
 
-def checked_masks(
+def _checked_masks(
     x: npt.NDArray[Any], null: Mask | None, bad: Mask | None
 ) -> tuple[Mask, Mask | None]:
     """Return which samples are null and bad, from the caller's masks; None if none is bad."""
@@ -255,7 +245,7 @@ class Histogram(Result):
         It is per unit of radiance, or per decade on the log scale. It integrates to the share of
         these samples that lie within the support.
         """
-        low, high = axis_ends(self.scale, self.low, self.high)
+        low, high = _axis_ends(self.scale, self.low, self.high)
         width = (high - low) / self.counts.shape[-1]
         if self.scale == "log":
             width = width / np.log(10)
@@ -337,7 +327,7 @@ class Histogram(Result):
         )
 
     def _at(self, position: npt.NDArray[Any]) -> Floats:
-        low, high = (end[..., np.newaxis] for end in axis_ends(self.scale, self.low, self.high))
+        low, high = (end[..., np.newaxis] for end in _axis_ends(self.scale, self.low, self.high))
         value = low + (high - low) * (position / self.counts.shape[-1])
         return np.asarray(np.exp(value) if self.scale == "log" else value)
 
@@ -464,12 +454,12 @@ class StreamingHistogram:
 
     def _begin(self, support: GivenSupport, shape: tuple[int, ...]) -> Support:
         """Make empty bins for rows of this shape."""
-        self._support = found = checked_support(support, shape, self.scale)
+        self._support = found = _checked_support(support, shape, self.scale)
         self._n = 0
         # Slots of every row: underflow, bins, overflow, bad.
         self._counts = np.zeros((found.low.size, self.bins + 3), dtype=np.int64)
         self._null_count, self._negative = np.zeros((2, *shape), dtype=np.int64)
-        low, high = axis_ends(self.scale, found.low.reshape(-1, 1), found.high.reshape(-1, 1))
+        low, high = _axis_ends(self.scale, found.low.reshape(-1, 1), found.high.reshape(-1, 1))
         # Without a support, every sample is overflow, except the zeros of a log scale.
         self._origin = np.where(np.isnan(low), -np.inf if self.scale == "linear" else -1e30, low)
         with np.errstate(divide="ignore"):
@@ -492,7 +482,7 @@ class StreamingHistogram:
                 f"before its samples; got {shape}"
             )
             raise InputError(message)
-        null, bad = checked_masks(block, null, bad)
+        null, bad = _checked_masks(block, null, bad)
         # Nulls are zeros. Counting them where zeros fall and subtracting them is many times faster
         # than sorting them out one by one.
         nulls = np.broadcast_to(np.count_nonzero(null, axis=-1), shape)

@@ -32,8 +32,6 @@ from chdstat.summary.histograms import Histogram
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["OfSource", "Source", "measured", "of_source", "run"]
-
 Source: TypeAlias = "ImageLike | Histogram | xr.Dataset | npt.ArrayLike"
 """An image, a log histogram, the log histograms of an image, or an array."""
 

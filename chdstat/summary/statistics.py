@@ -33,8 +33,6 @@ from chdstat.summary.histograms import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Statistics", "Summary", "summarize"]
-
 _SEQUENCES = 256
 """Means of sequences of dependent samples that are kept; if there are more, neighbours merge."""
 

@@ -10,6 +10,7 @@ embedded.
 
 from __future__ import annotations
 
+from chdstat._core.image_scales import tonemap
 from chdstat.viz.chd import (
     Panel,
     batch_histograms,
@@ -32,14 +33,7 @@ from chdstat.viz.estimators import (
     pixel_estimates,
     training,
 )
-from chdstat.viz.image import (
-    Mark,
-    firefly_pair,
-    region_study,
-    side_by_side,
-    tonemap,
-    with_marks,
-)
+from chdstat.viz.image import Mark, firefly_pair, region_study, side_by_side, with_marks
 from chdstat.viz.maps import (
     atlas,
     categorical_map,

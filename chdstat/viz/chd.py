@@ -50,33 +50,6 @@ from chdstat.viz.styling import (
     within,
 )
 
-__all__ = [
-    "DASHES",
-    "LINES",
-    "MEAN",
-    "SCALES",
-    "Channels",
-    "Density",
-    "Panel",
-    "batch_histograms",
-    "by_channel",
-    "chd_axes",
-    "chd_grid",
-    "chd_pair",
-    "chosen",
-    "colors_of",
-    "draw_fit",
-    "draw_histograms",
-    "draw_means",
-    "fit_curve",
-    "fits",
-    "log_support",
-    "mode_stems",
-    "scales_of",
-    "share_radiance",
-    "tail_curve",
-]
-
 Density = Callable[[Array], Array]
 """Density of the positive samples, per unit of radiance."""
 
@@ -87,7 +60,7 @@ SCALES: tuple[Scale, ...] = get_args(Scale)
 """Scales of radiance: "linear" and "log"."""
 
 _CURVE_POINTS = 400
-LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
+_LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
 DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
 """Colours and line styles of curves, in turn."""
 MEAN: Any = (0, (3, 2))
@@ -735,7 +708,7 @@ def fits(
         counted = linear if scale == "linear" else log
         draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
         for i, (name, density) in enumerate(fitted.items()):
-            look = {"color": LINES[i % len(LINES)], "linestyle": DASHES[i % len(DASHES)]}
+            look = {"color": _LINES[i % len(_LINES)], "linestyle": DASHES[i % len(DASHES)]}
             draw_fit(ax, counted, density, label=verbatim(NAMES.get(name, name)), **look)
         ax.set_xlabel(_axis_name("radiance", scale, across / len(kinds)))
         per = "unit of radiance" if scale == "linear" else "decade"
@@ -846,7 +819,7 @@ def _rows(count: int) -> list[dict[str, Any]]:
         raise InputError(message)
     return [
         {
-            "color": LINES[i],
+            "color": _LINES[i],
             "linestyle": DASHES[i],
             "label": f"row {i}" if count > 1 else None,
         }

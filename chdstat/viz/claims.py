@@ -37,9 +37,6 @@ from chdstat.viz.styling import (
     within,
 )
 
-__all__ = ["VERDICTS", "claim_intervals", "finding_plots", "verdict_matrix"]
-
-
 VERDICTS = {
     "supported": ("#0072B2", "✓"),
     "not supported": ("#D55E00", "✗"),

@@ -47,18 +47,6 @@ from chdstat.viz.styling import (
     within,
 )
 
-__all__ = [
-    "averages",
-    "coverage",
-    "curves",
-    "error_curves",
-    "estimator_measures",
-    "pattern_breakdown",
-    "pixel_estimates",
-    "training",
-]
-
-
 _GREY = "#888888"
 _TITLES = {
     "mse_ratio": "MSE ratio",

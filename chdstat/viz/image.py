@@ -58,18 +58,6 @@ from chdstat.viz.styling import (
     within,
 )
 
-__all__ = [
-    "Mark",
-    "draw_marked",
-    "firefly_pair",
-    "one_channel",
-    "region_study",
-    "side_by_side",
-    "tonemap",
-    "with_marks",
-]
-
-
 _PAIR = (PALETTE[5], PALETTE[4])
 """Colours of two things that are compared."""
 _DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 0.8)))

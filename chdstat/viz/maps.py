@@ -21,12 +21,12 @@ from matplotlib.patches import Patch, Rectangle
 
 from chdstat._core.arrays import Array, flag_names, luminance
 from chdstat._core.display import Width, colour
-from chdstat._core.image_scales import display_stops
+from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
 from chdstat.viz.chd import Channels, Panel, draw_histograms, draw_means, one_of
-from chdstat.viz.image import Mark, draw_marked, one_channel, tonemap
+from chdstat.viz.image import Mark, draw_marked, one_channel
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
@@ -53,18 +53,6 @@ from chdstat.viz.styling import (
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "atlas",
-    "categorical_map",
-    "contrast",
-    "image_map",
-    "map_grid",
-    "n_needed",
-    "names_of",
-    "renders_compared",
-    "value_map",
-]
 
 LABEL_COLORS = {
     "none": "#DDDDDD",

@@ -39,43 +39,7 @@ from chdstat.errors import InputError, check_option
 from chdstat.estimators.registry import LABELS
 from chdstat.fit.families import FAMILIES
 
-__all__ = [
-    "CHANNELS",
-    "HEIGHT",
-    "MISSING",
-    "NAMES",
-    "PALETTE",
-    "UNIT",
-    "WIDTHS",
-    "axes_in",
-    "bare",
-    "called",
-    "estimator_name",
-    "families",
-    "fitting",
-    "grid",
-    "grow",
-    "inches",
-    "ink_on",
-    "name_ticks",
-    "narrow",
-    "page",
-    "panels_in",
-    "per_cent",
-    "plain_log",
-    "png_of",
-    "qualitative",
-    "sequential",
-    "spelt",
-    "style",
-    "swatches",
-    "two_parts",
-    "upright",
-    "verbatim",
-    "within",
-]
-
-WIDTHS = {"column": 3.4, "page": 6.7}
+_WIDTHS = {"column": 3.4, "page": 6.7}
 """Inches of a column of a paper in two columns, and of the text of an A4 page."""
 
 _NARROW = 5.0
@@ -160,10 +124,10 @@ class StyledFigure(Figure):
             super().savefig(fname, **options)
 
     def _repr_png_(self) -> bytes:
-        return png_of(self)
+        return _png_of(self)
 
 
-def png_of(figure: Figure) -> bytes:
+def _png_of(figure: Figure) -> bytes:
     """Return a figure as the PNG file that a notebook shows."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi="figure")
@@ -176,7 +140,7 @@ def inches(width: Width, within: Figure | SubFigure | None = None) -> float:
     Raises
     ------
     InputError
-        If the width is neither a name of `WIDTHS` nor a positive number.
+        If the width is neither a name of `_WIDTHS` nor a positive number.
 
     Examples
     --------
@@ -186,8 +150,8 @@ def inches(width: Width, within: Figure | SubFigure | None = None) -> float:
     if within is not None:
         return float(within.bbox.width / within.dpi)
     if isinstance(width, str):
-        check_option("width", width, WIDTHS)
-        return WIDTHS[width]
+        check_option("width", width, _WIDTHS)
+        return _WIDTHS[width]
     if not 0 < width < math.inf:
         message = f"width must be 'column', 'page' or a number of inches, got {width}"
         raise InputError(message)

@@ -23,9 +23,6 @@ from chdstat.samples.tiles import Work
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Measured", "candidates", "through_denoiser"]
-
-
 _BAND = 2**19
 """Radiance values that are computed at once."""
 _USUAL = 0.999

@@ -43,8 +43,6 @@ from chdstat._core.arrays import Floats, Reals, block_sums, spans
 from chdstat._core.display import duration, percent
 from chdstat._core.image_scales import TOLERANCE, relative_scale
 
-__all__ = ["ErrorOfEstimate", "error_of", "spp_in_words"]
-
 _USUAL, _WIDTH = 1.0, 1.0
 """Median of the squared bias over the noise, and standard deviation of the logarithm of this ratio,
 before any evidence."""

@@ -18,8 +18,6 @@ from scipy import ndimage, stats
 from chdstat._core.arrays import Image, Reals
 from chdstat.estimators.default_estimate.weights import BilateralGrid, Proposal
 
-__all__ = ["interval_around", "spread_of_halves"]
-
 _AROUND = 4.0
 """Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
 _TILE, _CLASSES = 32, 2

@@ -29,8 +29,6 @@ import numpy as np
 from chdstat._core.arrays import Floats, Indices, Reals, block_sums
 from chdstat.estimators.default_estimate.weights import BilateralGrid, Proposal
 
-__all__ = ["lost_light"]
-
 _BLOCK, _CLASSES = 32, 2
 """Distance of places in pixels, and classes of groups: the noise, and the noise around it."""
 _OF_IMAGE, _OF_PLACE = 2.0, 4.0

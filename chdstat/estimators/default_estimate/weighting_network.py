@@ -19,9 +19,6 @@ from chdstat._core.arrays import Image, Reals, spans
 from chdstat.estimators.default_estimate.candidates import Measured
 from chdstat.estimators.training import read_model
 
-__all__ = ["LEVELS", "WeightingNetwork", "comparisons", "unit_of"]
-
-
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Probabilities for which the width of intervals was measured."""
 _SHIPPED = Path(__file__).with_name("weighting_network.safetensors")

@@ -43,9 +43,6 @@ from scipy import ndimage
 
 from chdstat._core.arrays import Floats, Indices, Mask, Reals, spans
 
-__all__ = ["BilateralGrid", "Proposal", "weight_of_mean"]
-
-
 _SCORES = np.array((-6.0, -1.5, 1.5, 6.0))
 """Standard scores of the proposal against the mean."""
 _NOISE = np.array((0.0025, 0.01, 0.04, 0.16, 0.64, 2.5))

@@ -27,8 +27,6 @@ from chdstat.studies.claim import claim
 from chdstat.studies.findings import ClaimTest, Finding, PlotData, require
 from chdstat.studies.scene_data import PixelSet, SceneData, fold_of, logs
 
-__all__ = ["broken_assumptions", "growing", "with_room"]
-
 _FOLDS = 4
 _ACROSS = 8
 
@@ -94,14 +92,14 @@ def explained_by_features(
     return used.interval(lambda w: (1 - (w @ error) / (w @ total)) / reliability), reliability
 
 
-Growing = tuple[Floats, Floats, Floats]
+_Growing = tuple[Floats, Floats, Floats]
 
 _SLOWEST = 0.8
 """Smallest assumed ratio of successive gains: for gamma and log-normal samples it lies between 0.6
 and 0.9; noise may make it smaller."""
 
 
-def growing(x: Reals, good: Mask, statistic: Callable[[Moments], Floats]) -> Growing:
+def growing(x: Reals, good: Mask, statistic: Callable[[Moments], Floats]) -> _Growing:
     """Return a moment of the quarters, of the halves and of all samples.
 
     Parameters
@@ -123,7 +121,7 @@ def growing(x: Reals, good: Mask, statistic: Callable[[Moments], Floats]) -> Gro
     return first, second, third
 
 
-def with_room(median: Interval[float], grown: Growing) -> Interval[float]:
+def with_room(median: Interval[float], grown: _Growing) -> Interval[float]:
     """Return a median over pixels, with the upper end raised for missing samples.
 
     From a quarter to half of the samples the median gains d1, and from half to all it gains d2. If

@@ -27,8 +27,6 @@ from chdstat.studies.claims.between_renders import samples_ratio
 from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.studies.scene_data import SceneData, known_mean, logs
 
-__all__ = ["averages", "counts", "tails"]
-
 _WHO = "own", "guided"
 _TAIL_PIXELS = 1024
 _LONG = 0.25

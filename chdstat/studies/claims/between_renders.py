@@ -57,9 +57,6 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["complexity", "correlated", "cost", "integrators", "lengths", "samples_ratio", "scenes"]
-
-
 # --- longer paths ---------------------------------------------------------------------------------
 
 _LEVELS = (0.01, 0.5, 0.99)

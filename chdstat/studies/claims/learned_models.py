@@ -1,7 +1,7 @@
 """Learning: how good the learned model is, and whether it is the mean if there is no pattern.
 
 The claims (15, 16, and 32 on guided samples) and verdicts are about the model of the paper,
-`PAPER`. Other learned estimators are tested in the same way. Elek et al. 2019, section 6: without
+`_PAPER`. Other learned estimators are tested in the same way. Elek et al. 2019, section 6: without
 identifiable patterns, such a model "should gracefully reduce to the baseline solution", the sample
 average.
 """
@@ -31,11 +31,9 @@ from chdstat.studies.claim import claim
 from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["guided", "learned_model", "reduction"]
+_EstimateOf = Callable[[Array], Floats]
 
-EstimateOf = Callable[[Array], Floats]
-
-PAPER = "elek2019"
+_PAPER = "elek2019"
 """Name of the estimator that the claims are about."""
 _EARLY = 0.1
 """Share of the iterations that is early; the paper's curves are flat after the first records."""
@@ -58,8 +56,8 @@ def learned_model(data: SceneData) -> Finding:
 
 def _papers(measured: dict[str, Finding]) -> Finding:
     """Return the finding on the paper's model, with those of the others."""
-    missing = Finding(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
-    return replace(measured.pop(PAPER, missing), other_models=measured)
+    missing = Finding(missing=(f"needs the paper's model, {_PAPER}, in the comparison",))
+    return replace(measured.pop(_PAPER, missing), other_models=measured)
 
 
 def _worth(data: SceneData, comparison: Comparison, name: str) -> Finding:
@@ -157,7 +155,7 @@ def _better_start(data: SceneData, comparison: Comparison, index: int) -> Interv
 
 LEVELS = tuple(float(f"1e{power}") for power in range(-4, 5))
 """Radiance of the constant images."""
-FACTORS = (2.0**-10, 2.0**10)
+_FACTORS = (2.0**-10, 2.0**10)
 """Units of radiance: powers of two, which round no sample."""
 ROUNDING = 1e-4
 """Relative change up to which estimates are the same: single precision leaves 1e-7 to 1e-6."""
@@ -217,7 +215,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Finding:
     # Values beyond single precision cannot be another unit.
     sizes = np.abs(x[np.isfinite(x) & (x != 0)]).astype(np.float64)
     tiny, huge = np.finfo(np.float32).tiny, np.finfo(np.float32).max
-    factors = [f for f in FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
+    factors = [f for f in _FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
     scaled = {f: changes(partial(np.multiply, np.float32(f)), f) for f in factors}
     scale, change = _scale(x[good], first), "largest change of an estimate with the"
     largest = {
@@ -263,7 +261,7 @@ def _middle(
 
 def _function(
     comparison: Comparison, name: str, features: dict[str, npt.NDArray[np.float32]]
-) -> EstimateOf:
+) -> _EstimateOf:
     """Return an estimator as a function of samples (y, x, channel, sample)."""
     model: Any = comparison.models.get(name)
 

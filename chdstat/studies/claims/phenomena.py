@@ -48,8 +48,6 @@ from chdstat.studies.shape_distances import (
 )
 from chdstat.summary.histograms import linear_support
 
-__all__ = ["CASE_STUDY"]
-
 _MAJORITY = 0.5
 _TAIL = float(np.log(100) / np.log(2))
 """Quantile at 99 % over the median, of the exponential distribution: 6.6. Beyond it, a tail is
@@ -609,7 +607,7 @@ def _fullest(bins: Counts, counted: Mask) -> Floats:
 
 
 @dataclass(frozen=True)
-class Statement:
+class _Statement:
     """A statement of the paper about the pixels of a phenomenon.
 
     Attributes
@@ -637,7 +635,7 @@ class Statement:
     unit: str = "1"
 
 
-def _claim(number: int, name: str, words: str, *statements: Statement, cast: str = "") -> Claim:
+def _claim(number: int, name: str, words: str, *statements: _Statement, cast: str = "") -> Claim:
     """Return the claim that all statements hold, and that a phenomenon has a colour cast."""
 
     def measure(data: SceneData) -> Finding:
@@ -652,29 +650,29 @@ def _claim(number: int, name: str, words: str, *statements: Statement, cast: str
 CASE_STUDY = (
     _claim(18, "direct light",
         "CHDs of directly lit surfaces have several modes, a colour cast, and long tails.",
-        Statement("share of multimodal pixels", _several, "direct", least=_MAJORITY),
-        Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
+        _Statement("share of multimodal pixels", _several, "direct", least=_MAJORITY),
+        _Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
         cast="direct",
     ),
     _claim(19, "resolved direct light",
         "CHDs of directly lit surfaces are well resolved in spite of their spread and long tail.",
-        Statement(
+        _Statement(
             "noise of the log histogram less that of the image", _jagged, "direct", "image",
             most=0.0,
         ),
-        Statement(
+        _Statement(
             "decades between 1 % and 99 %", _width, "direct", least=_LOG_TAIL + _LOG_DARK,
             unit="decade",
         ),
-        Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
+        _Statement("decades from median to 99 %", _tail, "direct", least=_LOG_TAIL, unit="decade"),
     ),
     _claim(20, "direct and diffuse",
         "CHDs of diffuse objects that get more indirect light are less spiky in the log domain "
         "than those of directly lit surfaces, and have longer tails in the linear one.",
-        Statement(
+        _Statement(
             "fullest tenth of a decade, diffuse less direct", _spike, "diffuse", "direct", most=0.0
         ),
-        Statement(
+        _Statement(
             "decades from median to 99 %, diffuse less direct", _tail, "diffuse", "direct",
             least=0.0, unit="decade",
         ),
@@ -682,45 +680,45 @@ CASE_STUDY = (
     _claim(22, "shadows",
         "CHDs in a shadow are skewed further to the dark in the log domain than in direct light, "
         "and vary more.",
-        Statement(
+        _Statement(
             "skewness of log radiance, shadow less direct", log_skewness, "shadow", "direct",
             most=0.0,
         ),
-        Statement(
+        _Statement(
             "log relative deviation, shadow less direct", _noise, "shadow", "direct", least=0.0,
             unit="decade",
         ),
     ),
     _claim(24, "virtual sources",
         "CHDs of translucent lamp shades have a very long, faint tail, and yet a low variance.",
-        Statement(
+        _Statement(
             "decades of the longer tail beyond an exponential's", _reach, "virtual-source",
             least=0.0, unit="decade",
         ),
-        Statement(
+        _Statement(
             "log relative deviation less that of the image", _noise, "virtual-source", "image",
             most=0.0, unit="decade",
         ),
     ),
     _claim(25, "fireplace",
         "The fireplace looks dull, but its CHD is wild in the log domain.",
-        Statement("modes less those of the image", _modes, "fireplace", "image", least=0.0),
-        Statement("share of multimodal pixels", _several, "fireplace", least=_MAJORITY),
+        _Statement("modes less those of the image", _modes, "fireplace", "image", least=0.0),
+        _Statement("share of multimodal pixels", _several, "fireplace", least=_MAJORITY),
     ),
     _claim(26, "hidden modes",
         "Most of a CHD of indirect light is one spike of the linear histogram; the log histogram "
         "shows several modes.",
-        Statement(
+        _Statement(
             "share of samples in the fullest linear bin", _linear_spike, "indirect",
             least=_MAJORITY,
         ),
-        Statement("share of multimodal pixels", _several, "indirect", least=_MAJORITY),
+        _Statement("share of multimodal pixels", _several, "indirect", least=_MAJORITY),
     ),
 )  # fmt: skip
 """Claims on single regions; each is supported where all its statements are."""
 
 
-def _tested(data: SceneData, statements: Sequence[Statement], *, cast: str) -> Finding:
+def _tested(data: SceneData, statements: Sequence[_Statement], *, cast: str) -> Finding:
     """Test statements, and that the channels of a phenomenon are shifted, if one is named."""
     count = len(statements) + bool(cast)
     names = {s.phenomenon for s in statements} | {s.against for s in statements} - {""}

@@ -15,8 +15,6 @@ from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, requ
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 
-__all__ = ["brightest_firefly", "families", "fireflies", "neighbours", "symmetry"]
-
 _BIN = 0.1
 """Width in decades of a bin of the histograms of `chdstat.summarize`."""
 
