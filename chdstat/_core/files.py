@@ -36,6 +36,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+import platformdirs
 from upath import UPath
 
 import chdstat
@@ -641,6 +642,11 @@ def code_digest() -> str:
     return digest.hexdigest()[:12]
 
 
+def digest_of(value: object) -> str:
+    """Return a short digest of a value with a `repr` that identifies it."""
+    return hashlib.sha256(repr(value).encode()).hexdigest()[:12]
+
+
 def installed(package: str) -> str:
     """Return the version of an installed package; "" if it is not installed."""
     try:
@@ -651,7 +657,7 @@ def installed(package: str) -> str:
 
 def user_cache() -> Path:
     """Return the folder of the user's cache, whose content can be computed again."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "chdstat")
+    return platformdirs.user_cache_path("chdstat", appauthor=False)
 
 
 @contextlib.contextmanager
@@ -681,14 +687,14 @@ def checkpoints(
         yield None
         return
     # Workers of a cluster also write to it, from folders of their own.
-    place, options = Path(folder).absolute(), hashlib.sha256(repr(inputs).encode()).hexdigest()
+    place = Path(folder).absolute()
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         message = f"cannot keep checkpoints in {place}: {error.strerror}; give another folder"
         raise StoreError(message) from error
     try:
-        yield Cache(place, f"{_CHECKPOINT}{identify()}-{options[:12]}")
+        yield Cache(place, f"{_CHECKPOINT}{identify()}-{digest_of(inputs)}")
     except BaseException:
         with contextlib.suppress(OSError):
             place.rmdir()  # if nothing was kept
@@ -828,4 +834,4 @@ class Cache:
 
 
 def _file(name: str, inputs: object) -> str:
-    return f"{name}-{hashlib.sha256(repr(inputs).encode()).hexdigest()[:12]}.npz"
+    return f"{name}-{digest_of(inputs)}.npz"

@@ -28,8 +28,8 @@ from chdstat._core.arrays import (
 )
 from chdstat._core.display import Shown
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import p_of_means
 from chdstat.errors import InputError
+from chdstat.inference.permutations import p_of_means
 from chdstat.samples import ImageLike, Samples, opened
 
 _MOST = 4096
@@ -138,7 +138,7 @@ def difference(
     Hanika and Dachsbacher, "Detecting bias in Monte Carlo renderers using Welch's t-test", 2020,
     Journal of Computer Graphics Techniques 9(2); by divisions: Pitman, "Significance tests which
     may be applied to samples from any populations", 1937, doi:10.2307/2984124
-    (`chdstat._core.resampling.p_of_means`).
+    (`chdstat.inference.permutations.p_of_means`).
 
     Examples
     --------

@@ -33,8 +33,9 @@ from chdstat._core.arrays import (
     warn_caller,
 )
 from chdstat._core.display import number
-from chdstat._core.resampling import Shuffles, p_of_means, p_of_signs, q_values
+from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
+from chdstat.inference.permutations import Shuffles, p_of_means, p_of_signs
 from chdstat.inference.references import Reference, unseen_variance, with_luminance
 from chdstat.inference.windows import Cells, FlipMoments, guarded
 from chdstat.samples import Samples, samples_of

@@ -7,13 +7,12 @@ comparisons are kept beside the store until the samples or the code change.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.files import Cache, kept_until_written, release, room
+from chdstat._core.files import Cache, digest_of, kept_until_written, release, room
 from chdstat.analysis import analyze, save
 from chdstat.comparison import DEFAULT_ESTIMATORS, Comparison, compare
 from chdstat.comparison.entries import Entry, entry_of, without_denoiser
@@ -223,8 +222,8 @@ class Stores:
         if self.folder is not None:
             named = {n: settings[n] for n in ("max_depth", "seed", "size")} | dict(settings)
             del named["spp"]
-            digest = hashlib.sha256(repr((scene.hash, list(named.items()))).encode()).hexdigest()
-            out = self.folder / f"{scene.name}-{digest[:12]}.zarr"
+            digest = digest_of((scene.hash, list(named.items())))
+            out = self.folder / f"{scene.name}-{digest}.zarr"
             done = _finished(out, scene, settings["spp"])
             if done is not None:
                 return done

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.resampling import p_of_signs
 from chdstat._core.work import finished
 from chdstat.errors import InputError, Reason
 from chdstat.inference import contrast
 from chdstat.inference.contrasts import contrasting
+from chdstat.inference.permutations import p_of_signs
 from chdstat.inference.references import Reference
 from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import Cells, scan_windows, window_sums

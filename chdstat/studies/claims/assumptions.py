@@ -22,7 +22,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats, Mask, Reals, generator
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import Blocks, Interval, holm
+from chdstat._core.resampling import Blocks, Interval
 from chdstat.studies.claim import claim
 from chdstat.studies.findings import ClaimTest, Finding, PlotData, require
 from chdstat.studies.scene_data import PixelSet, SceneData, fold_of, logs
@@ -183,6 +183,7 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
         doi:10.1080/01621459.1974.10482955). NaN where there is nothing to test.
     """
     from statsmodels.stats.diagnostic import het_breuschpagan
+    from statsmodels.stats.multitest import multipletests
 
     rest = batches[:, :-1].mean(axis=1)
     noise = batches[:, -1] - rest
@@ -197,8 +198,10 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
     groups = [group for group in groups if len(group) > 2]
     if len(groups) > 1 and np.ptp(noise):
         p[1] = stats.levene(*groups, center="median").pvalue
-    adjusted = holm(np.maximum(p, _TINY)).tolist()
-    return dict(zip(("breusch_pagan", "levene"), adjusted, strict=True))
+    tested = np.isfinite(p)
+    if tested.any():
+        p[tested] = multipletests(np.maximum(p[tested], _TINY), method="holm")[1]
+    return dict(zip(("breusch_pagan", "levene"), p.tolist(), strict=True))
 
 
 _AVERAGED = 32
