@@ -20,7 +20,7 @@ import numpy as np
 
 from chdstat._core.arrays import Array
 from chdstat.errors import InputError, StoreError
-from chdstat.io.lazy import ArraySource, Joined, Opened, ReadOptions, Remapped, readable
+from chdstat.io.sources import ArraySource, Joined, Opened, ReadOptions, Remapped, readable
 from chdstat.samples.samples import axes_of
 
 _SAMPLES = ("samples", "radiance")

@@ -37,7 +37,7 @@ from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
-from chdstat.io.lazy import Frame, Frames, Opened, ReadOptions
+from chdstat.io.sources import Frame, Frames, Opened, ReadOptions
 
 Rectangle = tuple[int, int, int, int]
 """Left, top, right and bottom of the pixels of an image, all inclusive."""

@@ -24,7 +24,7 @@ import numpy as np
 from chdstat._core.arrays import Array, warn_caller
 from chdstat.errors import InputError, StoreError, brief
 from chdstat.io.array_files import chosen, features_of
-from chdstat.io.lazy import DAMAGED, ArraySource, Joined, Opened, ReadOptions
+from chdstat.io.sources import DAMAGED, ArraySource, Joined, Opened, ReadOptions
 from chdstat.samples.samples import axes_of
 
 ZARR = ("zarr.json", ".zgroup", ".zarray")

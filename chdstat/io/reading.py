@@ -25,7 +25,7 @@ from chdstat._core.arrays import Image, warn_caller
 from chdstat._core.files import is_path, local
 from chdstat.errors import InputError, StoreError
 from chdstat.io.labelled_files import ZARR
-from chdstat.io.lazy import Opened, ReadOptions
+from chdstat.io.sources import Opened, ReadOptions
 from chdstat.samples import Samples
 from chdstat.samples.dependence import warn_of_repeats
 from chdstat.samples.layout import canonical

@@ -26,7 +26,7 @@ from chdstat._core.arrays import Array, Image, Indices, warn_caller
 from chdstat._core.files import checksum
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, StoreError
-from chdstat.io.lazy import Opened, ReadOptions, readable
+from chdstat.io.sources import Opened, ReadOptions, readable
 from chdstat.samples.tiles import BATCH, gathered
 
 _VERSION = 1

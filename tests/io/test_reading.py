@@ -18,7 +18,7 @@ import zarr
 
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, StoreError
-from chdstat.io import lazy
+from chdstat.io import sources
 from chdstat.io.reading import FORMATS
 from tests.io.writers import WRITERS, exr
 
@@ -254,7 +254,7 @@ def test_frames_are_named_after_their_store_unless_told_otherwise(stack, tmp_pat
 
 
 def test_what_was_decoded_before_may_be_gone(stack, monkeypatch):
-    monkeypatch.setattr(lazy, "_KEPT", 1)
+    monkeypatch.setattr(sources, "_KEPT", 1)
     samples = chd.io.read(stack, features={"albedo": "albedo"})
     for ss in (slice(0, 10), slice(128, 130), slice(None), slice(3, 4)):
         assert np.array_equal(samples.read(ss=ss), np.moveaxis(IMAGES, 0, -1)[..., ss])
@@ -299,7 +299,7 @@ def test_no_room_for_what_is_decoded_is_said(stack, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(lazy.tempfile, "TemporaryFile", full)
+    monkeypatch.setattr(sources.tempfile, "TemporaryFile", full)
     with pytest.raises(StoreError, match="No space left on device; TMPDIR names another"):
         chd.io.read(stack).read()
 

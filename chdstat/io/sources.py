@@ -1,4 +1,4 @@
-"""Lazy sources: samples in files, read part by part, and how damage is reported.
+"""Sources: samples in files, read part by part, and how damage is reported.
 
 `ArraySource` reads an array that slices index; it never reads an array whole. `Frames` reads files
 of one image each, and decodes a batch at a time. Temporary files keep the decoded samples, so that
