@@ -205,7 +205,7 @@ def test_only_faces_list_their_names():
 
 def test_a_name_that_one_file_uses_has_an_underscore():
     """Formats are found by their names: `open_exr` and the like."""
-    folders = (ROOT, *(ROOT.parent / name for name in ("tests", "docs", "tools")))
+    folders = (ROOT, *(ROOT.parent / name for name in ("tests", "benchmarks", "docs", "tools")))
     paths = [p for folder in folders for kind in ("py", "rst") for p in folder.rglob(f"*.{kind}")]
     texts = (p.read_text("utf-8") for p in paths)
     users = Counter(word for text in texts for word in set(re.findall(r"\w+", text)))

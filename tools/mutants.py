@@ -37,7 +37,7 @@ from coverage import CoverageData
 from scipy.stats import binomtest
 
 PACKAGE = "chdstat"
-LEFT_OUT = ("tests/test_package.py", "tests/benchmarks/")
+LEFT_OUT = ("tests/test_package.py", "benchmarks/")
 OTHER = {
     "+": "-", "-": "+", "*": "/", "/": "*", "//": "/", "%": "*", "**": "*", "&": "|", "|": "&",
     "<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "is": "is not",

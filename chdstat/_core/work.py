@@ -100,7 +100,7 @@ class Interrupts:
         self._stopped.set()
 
 
-Item = TypeVar("Item")
+_Item = TypeVar("_Item")
 
 
 def finished(work: Generator[Any, None, Result]) -> Result:
@@ -168,8 +168,8 @@ def check_memory(needed: float, what: str, advice: str) -> None:
 
 
 def in_order(
-    function: Callable[[Item], Result],
-    items: Iterable[Item],
+    function: Callable[[_Item], Result],
+    items: Iterable[_Item],
     *,
     workers: int | None = None,
     client: Client | None = None,

@@ -11,7 +11,7 @@ from tests.fit import families_by_scipy as by_scipy
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_maximum_likelihood_equals_scipy(family):
-    """The whole comparison, 10,000 sets of each, is tests/benchmarks/test_scipy.py."""
+    """The whole comparison, 10,000 sets of each, is benchmarks/test_scipy.py."""
     x = by_scipy.draw(family, np.random.default_rng(31), 30, 200)
     compared = by_scipy.compare(family, x)
     assert compared.both > 22

@@ -140,7 +140,7 @@ HARD_EDGED = {
 @pytest.mark.parametrize(("spp", "most"), [(128, 0.065), (1024, 0.03)])
 @pytest.mark.parametrize("name", HARD_EDGED)
 def test_a_hard_edge_is_no_mode(name, spp, most):
-    """At most 4 and 1 % were measured (tests/benchmarks/test_modes.py); before, 10 to 100 %.
+    """At most 4 and 1 % were measured (benchmarks/test_modes.py); before, 10 to 100 %.
 
     More than 6.5 % of 300 rows where 4 % are expected: 2 %. The dip test does not object to these
     distributions, and mixtures follow an edge only with a narrow component beside it.
@@ -183,7 +183,7 @@ CLAMPED = {
 @pytest.mark.parametrize(("n", "most"), [(256, 0.065), (2048, 0.03)])
 @pytest.mark.parametrize("name", CLAMPED)
 def test_a_clamp_is_no_mode(name, n, most):
-    """At most 3 and 0.5 % were measured (tests/benchmarks/test_modes.py); it were up to 100 %.
+    """At most 3 and 0.5 % were measured (benchmarks/test_modes.py); it were up to 100 %.
 
     More than 6.5 % of 200 rows where 3 % are expected: 0.4 %. The dip test rejected at most 1.5 %;
     more than 5 %: below 1e-3.

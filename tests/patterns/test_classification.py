@@ -295,7 +295,7 @@ def test_agreement_of_known_maps():
 
 
 def test_flags_are_right_on_a_population():
-    # A small run of tests/benchmarks/test_patterns.py, which has the figures.
+    # A small run of benchmarks/test_patterns.py, which has the figures.
     chds = patterns.random_chds(300, seed=11)
     scores = patterns.flag_scores(chds, 512, seed=11)
     assert np.mean([score.f1 for score in scores.values()]) > 0.88

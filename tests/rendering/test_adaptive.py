@@ -381,7 +381,7 @@ def test_a_render_goes_on_once_if_trials_promised_too_much(wavefront, tmp_path):
 
 @pytest.mark.parametrize("name", ["diagonals, every 16 pixels", "checker, 1 pixel", "five pixels"])
 def test_a_real_render_reaches_the_error_or_says_so(wavefront, name):
-    """`tests/benchmarks/test_error_stop.py` tries all patterns, with more seeds."""
+    """`benchmarks/test_error_stop.py` tries all patterns, with more seeds."""
     pattern = NOISE[name]
     settings = {"size": (32, 32), "spp": 2048, "backend": wavefront, "progress": False}
     samples = chd.render(pattern.scene, error=pattern.asked, **settings)

@@ -24,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.known_images import SIZE, Picture, pictures
 from chdstat.estimators import CombinationStream
-from tests.benchmarks.known_images import SIZE, Picture, pictures
 
 SEEDS = int(os.environ.get("CHDSTAT_SEEDS", "1"))
 NAMES = os.environ.get("CHDSTAT_NAMES", "").split(";")

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.benchmarks import test_refuted as refuted
-from tests.benchmarks.known_images import KINDS, Picture, pictures
+from benchmarks import test_refuted as refuted
+from benchmarks.known_images import KINDS, Picture, pictures
 
 SOME = ("one noisy channel", "pixels known exactly", "signed samples", "mixture")
 

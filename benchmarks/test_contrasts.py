@@ -1,6 +1,6 @@
 """Contrasts: levels of p-values on renders, power against a test that knows the place, and time.
 
-Run with ``pytest tests/benchmarks/test_contrasts.py --benchmark-only -s``: about eight minutes, of
+Run with ``pytest benchmarks/test_contrasts.py --benchmark-only -s``: about eight minutes, of
 which simulated pairs, ``-k simulated``, take three.
 """
 

@@ -1,6 +1,6 @@
 """How often the flags of the patterns are right, by the number of samples.
 
-Run with ``pytest --benchmark-only -s tests/benchmarks/test_patterns.py``.
+Run with ``pytest --benchmark-only -s benchmarks/test_patterns.py``.
 """
 
 import numpy as np

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 import chdstat as chd
+from benchmarks.test_adaptive import PARTS, mean_of, reference, relative
+from benchmarks.test_guiding import EDGE, SCENES, SEEDS, SPP, VIEW, named
 from chdstat.estimators.default_estimate.candidates import through_denoiser
-from tests.benchmarks.test_adaptive import PARTS, mean_of, reference, relative
-from tests.benchmarks.test_guiding import EDGE, SCENES, SEEDS, SPP, VIEW, named
 
 
 def rendered(scene: str, **settings: Any) -> chd.Samples:

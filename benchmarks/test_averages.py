@@ -1,6 +1,6 @@
 """How often the predicted N is identified, and how often its interval then holds the truth.
 
-Run with ``pytest tests/benchmarks/test_averages.py --benchmark-only -s``.
+Run with ``pytest benchmarks/test_averages.py --benchmark-only -s``.
 """
 
 import numpy as np

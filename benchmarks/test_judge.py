@@ -1,6 +1,6 @@
 """The judge on images whose errors are known: do its intervals hold the true ratios?
 
-``pytest -n0 -s --benchmark-only tests/benchmarks/test_judge.py`` prints the shares of tables whose
+``pytest -n0 -s --benchmark-only benchmarks/test_judge.py`` prints the shares of tables whose
 95 % intervals hold the true ratio of errors, and of those that cannot tell. ``CHDSTAT_TABLES`` is
 the number of tables of each case, 200 by default. It fails if intervals hold the truth in a share
 that is more than 3 standard errors below 90 %, or if a verdict is reversed in more tables than

@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 
 import chdstat as chd
+from benchmarks.groups import SURE, Noise, errors_of_sums, holds, means, ratios, sums
+from benchmarks.rendered import REFERENCE_SPP
 from chdstat.comparison import Interval, Judge
 from chdstat.estimators import Combination
 from chdstat.io import denoise
 from chdstat.studies.claims import SceneData
-from tests.benchmarks.groups import SURE, Noise, errors_of_sums, holds, means, ratios, sums
-from tests.benchmarks.rendered import REFERENCE_SPP
 
 BY_NOISE = ("noise", "relative noise")
 """Groupings by noise: the first for squared errors, the second for relative ones."""

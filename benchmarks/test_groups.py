@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.comparison import Judge
-from tests.benchmarks.groups import (
+from benchmarks.groups import (
     DECILES,
     EDGE,
     SURE,
@@ -20,6 +19,7 @@ from tests.benchmarks.groups import (
     ratios,
     sums,
 )
+from chdstat.comparison import Judge
 
 SIZE, N, REFERENCE = 64, 32, 1024
 

@@ -1,6 +1,6 @@
 """How many modes are found: of hard edges, of clamps, and of two modes.
 
-Run with ``pytest tests/benchmarks/test_modes.py --benchmark-only -s``.
+Run with ``pytest benchmarks/test_modes.py --benchmark-only -s``.
 """
 
 import numpy as np

@@ -30,10 +30,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from benchmarks.groups import SURE, WORSE, Noise
+from benchmarks.rendered import Rendered, scenes
+from benchmarks.rows import BY_NOISE, Curve, Row
 from chdstat.estimators import Combination
-from tests.benchmarks.groups import SURE, WORSE, Noise
-from tests.benchmarks.rendered import Rendered, scenes
-from tests.benchmarks.rows import BY_NOISE, Curve, Row
 
 NUMBERS = tuple(int(n) for n in os.environ.get("CHDSTAT_NUMBERS", "16,64,256").split(","))
 CURVE = tuple(int(n) for n in os.environ.get("CHDSTAT_CURVE", "16,32,64,128,256").split(","))

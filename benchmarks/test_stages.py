@@ -68,7 +68,7 @@ def cost(package: Path, stage: str) -> dict[str, float]:
 @pytest.mark.parametrize("stage", STAGES)
 def test_stage(as_benchmark, stage):
     base = os.environ.get("CHDSTAT_BASE")
-    places = [Path(__file__).parents[2], *([Path(base)] if base else [])]
+    places = [Path(__file__).parents[1], *([Path(base)] if base else [])]
     runs = [[cost(place, stage) for place in places] for _ in range(ROUNDS)]
     for unit in ("s", "MB"):
         least = [min(run[i][unit] for run in runs) for i in range(len(places))]

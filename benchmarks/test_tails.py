@@ -1,6 +1,6 @@
 """How often the variance is trusted, and what intervals hold where one sample dominates a pixel.
 
-Run with ``pytest tests/benchmarks/test_tails.py --benchmark-only -s``; CHDSTAT_SCENES names a
+Run with ``pytest benchmarks/test_tails.py --benchmark-only -s``; CHDSTAT_SCENES names a
 folder of real scenes. +- is the standard error of what is simulated or rendered.
 """
 

@@ -1,6 +1,6 @@
 """How far certified numbers are from fresh samples of the same pixels, in standard errors.
 
-Run with ``pytest tests/benchmarks/test_certified.py --benchmark-only -s``. A failure would be more
+Run with ``pytest benchmarks/test_certified.py --benchmark-only -s``. A failure would be more
 than 1 % of the numbers beyond 3 standard errors, where chance makes 0.3 %.
 """
 

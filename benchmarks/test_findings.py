@@ -1,6 +1,6 @@
 """How often findings are right in worlds whose truth is known: verdicts, a row a world.
 
-Run with ``pytest --benchmark-only -s tests/benchmarks/test_findings.py``. CHDSTAT_WORLDS says how
+Run with ``pytest --benchmark-only -s benchmarks/test_findings.py``. CHDSTAT_WORLDS says how
 many worlds of each kind are drawn, in place of 50 (ties: eight times as many).
 """
 
