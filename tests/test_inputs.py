@@ -161,7 +161,7 @@ PIXELS = {
     "summary": lambda x: Summary(support=(0, 4)).update(x).read().mean,
     "Samples": lambda x: Samples.from_array(x).read(),
 }
-FIXED = {n: estimators.lookup(n) for n in ("mean", "mixture_shrinkage", "shared_patches")}
+FIXED = {n: estimators.lookup(n) for n in ("mean", "karis2013", "shared_patches")}
 """One for each set of axes that estimators look at: all others check their input the same way."""
 TAKING = {**ROWS, **PIXELS, **FIXED}
 

@@ -2,8 +2,8 @@
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
 is the baseline. `MLP` is the network of the paper. The others are order statistics and
-M-estimators; means of buckets, reweighted means and bootstrap means; shrinkage by `james_stein`;
-estimators that remove outliers; and estimators that share samples between similar pixels.
+M-estimators; means of buckets, reweighted means and bootstrap means; estimators that remove
+outliers; and estimators that share samples between similar pixels.
 
 `names` lists the registered estimators, the mean first. `lookup` says where an estimator comes from
 and what it needs. ``estimators.<name>`` is its function.
@@ -39,7 +39,6 @@ from chdstat.estimators.registry import (
     register,
     register_learned,
 )
-from chdstat.estimators.shrinkage import james_stein
 from chdstat.estimators.training import History, load_model, train_model
 
 __all__ = [
@@ -57,7 +56,6 @@ __all__ = [
     "Preset",
     "combine",
     "estimate",
-    "james_stein",
     "load_model",
     "lookup",
     "names",

@@ -8,7 +8,7 @@ features, not all of it: its estimate is close to that of `chdstat.estimate`, no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,8 +32,6 @@ BATCHES_AROUND = 4
 """Batches that estimators which look at the pixels around are scored on: they are slow."""
 _AROUND, _AROUND_DEFAULT = 10, 24
 """Pixels to each side that estimators look at: others, and those that are compared by default."""
-SLOW = frozenset({"mixture_shrinkage"})
-"""Too slow for a click: 70 ms for all batches, where the others take 8 ms together."""
 
 Step = Callable[[], None]
 
@@ -206,19 +204,8 @@ def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
     }
 
 
-def scored(
-    batches: ScoringBatches, *, names: Collection[str] | None = None, step: Step = lambda: None
-) -> list[ScoredEstimate]:
+def scored(batches: ScoringBatches) -> list[ScoredEstimate]:
     """Score every fixed estimator of one pixel.
-
-    Parameters
-    ----------
-    batches
-        Batches of a place.
-    names
-        Which estimators; None for all.
-    step
-        Called before each estimator; whatever it raises ends the computation.
 
     Examples
     --------
@@ -227,12 +214,11 @@ def scored(
     >>> first.name, first.mse_ratio
     ('mean', 1.0)
     """
-    found = []
-    for name, entry in fixed().items():
-        if batches.n >= entry.minimum_samples and (names is None or name in names):
-            step()
-            found.append(batches.score(name, entry(batches.x)))
-    return found
+    return [
+        batches.score(name, entry(batches.x))
+        for name, entry in fixed().items()
+        if batches.n >= entry.minimum_samples
+    ]
 
 
 def scored_around(
@@ -249,7 +235,7 @@ def scored_around(
     place
         (y, x) of the pixel.
     step
-        As for `scored`.
+        Called before each batch; whatever it raises ends the computation.
     """
     batches, found = batches.first(BATCHES_AROUND), []
     default = choose(None, [batches.n], samples=source.samples).entries.values()

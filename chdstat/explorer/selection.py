@@ -150,8 +150,7 @@ class SelectionResults:
         """Return the tables of the active place by name, and the estimates of quick estimators."""
         source, shared = plots.source, self._shared
         batches, said = self._batches(plots)
-        quick = estimators.fixed().keys() - estimators.SLOW
-        scored = estimators.scored(batches, names=quick) if batches else []
+        scored = estimators.scored(batches) if batches else []
         around = batches is not None and isinstance(source, StoreSource) and len(plots.key) == 2
         more = ". Estimators that use neighbouring pixels follow" * around
         columns = tables.columns_of(plots.places, plots.view.channel)
@@ -190,7 +189,7 @@ class SelectionResults:
         if batches is None:
             return self._estimates_table(plots, quick, said)
         store = plots.source if isinstance(plots.source, StoreSource) else None
-        found = [*quick, *estimators.scored(batches, names=estimators.SLOW, step=step)]
+        found = [*quick]
         for name, model in shared.models:
             step()
             learned = estimators.score_model(name, model, batches)

@@ -184,7 +184,6 @@ def test_one_pixel_and_one_row_are_images(name):
         ("jung2015", "resamples", (0, 9.5)),
         ("jung2015", "seed", (-1, 0.5)),
         ("jung2015", "location", ("mode",)),
-        ("mixture_shrinkage", "max_k", (9,)),
         ("zirr2018", "kappa", (0.0, -1.0)),
         ("zirr2018", "unit", (0.0,)),
         ("clamped", "limit", (0,)),

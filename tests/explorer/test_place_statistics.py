@@ -265,10 +265,10 @@ def test_extents_hold_all_that_is_drawn():
 # --- estimators ---------------------------------------------------------------------------------
 
 
-def estimates(x, n, reference=None, names=None):
+def estimates(x, n):
     """Score the fixed estimators on batches of n samples."""
-    batches = batches_of(x, n, reference)
-    return [] if batches is None else scored(batches, names=names)
+    batches = batches_of(x, n)
+    return [] if batches is None else scored(batches)
 
 
 def test_the_mean_has_no_bias_against_the_other_samples():
