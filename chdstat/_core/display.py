@@ -1,7 +1,8 @@
 """Display: numbers as a reader wants them, and results that show themselves.
 
-`Shown` gives a result a representation: an image and small tables in a notebook, at most twelve
-lines elsewhere. A class puts what is worth seeing in a `Card`.
+A result says once, in a `Card`, what is worth seeing of it: facts, rows of a table, images. `Shown`
+makes of that a notebook's HTML, at most twelve lines of text, and LaTeX. A `Tabled` result has rows
+of numbers, too, as a data frame or as a file.
 """
 
 from __future__ import annotations
@@ -10,18 +11,24 @@ import base64
 import contextlib
 import dataclasses
 import html
+import io
+import json
 import math
-import struct
 import textwrap
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import plain
+from chdstat._core.files import checked_target, replacing
 from chdstat.errors import InputError, Reason
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Width = Literal["column", "page"] | float
 """Width of a figure: that of a column or a page of a paper, or in inches."""
@@ -222,14 +229,8 @@ def _nested(x: Any) -> str:
     return f"[{', '.join(map(_nested, x))}]" if isinstance(x, list) else written(x)
 
 
-_CELL = "text-align: left; padding-right: 1em"
-_UNBROKEN = 32
-"""Letters of a cell that stay on one line."""
-
-
-def _cell(text: str) -> str:
-    wrap = "; white-space: nowrap" if len(text) <= _UNBROKEN else ""
-    return f'<td style="{_CELL}{wrap}">{html.escape(text)}</td>'
+_CELL = ' style="text-align: left; padding-right: 1em"'
+_IMAGE = ' style="max-width: 100%; min-width: 160px; image-rendering: pixelated"'
 
 
 @dataclass(frozen=True)
@@ -288,54 +289,47 @@ class Card:
     def html(self) -> str:
         """Return images and tables side by side, in the colours of the page that shows them."""
         figures = "".join(
-            f'<figure style="margin: 0"><img alt="{html.escape(caption)}" '
-            'style="max-width: 100%; min-width: 160px; image-rendering: pixelated" '
+            f'<figure style="margin: 0"><img alt="{html.escape(caption)}"{_IMAGE} '
             f'src="data:image/png;base64,{base64.b64encode(image).decode()}">'
             f'<figcaption style="font-size: 85%">{html.escape(caption)}</figcaption></figure>'
             for caption, image in self.images.items()
         )
-        facts = "".join(
-            f'<tr><th style="{_CELL}">{html.escape(name)}</th>{_cell(text)}</tr>'
-            for name, text in self.known().items()
-        )
-        parts = [f"<table>{facts}</table>"] if facts else []
-        if self.table:
-            head = "".join(
-                f'<th style="{_CELL}">{html.escape(name)}</th>' for name in self.table[0]
-            )
-            body = "".join(
-                f"<tr>{''.join(_cell(text) for text in row.values())}</tr>" for row in self.table
-            )
-            parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+        import pandas as pd
+
+        facts = pd.Series(self.known(), dtype=object).to_frame()
+        parts = [_html(facts, header=False)] if len(facts) else []
+        parts += [_html(pd.DataFrame([*self.table]), index=False)] if self.table else []
         return (
             f'<div><strong>{html.escape(self.title)}</strong><div style="display: flex; '
             'flex-wrap: wrap; gap: 1em; align-items: flex-start">'
             f"{figures}<div>{''.join(parts)}</div></div></div>"
         )
 
+    def latex(self) -> str:
+        """Return the table as LaTeX, or names and values if there is none; see `latex`."""
+        if self.table:
+            return latex(self.table)
+        rows = [{"quantity": name, "value": text} for name, text in self.known().items()]
+        wide = max((len(row["value"]) for row in rows), default=0) > _SENTENCE
+        return latex(rows, r"lp{0.7\linewidth}" if wide else "ll")
 
-_LATEX = str.maketrans(
-    {
-        **{letter: f"\\{letter}" for letter in "#$%&_{}"},
-        "\\": r"\textbackslash{}",
-        "^": r"\textasciicircum{}",
-        "~": r"\textasciitilde{}",
-        "|": r"\textbar{}",
-        "<": "$<$",
-        ">": "$>$",
-        "−": "$-$",
-        "±": r"$\pm$",
-        "×": r"$\times$",
-        "÷": r"$\div$",
-        "≤": r"$\le$",
-        "≥": r"$\ge$",
-        "µ": r"$\mu$",
-        "—": "---",
-        "–": "--",
-        "…": r"\dots{}",
-        "\N{NO-BREAK SPACE}": "~",
-    }
-)
+
+def _html(frame: pd.DataFrame, **options: bool) -> str:
+    """Return a data frame of text as a table, whole and to the left: pandas would cut it short."""
+    import pandas as pd
+
+    with pd.option_context("display.max_colwidth", None):
+        text = str(frame.to_html(border=0, justify="left", **options))
+    return text.replace("<th>", f"<th{_CELL}>").replace("<td>", f"<td{_CELL}>")
+
+
+_LATEX = str.maketrans({
+    **{letter: f"${letter}$" for letter in "<>"},
+    "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "÷": r"$\div$",
+    "≤": r"$\le$", "≥": r"$\ge$", "µ": r"$\mu$", "|": r"\textbar{}",
+    "—": "---", "–": "--", "…": r"\dots{}", "\N{NO-BREAK SPACE}": "~",
+})  # fmt: skip
+"""What LaTeX has for letters that its fonts lack."""
 
 
 def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
@@ -359,11 +353,12 @@ def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
     \bottomrule
     \end{tabular}
     """
-    texts = ([*rows[0]], *([*row.values()] for row in rows))
-    head, *body = (" & ".join(t.translate(_LATEX) for t in row) + r" \\" for row in texts)
-    begin = rf"\begin{{tabular}}{{{columns or 'l' + 'r' * (len(rows[0]) - 1)}}}"
-    lines = begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"
-    return "\n".join(lines)
+    import pandas as pd
+
+    frame = pd.DataFrame([*rows])
+    form = columns or "l" + "r" * (frame.shape[1] - 1)
+    text = str(frame.to_latex(index=False, escape=True, column_format=form))
+    return text.rstrip().translate(_LATEX)
 
 
 class Shown:
@@ -407,12 +402,7 @@ class Shown:
         >>> print(found.to_latex().splitlines()[4])
         sample mean & 1.00 & 1.00 &  & 0.0~\% & --- \\
         """
-        card = self._card()
-        if card.table:
-            return latex(card.table)
-        rows = [{"quantity": name, "value": text} for name, text in card.known().items()]
-        wide = max((len(row["value"]) for row in rows), default=0) > _SENTENCE
-        return latex(rows, r"lp{0.7\linewidth}" if wide else "ll")
+        return self._card().latex()
 
     def __repr__(self) -> str:
         return self._card().text()
@@ -424,6 +414,55 @@ class Shown:
                 figure = cast("Any", self).plot()
                 card = replace(card, images={**card.images, self._drawn: figure._repr_png_()})
         return card.html()
+
+
+class Tabled(Shown):
+    """A result with rows of numbers, which can be taken away.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True, repr=False)
+    ... class Found(Tabled):
+    ...     def table(self) -> list[dict[str, Any]]:
+    ...         return [{"n": 4, "bias": 0.5}]
+    >>> Found().to_dataframe()["bias"].tolist()
+    [0.5]
+    """
+
+    FORMATS: ClassVar = (".csv", ".json")
+    """File formats that `save` writes."""
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return rows of numbers and names by the titles of the columns."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything ready for JSON; None for NaN."""
+        return {"table": plain(self.table())}
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the rows of `table` as a `pandas.DataFrame`."""
+        import pandas as pd
+
+        return pd.DataFrame(self.table())
+
+    def save(self, path: str | Path) -> Path:
+        """Write `table` to a .csv, or everything to a .json file.
+
+        Raises
+        ------
+        InputError
+            If the path has another ending.
+        StoreError
+            If it cannot be written to.
+        """
+        target = checked_target(path, *self.FORMATS)
+        with replacing(target) as file:
+            text = json.dumps(self.to_dict(), indent=1)
+            if target.suffix == ".csv":
+                text = str(self.to_dataframe().to_csv(index=False))
+            file.write_text(text, encoding="utf-8")
+        return target
 
 
 def channel_names(count: int) -> tuple[str, ...]:
@@ -452,23 +491,13 @@ def png(values: npt.ArrayLike, about: str = "") -> bytes:
     """Return an image as a PNG file: sRGB from 0 to 1, shape (y, x, 3), or (y, x) for grey.
 
     `about` becomes its comment.
-
-    It is written here since importing Matplotlib takes a third of a second; W3C, "Portable Network
-    Graphics (PNG) specification", third edition, 2025.
     """
-    image = np.atleast_3d(np.asarray(values, np.float64))
-    packed = np.full((*image.shape[:2], 4), 255, np.uint8)
-    packed[..., :3] = np.round(255 * np.nan_to_num(image).clip(0, 1))
-    height, width = packed.shape[:2]
-    rows = b"".join(b"\0" + row.tobytes() for row in packed)  # the filter "none" for each row
-    parts = {
-        b"IHDR": struct.pack(">2I5B", width, height, 8, 6, 0, 0, 0),  # 8 bits, RGBA
-        b"sRGB": b"\0",
-        b"tEXt": b"Comment\0" + about.encode("latin-1"),
-        b"IDAT": zlib.compress(rows),
-        b"IEND": b"",
-    }
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in parts.items()
-    )
+    from PIL import Image, PngImagePlugin
+
+    pixels = np.round(255 * np.nan_to_num(np.asarray(values, np.float64)).clip(0, 1))
+    notes = PngImagePlugin.PngInfo()
+    notes.add(b"sRGB", b"\0")
+    notes.add_text("Comment", about)
+    file = io.BytesIO()
+    Image.fromarray(pixels.astype(np.uint8)).save(file, "png", pnginfo=notes)
+    return file.getvalue()

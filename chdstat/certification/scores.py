@@ -7,19 +7,15 @@ channels of a pixel stay together, since they share paths.
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, Floats, Mask, whole
-from chdstat._core.display import Card, Shown
-from chdstat._core.files import checked_target, replacing
+from chdstat._core.arrays import Array, Floats, Mask, plain, whole
+from chdstat._core.display import Card, Tabled
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import (
     Z_95,
@@ -212,7 +208,7 @@ class Score:
 
 
 @dataclass(frozen=True, repr=False)
-class CertifiedBench(Shown):
+class CertifiedBench(Tabled):
     """How this library's own answers do on certified pixels.
 
     Questions, for n samples:
@@ -240,9 +236,6 @@ class CertifiedBench(Shown):
     pixels
         Number of pixels.
     """
-
-    FORMATS: ClassVar = (".csv", ".json")
-    """File formats of the table."""
 
     scores: tuple[Score, ...]
     scenes: tuple[str, ...]
@@ -273,30 +266,7 @@ class CertifiedBench(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table, scenes and number of pixels, ready for JSON; None for NaN."""
-        rows = [
-            {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
-            for row in self.table()
-        ]
-        return {"scenes": list(self.scenes), "pixels": self.pixels, "scores": rows}
-
-    def save(self, path: str | Path) -> Path:
-        """Write the table to a file: .csv or .json.
-
-        Raises
-        ------
-        InputError
-            If the file has another suffix.
-        """
-        target = checked_target(path, *self.FORMATS)
-        with replacing(target) as draft, draft.open("w", newline="", encoding="utf-8") as file:
-            if target.suffix == ".json":
-                json.dump(self.to_dict(), file, indent=2)
-            else:
-                rows = self.table()
-                writer = csv.DictWriter(file, fieldnames=[*rows[0]])
-                writer.writeheader()
-                writer.writerows(rows)
-        return target
+        return {"scenes": list(self.scenes), "pixels": self.pixels, "scores": plain(self.table())}
 
     def _card(self) -> Card:
         facts = {"pixels": self.pixels, "scenes": ", ".join(self.scenes)}

@@ -324,7 +324,7 @@ def bench(
     and 2048 samples. A million samples of each of 64 pixels certify the pixels of a scene.
     """
     import chdstat
-    from chdstat.comparison.benchmark import FORMATS
+    from chdstat.comparison.benchmark import Bench
 
     if certified:
         refused = {
@@ -339,7 +339,7 @@ def bench(
         message = "bench needs a scene or a store, got none; add one, or --certified"
         raise InputError(message)
     if out is not None:
-        asked.target(out, *FORMATS)  # refused before the work
+        asked.target(out, *Bench.FORMATS)  # refused before the work
     images: dict[str, dict[str, str]] = {}
     for key, file in pairs_of("--image", image).items():
         name, _, scene = key.partition("@")

@@ -9,7 +9,6 @@ besides its samples.
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat._core.arrays import Array, Seed, plain, seed_number, whole
-from chdstat._core.display import Card, Shown, number, percent
-from chdstat._core.files import checked_target, replacing
+from chdstat._core.display import Card, Tabled, number, percent
+from chdstat._core.files import replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
 from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
@@ -43,7 +42,7 @@ from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
@@ -51,8 +50,6 @@ Images = Mapping[str, Mapping[str, Any]]
 _NAMES = {"mse": "MSE", "relmse": "relMSE", "flip": "FLIP"}
 _ERRORS = tuple(name for name in _NAMES if name != "flip" or HAS_FLIP)
 """Errors that are divided by those of the baseline; FLIP where its package is installed."""
-FORMATS = (".csv", ".json")
-"""File formats of a benchmark."""
 _LEAST = 1e-3
 """Least ratio of errors, and one over the largest: without the noise of the reference, the error of
 a replicate may be 0 or less."""
@@ -156,7 +153,7 @@ class Case:
 
 
 @dataclass(frozen=True, repr=False)
-class Bench(Shown):
+class Bench(Tabled):
     """Errors of estimators on several scenes.
 
     Attributes
@@ -326,30 +323,6 @@ class Bench(Shown):
         """Return everything as plain values."""
         found: dict[str, Any] = plain({"summary": self.summary(), "cases": self.table()})
         return {"baseline": self.baseline} | found
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the rows of `table` as a pandas data frame."""
-        import pandas as pd
-
-        return pd.DataFrame(self.table())
-
-    def save(self, path: str | Path) -> Path:
-        """Write `table` to a .csv, or everything to a .json file.
-
-        Raises
-        ------
-        InputError
-            If the path has another ending, or cannot be written to.
-        """
-        target = checked_target(path, *FORMATS)
-        with replacing(target) as file:
-            text = (
-                str(self.to_dataframe().to_csv(index=False))
-                if target.suffix == ".csv"
-                else json.dumps(self.to_dict(), indent=1)
-            )
-            file.write_text(text, encoding="utf-8")
-        return target
 
 
 def bench(
