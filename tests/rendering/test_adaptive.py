@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import StoreError
 from chdstat.rendering.adaptive import (
     Adaptive,
     Look,
@@ -390,24 +390,6 @@ def test_a_real_render_reaches_the_error_or_says_so(wavefront, name):
     assert actual <= 1.15 * pattern.asked or not samples.attrs["error"]["reached"]
     expected = pattern.error(pattern.variance / samples.counts)
     assert samples.attrs["error"]["value"] == pytest.approx(expected, rel=0.25)
-
-
-def test_what_makes_no_sense_is_refused(stored):
-    scene = "cornell-box"
-    with pytest.raises(InputError, match="at least 16 spp"):
-        chd.render(scene, spp=8, adaptive=True)
-    with pytest.raises(InputError, match="relMSE"):
-        chd.render(scene, adaptive="relmse")
-    for error in (0.0, 2):  # two per cent are 0.02
-        with pytest.raises(InputError, match=r"between 0 and 1, such as 0\.02 for 2 %"):
-            chd.render(scene, error=error)
-    for percentile, error in ((95, None), (100, 0.1), (0.95, 0.1)):
-        with pytest.raises(InputError, match="percentile"):
-            chd.render(scene, percentile=percentile, error=error)
-    with pytest.raises(InputError, match="only independent"):
-        chd.render(scene, adaptive=True, sampler="stratified")
-    with pytest.raises(StoreError, match="adaptive: stored None"):
-        chd.render(scene, size=(24, 16), spp=64, adaptive=True, out=stored())
 
 
 @pytest.mark.parametrize("radiance", [0.0, 1.0])

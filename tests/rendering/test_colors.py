@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, RenderError, StoreError
+from chdstat.errors import InputError, RenderError
 from chdstat.rendering import backend as backends
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import TriedBackend, activate, probe, resolve
@@ -85,16 +85,6 @@ def test_null_samples_are_zero_and_negative_ones_stay(backend, color):
     assert (x.min() < 0) == (color == "spectral"), "single wavelengths are out of sRGB's gamut"
     assert samples.attrs["color"] == color
     assert samples.features["albedo"].shape == (8, 8, 3)
-
-
-def test_a_store_has_one_color(tmp_path):
-    out, settings = tmp_path / "a.zarr", {"progress": False, "size": (4, 4)}
-    whole = chd.render(SCENE, spp=6, **used("scalar", "spectral"), **settings)
-    chd.render(SCENE, spp=4, out=out, **used("scalar", "spectral"), **settings)
-    with pytest.raises(StoreError, match="color: stored spectral, asked for rgb"):
-        chd.render(SCENE, spp=6, out=out, backend="scalar", **settings)
-    grown = chd.render(SCENE, spp=6, out=out, **used("scalar", "spectral"), **settings)
-    assert np.array_equal(grown.read(), whole.read())
 
 
 def test_colors_that_cannot_be_rendered_are_told(monkeypatch):

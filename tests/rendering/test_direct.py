@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, RenderError, StoreError
+from chdstat.errors import InputError, StoreError
 from chdstat.samples import inspect
 from chdstat.samples.store import Store
 from tests.stops import stopped
@@ -103,16 +103,3 @@ def test_that_of_other_samples_is_refused(tmp_path, change, named):
     for again in (lambda: chd.open(out), lambda: inspect(out), lambda: render(out=out, spp=8)):
         with pytest.raises(StoreError, match=f"not of the same samples as .*{named}"):
             again()
-
-
-def test_an_integrator_without_depths_is_refused_before_the_work(tmp_path):
-    scene = {
-        "type": "scene",
-        "sensor": {"type": "perspective"},
-        "integrator": {"type": "direct"},
-        "sky": {"type": "constant"},
-    }
-    out = tmp_path / "a.zarr"
-    with pytest.raises(RenderError, match="'direct' has no max_depth"):
-        render(scene, out=out)
-    assert not out.exists()

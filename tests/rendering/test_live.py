@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError
 from chdstat.rendering import render_batches
 from chdstat.rendering.backend import activate, probe
 
@@ -69,21 +68,6 @@ def test_between_batches_mitsuba_is_as_the_user_left_it():
         mi.set_variant("scalar_spectral")
         for _ in batches(batch=10):
             assert mi.variant() == "scalar_spectral"
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"batch": 0}, "batch must be at least 1, got 0"),
-        (
-            {"size": (10**6, 10**6), "spp": 1},
-            "1000000 x 1000000 pixels are more than the .* backend has random streams",
-        ),
-    ],
-)
-def test_what_is_out_of_range_is_refused_before_any_work(options, message):
-    with pytest.raises(InputError, match=message):
-        batches(**options)
 
 
 INTERRUPTED = """

@@ -13,7 +13,6 @@ from chdstat.errors import InputError
 from chdstat.rendering.recipes import (
     PHENOMENA,
     Region,
-    check_integrator,
     find_recipe,
     load_recipe,
     regions_of,
@@ -74,43 +73,6 @@ def test_a_scene_in_a_folder_that_the_environment_names(tmp_path, monkeypatch):
         load_recipe(write(tmp_path, named))
 
 
-def test_two_regions_of_one_name_are_refused(tmp_path):
-    again = GOOD[GOOD.index("[[regions]]") :]
-    with pytest.raises(InputError, match="regions must be distinct names"):
-        load_recipe(write(tmp_path, GOOD + again))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("schema = 1", "schema = 7", "schema must be 1, got 7"),
-        ("spp = 64", "", "spp must be a int, got None"),
-        ("[128, 96]", "[128]", "size must be .width, height. in pixels"),
-        ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25, 0.5, 0.5]", "rectangle of region 'wall' must be"),
-        ('"diffuse"', '"glow"', "phenomenon must be one of diffuse, .*, got 'glow'"),
-        ("schema = 1", "schema = ", "not valid TOML"),
-        ("spp = 64", "spp = true", "spp must be a int, got True"),
-        ("spp = 64", "spp = 0", "spp must be at least 1, got 0"),
-        ("max_depth = 9", "max_depth = 0", "max_depth must be at least 1 segment"),
-        ("max_depth = 9", "depth = 9", "key integrator.depth must be one of type, max_depth"),
-        ("seed = 3", "seeds = 3", "key seeds must be one of schema, .*, got 'seeds'"),
-        ("[[regions]]", "[regions]", r"regions must be tables \[\[regions\]\]"),
-        ('name = "wall"', "", r"regions\[0\].name must be a str, got None"),
-    ],
-)
-def test_a_broken_recipe_names_file_and_key(tmp_path, old, new, message):
-    path = write(tmp_path, GOOD.replace(old, new))
-    with pytest.raises(InputError, match=message) as caught:
-        load_recipe(path)
-    assert str(path) in str(caught.value)
-
-
-def test_a_missing_recipe_is_an_error_and_an_unknown_scene_has_none(tmp_path):
-    with pytest.raises(InputError, match="cannot read recipe"):
-        load_recipe(tmp_path / "none.toml")
-    assert find_recipe("no-such-scene") is None
-
-
 STUDY = {name: recipe for name in BUILTIN if (recipe := find_recipe(name))}
 
 
@@ -153,26 +115,3 @@ def test_regions_are_those_of_the_view_that_the_recipe_shows():
     assert regions(x[:20], scene="bathroom", scene_source="chdstat") == ()
     assert regions(x, scene="bathroom", scene_source="other.xml") == ()
     assert regions(x, scene="attic", scene_source="chdstat") == ()
-
-
-def test_a_recipe_of_another_integrator_is_refused(tmp_path):
-    recipe = load_recipe(write(tmp_path, GOOD.replace('"path"', '"volpath"')))
-    with pytest.raises(InputError, match="must be 'path', as scene 'bathroom' has it, got 'volp"):
-        check_integrator(recipe, load_scene("bathroom"))
-    check_integrator(load_recipe(write(tmp_path, GOOD)), load_scene("bathroom"))
-
-
-def test_a_file_that_is_no_text_is_refused(tmp_path):
-    path = tmp_path / "noise.toml"
-    path.write_bytes(bytes(range(128, 256)))
-    with pytest.raises(InputError, match="noise.toml is no text in UTF-8"):
-        load_recipe(path)
-
-
-@pytest.mark.parametrize(
-    "rectangle",
-    [(0, 0, 1, 1.5), (0.5, 0, 0.5, 1), (0, -0.1, 1, 1), ("a", 0, 1, 1), (0, 1), (np.nan, 0, 1, 1)],
-)
-def test_regions_are_fractions_of_the_image(rectangle):
-    with pytest.raises(InputError, match="as fractions of the image"):
-        Region("wall", "diffuse", rectangle)

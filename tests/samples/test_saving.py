@@ -39,21 +39,6 @@ def test_provenance_is_kept_as_text_and_numbers(tmp_path):
     assert "dusk" in saved._repr_html_()
 
 
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"averaged": 0}, "averaged must be at least 1, got 0"),
-        ({"averaged": "x"}, "averaged must be a whole number, got 'x'"),
-        ({"sequence": 2.5}, "sequence must be a whole number, got 2.5"),
-        ({"integrator": 5}, "integrator must be of type dict, got 5"),
-        ({"render_seconds": "long"}, "render_seconds must be of type .*float, got 'long'"),
-    ],
-)
-def test_provenance_that_means_something_is_checked(given, told):
-    with pytest.raises(InputError, match=told):
-        chd.Samples.from_array(RADIANCE, **given)
-
-
 def test_what_is_there_is_not_overwritten(tmp_path):
     samples = chd.Samples.from_array(RADIANCE)
     samples.save(tmp_path / "own.zarr")
@@ -81,12 +66,6 @@ def test_samples_are_appended_behind_those_that_are_there(tmp_path):
         chd.Samples.from_array(RADIANCE[:9]).save(tmp_path / "own.zarr", append=True)
     with pytest.raises(InputError, match="as many as the others"):
         chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
-
-
-def test_a_store_is_not_called_like_an_image(tmp_path):
-    with pytest.raises(InputError, match=r"such as own\.zarr, got own\.exr; .* write images"):
-        chd.Samples.from_array(RADIANCE).save(tmp_path / "own.exr")
-    assert not list(tmp_path.iterdir())
 
 
 def test_saving_again_repairs_what_is_damaged(tmp_path):
@@ -149,20 +128,6 @@ def test_samples_that_a_pixel_lacks_are_not_bad(recwarn):
     one = chd.summarize(RADIANCE[3:4, 4:5, :, : COUNTS[3, 4]])
     for name in ("mean", "variance", "standard_error", "maximum"):
         assert np.allclose(found[name][3, 4], one[name][0, 0], equal_nan=True), name
-
-
-@pytest.mark.parametrize(
-    ("counts", "told"),
-    [
-        (np.full((70, 5), 101), "from 0 to 100"),
-        (np.full((70, 5), -1), "from 0 to 100"),
-        (np.ones((70, 5)), "whole numbers"),
-        (np.ones((5, 70), int), r"shape \(70, 5\)"),
-    ],
-)
-def test_wrong_counts_are_refused(counts, told):
-    with pytest.raises(InputError, match=told):
-        chd.Samples.from_array(RADIANCE, counts=counts)
 
 
 def test_a_pixel_is_described_as_if_it_were_alone():

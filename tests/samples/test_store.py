@@ -171,23 +171,6 @@ def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
 # --- what is not a store ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("nowhere", r"no store at .*nowhere; render one with"),
-        ("notes.txt", r"notes\.txt is a file; a store is a folder"),
-        (".", r"is not a complete chdstat store \(both zarr\.json"),
-        ("maps.zarr", r"holds no samples; 'chdstat explore STORE --maps .*maps\.zarr' shows maps"),
-    ],
-)
-def test_what_is_no_store_is_an_error(tmp_path, name, message):
-    (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "maps.zarr").mkdir()
-    (tmp_path / "radiance").mkdir()
-    with pytest.raises(StoreError, match=message):
-        chd.open(tmp_path / name)
-
-
 @pytest.mark.parametrize("version", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1, "new"])
 def test_another_schema_is_refused(tmp_path, version):
     path = tmp_path / "s.zarr"

@@ -17,7 +17,7 @@ from upath import UPath
 
 import chdstat as chd
 import chdstat.samples
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import StoreError
 from chdstat.samples import Samples
 
 SETTINGS: dict[str, Any] = {"size": (70, 20), "seed": 3, "backend": "scalar", "progress": False}
@@ -119,23 +119,6 @@ def test_maps_go_to_folders(expected, tmp_path, monkeypatch, run, words):
     assert code
     assert "only stores of samples may lie behind URLs" in err
     assert not list(tmp_path.iterdir())
-
-
-def test_a_place_that_only_lets_read_is_told():
-    with pytest.raises(StoreError, match="cannot write to http.* can only be read"):
-        chd.Samples.from_array(np.ones((2, 2, 3, 4))).save("http://127.0.0.1:9/own.zarr")
-
-
-@pytest.mark.parametrize(
-    ("bad", "error", "message"),
-    [
-        ("memory://nothing/here.zarr", StoreError, "no store at memory://nothing/here.zarr"),
-        ("tape://box.zarr", InputError, "cannot reach tape://box.zarr: Unsupported"),
-    ],
-)
-def test_what_is_not_there_is_told(bad, error, message):
-    with pytest.raises(error, match=message):
-        chd.open(bad)
 
 
 def test_a_service_that_does_not_answer_is_told(bucket, monkeypatch):

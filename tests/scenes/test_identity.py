@@ -291,13 +291,6 @@ def test_files_and_values_of_a_dict_belong_to_it(tmp_path):
         load_scene(5)
 
 
-def test_a_scene_without_end_is_refused():
-    loop: dict[str, Any] = {"type": "scene"}
-    loop["again"] = loop
-    with pytest.raises(SceneError, match="nested too deep, or holds itself"):
-        chd.render(loop, spp=1)
-
-
 # --- plugins ------------------------------------------------------------------------------------
 
 PLUGIN = """

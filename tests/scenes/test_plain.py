@@ -69,22 +69,6 @@ def test_shading_normals_reach_the_renderer(draw):
     np.testing.assert_allclose(draw(scene, size=2, spp=1), flat / 2, rtol=1e-5)
 
 
-def test_what_mitsuba_cannot_read_is_a_scene_error(draw):
-    scene = plane_below_sky({"type": "no-such-material"})
-    with pytest.raises(SceneError, match="no-such-material"):
-        Scene("broken", scene).load()
-
-
-def test_what_mitsuba_would_crash_on_is_refused():
-    scene = plane_below_sky({"type": "diffuse", "reflectance": None})
-    with pytest.raises(SceneError, match="None for 'reflectance'; leave out"):
-        Scene("broken", scene).load()
-    scene = plane_below_sky({"type": "diffuse"})
-    scene["plane"] = {"type": "mesh", "vertices": np.zeros((3, 3))}
-    with pytest.raises(SceneError, match="a mesh needs vertices and faces; 'plane' has no faces"):
-        Scene("broken", scene).load()
-
-
 def test_a_scene_that_cannot_be_built_leaves_no_light_without_its_shape(draw):
     # While an error is held, as notebooks do, such a light would end the process in later renders.
     from chdstat.scenes.parsing import parse

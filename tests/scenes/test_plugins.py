@@ -176,34 +176,6 @@ def test_an_estimator_of_a_plugin_is_found_by_name(write):
         registry.register("largest_of_mine", source="not a plugin")(np.max)
 
 
-def test_an_estimator_of_the_library_stays_what_it_is(write):
-    with pytest.raises(InputError, match="registered already"):
-        load_plugin(write(ESTIMATOR.replace("largest_of_mine", "mean")))
-
-
-@pytest.mark.parametrize(
-    ("code", "told"),
-    [
-        ("x = 1\ny = 1 / 0\n", r"mine\.py, line 2: ZeroDivisionError: division by zero"),
-        ("x = 1\n\ndef f(:\n", r"mine\.py, line 3: SyntaxError: "),
-        ("import no_such_module", r"mine\.py, line 1: ModuleNotFoundError"),
-        ("raise SystemExit", r"mine\.py, line 1: SystemExit"),
-        ("x = 1", r"mine\.py registers nothing; end it with"),
-        (INTEGRATOR.replace('"constant_radiance"', '"path"'), "'path', which is Mitsuba's own"),
-    ],
-)
-def test_a_file_that_is_no_plugin_is_told_by_its_line(write, code, told):
-    with pytest.raises(InputError, match=told):
-        load_plugin(write(code))
-    assert plugins.loaded() == ()
-
-
-@pytest.mark.parametrize("path", ["no_such.py", ".", "\0"])
-def test_a_file_that_is_not_there_is_told(path):
-    with pytest.raises(InputError, match="cannot read the plugin"):
-        load_plugin(path)
-
-
 def test_two_plugins_have_names_of_their_own(write, tmp_path):
     load_plugin(write(INTEGRATOR))
     with pytest.raises(InputError, match=r"other\.py registers .* is mine\.py's own"):

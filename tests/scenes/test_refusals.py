@@ -69,12 +69,6 @@ def test_what_is_refused_is_said_in_words(tmp_path, part, words):
     assert not re.search(r"\.cpp|\[\w+\] |\.h:", found)
 
 
-def test_a_part_of_a_dict_is_named():
-    ball = {"type": "sphere", "bsdf": {"type": "difuse"}}
-    found = said({"type": "scene", "sensor": {"type": "perspective"}, "ball": ball})
-    assert "(at 'ball.bsdf'): Mitsuba has no plugin 'difuse'; did you mean 'diffuse'?" in found
-
-
 def test_names_that_are_nearly_right_are_suggested(tmp_path):
     path = written(tmp_path, "")
     assert "no plugin 'pathh'; did you mean 'path'?" in said("cornell-box", integrator="pathh")

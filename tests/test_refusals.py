@@ -1,0 +1,504 @@
+"""What is refused: by which error, and that its sentence names what was given or expected.
+
+Each row of the tables is a call, and what its error names. Sentences are read here alone: how long
+they are, that they state what was expected or what is wrong, and that they begin and end as all
+others. What is refused beside a law of its own stands with that law.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import chdstat as chd
+from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, StoreError
+from chdstat.io import denoise, read_exr, write_exr
+from chdstat.io.denoiser import run_network
+from chdstat.rendering import render_batches, render_pixels
+from chdstat.rendering.backend import probe, resolve
+from chdstat.rendering.options import scene_size
+from chdstat.rendering.recipes import Region, load_recipe
+from chdstat.rendering.seeds import max_spp
+from chdstat.scenes import load_plugin, load_scene
+from tests.io.writers import exr, planes_of, window
+from tests.rendering.test_recipes import GOOD
+from tests.rendering.test_scene_settings import box, floor
+from tests.scenes.test_plugins import ESTIMATOR, INTEGRATOR
+
+Row = tuple[type[ChdstatError], Callable[[], Any], tuple[str, ...]]
+
+
+def each(error: type[ChdstatError], call: Callable[..., Any], *rows: Any) -> Iterator[Row]:
+    """Yield rows of one call: what it is given, as options if it is a dict, and what is named."""
+    for given, *named in rows:
+        options = given if isinstance(given, dict) else {}
+        given = () if isinstance(given, dict) else given if isinstance(given, tuple) else (given,)
+        yield error, partial(call, *given, **options), tuple(named)
+
+
+# --- rendering ----------------------------------------------------------------------------------
+
+SKY = {"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
+AOV = {"type": "aov", "aovs": "d:depth"}
+TWO = {**AOV, "a": {"type": "path"}, "b": {"type": "direct"}}
+
+render = partial(
+    chd.render, scene="cornell-box", out="out.zarr", backend="scalar", size=(8, 8), spp=4
+)
+spread = partial(render, spp=64, sampler="stratified")
+pixels = partial(render_pixels, "cornell-box", spp=1, size=(8, 8))
+
+
+def recipe(old: str, new: str) -> Any:
+    Path("recipe.toml").write_text(GOOD.replace(old, new))
+    return load_recipe("recipe.toml")
+
+
+def xml(inside: str, **parameters: Any) -> Any:
+    Path("bad.xml").write_text(f"<scene version='3.0.0'>{inside}</scene>")
+    return render(scene=load_scene("bad.xml", **parameters))
+
+
+SENSOR = "<sensor type='perspective'/>"
+MINE = "<integrator type='mine'><integrator type='path'/></integrator>"
+GLOW = {"type": "constant", "radiance": {"type": "blackbody", "temperature": 5000.0}}
+LIT = SKY | {"sky": GLOW, "lamp": {"type": "point", "intensity": 1.0}}
+FILMS = [
+    ({"width": "x"}, "width", "from 1 to 1048576", "'x'"),
+    ({"height": 0}, "height", "got 0"),
+    ({"width": 7.5}, "width", "7.5"),
+    ({"crop_width": 40, "crop_offset_x": 20}, "40 x 32", "(20, 0)"),
+    ({"crop_offset_y": -1}, "crop_offset_y", "got -1"),
+]
+RENDERING = [
+    *each(
+        InputError,
+        render,
+        ({"spp": 0}, "spp", "got 0"),
+        ({"seed": -1}, "seed", "got -1"),
+        ({"seed": 2**31}, "seed", "2147483648"),
+        ({"size": (0, 8)}, "width", "got 0"),
+        ({"size": 8}, "size", "got 8"),
+        ({"size": (8, 4.5)}, "height", "4.5"),
+        ({"max_depth": 0}, "max_depth", "-1", "got 0"),
+        ({"spp": max_spp("scalar", 8, 8) + 1}, "spp", "8 x 8", "llvm"),
+        ({"size": (100_000, 100_000), "spp": 1}, "100000 x 100000", "scalar", "llvm"),
+        ({"backend": "metal"}, "backend", "auto, scalar", "'metal'"),
+        ({"backend": "scaler"}, "did you mean 'scalar'"),
+        ({"color": "grey"}, "color", "rgb, spectral, mono", "'grey'"),
+        ({"color": "spectal"}, "did you mean 'spectral'"),
+        ({"color": "mono"}, "mono", "llvm"),
+        ({"sampler": "sobol"}, "sampler", "independent, stratified"),
+        ({"sampler": "statified"}, "did you mean 'stratified'"),
+        ({"sequence": 16}, "sequence", "16", "stratified"),
+        ({"spp": 8, "adaptive": True}, "16 spp", "8"),
+        ({"spp": 64, "adaptive": "relmse"}, "relMSE", "'relmse'"),
+        ({"spp": 64, "error": 0.0}, "0.02", "0.0"),
+        ({"spp": 64, "error": 2}, "0.02", "2"),
+        ({"spp": 64, "percentile": 95}, "percentile", "error"),
+        ({"spp": 64, "percentile": 100, "error": 0.1}, "percentile", "100"),
+        ({"spp": 64, "percentile": 0.95, "error": 0.1}, "percentile", "0.95"),
+        ({"spp": 64, "adaptive": True, "sampler": "stratified"}, "independent", "stratified"),
+        ({"crop": (8, 0, 8, 8)}, "crop", "(8, 0)"),
+        ({"crop": (0, 0, 0, 4)}, "crop", "width", "got 0"),
+        ({"crop": (0, 0, 4)}, "crop", "(0, 0, 4)"),
+        ({"crop": "abcd"}, "crop", "abcd"),
+        ({"crop": (-1, 0, 2, 2)}, "crop", "x", "got -1"),
+        ({"integrator": {"max_depth": 3}}, "max_depth"),
+        ({"integrator": {"type": "path", "max_depth": [1]}}, "max_depth", "[1]"),
+        ({"integrator": 3}, "'path'", "a int"),
+        ({"scene": box(), "sensor": 2}, "sensor", "below 1", "got 2"),
+        (
+            {
+                "scene": floor(sensor={"type": "batch", "a": {"type": "orthographic"}}),
+                "crop": (0, 0, 8, 2),
+            },
+            "batch",
+        ),
+        ({"by_light": ["lihgt"]}, "did you mean 'light'"),
+    ),
+    *each(
+        InputError,
+        spread,
+        ({"sequence": 20}, "square", "20", "16 and 25"),
+        ({"sampler": "multijitter", "sequence": 17}, "full grid", "17", "16 and 20"),
+        ({"sampler": "orthogonal"}, "square of a prime", "16", "9 and 25"),
+        ({"sampler": "ldsampler", "sequence": 32}, "power of 4", "32", "16 and 64"),
+        ({"sampler": "ldsampler", "sequence": 4096}, "1024", "4096"),
+        ({"sequence": 1}, "sequence", "1"),
+        ({"spp": 2**28}, "spp", str(2**28)),
+        ({"spp": 40}, "16", "40", "32 and 48"),
+        ({"by_light": ["light"]}, "by_light", "'stratified'"),
+        ({"direct": True}, "direct", "'stratified'"),
+    ),
+    *each(
+        InputError,
+        partial(render_batches, "cornell-box"),
+        ({"batch": 0}, "batch", "got 0"),
+        ({"size": (10**6, 10**6), "spp": 1, "backend": "scalar"}, "1000000 x 1000000"),
+    ),
+    *each(
+        InputError,
+        pixels,
+        ([(8, 0)], "(y=8, x=0)", "8 x 8"),
+        ([(0, 0), (0, -1)], "(y=0, x=-1)"),
+        ([(0.5, 1.0)], "integers"),
+        ([(1, 2, 3)], "(pixel, 2)", "(1, 3)"),
+    ),
+    *each(InputError, resolve, ("metal", "scalar, llvm, cuda", "'metal'")),
+    *each(InputError, probe, ("metal", "'metal'")),
+    *each(
+        SceneError,
+        render,
+        ({"scene": "nowhere/scene.xml"}, "'nowhere/scene.xml'"),
+        ({"scene": {"shape": {"type": "sphere"}}}, "'type': 'scene'", "None"),
+        ({"integrator": {"type": "path", "max_dpth": 3}}, "max_dpth"),
+        ({"integrator": "pth"}, "pth", "'path'"),
+        ({"integrator": "gided"}, "did you mean 'guided'"),
+        ({"scene": floor(sensor={"type": "perspective", "fovv": 40})}, "fovv"),
+        *(
+            ({"scene": floor(**{part: {"type": "fisheye"}})}, "'fisheye'")
+            for part in ("sensor", "floor", "sky", "integrator")
+        ),
+        *(({"scene": box(**film)}, *named) for film, *named in FILMS),
+    ),
+    *each(SceneError, lambda **film: scene_size(box(**film)), *FILMS),
+    *each(
+        SceneError,
+        xml,
+        ("", "'bad'", "sensor"),
+        ({"inside": SENSOR, "glitter": 1}, "glitter"),
+    ),
+    *each(SceneError, partial(load_scene, "cornell-box"), ({"glitter": 1}, "glitter")),
+    *each(
+        RenderError,
+        render,
+        ({"integrator": "diffuse"}, "diffuse"),
+        ({"integrator": "guided"}, "llvm and cuda"),
+        ({"scene": {**box(), "sensor": {"type": "irradiancemeter"}}}, "'irradiancemeter'"),
+        ({"scene": SKY | {"integrator": {"type": "direct"}}, "direct": True}, "'direct'"),
+        ({"scene": SKY | {"integrator": AOV}}, "'aov'", "got 0"),
+        ({"scene": SKY | {"integrator": TWO}}, "'aov'", "got 2"),
+        ({"scene": LIT, "color": "spectral", "by_light": ["lamp"]}, "'sky'"),
+    ),
+    *each(RenderError, xml, (MINE + SENSOR, "'mine'")),
+    *each(
+        InputError,
+        recipe,
+        (("schema = 1", "schema = 7"), "schema", "got 7"),
+        (("spp = 64", ""), "spp", "None"),
+        (("[128, 96]", "[128]"), "size"),
+        (("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25, 0.5, 0.5]"), "'wall'"),
+        (('"diffuse"', '"glow"'), "phenomenon", "diffuse, ", "'glow'"),
+        (("schema = 1", "schema = "), "TOML"),
+        (("spp = 64", "spp = true"), "spp", "True"),
+        (("spp = 64", "spp = 0"), "spp", "got 0"),
+        (("max_depth = 9", "max_depth = 0"), "max_depth"),
+        (("max_depth = 9", "depth = 9"), "integrator.depth", "type, max_depth"),
+        (("seed = 3", "seeds = 3"), "schema, ", "'seeds'"),
+        (("[[regions]]", "[regions]"), "[[regions]]"),
+        (('name = "wall"', ""), "regions[0].name", "None"),
+        (("[[regions]]", GOOD[GOOD.index("[[regions]]") :] + "[[regions]]"), "regions"),
+        (('scene = "bathroom"', 'scene = "$ATTICS/a.xml"'), "'$ATTICS/a.xml'"),
+    ),
+    *each(InputError, load_recipe, ("none.toml", "none.toml")),
+    *each(
+        InputError,
+        lambda *rectangle: Region("wall", "diffuse", rectangle),
+        ((0, 0, 1, 1.5), "1.5"),
+        ((0.5, 0, 0.5, 1), "0.5"),
+        ((0, -0.1, 1, 1), "-0.1"),
+        (("a", 0, 1, 1), "'a'"),
+        ((0, 1), "(0, 1)"),
+        ((np.nan, 0, 1, 1), "nan"),
+    ),
+]
+
+# --- files --------------------------------------------------------------------------------------
+
+BLOCK = np.ones((4, 4, 3))
+written = partial(write_exr, path="out.exr", image=BLOCK)
+denoised = partial(denoise, estimate=2 * BLOCK)
+
+
+def content(change: Callable[[bytes], bytes]) -> Any:
+    """Read a file of 64 x 64 pixels whose bytes are changed."""
+    image = np.round(np.random.default_rng(0).lognormal(0, 3, size=(64, 64, 3)), 0)
+    path = write_exr(Path("x.exr"), image.astype(np.float32))
+    path.write_bytes(change(path.read_bytes()))
+    return read_exr(path)
+
+
+def claimed(whole: bytes) -> bytes:
+    start = whole.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    return (
+        whole[:start]
+        + np.array([0, 0, 10**6 - 1, 10**6 - 1], "<i4").tobytes()
+        + whole[start + 16 :]
+    )
+
+
+def window_of(data: Any, shown: Any = (0, 0, 13, 10)) -> Any:
+    left, top, right, bottom = data
+    planes = planes_of(np.ones((bottom - top + 1, right - left + 1, 3), np.float32))
+    header = {"dataWindow": window(*data), "displayWindow": window(*shown)}
+    return read_exr(exr("x.exr", planes, **header))
+
+
+FILES = [
+    *each(
+        InputError,
+        written,
+        ({"image": np.ones((4, 4))}, "(y, x, channel)", "(4, 4)"),
+        ({"image": np.ones((0, 4, 3))}, "(0, 4, 3)"),
+        ({"image": np.ones((4, 4, 3), complex)}, "image", "complex"),
+        ({"image": np.ones((4, 4, 2))}, "2 channels", "channels="),
+        ({"channels": ("R", "G")}, "3 different names"),
+        ({"channels": ("R", "G", "G")}, "3 different names"),
+        ({"channels": ("a.R", "a.G", "a.B")}, "dot"),
+        ({"channels": ("R", "G", "")}, "1 to 255", "''"),
+        ({"extra": {"a": np.ones((4, 3))}}, "'a'", "(4, 4, 3)", "(4, 3)"),
+        ({"extra": {"a": np.full((4, 4), "x")}}, "a must", "real numbers"),
+        ({"extra": {"a": np.ones((4, 4, 3)), "a.G": np.ones((4, 4))}}, "'a.G'"),
+        ({"extra": {"x" * 256: np.ones((4, 4))}}, "1 to 255"),
+        ({"extra": {"a\0b": np.ones((4, 4))}}, "1 to 255"),
+        ({"extra": {"a": np.full((4, 4), -1e39)}}, "'a'", "3.40282e+38", "1e+39"),
+        ({"attributes": {"": "x"}}, "1 to 255"),
+        ({"attributes": {"name": "x"}}, "'name'"),
+        ({"attributes": {"spp": 32}}, "'spp'", "int"),
+        ({"image": np.full((4, 4, 3), 7e4), "pixel_type": "half"}, "65504"),
+        ({"pixel_type": "double"}, "float, half", "'double'"),
+    ),
+    *each(
+        StoreError,
+        written,
+        *(({"path": path}, path) for path in ("none/x.exr", "x.txt/x.exr", "folder")),
+    ),
+    *each(StoreError, read_exr, ("x.exr", "x.exr"), ("folder", "no EXR file at folder")),
+    *each(
+        StoreError,
+        content,
+        (lambda _: b"", "x.exr", "not an EXR file"),
+        (lambda _: b"v/", "not an EXR file"),
+        (lambda _: b"\x89PNG\r\n" + bytes(100), "not an EXR file"),
+        *((lambda b, s=s: b[: max(4, int(s * len(b)))], "cut off") for s in (0.001, 0.3, 0.999)),
+        (lambda b: b[: len(b) // 2] + bytes(64) + b[len(b) // 2 + 64 :], "damaged"),
+        (claimed, "1.2e+13"),
+    ),
+    *each(
+        StoreError,
+        window_of,
+        (((14, 0, 27, 10),), "display window"),
+        (((0, -20, 13, -1),), "display window"),
+        (((0, 0, 13, 10), (0, 0, 2**20, 2**20)), "header claims"),
+    ),
+    *each(
+        InputError,
+        denoised,
+        ({"estimate": np.ones((4, 4))}, "(4, 4)"),
+        ({"estimate": np.ones((4, 4, 2))}, "1 or 3", "(4, 4, 2)"),
+        ({"estimate": np.ones((0, 4, 3))}, "(0, 4, 3)"),
+        ({"estimate": np.ones((4, 4, 3), complex)}, "real numbers"),
+        ({"hdr": False}, "display values"),
+        ({"normal": np.zeros((4, 4, 3))}, "albedo"),
+        ({"albedo": np.zeros((4, 4))}, "albedo", "(4, 4, 3)"),
+        ({"albedo": np.full((4, 4, 3), -2.0)}, "albedo", "0.0 and inf"),
+        ({"albedo": np.zeros((4, 4, 3)), "normal": np.full((4, 4, 3), -2.0)}, "normal"),
+        ({"certainty": np.zeros((4, 3))}, "certainty", "shape"),
+        ({"certainty": np.full((4, 4), 1.5)}, "certainty", "1"),
+        ({"certainty": np.full((4, 4), np.nan)}, "certainty", "1"),
+    ),
+    *each(
+        ChdstatError,
+        lambda **images: run_network(images, hdr=True),
+        (
+            {"color": np.ones((32, 32, 3), np.float32), "albedo": np.ones((8, 8, 3), np.float32)},
+            "(32, 32, 3)",
+            "size",
+        ),
+    ),
+]
+
+# --- samples ------------------------------------------------------------------------------------
+
+SAMPLES = chd.Samples.from_array(np.ones((5, 6, 3, 8)))
+DIMS = ("y", "x", "channel", "sample")
+
+
+array = partial(chd.Samples.from_array, array=np.ones((4, 6, 3, 32)))
+
+
+def beyond(value: float) -> Any:
+    x = np.ones((4, 6, 3, 32))
+    x[1, 2, 0, 3] = value
+    return x
+
+
+def opened(name: Any) -> Any:
+    Path("radiance").mkdir()
+    return chd.open(name)
+
+
+IN_ROOM = [
+    *each(
+        InputError,
+        array,
+        *(({"axes": axes}, "axes", "once") for axes in ("yxc", "yxss", "yxcz", "", "YXCS", 3)),
+        ({"array": np.ones((4, 6, 3, 2))}, "'yxcs'"),
+        ({"array": np.ones((4, 6, 31, 64))}, "'yxcs'"),
+        ({"array": np.ones((4, 6, 3))}, "image"),
+        ({"array": xr.DataArray(np.ones((4, 6, 3, 32)))}, "'sample'"),
+        (
+            {"array": xr.DataArray(np.ones((4, 6, 3, 32)), dims=("time", "y", "x", "sample"))},
+            "y, x, sample",
+        ),
+        ({"array": xr.DataArray(np.ones((4, 6, 3, 32)), dims=DIMS), "axes": "yxcs"}, "axes='yxcs'"),
+        ({"features": {"depth": np.ones((6, 4), np.float32)}}, "depth", "(4, 6)"),
+        ({"features": {"counts": np.ones((4, 6), np.float32)}}, "counts="),
+        ({"direct": np.ones((4, 6, 3, 16))}, "(4, 6, 3, 32)"),
+        *(({"array": beyond(value)}, f"{value:g}") for value in (1e-50, -1e-50, 1e39, -1e39)),
+        *(({"direct": beyond(value)}, "direct", f"{value:g}") for value in (1e-50, -1e39)),
+        ({"counts": np.full((4, 6), 33)}, "0 to 32"),
+        ({"counts": np.full((4, 6), -1)}, "0 to 32"),
+        ({"counts": np.ones((4, 6))}, "whole numbers"),
+        ({"counts": np.ones((6, 4), int)}, "(4, 6)"),
+        ({"averaged": 0}, "averaged", "got 0"),
+        ({"averaged": "x"}, "averaged", "'x'"),
+        ({"sequence": 2.5}, "sequence", "2.5"),
+        ({"integrator": 5}, "integrator", "dict", "got 5"),
+        ({"render_seconds": "long"}, "render_seconds", "float", "'long'"),
+    ),
+    *each(
+        InputError,
+        SAMPLES.isel,
+        ({"y": slice(5, 5)}, "y", "forward"),
+        ({"x": 6}, "x", "-6 to 5", "got 6"),
+        ({"y": -6}, "y", "-5 to 4", "got -6"),
+        ({"sample": slice(None, None, -1)}, "sample", "forward"),
+    ),
+    *each(
+        InputError,
+        SAMPLES.__getitem__,
+        (((5, 0),), "y", "-5 to 4", "got 5"),
+        (((0, -7),), "x", "-6 to 5", "got -7"),
+        *((index, "(y, x)") for index in (0, ((0, 1, 2),), ..., ((0.5, 1),))),
+    ),
+    *each(InputError, SAMPLES.pixel, ((6, 0), "y", "-5 to 4", "got 6")),
+    *each(
+        InputError,
+        SAMPLES.save,
+        ("out.exr", "out.zarr", "out.exr", "images"),
+    ),
+    *each(
+        InputError,
+        opened,
+        (None, "path", "None"),
+        (5, "path", "5"),
+        ((["a.zarr"],), "path", "['a.zarr']"),
+        ("tape://box.zarr", "tape://box.zarr"),
+    ),
+    *each(
+        StoreError,
+        opened,
+        ("nowhere", "nowhere", "chdstat render"),
+        ("x.txt", "x.txt", "folder"),
+        (".", "zarr.json"),
+        ("maps.zarr", "maps.zarr", "--maps"),
+        ("memory://nothing/here.zarr", "memory://nothing/here.zarr"),
+    ),
+    *each(
+        StoreError,
+        SAMPLES.save,
+        ("http://127.0.0.1:9/own.zarr", "http://127.0.0.1:9", "read"),
+    ),
+]
+
+# --- scenes and plugins -------------------------------------------------------------------------
+
+
+def scene(**parts: Any) -> Any:
+    return load_scene({"type": "scene", "sensor": {"type": "perspective"}, **parts}).load()
+
+
+def plugin(code: str) -> Any:
+    Path("mine.py").write_text(code)
+    return load_plugin("mine.py")
+
+
+LOOP: dict[str, Any] = {"type": "scene"}
+LOOP["again"] = LOOP
+
+SCENES = [
+    *each(
+        InputError,
+        plugin,
+        ("x = 1\ny = 1 / 0\n", "mine.py, line 2", "ZeroDivisionError"),
+        ("x = 1\n\ndef f(:\n", "mine.py, line 3", "SyntaxError"),
+        ("import no_such_module", "mine.py, line 1", "no_such_module"),
+        ("raise SystemExit", "mine.py, line 1", "SystemExit"),
+        ("x = 1", "mine.py", "registers nothing"),
+        (INTEGRATOR.replace('"constant_radiance"', '"path"'), "'path'"),
+        (ESTIMATOR.replace("largest_of_mine", "mean"), "'mean'"),
+    ),
+    *each(
+        InputError,
+        load_plugin,
+        *((name, "plugin") for name in ("no_such.py", ".", "\0")),
+    ),
+    *each(InputError, load_scene, (5, "int")),
+    *each(
+        SceneError,
+        scene,
+        ({"ball": {"type": "sphere", "bsdf": {"type": "no-such-material"}}}, "no-such-material"),
+        ({"ball": {"type": "sphere", "bsdf": None}}, "'bsdf'"),
+        ({"m": {"type": "mesh", "vertices": np.zeros((3, 3))}}, "'m'", "faces"),
+        ({"ball": {"type": "sphere", "bsdf": {"type": "difuse"}}}, "'ball.bsdf'", "'diffuse'"),
+    ),
+    *each(
+        SceneError,
+        lambda part: load_scene({"type": "scene", "ball": part}).hash,
+        (object(), "object"),
+    ),
+    *each(SceneError, render, ({"scene": LOOP}, "itself")),
+]
+
+
+# --- the sentences ------------------------------------------------------------------------------
+
+TABLES = {"rendering": RENDERING, "files": FILES, "samples": IN_ROOM, "scenes": SCENES}
+STATES = re.compile(
+    r"\b(must|expected|needs?|cannot|can|not?|none|only|got|outside|takes?|holds?|has|is|are|names|failed)\b"
+)
+"""Words that say what was expected, or what is wrong; else, behind a semicolon, what to do."""
+
+
+@pytest.mark.parametrize(
+    ("error", "call", "named"),
+    [
+        pytest.param(*row, id=f"{table} {number}: {', '.join(row[2])[:40]}")
+        for table, rows in TABLES.items()
+        for number, row in enumerate(rows)
+    ],
+)
+def test_a_refusal_names_what_was_given(tmp_path, monkeypatch, error, call, named):
+    """What was asked for and what was expected, in one sentence; and nothing is left behind."""
+    (tmp_path / "x.txt").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "maps.zarr").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error) as refused:
+        call()
+    said = str(refused.value)
+    assert [word for word in named if word not in said] == [], said
+    assert 12 < len(said) < 700
+    assert STATES.search(said) or "; " in said, said
+    assert not said[0].isspace()
+    assert not said.endswith((".", " ", "\n"))
+    assert not list(tmp_path.glob("out*"))
