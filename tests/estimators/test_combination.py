@@ -428,8 +428,8 @@ def test_detail_that_is_no_noise_is_kept_and_held_by_the_intervals(name, truth):
     assert inside[truth == truth.max()].mean() > 0.5  # none before
 
 
-@pytest.mark.parametrize("n", [4, 16, 64])
-def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n):
+@pytest.mark.parametrize(("n", "most"), [(4, 0.4), (16, 1 / 6), (64, 1 / 6)])
+def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n, most):
     rng = np.random.default_rng(7)
     level = np.linspace(0.5, 1.5, 64)[:, np.newaxis, np.newaxis] * np.array((1, 0.9, 0.7))
     truth = 1.5 * level * np.ones((64, 64, 3))
@@ -437,7 +437,7 @@ def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n):
     x = level[..., np.newaxis] * rng.exponential(size=(64, 64, 1, n)) * np.where(rare, 500, 1)
     found = combine(x)
     # 16 events are too few to give much back; of more, at least a half comes back.
-    assert n == 4 or abs(found.radiance.mean() / truth.mean() - 1) < 1 / 6
+    assert abs(found.radiance.mean() / truth.mean() - 1) < most
     assert ((found.low <= truth) & (truth <= found.high)).mean() > 0.85
 
 

@@ -75,7 +75,7 @@ def test_sakai_shares_what_the_formula_says(radius):
     expected, members = sakai_by_hand(x, **options)
     assert estimators.sakai2024(x, **options) == pytest.approx(expected, rel=1e-12)
     sizes = {len(found) for found in members.values()}
-    assert radius == 0 or len(sizes) > 3
+    assert (len(sizes) > 3) == (radius > 0)
     assert all(p in members[q] for p, found in members.items() for q in found)
 
 

@@ -238,7 +238,7 @@ def test_few_samples_give_no_shape(samples):
     x[2] = 4
     patterns = classify(gray(x))
     assert patterns.label[0] == Label.BLACK
-    assert (patterns.label[3:] == Label.UNDETERMINED).all() or samples == 1
+    assert (patterns.label[3:] == Label.UNDETERMINED).all()
     assert not any(patterns.flags[name].any() for name in ("long_tail", "bimodal", "gamma_like"))
 
 
@@ -247,7 +247,7 @@ def test_image():
         image = chd.Samples.from_array(gray(radiance).reshape(4, 4, 3, -1), scene="cases")
         dataset = chd.classify(image, progress=False)
         # The pixels around know that most error bars of 16 384 samples hold.
-        assert (dataset["label"] == label).mean() >= 0.75 or label == Label.LONG_TAIL
+        assert (dataset["label"] == label).mean() >= 0.75
     assert dataset["label"].dims == ("y", "x")
     assert dataset["label"].attrs["flag_meanings"].split()[5] == "bimodal"
     assert dataset["long_tail_interval"].dims == ("y", "x", "bound")
