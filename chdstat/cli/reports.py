@@ -238,10 +238,6 @@ def explore(
         ),
     ],
     asked: CommonOptions,
-    reference: Annotated[
-        Path | None,
-        option("Store against which errors are measured.", unset="the source's own samples"),
-    ] = None,
     model: Annotated[
         list[Path] | None, option("A trained estimator to show; can be repeated.")
     ] = None,
@@ -256,7 +252,6 @@ def explore(
 
     explorer = chdstat.explore(
         [one if one.lower().endswith(".exr") else asked.source(one) for one in sources],
-        reference=reference,
         models=model or (),
         maps=maps,
         port=port,

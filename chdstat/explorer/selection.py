@@ -6,12 +6,9 @@ Panels come first, as images are looked at first; then tables; then what takes l
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from chdstat._core.display import percent
 from chdstat.comparison.entries import notes
 from chdstat.explorer import estimators, tables
 from chdstat.explorer.panels import PanelData, panels, series_of
@@ -27,9 +24,6 @@ from chdstat.explorer.sources import (
 from chdstat.explorer.tables import Table
 from chdstat.explorer.view import Box, PixelIndex, View
 from chdstat.inference.differences import Difference, difference
-
-_ROUGH = 0.2
-"""Relative standard error of a reference from which on scores against it are called rough."""
 
 
 @dataclass(frozen=True)
@@ -146,18 +140,18 @@ class SelectionResults:
 
     def describe(
         self, plots: SelectionPlots
-    ) -> tuple[dict[str, Table], list[estimators.ScoredEstimate]]:
+    ) -> tuple[dict[str, Table], list[estimators.PlaceEstimates]]:
         """Return the tables of the active place by name, and the estimates of quick estimators."""
         source, shared = plots.source, self._shared
-        batches, said = self._batches(plots)
-        scored = estimators.scored(batches) if batches else []
-        around = batches is not None and isinstance(source, StoreSource) and len(plots.key) == 2
-        more = ". Estimators that use neighbouring pixels follow" * around
+        batches = estimators.batches_of(plots.place.samples, plots.n)
+        quick = estimators.estimates(batches) if len(batches) else []
+        around = quick and isinstance(source, StoreSource) and len(plots.key) == 2
+        more = "estimators that use neighbouring pixels follow" if around else ""
         columns = tables.columns_of(plots.places, plots.view.channel)
         found = {
             "statistics": tables.statistics_table(columns),
             "patterns": tables.patterns_table(columns),
-            "estimates": self._estimates_table(plots, scored, said, more),
+            "estimates": self._estimates_table(plots, quick, more),
         }
         if isinstance(source, StoreSource) and source.samples.parts and len(plots.key) == 2:
             pixel = source.samples.pixel(*plots.key)
@@ -172,38 +166,35 @@ class SelectionResults:
                 self._difference(plots, reference), plots.place.channels, names
             )
             found["compared"] = self._of(plots, table)
-        return found, scored
+        return found, quick
 
     def slow_estimates(
         self,
         plots: SelectionPlots,
-        quick: Sequence[estimators.ScoredEstimate],
+        quick: Sequence[estimators.PlaceEstimates],
         step: Callable[[], None],
     ) -> Table:
         """Return the table of estimates with the slow ones, and those that look around.
 
         `step` is called before each of them; whatever it raises ends the computation.
         """
-        shared, key = self._shared, plots.key
-        batches, said = self._batches(plots)
-        if batches is None:
-            return self._estimates_table(plots, quick, said)
-        store = plots.source if isinstance(plots.source, StoreSource) else None
+        key, source = plots.key, plots.source
+        batches = estimators.batches_of(plots.place.samples, plots.n)
+        if not len(batches):
+            return self._estimates_table(plots, quick)
         found = [*quick]
-        for name, model in shared.models:
+        for name, model in self._shared.models:
             step()
-            learned = estimators.score_model(name, model, batches)
-            found += [] if learned is None else [learned]
-        if store is None or len(key) != 2:
-            return self._estimates_table(plots, found, said)
-        around = estimators.scored_around(batches, store, key, step=step)
-        count = estimators.BATCHES_AROUND
-        more = f"; {len(around)} look at the pixels around, in {count} batches"
+            found += estimators.estimates_of_model(name, model, batches)
+        if not isinstance(source, StoreSource) or len(key) != 2:
+            return self._estimates_table(plots, found)
+        around = estimators.estimates_around(source, key, plots.n, step=step)
         about = notes([estimate.name for estimate in around])
+        more = f"{len(around)} look at the pixels around, in {estimators.BATCHES_AROUND} batches"
         more += "".join(
             f". {name.capitalize()}, {text.rstrip('.')}" for name, text in about.items()
         )
-        return self._estimates_table(plots, [*found, *around], said, more)
+        return self._estimates_table(plots, [*found, *around], more)
 
     def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> Table:
         """Return the goodness of fit of every family; `step` is called with the share done."""
@@ -235,56 +226,11 @@ class SelectionResults:
                 one, two = other.region(key, spp), source.region(key, spp)
         return difference(one, two, paired=paired)
 
-    def _reference(self, source: Sampled) -> tuple[StoreSource | None, int]:
-        """Return the reference and its first sample with random numbers of its own; None if none.
-
-        In a reference of the seed of the source, the noise of those before is that of the source:
-        errors against them would be too small.
-        """
-        reference = self._shared.reference
-        if reference is None:
-            return None, 0
-        samples = reference.samples
-        first = 0
-        if isinstance(source, StoreSource) and source.samples.shares_numbers_with(samples):
-            first = source.samples.spp
-        return (reference, first) if first < samples.spp else (None, 0)
-
-    def _batches(self, plots: SelectionPlots) -> tuple[estimators.ScoringBatches | None, str]:
-        """Return the batches of the active place, and what their estimates are scored against."""
-        place, key, judging = plots.place, plots.key, None
-        reference, first = self._reference(plots.source)
-        said, of = "Error against the samples outside the batch, without their noise", place
-        of_what = f"{place.spp} samples"
-        if reference is not None and len(key) == 2:
-            of = PlaceStatistics(reference.pixel(*key)[:, first:], place.channels)
-            said = f"Error against {reference.name}, without its noise"
-            # The first ones share their random numbers with what is scored.
-            said += f" from sample {first} on" if first else ""
-            judging = of.samples
-            of_what = f"the {of.spp} samples of {reference.name}"
-        batches = estimators.batches_of(place.samples, plots.n, judging)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = float((of.moments.standard_error / np.abs(of.moments.mean))[-1])
-        if batches is not None and not batches.scored:
-            said = f"{of_what} are too few to score estimates from {plots.n}"
-        elif error > _ROUGH:
-            said += f", which is uncertain by {percent(error)}: scores are rough"
-        return batches, said
-
     def _estimates_table(
-        self,
-        plots: SelectionPlots,
-        found: Sequence[estimators.ScoredEstimate],
-        note: str,
-        more: str = "",
+        self, plots: SelectionPlots, found: Sequence[estimators.PlaceEstimates], more: str = ""
     ) -> Table:
-        null = plots.place.null
-        if null.all() or (plots.place.constant.all() and not null.any()):
-            note, more = "the samples are constant: every estimator gives the same", ""
-            none = float("nan")
-            found = [replace(e, mse_ratio=none, bias=none, improved=none) for e in found]
-        table = tables.estimates_table(found, plots.place.channels, plots.n, note + more)
+        given = [name for name, _ in self._shared.models]
+        table = tables.estimates_table(found, plots.place.channels, plots.n, more, given=given)
         return self._of(plots, table)
 
     def _of(self, plots: SelectionPlots, table: Table) -> Table:

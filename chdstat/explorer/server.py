@@ -208,7 +208,6 @@ def _serve(startup: Startup, port: int, started: Future[tuple[Any, Any]]) -> Non
 def explore(
     source: _Explored | Sequence[_Explored],
     *,
-    reference: str | Path | Samples | None = None,
     models: Sequence[TrainedModel[Any] | str | Path] = (),
     maps: str | Path | None = None,
     port: int = 0,
@@ -229,13 +228,9 @@ def explore(
         is drawn coarsely, and a pixel is sampled when it is selected. Several sources of the same
         size are compared: stores, EXR images, and a scene as the first. If two stores have the same
         seed, and so the same random numbers, their samples are compared in pairs.
-    reference
-        A store of the same scene with more samples. Errors of estimators are measured against it,
-        instead of against the samples that an estimate does not use. If it has the seed of the
-        source, the samples that both have in common do not count.
     models
-        Trained estimators, or their files, shown among the estimates, with certainty and interval
-        if they have them.
+        Trained estimators, or their files, shown among the estimates, with their certainty if
+        they have one.
     maps
         Maps from ``chdstat analyze -o``, added to the menu.
     port
@@ -296,7 +291,7 @@ def explore(
 
         if render is not None and coarse is not None:
             sources[0] = SceneSource(render, coarse.result())
-        explorer._show(opened(sources, reference, models, maps=maps))
+        explorer._show(opened(sources, models, maps=maps))
     except BaseException:
         if render is not None:
             render.close()

@@ -23,7 +23,7 @@ import numpy as np
 from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
-from chdstat.explorer.estimators import ScoredEstimate
+from chdstat.explorer.estimators import PlaceEstimates
 from chdstat.explorer.export import EXPORTS, exported
 from chdstat.explorer.maps import map_kind
 from chdstat.explorer.page import Page, coarse_png, colorbar, isolated, rgba
@@ -48,7 +48,7 @@ _LOOKS = frozenset({"map", "limits", "exposure", "tone", "gamma"})
 """Options that change the image, but not the results of the selection."""
 
 T = TypeVar("T")
-Found = tuple[SelectionPlots, dict[str, Table], list[ScoredEstimate]] | None
+Found = tuple[SelectionPlots, dict[str, Table], list[PlaceEstimates]] | None
 Check = Callable[[], None]
 
 

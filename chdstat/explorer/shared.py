@@ -215,7 +215,6 @@ def kept(
 
 def opened(
     sources: Sequence[str | Path | Samples | SceneSource],
-    reference: str | Path | Samples | None = None,
     models: Sequence[TrainedModel[Any] | str | Path] = (),
     *,
     maps: str | Path | None = None,
@@ -234,8 +233,7 @@ def opened(
         for one in models
     ]
     found = [one if isinstance(one, SceneSource) else _opened(one) for one in sources]
-    truth = None if reference is None else _store(reference)
-    for one in (*found[1:], *([] if truth is None else [truth])):
+    for one in found[1:]:
         if (one.size, one.channels) != (found[0].size, found[0].channels):
             expected, got = (
                 f"{s.size[1]} x {s.size[0]} pixels and channels {', '.join(s.channels)}"
@@ -247,7 +245,7 @@ def opened(
             )
             raise InputError(message)
     given = {} if maps is None else read_maps(maps, found[0].size)
-    return Shared(found, truth, trained, given)
+    return Shared(found, trained, given)
 
 
 def _opened(source: str | Path | Samples) -> StoreSource | ImageSource:
@@ -272,8 +270,6 @@ class Shared:
     ----------
     sources
         What is on the page: stores, a scene, images.
-    reference
-        A store of the same scene with more samples, which errors are measured against.
     models
         Names of trained estimators, and these.
     given
@@ -299,11 +295,10 @@ class Shared:
     def __init__(
         self,
         sources: Sequence[AnySource],
-        reference: StoreSource | None = None,
         models: Sequence[tuple[str, TrainedModel[Any]]] = (),
         given: Mapping[str, Map] = MappingProxyType({}),
     ) -> None:
-        self.sources, self.reference = list(sources), reference
+        self.sources = list(sources)
         self.names = _distinct(self.sources)
         self.models, self.given = models, given
         empty = Overall.empty(*sources[0].size, len(sources[0].channels))

@@ -5,7 +5,10 @@ For one place, a table has a column per channel; for several pixels, a column pe
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +16,10 @@ import numpy.typing as npt
 
 from chdstat import inference
 from chdstat._core.arrays import Floats
-from chdstat._core.display import number, percent, reasons, with_interval
+from chdstat._core.display import number, percent, reasons, with_error, with_interval
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
-from chdstat.explorer.estimators import ScoredEstimate
+from chdstat.explorer.estimators import PlaceEstimates
 from chdstat.explorer.place import (
     HOLDS,
     MOST_TESTED,
@@ -33,7 +36,7 @@ _ERROR = 0.01
 _UNKNOWN = np.full(2, np.nan)
 """Ends of an interval that is not known."""
 _FIRST = 7
-"""Rows of the table of estimates that are shown at once: the default ones and the best others."""
+"""Rows of the table of estimates that are shown at once: the default ones and some others."""
 
 _Column = tuple[str, PlaceStatistics, int]
 """Title, place and row of a column."""
@@ -134,35 +137,43 @@ def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> 
 
 
 def estimates_table(
-    found: Sequence[ScoredEstimate], channels: Sequence[str], n: int, note: str
+    found: Sequence[PlaceEstimates],
+    channels: Sequence[str],
+    n: int,
+    note: str = "",
+    *,
+    given: Sequence[str] = (),
 ) -> Table:
-    """Return the estimate and the error of every estimator.
+    """Return what every estimator gives: the mean over the batches, and how far these scatter.
 
-    The default estimators come first, in their order, then the trained ones that the page was
-    opened with, then the best of the others. `note` says what is the reference.
+    The default estimators come first, in their order, then the `given` ones, with which the page
+    was opened, then the others.
     """
     rows = []
-    for e in sorted(found, key=_rank):
-        name = estimator_name(e.name)
-        if np.isfinite(e.certainty):
-            name = f"{name}, {percent(e.certainty)} certain"
-        unknown = np.full(len(e.value), np.nan)
-        ends = (unknown if end is None else end for end in (e.low, e.high))
-        values = [*map(with_interval, e.value, *ends)]
-        bias = 0.0 if abs(e.bias) < 5e-4 else e.bias  # of the mean, rounding
-        scores = number(e.mse_ratio), percent(bias, sign=True), percent(e.improved)
-        rows.append([name, *scores, *values])
-    columns = ["estimator", "MSE / mean's", "bias", "improved", *channels]
-    note = note if rows else f"too few samples for batches of {n}"
-    return {**_table(f"Estimates from {n} samples", columns, rows, note), "first": _FIRST}
+    for estimates in sorted(found, key=partial(_rank, given)):
+        name, values = estimator_name(estimates.name), estimates.values.astype(np.float64)
+        if estimates.certainty is not None:
+            name = f"{name}, {percent(float(np.nanmean(estimates.certainty)))} certain"
+        of_channels = ([v for v in channel if np.isfinite(v)] for channel in values.T)
+        rows.append([name, *map(_mean_and_scatter, of_channels)])
+    about = "mean over the batches ± their standard deviation"
+    note = "; ".join(filter(None, (about, note))) if rows else f"too few samples for batches of {n}"
+    table = _table(f"Estimates from {n} samples", ["estimator", *channels], rows, note)
+    return {**table, "first": _FIRST}
 
 
-def _rank(estimate: ScoredEstimate) -> tuple[int, bool, bool, float]:
+def _mean_and_scatter(values: Sequence[float]) -> str:
+    if not values:
+        return "—"
+    return with_error(float(np.mean(values)), statistics.stdev(values) if values[1:] else math.nan)
+
+
+def _rank(given: Sequence[str], estimates: PlaceEstimates) -> int:
     # An image without features has the denoised mean without them.
     order = [name.removesuffix(" features") for name in DEFAULT_ESTIMATORS]
-    name, known = estimate.name.removesuffix(" features"), np.isfinite(estimate.mse_ratio)
-    place = order.index(name) if name in order else len(order)
-    return place, not estimate.given, not known, float(estimate.mse_ratio) if known else 0.0
+    order += given
+    name = estimates.name.removesuffix(" features")
+    return order.index(name) if name in order else len(order)
 
 
 def goodness_table(

@@ -26,7 +26,7 @@ TONES = ("srgb", "reinhard", "filmic")
 BATCH_SIZES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 """Numbers N of samples for averages and estimates."""
 BATCHES = 4
-"""Fewest averages of N: with fewer, there is no distribution, and no score of estimates."""
+"""Fewest averages of N: with fewer, there is no distribution."""
 _CHOICES: Mapping[str, Sequence[object]] = {
     "families": FITS,
     "batch": BATCH_SIZES,

@@ -1,4 +1,4 @@
-"""Seeds: stores that share random numbers are compared in pairs, and judge by others' noise."""
+"""Seeds: stores that share random numbers are compared in pairs."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ def told():
     """Return what tells the tables of a view of two stores."""
     shared = []
 
-    def asked(view, source, other=None, reference=None):
-        sources = [source] if other is None else [other, source]
-        shared.append(opened(sources, reference))
+    def asked(view, source, other):
+        shared.append(opened([other, source]))
         results = SelectionResults(shared[-1])
         return results.describe(results.plots(view))[0]
 
@@ -64,30 +63,3 @@ def test_pairs_of_a_region_are_of_one_pixel_and_one_sample(told):
         row = next(row for row in table["rows"] if "standard error" in row[0])
         t[seed] = abs(float(row[1].replace("−", "-")))
     assert t[0] > 10 * t[7]
-
-
-def test_a_reference_of_the_same_seed_counts_from_where_its_noise_is_its_own(told):
-    x = noise(1, spp=512)
-    source, same = held(x[..., :128], 0), held(x, 0)
-    note = told(PIXEL, source, reference=same)["estimates"]["note"]
-    assert "from sample 128 on" in note
-    own = held(x[..., 128:], 5)
-    expected = told(PIXEL, source, reference=own)["estimates"]
-    assert told(PIXEL, source, reference=same)["estimates"]["rows"] == expected["rows"]
-    assert "from sample" not in expected["note"]
-
-
-def test_a_reference_without_noise_of_its_own_is_none(told):
-    source = held(noise(1), 0)
-    found = told(PIXEL, source, reference=source)["estimates"]
-    assert "outside the batch" in found["note"]
-    assert found["rows"] == told(PIXEL, source)["estimates"]["rows"]
-
-
-def test_no_estimator_is_praised_for_nearness_to_a_few_samples(told):
-    """One sample of a skewed pixel is mostly darker than its mean: so are biased estimators."""
-    source = held(noise(1) ** 4, 0)
-    for spp, scored in ((1, False), (92, False), (96, True)):  # three times the 32 of an estimate
-        table = told(PIXEL, source, reference=held(noise(5, spp=spp) ** 4, 5))["estimates"]
-        assert ("too few to score" in table["note"]) != scored
-        assert {row[2] != "—" for row in table["rows"][1:]} == {scored}
