@@ -1,14 +1,13 @@
 """Export: the selection as a file.
 
-Samples are exported as CSV or npz, figures as PNG or SVG, both together as a PDF page; of several
-images, their comparison as one figure. Python is the code that draws the same figure.
+Samples are exported as CSV, figures as PNG or SVG, both together as a PDF page; of several images,
+their comparison as one figure.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ import pandas as pd
 from chdstat import viz
 from chdstat._core.arrays import Image
 from chdstat._core.display import percent
-from chdstat._core.files import is_exr, scratch
+from chdstat._core.files import scratch
 from chdstat.explorer.selection import SelectionPlots
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
 from chdstat.explorer.view import Box, PixelIndex
@@ -29,11 +28,9 @@ if TYPE_CHECKING:
 
 EXPORTS = {
     "csv": "text/csv",
-    "npz": "application/octet-stream",
     "png": "image/png",
     "svg": "image/svg+xml",
     "pdf": "application/pdf",
-    "py": "text/x-python",
 }
 """Media types of the formats of exports."""
 _MOST_ROWS = 2**17
@@ -44,7 +41,6 @@ def exported(
     format: str,  # noqa: A002
     plots: SelectionPlots,
     images: Mapping[str, Image],
-    paths: Mapping[str, Path | None],
     exposure: float,
 ) -> tuple[str, bytes]:
     """Return name and content of a file with the selection.
@@ -55,8 +51,8 @@ def exported(
         One of `EXPORTS`.
     plots
         The selection.
-    images, paths
-        Mean radiance (y, x, channel) of each source by its name, and where it is; None in memory.
+    images
+        Mean radiance (y, x, channel) of each source by its name.
     exposure
         Stops that the images are shown with.
     """
@@ -66,14 +62,6 @@ def exported(
     stream = io.BytesIO()
     if format == "csv":
         stream.write(_csv(plots).encode("ascii"))
-    elif format == "npz":
-        arrays: dict[str, Any] = {"selection": np.array([str(key) for key in plots.keys])}
-        arrays |= {name: np.array(value) for name, value in plots.source.origin.items()}
-        for i, p in enumerate(plots.places):
-            arrays |= {f"radiance_{i}": p.samples, f"null_{i}": p.null, f"bad_{i}": p.bad}
-        np.savez_compressed(stream, **arrays)
-    elif format == "py":
-        stream.write(_python(plots, paths, exposure).encode())
     elif format == "pdf" and len(images) == 1:
         stream.write(_pdf(plots, images[plots.name], exposure))
     else:
@@ -91,48 +79,6 @@ def _compared(plots: SelectionPlots, images: Mapping[str, Image], exposure: floa
         images, samples, [_mark(key) for key in plots.keys], exposure=exposure,
         difference=(names[shown], names[reference]) if shown != reference else None,
     )  # fmt: skip
-
-
-def _python(plots: SelectionPlots, paths: Mapping[str, Path | None], exposure: float) -> str:
-    """Return Python that draws the same figure of stores and files that are where they were."""
-    marks = [_mark(key) for key in plots.keys]
-    images = {name: str(path) for name, path in paths.items() if path and is_exr(path)}
-    stores = {name: str(path) for name, path in paths.items() if name not in images}
-    names = list(paths)
-    shown, reference = plots.view.of_images(len(names))
-    lines = [
-        "import chdstat as chd",
-        "from chdstat import viz",
-        "",
-        f"paths = {stores!r}",
-        "stores = {name: chd.open(path) for name, path in paths.items()}",
-    ]
-    if len(names) == 1:
-        lines += [
-            f"pixels = {[mark.pixel for mark in marks]}",
-            f"samples = stores[{plots.name!r}]",
-            'panels = [samples.pixel(y, x).panel(f"y {y}, x {x}") for y, x in pixels]',
-            f"figure = viz.chd_grid(panels, columns={1 if len(marks) == 1 else 2})",
-        ]
-    else:
-        pair = (names[shown], names[reference]) if shown != reference else None
-        lines += [
-            f"files = {images!r}",
-            "images = {name: chd.io.read_exr(file).image for name, file in files.items()}",
-            'images |= {name: chd.summarize(x)["mean"] for name, x in stores.items()}',
-            "marks = [",
-            *(f"    viz.Mark({m.name!r}, {m.ys}, {m.xs}, {m.pixel})," for m in marks),
-            "]",
-            "samples = {name: [x[mark.pixel] for mark in marks] for name, x in stores.items()}",
-            "figure = viz.renders_compared(",
-            f"    {{name: images[name] for name in {names!r}}},",
-            "    samples,",
-            "    marks,",
-            f"    difference={pair!r},",
-            f"    exposure={exposure:.4g},",
-            ")",
-        ]
-    return "\n".join([*lines, 'figure.savefig("selection.pdf")', ""])
 
 
 def _csv(plots: SelectionPlots) -> str:

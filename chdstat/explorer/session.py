@@ -182,8 +182,7 @@ class Session:
             raise InputError(message)
         self._page.send({"kind": "working", "text": f"exporting {format}"})
         images = dict(zip(self._shared.names, self._means, strict=True))
-        paths = {n: s.path for n, s in zip(self._shared.names, self._shared.sources, strict=True)}
-        work = partial(exported, format, self._shown, images, paths, self._exposure)
+        work = partial(exported, format, self._shown, images, self._exposure)
         self._page.run(self._shared.exports, work, self._exported)
 
     def _on_pause(self) -> None:

@@ -186,8 +186,6 @@ class StoreSource:
         (height, width) in pixels.
     channels
         Names of the channels.
-    path
-        Where the store is; None in memory.
     name
         Name of the store, or of the scene where it is in memory.
     title
@@ -201,7 +199,6 @@ class StoreSource:
         self.size = samples.shape[:2]
         self._counts = samples.counts if samples.unequal else None
         self.channels = samples.channels
-        self.path = samples.path
         self.name = samples.path.name if samples.path else samples.name
         self.title = " · ".join(dict.fromkeys((self.name, samples.name)))
         self._asked_spp = int(samples.attrs.get("spp", samples.spp))
@@ -221,13 +218,6 @@ class StoreSource:
         number = spp if self._counts is None else f"{self._counts.min()} to {spp}"
         parts = (f"{width} × {height} px", f"{number}{of} spp", spread, kind)
         return " · ".join(part for part in parts if part)
-
-    @property
-    def origin(self) -> dict[str, str | int]:
-        """Scene, samples per pixel and seed; without a seed, none is named."""
-        seed = self.samples.attrs.get("seed")
-        found: dict[str, str | int] = {"scene": self.samples.name, "spp": self.samples.spp}
-        return found if seed is None else {**found, "seed": int(seed)}
 
     def refreshed(self) -> StoreSource | None:
         """Return the source with the samples that were added since, None where there are none."""
@@ -343,7 +333,7 @@ class SceneSource:
         drawn; None for none.
     """
 
-    channels, path = ("R", "G", "B"), None
+    channels = ("R", "G", "B")
 
     def __init__(self, render: RenderProcess, coarse: Image | None = None) -> None:
         self._seed, self._render = seed_number(render.job.options.seed), render
@@ -365,11 +355,6 @@ class SceneSource:
         """Return size and integrator in one line."""
         height, width = self.size
         return f"{width} × {height} px · {self._integrator} · sampled where you click"
-
-    @property
-    def origin(self) -> dict[str, str | int]:
-        """Scene and seed."""
-        return {"scene": self.name, "seed": self._seed}
 
     def close(self) -> None:
         """End the process that renders."""
@@ -452,15 +437,13 @@ class ImageSource:
 
     Attributes
     ----------
-    path
-        The file.
     size, channels, name
         As of a store.
     """
 
     def __init__(self, path: Path) -> None:
         found = read_exr(path)
-        self.path, self.channels, self._image = path, found.channels, found.image
+        self.channels, self._image = found.channels, found.image
         self.size: tuple[int, int] = (found.image.shape[0], found.image.shape[1])
         self.name = self.title = path.name
 

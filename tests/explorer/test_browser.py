@@ -426,13 +426,13 @@ def test_trained_estimators_are_among_the_others(person, tmp_path):
     one = person(tmp_path / "a.zarr", models=[path]).open("?p=20,10&n=32")
     one.waits_for("document.querySelector('#estimates').innerText.includes('mine')", timeout=60000)
     row = one.page.locator("#estimates tr", has_text="mine").inner_text()
-    assert re.search(r"mine, [\d.]+.% certain.*\[.+, .+\]", row.replace("\n", " "))
+    assert re.search(r"mine, [\d.]+.% certain.* ± ", row.replace("\n", " "))
 
 
 def test_exports_are_files(person, store_path):
     one = person(store_path).open("?p=20,10&p=5,6")
     content = {}
-    for kind in ("csv", "npz", "png", "svg", "pdf"):
+    for kind in ("csv", "png", "svg", "pdf"):
         with one.page.expect_download(timeout=30000) as coming:
             one.page.locator(f"[data-export={kind}]").click()
         assert coming.value.suggested_filename == f"box-20_10-5_6.{kind}"
@@ -441,10 +441,6 @@ def test_exports_are_files(person, store_path):
     table = np.genfromtxt(io.BytesIO(content["csv"]), delimiter=",", names=True)
     np.testing.assert_array_equal(table["G"][:64].astype(np.float32), samples[20, 10][1])
     assert len(table) == 128
-    arrays = np.load(io.BytesIO(content["npz"]))
-    np.testing.assert_array_equal(arrays["radiance_1"], samples[5, 6])
-    assert arrays["selection"].tolist() == ["(20, 10)", "(5, 6)"]
-    assert (arrays["scene"], arrays["spp"], arrays["seed"]) == ("cornell-box", 64, 0)
     assert content["png"].startswith(b"\x89PNG")
     assert content["svg"].startswith(b"<?xml")
     pdfium = pytest.importorskip("pypdfium2")
@@ -504,17 +500,9 @@ def test_several_images_are_compared(person, several):
     assert one.chips == ["1: y 5 x 6"]
     assert one.page.evaluate("document.documentElement.scrollWidth") <= 1280
     assert one.page.evaluate(OVERLAPS) == []
-    content = {}
-    for kind in ("pdf", "py"):
-        with one.page.expect_download(timeout=60000) as coming:
-            one.page.locator(f"[data-export={kind}]").click()
-        content[kind] = Path(coming.value.path()).read_bytes()
-    assert content["pdf"].startswith(b"%PDF")
-    drawn = {}
-    exec(content["py"].decode().replace("figure.savefig", "str"), drawn)
-    axes = drawn["figure"].axes  # three images, a difference with its colours, and the pixel
-    titles = [ax.get_title(loc) for ax in axes for loc in ("center", "left")]
-    assert {"box.zarr", "reference.exr − other.za…", "1 y 5, x 6"} <= set(titles)
+    with one.page.expect_download(timeout=60000) as coming:
+        one.page.locator("[data-export=pdf]").click()
+    assert Path(coming.value.path()).read_bytes().startswith(b"%PDF")
 
 
 def test_images_without_samples_are_looked_at(person, several):
