@@ -6,7 +6,7 @@ Run with ``pytest --benchmark-only -s benchmarks/test_patterns.py``.
 import numpy as np
 import pytest
 
-from chdstat.patterns import flag_scores, random_chds
+from tests.patterns.flag_scores import flag_scores, random_chds
 
 SAMPLES = (64, 128, 256, 512, 1024, 2048, 4096)
 DEFINITIONS = ("constant", "firefly_dominated")

@@ -9,7 +9,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat.fit.selection import family_shares
 from chdstat.inference import gaussianity_of_means
-from chdstat.patterns import attribute, truth_of
+from chdstat.patterns import attribute
 
 X = np.random.default_rng(8).gamma(0.6, size=(4, 5, 3, 96)).astype(np.float32)
 X[X < 0.05] = 0
@@ -81,9 +81,8 @@ def test_a_dataset_is_written_and_read(tmp_path, images, name, image):
     check(DATASETS[name](images[image]), tmp_path)
 
 
-def test_shares_and_truths_are_written_and_read(tmp_path, stored):
+def test_shares_are_written_and_read(tmp_path, stored):
     check(attribute(chd.open(stored(size=(4, 5), spp=64, by_depth=2))), tmp_path)
-    check(truth_of(chd.simulate(["gamma", "firefly"], shape=(4, 5), spp=64)), tmp_path / "truth")
 
 
 def test_what_is_unknown_of_samples_is_no_attribute(images):

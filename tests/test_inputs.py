@@ -15,7 +15,6 @@ from chdstat import estimators, fit
 from chdstat.errors import InputError, LeftOutWarning, StoreError
 from chdstat.estimators import MLP, PRESETS, train_model
 from chdstat.inference import gaussianity_of_means
-from chdstat.patterns import random_chds
 from chdstat.samples import Samples
 from chdstat.summary.histograms import StreamingHistogram
 from chdstat.summary.statistics import Summary
@@ -232,7 +231,6 @@ SEEDED = {
         chd.compare(s, ["mean", "jung2015"], n=8, seed=seed).measures["mse"].value
     ),
     "simulate": lambda _, seed: chd.simulate("gamma", shape=(2, 2), spp=4, seed=seed).read(),
-    "random_chds": lambda _, seed: [c.null_share for c in random_chds(9, seed=seed)],
     "train_model": lambda s, seed: train_model(
         np.concatenate([s.read(), 2 * s.read()], axis=-1), iterations=2, seed=seed, progress=False
     ).predict(s.read()),

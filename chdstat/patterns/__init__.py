@@ -6,11 +6,8 @@ several flags, except those that describe a plain body; `Label` says which one c
 finds the shapes that an image has, without labels: pixels that differ only in brightness have the
 same shape.
 
-CHDs with known labels measure how well patterns are found. Use `CHD` for your own, `simulate` for
-an image whose regions have given CHDs, `truth_of` for the truth of that image, and `random_chds`
-for a population. Around the threshold of a label lies an indifference zone, where the label is
-neither true nor false. `truth` lists the zones and gives None inside; `random_chds` draws nothing
-there.
+Known distributions show how well patterns are found: `CHD` makes them, and `simulate` draws an
+image whose regions have given ones.
 """
 
 from __future__ import annotations
@@ -27,56 +24,27 @@ from chdstat.patterns.classification import (
 )
 from chdstat.patterns.definitions import PATTERNS, Pattern, Thresholds
 from chdstat.patterns.pixel import Pixel, Regions
-from chdstat.patterns.simulation import (
-    BODY_ZONE,
-    CHD,
-    CHDS,
-    FIREFLY_ZONE,
-    INDISTINCT_SPREAD,
-    NULL_ZONE,
-    SEPARATION_ZONE,
-    TAIL_ZONE,
-    Component,
-    FlagScore,
-    Truth,
-    flag_scores,
-    random_chds,
-    simulate,
-    truth,
-    truth_of,
-)
+from chdstat.patterns.simulation import CHD, CHDS, Component, simulate
 
 __all__ = [
-    "BODY_ZONE",
     "CHD",
     "CHDS",
-    "FIREFLY_ZONE",
-    "INDISTINCT_SPREAD",
-    "NULL_ZONE",
     "PATTERNS",
-    "SEPARATION_ZONE",
-    "TAIL_ZONE",
     "Agreement",
     "Atlas",
     "Component",
-    "FlagScore",
     "Label",
     "Pattern",
     "Patterns",
     "Pixel",
     "Regions",
     "Thresholds",
-    "Truth",
     "agreement",
     "atlas",
     "attribute",
     "choose_regions",
     "classify",
-    "flag_scores",
-    "random_chds",
     "simulate",
-    "truth",
-    "truth_of",
 ]
 
 

@@ -98,5 +98,4 @@ viz.curves(
 # Anderson-Darling comes first, most clearly where the difference lies in a tail. Chi-square ignores
 # where in its bin a sample lies, and comes last.
 #
-# **Next:** `How often are the flags right? <plot_16_known_answers.html>`_ asks the same of the
-# flags of `chdstat.classify`.
+# **Next:** `A map of patterns <plot_15_patterns.html>`_

@@ -49,5 +49,4 @@ print(
 )
 
 # %%
-# **Next:** `How often are the flags right? <plot_16_known_answers.html>`_, and `An atlas of
-# distributions <plot_17_atlas.html>`_, which needs no thresholds.
+# **Next:** `An atlas of distributions <plot_17_atlas.html>`_, which needs no thresholds.
