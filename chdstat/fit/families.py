@@ -37,7 +37,6 @@ from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import Reason, check_option
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
-from chdstat.fit._inverse_gaussian import INVERSE_GAUSSIAN
 from chdstat.fit._lognormal import LOGNORMAL
 from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
@@ -50,7 +49,7 @@ if TYPE_CHECKING:
 
 
 FAMILIES: Mapping[str, Family] = {
-    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO, INVERSE_GAUSSIAN)
+    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO)
 }
 """Families by name."""
 SELECTED = tuple(family.name for family in FAMILIES.values() if family.selected)

@@ -9,10 +9,9 @@ shapes = {
     "weibull": [{"shape": k, "scale": 1} for k in (0.5, 1, 3)],
     "burr": [{"c": c, "d": d, "scale": 1} for c, d in ((1, 1.2), (2, 1), (4, 1))],
     "pareto": [{"xi": xi, "scale": 1} for xi in (0.8, 0.4, 0)],
-    "inverse_gaussian": [{"mu": 1, "lambda": k} for k in (0.3, 1, 6)],
 }
 x = np.geomspace(1e-3, 1e3, 300)
-fig, axes = plt.subplots(2, 3, figsize=(6.7, 2.8), layout="constrained", sharex=True)
+fig, axes = plt.subplots(1, 5, figsize=(6.7, 1.9), layout="constrained", sharex=True)
 for ax, (name, those) in zip(axes.flat, shapes.items(), strict=True):
     for parameters, color in zip(those, ("#D55E00", "#0072B2", "#009E73"), strict=True):
         density = chd.fit.FAMILIES[name].distribution(parameters).pdf(x) * x  # of log radiance
