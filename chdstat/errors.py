@@ -66,8 +66,8 @@ class Reason(enum.IntEnum):
     ALL_BAD = 5
     """Every sample is NaN or infinite."""
     AT_LIMIT = 6
-    """The likelihood has no maximum: it rises towards a limit of the family. For Burr, that is a
-    Weibull distribution; for the generalised Pareto, one that ends at the largest sample."""
+    """The likelihood has no maximum: it rises towards a limit of the family, for Burr a Weibull
+    distribution."""
     NONE_POSITIVE = 7
     """No sample is positive and some are negative, so that there are no logarithms."""
     TIED = 8

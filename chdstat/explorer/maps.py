@@ -25,7 +25,7 @@ from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.explorer.place import HOLDS, error_bar
 from chdstat.explorer.sources import StoreSource
-from chdstat.fit.families import SELECTED
+from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import FamilySelection
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
@@ -167,7 +167,7 @@ def _n_needed(part: PositivePart) -> Array:
     return np.where(needed == inference.MORE_THAN_TESTED, len(tests.sizes), place)
 
 
-_FAMILIES = dict(enumerate(map(called, SELECTED)))
+_FAMILIES = dict(enumerate(map(called, FAMILIES)))
 _PATTERNS = {int(label): called(label.name.lower()) for label in Label}
 IMAGES = _table(
     Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),

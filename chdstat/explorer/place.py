@@ -28,7 +28,7 @@ from chdstat._core.positive import PositivePart
 from chdstat.explorer.sources import MOST_POOLED, Overall, Sampled
 from chdstat.explorer.view import PixelIndex
 from chdstat.fit import Fit, Mixture
-from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, get_family
+from chdstat.fit.families import FAMILIES, FamilyFit, get_family
 from chdstat.fit.goodness_of_fit import FitTest, GoodnessOfFit
 from chdstat.fit.selection import FEWEST_SHOWN, FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex
@@ -276,8 +276,8 @@ def goodness(
     """
     part = PositivePart.of_pixels(place.samples[:, :MOST_TESTED], rows="both")
     result = {}
-    for i, name in enumerate(SELECTED):
-        step(i / len(SELECTED))
+    for i, name in enumerate(FAMILIES):
+        step(i / len(FAMILIES))
         tests: tuple[FitTest, ...] = ("anderson-darling", "kolmogorov-smirnov")
         found = measured(part, GoodnessOfFit(FAMILIES[name], tests, resamples, i))
         result[name] = found.p_value[:, 0], found.effect[:, 1], found.reason[:, 0]

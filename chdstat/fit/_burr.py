@@ -223,7 +223,6 @@ BURR = Family(
     distribution=lambda p: stats.burr12(p["c"], p["d"], scale=p["scale"]),
     mean=_mean,
     errors_from={"c": 60, "d": 60, "scale": 60},
-    selected=True,
     density="(cd/s) (x/s)^{c-1} (1 + (x/s)^c)^{-d-1}",
     tail_index=":math:`1 / (cd)`",
     error_formula="observed information",

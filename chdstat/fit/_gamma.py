@@ -108,7 +108,6 @@ GAMMA = Family(
     log_density=_log_density,
     distribution=lambda p: stats.gamma(p["shape"], scale=p["scale"]),
     errors_from={"scale": 60},
-    selected=True,
     density=r"x^{k-1} e^{-x/s} / (\Gamma(k)\, s^k)",
     tail_index="0",
     error_formula="expected information",

@@ -64,7 +64,6 @@ LOGNORMAL = Family(
     log_density=_log_density,
     distribution=lambda p: stats.lognorm(p["sigma"], scale=np.exp(p["mu"])),
     errors_from={"mu": 12, "sigma": 20},
-    selected=True,
     density=r"e^{-(\log x - \mu)^2 / 2 \sigma^2} / (\sqrt{2\pi}\, \sigma x)",
     tail_index="0, but only far out",
     error_formula=r":math:`\sigma / \sqrt{n}` and :math:`\sigma / \sqrt{2n}`",

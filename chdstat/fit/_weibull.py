@@ -104,7 +104,6 @@ WEIBULL = Family(
     log_density=_log_density,
     distribution=lambda p: stats.weibull_min(p["shape"], scale=p["scale"]),
     errors_from={"scale": 20},
-    selected=True,
     density="(k/s) (x/s)^{k-1} e^{-(x/s)^k}",
     tail_index="0",
     error_formula="expected information",

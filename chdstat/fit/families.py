@@ -38,7 +38,6 @@ from chdstat.errors import Reason, check_option
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
 from chdstat.fit._lognormal import LOGNORMAL
-from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
 from chdstat.fit.family import TIGHT, Estimate, Family, Parameters
 from chdstat.summary.runner import OfSource, Source, of_source, run
@@ -49,11 +48,9 @@ if TYPE_CHECKING:
 
 
 FAMILIES: Mapping[str, Family] = {
-    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO)
+    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR)
 }
 """Families by name."""
-SELECTED = tuple(family.name for family in FAMILIES.values() if family.selected)
-"""Families that `select` compares by default."""
 
 
 def get_family(family: str | Family) -> Family:

@@ -77,8 +77,6 @@ class Family:
     errors_from
         Positive samples, by parameter, from which 1.96 standard errors hold the truth in nine of
         ten cases, where that takes more samples than the fit. Simulated.
-    selected
-        Whether `select` compares it by default.
     density, tail_index, error_formula
         For the table in the documentation: the density as TeX; the tail index and the source of the
         standard errors as reStructuredText.
@@ -97,7 +95,6 @@ class Family:
     distribution: Callable[[Parameters], Any]
     mean: Callable[[Parameters], Floats] | None = None
     errors_from: Mapping[str, int] = field(default_factory=dict)
-    selected: bool = False
     density: str = ""
     tail_index: str = ""
     error_formula: str = ""
@@ -296,7 +293,7 @@ def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> WeightedSample
     wanted = part.log_statistics.log_variance.ravel()[rows]
     centered *= np.sqrt(wanted / spread)[:, np.newaxis]
     empty = weight == 0
-    # The edge, not the contracted centre: a family of bounded support must cover every sample.
+    # The edge, not the contracted centre, which samples exceed.
     edge = np.where(empty, -np.inf, centers).max(axis=-1) + some.width / 2 - log_mean
     centered[empty] = 0
     return WeightedSamples(rows, centered, weight, n, log_mean, edge)

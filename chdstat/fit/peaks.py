@@ -33,7 +33,7 @@ from chdstat._core.arrays import Counts, Floats, Mask
 from chdstat._core.positive import PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import COMPONENTS, Solution
-from chdstat.fit.families import FAMILIES, SELECTED, FamilyFit, zero_log_likelihood
+from chdstat.fit.families import FAMILIES, FamilyFit, zero_log_likelihood
 from chdstat.fit.groups import SPREAD_FLOOR, SampleGroups, take_last
 from chdstat.fit.log_concave import log_concave_likelihood
 from chdstat.fit.mixtures import covariance, directions
@@ -294,15 +294,15 @@ _LEAST_ABOVE = 1e-12
 def unimodal_scores(part: PositivePart, usable: Mask, bounded: Mask) -> Floats:
     """Return the largest score of distributions with one mode, shape (...); NaN where not usable.
 
-    The distributions are the families that `select` compares by default; Pareto distributions above
-    a floor, and their mirror images in log radiance below a ceiling; and, in rows that may be
-    `bounded`, the uniform and the log-uniform distribution.
+    The distributions are the `FAMILIES`; Pareto distributions above a floor, and their mirror
+    images in log radiance below a ceiling; and, in rows that may be `bounded`, the uniform and the
+    log-uniform distribution.
     """
     # The difference between log-likelihoods of radiance and of the log radiance of positive
     # samples.
     rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
     log_n = log_samples(part.n)
-    fits = [measured(part, FamilyFit(FAMILIES[name])) for name in SELECTED]
+    fits = [measured(part, FamilyFit(family)) for family in FAMILIES.values()]
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
     low = np.where(usable, part.log_sorted[..., 0], 0.0)
     high = np.where(usable, np.log(part.largest), 1.0)

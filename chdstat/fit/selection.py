@@ -34,7 +34,6 @@ from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.families import (
     FAMILIES,
-    SELECTED,
     FamilyFit,
     Fit,
     estimate_part,
@@ -62,8 +61,7 @@ class HeldOut(Result):
     loss
         Minus the log-likelihood per positive sample, in nats and for linear radiance, shape (...,
         family); smaller is better. It is NaN where the family could not be fitted to all samples or
-        to one of the halves, and infinite where the family is bounded and a sample of the other
-        half lies beyond its end.
+        to one of the halves.
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin, margin_se
@@ -186,9 +184,6 @@ class _HeldOutLikelihood(Statistic[HeldOut]):
         return dataset
 
 
-_BY_DEFAULT = tuple(FAMILIES[name] for name in SELECTED)
-
-
 @dataclass(frozen=True)
 class FamilySelection(Statistic[Selection]):
     """Families compared on the same samples; options as in `select`."""
@@ -197,7 +192,7 @@ class FamilySelection(Statistic[Selection]):
     description: ClassVar = "selecting families"
     binned: ClassVar = True
 
-    families: tuple[Family, ...] = _BY_DEFAULT
+    families: tuple[Family, ...] = tuple(FAMILIES.values())
     criterion: Criterion = "bic"
     held_out: bool = False
 
@@ -258,7 +253,7 @@ class FamilySelection(Statistic[Selection]):
 @of_source
 def select(
     x: Source,
-    families: Sequence[str | Family] = SELECTED,
+    families: Sequence[str | Family] = tuple(FAMILIES),
     criterion: Criterion = "bic",
     *,
     held_out: bool = False,

@@ -40,7 +40,7 @@ from chdstat.fit.error_bars import (
     spp_in_words,
     with_pooled_bars,
 )
-from chdstat.fit.families import SELECTED
+from chdstat.fit.families import FAMILIES
 from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
 from chdstat.rendering.recipes import Region
 from chdstat.summary.runner import Source, of_source, run
@@ -128,7 +128,7 @@ class Patterns(Result):
     dip
         Hartigan's dip of log luminance.
     luminance_family
-        Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
+        Index of the best family in `chdstat.fit.families.FAMILIES`, -1 for none.
     misfit
         Kolmogorov-Smirnov distance between the samples and the better of gamma and log-normal.
     luminance_tail_index, long_tail_se
@@ -260,7 +260,7 @@ class Classification(Statistic[Patterns]):
         for name in ("long_tail", "firefly_dominated"):
             texts[name] += f"; at {spp}"
         dataset = label_variables(super().finish(dataset), texts)
-        dataset["luminance_family"].attrs.update(place_attributes(SELECTED))
+        dataset["luminance_family"].attrs.update(place_attributes(tuple(FAMILIES)))
         dataset["label"].attrs.update(flag_attributes(Label))
         dataset["label_agreement"].attrs.update(
             observed=found.observed, by_chance=found.expected, kappa=found.kappa

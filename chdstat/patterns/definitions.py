@@ -107,7 +107,7 @@ class _PixelStatistics:
     vuong_z
         Vuong's statistic of gamma against log-normal, positive for gamma.
     family
-        Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
+        Index of the best family in `chdstat.fit.families.FAMILIES`, -1 for none.
     misfit
         Kolmogorov-Smirnov distance between the samples and the better of the two.
     body_index, body_index_se

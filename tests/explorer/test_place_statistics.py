@@ -17,7 +17,7 @@ from chdstat.explorer.panels import PanelData, Trace, encode_panels, extent, pan
 from chdstat.explorer.place import PlaceStatistics, goodness
 from chdstat.explorer.sources import MOST_POOLED, StoreSource
 from chdstat.explorer.view import FITS, View
-from chdstat.fit.families import SELECTED
+from chdstat.fit.families import FAMILIES
 from chdstat.inference.differences import difference
 
 RGB = ("R", "G", "B")
@@ -323,7 +323,7 @@ def test_no_sample_breaks_the_test_of_fits(name):
     place = PlaceStatistics(hard()[name], RGB)
     found = goodness(place, lambda _: None, resamples=2)
     p_values = np.stack([p for p, _, _ in found.values()])
-    assert p_values.shape == (len(SELECTED), 4)
+    assert p_values.shape == (len(FAMILIES), 4)
     known = p_values[np.isfinite(p_values)]
     assert ((known > 0) & (known <= 1)).all()
-    assert len(tables.goodness_table(place, found)["rows"]) == len(SELECTED)
+    assert len(tables.goodness_table(place, found)["rows"]) == len(FAMILIES)

@@ -170,19 +170,5 @@ def _burr_equations(x: list[Any]) -> Callable[..., list[Any]]:
     return equations
 
 
-def _pareto_equations(x: list[Any]) -> Callable[..., list[Any]]:
-    import mpmath as mp
-
-    def equations(xi: Any, scale: Any) -> list[Any]:
-        inside = [1 + xi * value / scale for value in x]
-        tilted = mp.fsum(a / scale / b for a, b in zip(x, inside, strict=True))
-        return [
-            mp.fsum(mp.log(value) for value in inside) / xi**2 - (1 / xi + 1) * tilted,
-            len(x) - (1 + xi) * tilted,
-        ]
-
-    return equations
-
-
-EQUATIONS = {"burr": _burr_equations, "pareto": _pareto_equations}
+EQUATIONS = {"burr": _burr_equations}
 """Likelihood equations of families whose SciPy search is not always tight."""

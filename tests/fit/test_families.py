@@ -99,32 +99,6 @@ def test_burr_with_the_shape_of_weibull_has_its_tail():
     np.testing.assert_allclose(tail, 0.01, atol=0.02)
 
 
-def test_pareto_needs_a_regular_likelihood():
-    rng = np.random.default_rng(5)
-    regular, irregular, edge = (
-        stats.genpareto(xi).rvs((20, 400), random_state=rng) for xi in (-0.2, -0.7, -1.5)
-    )
-    fit = chd.fit.pareto(regular)
-    assert (fit.reason == Reason.OK).all()
-    assert np.isfinite(fit.standard_errors["xi"]).all()
-    fit = chd.fit.pareto(irregular)
-    below = fit.parameters["xi"] < -0.5
-    assert below.mean() > 0.8
-    assert np.isnan(fit.standard_errors["xi"][below]).all()
-    fit = chd.fit.pareto(edge)
-    assert (fit.reason == Reason.AT_LIMIT).mean() > 0.9
-    assert not (fit.parameters["xi"] <= -1).any()
-
-
-def test_pareto_near_the_exponential_loses_no_digits():
-    # Quantiles of an exponential, stretched a little: xi is within its rounding of smooth in it.
-    q = (np.arange(1000) + 0.5) / 1000
-    stretch = np.linspace(-2e-3, 2e-3, 41)[:, np.newaxis]
-    xi = chd.fit.pareto((-np.log1p(-q)) ** (1 + stretch)).parameters["xi"]
-    assert np.abs(np.diff(xi, 3)).max() < 1e-7
-    assert (np.diff(xi) > 0).all()
-
-
 @pytest.mark.parametrize("family", FAMILY_NAMES)
 def test_fewer_samples_than_parameters(family):
     count = len(FAMILIES[family].units)
@@ -160,20 +134,6 @@ def test_histogram_route_agrees_with_samples(family):
     loss = (best - likelihood)[both] / 512
     assert loss.min() > -1e-9
     assert loss.max() < 1e-2
-
-
-def test_bounded_families_of_a_histogram_hold_every_sample():
-    """The support ends above the upper edge of the highest bin, whose samples may lie there."""
-    rng = np.random.default_rng(12)
-    x = stats.genpareto(-0.6).rvs((300, 512), random_state=rng)
-    fit, part = chd.fit.pareto(chd.histogram(x)), PositivePart.of(x)
-    fitted = fit.reason == Reason.OK
-    assert fitted.mean() > 0.7
-    assert (fit.parameters["xi"][fitted] < 0).all()
-    likelihood = FAMILIES["pareto"].log_likelihood(part, fit.parameters)
-    assert np.isfinite(likelihood[fitted]).all()
-    end = -fit.parameters["scale"] / fit.parameters["xi"]
-    assert (end[fitted] > x.max(axis=-1)[fitted]).all()
 
 
 @pytest.mark.parametrize("n", [20, 100, 160, 300])

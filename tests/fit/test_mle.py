@@ -140,7 +140,6 @@ def test_mean_of_burr_is_that_of_scipy():
 def test_a_power_tail_may_have_no_mean():
     x = stats.burr12(2.0, 0.3).rvs((3, 2000), random_state=18)
     assert np.isposinf(chd.fit.burr(x).mean()).all()
-    assert np.isposinf(chd.fit.pareto(x**2).mean()).all()
 
 
 @pytest.mark.parametrize("family", FAMILY_NAMES)
@@ -187,7 +186,7 @@ def test_wrong_input_is_refused():
 def test_standard_errors_hold_at_small_n_or_are_not_there(family, samples):
     """They hold 1.96 times in 88 % and more (measured); 4 deviations of 600 rows are 5 %.
 
-    Of 8 to 128 samples, they held xi = -0.2 in 67 to 86 %, and a gamma scale in 73 to 93 %.
+    Of 8 to 128 samples, they held a gamma scale in 73 to 93 %.
     """
     for place in (0.15, 0.4, 0.7):
         truth = by_scipy.parameters_at(family, place)
@@ -208,14 +207,9 @@ def test_standard_errors_hold_at_small_n_or_are_not_there(family, samples):
 
 
 def test_why_there_are_no_standard_errors():
-    x = stats.genpareto(-0.7).rvs((30, 400), random_state=np.random.default_rng(72))
-    fit = chd.fit.pareto(x)
-    below = (fit.parameters["xi"] <= -0.5) & (fit.reason == Reason.OK)
-    assert below.sum() > 20
-    assert (fit.error_reason[below] == Reason.NOT_REGULAR).all()
-    few = chd.fit.pareto(x[:, :50])
-    ok = few.reason == Reason.OK
-    assert ok.sum() > 10
-    assert (few.error_reason[ok] == Reason.TOO_FEW).all()
-    image = chd.fit.fit(chd.Samples.from_array(x.reshape(5, 6, 1, 400)), "pareto", progress=False)
-    np.testing.assert_array_equal(image["pareto_error_reason"].values.ravel(), fit.error_reason)
+    x = typical("gamma", np.random.default_rng(72), (30, 50))
+    fit = chd.fit.gamma(x)
+    assert np.isnan(fit.standard_errors["scale"]).all()
+    assert (fit.error_reason == Reason.TOO_FEW).all()
+    image = chd.fit.fit(chd.Samples.from_array(x.reshape(5, 6, 1, 50)), "gamma", progress=False)
+    np.testing.assert_array_equal(image["gamma_error_reason"].values.ravel(), fit.error_reason)

@@ -8,7 +8,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.errors import InputError, Reason
-from chdstat.fit.families import SELECTED
+from chdstat.fit.families import FAMILIES
 from chdstat.patterns import (
     CHD,
     PATTERNS,
@@ -251,7 +251,7 @@ def test_image():
     assert dataset["label"].dims == ("y", "x")
     assert dataset["label"].attrs["flag_meanings"].split()[5] == "bimodal"
     assert dataset["long_tail_interval"].dims == ("y", "x", "bound")
-    assert dataset["luminance_family"].attrs["flag_meanings"].split() == ["none", *SELECTED]
+    assert dataset["luminance_family"].attrs["flag_meanings"].split() == ["none", *FAMILIES]
     assert dataset.attrs["threshold_alpha"] == 0.05
     assert dataset.attrs["scene"] == "cases"
     for pattern in PATTERNS:

@@ -8,10 +8,9 @@ shapes = {
     "lognormal": [{"mu": 0, "sigma": s} for s in (1.6, 1, 0.4)],
     "weibull": [{"shape": k, "scale": 1} for k in (0.5, 1, 3)],
     "burr": [{"c": c, "d": d, "scale": 1} for c, d in ((1, 1.2), (2, 1), (4, 1))],
-    "pareto": [{"xi": xi, "scale": 1} for xi in (0.8, 0.4, 0)],
 }
 x = np.geomspace(1e-3, 1e3, 300)
-fig, axes = plt.subplots(1, 5, figsize=(6.7, 1.9), layout="constrained", sharex=True)
+fig, axes = plt.subplots(1, 4, figsize=(6.7, 1.9), layout="constrained", sharex=True)
 for ax, (name, those) in zip(axes.flat, shapes.items(), strict=True):
     for parameters, color in zip(those, ("#D55E00", "#0072B2", "#009E73"), strict=True):
         density = chd.fit.FAMILIES[name].distribution(parameters).pdf(x) * x  # of log radiance
