@@ -17,7 +17,7 @@ _FUNCTIONS = {
     "atlas": "patterns",
     "certified": "certification",
     "classify": "patterns",
-    "bench": "comparison",
+    "bench": "studies",
     "compare": "comparison",
     "contrast": "inference",
     "difference": "inference",

@@ -49,7 +49,7 @@ from chdstat.inference.normality import TESTS, Normality
 from chdstat.patterns.classification import Classification
 from chdstat.patterns.definitions import PATTERNS, Thresholds
 from chdstat.samples import ImageLike, checkpoint_key, samples_of
-from chdstat.samples.tiles import Work, assemble, tiles
+from chdstat.samples.tiles import SampleStream, Work, assemble, tiles
 from chdstat.summary.histograms import Histogram
 from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize
@@ -59,7 +59,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from chdstat.rendering import Rendering
     from chdstat.samples import Samples
 
 _PREFIXED = ("modality", "normality", "averages")
@@ -73,7 +72,7 @@ _COMMENT = (
 
 
 def analyze(
-    samples: ImageLike | xr.Dataset | Rendering | npt.ArrayLike,
+    samples: ImageLike | xr.Dataset | SampleStream | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
     held_out: bool = True,

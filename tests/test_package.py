@@ -50,7 +50,6 @@ FOLDERS = sorted(m for m in chd.__all__ if m in ORDER and m != "errors")
 """Folders that users see."""
 
 DOWNSTREAM = {
-    ("comparison.benchmark", "reporting.documents"),
     ("studies.studies", "reporting.documents"),
     ("samples.samples", "patterns.pixel"),
     ("patterns.pixel", "viz"),

@@ -19,13 +19,14 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, StoreError
+from chdstat.estimators.denoiser import run_network
 from chdstat.io import denoise, read_exr, write_exr
-from chdstat.io.denoiser import run_network
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
 from chdstat.rendering.options import scene_size
-from chdstat.rendering.recipes import Region, load_recipe
+from chdstat.rendering.recipes import load_recipe
 from chdstat.rendering.seeds import max_spp
+from chdstat.samples import Region
 from chdstat.scenes import load_plugin, load_scene
 from tests.io.writers import exr, planes_of, window
 from tests.rendering.test_recipes import GOOD

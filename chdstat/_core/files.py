@@ -69,6 +69,14 @@ def is_exr(x: object) -> TypeGuard[str | Path]:
     return is_path(x) and place_of(x).suffix.lower() == ".exr"
 
 
+def is_file(path: Path) -> bool:
+    """Return whether there is a file; text that cannot be a path is not a file."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long for a name, or with a zero byte
+        return False
+
+
 def place_of(path: str | Path) -> Path:
     """Return the place of a text: a path, or for a URL an object used like one.
 

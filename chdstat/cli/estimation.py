@@ -113,8 +113,8 @@ def estimate(
     --error stop it.
     """
     from chdstat._core.files import kept_until_written
-    from chdstat.estimators.estimates import write_estimates
     from chdstat.estimators.training import load_model
+    from chdstat.io import write_estimates
     from chdstat.io.writing import IMAGES
 
     target = asked.target(out, *IMAGES)  # refused before the work, not after
@@ -324,7 +324,7 @@ def bench(
     and 2048 samples. A million samples of each of 64 pixels certify the pixels of a scene.
     """
     import chdstat
-    from chdstat.comparison.benchmark import Bench
+    from chdstat.studies import Bench
 
     if certified:
         refused = {

@@ -2,16 +2,15 @@
 
 `compare` measures estimators on batches of n samples. Its `Comparison` holds all measures, their
 `Breakdown` by pattern, and `PixelEstimates` of single pixels. `error_curve` does the same for many
-n, and returns an `ErrorCurve`. `bench` compares on several scenes against converged references, and
-returns a `Bench`. `denoised` puts a denoiser after an estimator. `DEFAULT_ESTIMATORS` are compared
-by default, also by `chdstat.study`, `chdstat.report` and the explorer. `MEASURES` describes the
-measures; each one is an `Interval`. A `Judge` is what samples tell of the true radiance.
+n, and returns an `ErrorCurve`; `chdstat.bench` compares on several scenes. `denoised` puts a
+denoiser after an estimator. `DEFAULT_ESTIMATORS` are compared by default, also by `chdstat.bench`,
+`chdstat.study`, `chdstat.report` and the explorer. `MEASURES` describes the measures; each one is
+an `Interval`. A `Judge` is what samples tell of the true radiance.
 """
 
 from __future__ import annotations
 
 from chdstat._core.resampling import Interval
-from chdstat.comparison.benchmark import Bench, Case, bench
 from chdstat.comparison.comparisons import (
     Breakdown,
     Comparison,
@@ -26,16 +25,13 @@ from chdstat.comparison.metrics import MEASURES
 __all__ = [
     "DEFAULT_ESTIMATORS",
     "MEASURES",
-    "Bench",
     "Breakdown",
-    "Case",
     "Comparison",
     "Denoised",
     "ErrorCurve",
     "Interval",
     "Judge",
     "PixelEstimates",
-    "bench",
     "compare",
     "curve_sizes",
     "denoised",

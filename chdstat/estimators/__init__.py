@@ -25,7 +25,6 @@ from chdstat.estimators.estimates import (
     combine,
     estimate,
     refine,
-    write_estimates,
 )
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
@@ -63,7 +62,6 @@ __all__ = [
     "register",
     "register_learned",
     "train_model",
-    "write_estimates",
 ]
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")  # which registers its estimators

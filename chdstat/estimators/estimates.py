@@ -1,9 +1,8 @@
-"""Estimates: the default estimate of an image, and the file of it.
+"""Estimates: the default estimate of an image.
 
 `estimate` is the one call from samples to radiance. By default it combines the mean, an
 outlier-free mean and denoised images of both, pixel by pixel. Given a trained model, it applies
-that model instead. It trains nothing. `write_estimates` writes the image to an EXR file, together
-with the certainty, the interval and the mean.
+that model instead. It trains nothing. `chdstat.io.write_estimates` writes the image to a file.
 
 No single candidate is the best everywhere: a denoiser loses small bright details, the mean is
 noisy. `combine` weights the candidates by their error on held-out samples: each is computed from
@@ -21,8 +20,6 @@ Both combine two estimates; here there may be any number.
 
 from __future__ import annotations
 
-import json
-import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,9 +31,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-from chdstat import __version__
 from chdstat._core.arrays import Image, Reals, as_pixels
-from chdstat._core.files import checked_target, checkpoints
+from chdstat._core.files import checkpoints
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, check_probability
 from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
@@ -45,6 +41,7 @@ from chdstat.estimators.default_estimate.intervals import interval_around, sprea
 from chdstat.estimators.default_estimate.light import lost_light
 from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
 from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
+from chdstat.estimators.denoiser import denoise as run_denoiser
 from chdstat.estimators.held_out import reordered
 from chdstat.estimators.registry import (
     Estimates,
@@ -55,20 +52,14 @@ from chdstat.estimators.registry import (
 )
 from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
-from chdstat.io import denoise as run_denoiser
-from chdstat.io import write_image
-from chdstat.io.writing import IMAGES
 from chdstat.samples import ImageLike, Samples, checkpoint_key
 from chdstat.samples.dependence import check_independent
+from chdstat.samples.tiles import SampleStream
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from chdstat.rendering import Rendering
-
-_log = logging.getLogger("chdstat")
-
-_AnyModel = TrainedModel[Any]
+AnyModel = TrainedModel[Any]
 _FIRST = 16
 """Samples per pixel at the first estimate while rendering."""
 _MORE, _MARGIN = 1.25, 1.05
@@ -88,8 +79,8 @@ _LEAST = 4
 
 
 def estimate(
-    samples: ImageLike | Rendering | npt.ArrayLike,
-    model: _AnyModel | str | Path | None = None,
+    samples: ImageLike | SampleStream | npt.ArrayLike,
+    model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
     level: float = 0.9,
@@ -149,13 +140,13 @@ def estimate(
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    options = _Options(spp, level, denoise, progress, client, checkpoint)
-    *_, last = _estimates(samples, model, options)
+    options = EstimateOptions(spp, level, denoise, progress, client, checkpoint)
+    *_, last = estimates_of(samples, model, options)
     return last.final
 
 
 def refine(
-    rendering: Rendering,
+    rendering: SampleStream,
     *,
     level: float = 0.9,
     seconds: float | None = None,
@@ -224,89 +215,8 @@ def refine(
                 due = max(_MORE * found.spp, min(due, _MARGIN * found.error.spp_to_reach(error)))
 
 
-def write_estimates(
-    path: str | Path,
-    samples: ImageLike | Rendering | npt.ArrayLike,
-    model: _AnyModel | str | Path | None = None,
-    *,
-    spp: int | None = None,
-    level: float = 0.9,
-    denoise: bool = False,
-    progress: bool | None = None,
-    client: Client | None = None,
-    checkpoint: str | Path | None = None,
-    seconds: float | None = None,
-    relative_error: float | None = None,
-) -> Path:
-    """Estimate the radiance of every pixel and write it to a file: .exr, .npy, .pfm or .png.
-
-    The image is the estimate; a PNG file is tone-mapped. An EXR file has the further layers
-    ``certainty``, ``low``, ``high`` and ``mean``. Without a model it also has the ``weight`` of
-    each candidate, and with `denoise` the ``estimate`` before denoising. Its header records the
-    scene, the samples and the options.
-
-    Parameters
-    ----------
-    path
-        The file, as for `chdstat.io.write_image`. An existing file is replaced at the end; for a
-        rendering, it is replaced at each doubling of the number of samples.
-    samples, model, spp, level, denoise, progress, client, checkpoint
-        As for `estimate`.
-    seconds, relative_error
-        Stop a rendering after so many seconds, or as soon as the estimated relative error of the
-        image (`Combination.relative_error`) is at most this, and at most a tenth larger in nine of
-        ten images. Each pass logs the error and the samples that the wanted one takes, or half of
-        the present one.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    InputError, StoreError
-        As for `estimate`; or if the file cannot be written.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> import chdstat as chd
-    >>> rng = np.random.default_rng(0)
-    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
-    >>> with TemporaryDirectory() as folder:
-    ...     file = write_estimates(f"{folder}/a.exr", image, progress=False)
-    ...     sorted(chd.io.read_exr(file).extra)[:4]
-    ['certainty', 'high', 'low', 'mean']
-    """
-    target = checked_target(path, *IMAGES)
-    options = _Options(spp, level, denoise, progress, client, checkpoint)
-    if relative_error is not None:
-        check_positive(relative_error=relative_error)
-    rendered, begin = hasattr(samples, "batch"), time.monotonic()
-    if not rendered and (seconds, relative_error) != (None, None):
-        message = "seconds and relative_error stop a rendering; these samples are there already"
-        raise InputError(message)
-    reached = relative_error is None
-    for image in _estimates(samples, model, options, seconds, relative_error):
-        write_image(
-            target,
-            image.final.radiance,
-            channels=None if image.mean.shape[-1] in _USUAL_CHANNELS else image.source.channels,
-            extra=image.layers(),
-            attributes=image.header(),
-        )
-        if rendered and isinstance(image.found, Combination):
-            error, spent = image.found.error, time.monotonic() - begin
-            _log.info("%d spp: %s", image.found.spp, error.told(relative_error, spent))
-            reached = relative_error is None or error.reaches(relative_error)
-    if not reached and seconds is None:
-        _log.warning("the relative error of %g was not reached in all samples", relative_error)
-    return target
-
-
 @dataclass(frozen=True)
-class _Options:
+class EstimateOptions:
     """Options of `estimate`."""
 
     spp: int | None
@@ -318,8 +228,8 @@ class _Options:
 
 
 @dataclass(frozen=True)
-class _Estimated:
-    """An estimate, with everything that is written to its file.
+class Estimated:
+    """An estimate, with everything that is written to a file of it.
 
     Attributes
     ----------
@@ -333,9 +243,9 @@ class _Estimated:
         Mean of the same samples, shape (y, x, channel).
     """
 
-    source: Samples | Rendering
-    options: _Options
-    model: _AnyModel | None
+    source: Samples | SampleStream
+    options: EstimateOptions
+    model: AnyModel | None
     found: Estimates
     mean: npt.NDArray[np.float32]
 
@@ -349,44 +259,14 @@ class _Estimated:
             radiance = self.found.guarded(radiance)
         return replace(self.found, radiance=radiance)
 
-    def layers(self) -> dict[str, npt.NDArray[Any]]:
-        layers: dict[str, npt.NDArray[Any]] = {"mean": self.mean}
-        if not np.isnan(self.found.level):
-            layers |= {name: getattr(self.found, name) for name in ("certainty", "low", "high")}
-        if isinstance(self.found, Combination):
-            weights = self.found.weights.items()
-            layers |= {f"weight_{name.replace(' ', '_')}": image for name, image in weights}
-        return layers | ({"estimate": self.found.radiance} if self.options.denoise else {})
 
-    def header(self) -> dict[str, str]:
-        found, model = self.found, self.model
-        training, known = "before", {} if model is None else model.provenance
-        if isinstance(found, Combination):
-            training = "before, on built-in scenes with references"
-            known = {"bias": found.bias, "bias_error": found.bias_error}
-        about = {
-            "software": f"chdstat {__version__}",
-            "scene": self.source.name,
-            "spp": getattr(found, "spp", self.source.spp),
-            "estimator": "combination" if model is None else model.name,
-            "training": training,
-            "level": "none" if np.isnan(found.level) else found.level,
-            "denoiser": "Open Image Denoise" if self.options.denoise else "none",
-            "samples": self.source.attrs,
-            "model": known,
-        }
-        return {
-            k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in about.items()
-        }
-
-
-def _estimates(
+def estimates_of(
     source: Any,
-    model: _AnyModel | str | Path | None,
-    options: _Options,
+    model: AnyModel | str | Path | None,
+    options: EstimateOptions,
     seconds: float | None = None,
     error: float | None = None,
-) -> Iterator[_Estimated]:
+) -> Iterator[Estimated]:
     """Yield the estimate; for a rendering, yield estimates from more and more samples."""
     check_probability(level=options.level)
     model = load_model(model) if isinstance(model, str | Path) else model
@@ -394,7 +274,7 @@ def _estimates(
     if hasattr(source, "batch"):
         _check_rendering(source, model, options)
         for found in refine(source, level=options.level, seconds=seconds, error=error):
-            yield _Estimated(source, options, None, found, found.mean)
+            yield Estimated(source, options, None, found, found.mean)
         return
     samples = first_samples(source, options.spp)
     if options.denoise:
@@ -407,12 +287,12 @@ def _estimates(
             client=options.client,
             checkpoint=options.checkpoint,
         )
-        yield _Estimated(samples, options, None, found, found.mean)
+        yield Estimated(samples, options, None, found, found.mean)
     else:
-        yield _Estimated(samples, options, model, *_by_model(model, samples, options))
+        yield Estimated(samples, options, model, *_by_model(model, samples, options))
 
 
-def _check_rendering(rendering: Any, model: _AnyModel | None, options: _Options) -> None:
+def _check_rendering(rendering: Any, model: AnyModel | None, options: EstimateOptions) -> None:
     """Check before the rendering whatever would fail after it."""
     check_independent(rendering)
     message = None
@@ -437,7 +317,7 @@ def _check_rendering(rendering: Any, model: _AnyModel | None, options: _Options)
 
 
 def _by_model(
-    model: _AnyModel, samples: Samples, options: _Options
+    model: AnyModel, samples: Samples, options: EstimateOptions
 ) -> tuple[Estimates, npt.NDArray[np.float32]]:
     """Return the estimates of a model, and the mean of the samples."""
     check_memory(

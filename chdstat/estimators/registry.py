@@ -17,6 +17,7 @@ by their number of good samples, so a kernel never sees a mask.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +40,6 @@ from chdstat._core.arrays import (
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, check_option
-from chdstat.scenes.plugins import owns_estimator
 
 Function = TypeVar("Function", bound=Callable[..., Reals])
 
@@ -218,6 +218,10 @@ ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
 """The registered estimators, by name."""
 LABELS: dict[str, str] = {}
 """Labels of the registered estimators in text and figures, by name."""
+_FILES: dict[str, str] = {}
+"""Files of the plugins that have registered the estimators, by name; "" without a plugin."""
+_PLUGINS: list[tuple[str, set[str]]] = [("", set())]
+"""The file that registers at present, and the names that it has registered."""
 
 
 def register(name: str, source: str, **facts: Any) -> Callable[[Function], Function]:
@@ -266,7 +270,7 @@ def register_learned(entry: LearnedEstimator) -> None:
 def forget(name: str) -> None:
     """Remove an estimator."""
     lookup(name)
-    del ENTRIES[name], LABELS[name]
+    del ENTRIES[name], LABELS[name], _FILES[name]
 
 
 def names(kind: Literal["fixed", "learned"] | None = None) -> tuple[str, ...]:
@@ -294,12 +298,29 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
     return ENTRIES[name]
 
 
+@contextlib.contextmanager
+def registered_by(file: str) -> Iterator[set[str]]:
+    """Note the estimators that a plugin registers; only its own may be registered again.
+
+    Yields their names.
+    """
+    entered: set[str] = set()
+    _PLUGINS.append((file, entered))
+    try:
+        yield entered
+    finally:
+        _PLUGINS.pop()
+
+
 def _enter(entry: Estimator | LearnedEstimator) -> None:
     known = ENTRIES.get(entry.name)
     held = known is not None and _defined_at(known) != _defined_at(entry)
-    if not owns_estimator(entry.name, held=held):
+    file, entered = _PLUGINS[-1]
+    if held and (not file or _FILES.get(entry.name) != file):
         message = f"an estimator called {entry.name!r} is registered already; choose another name"
         raise InputError(message)
+    _FILES[entry.name] = file
+    entered.add(entry.name)
     ENTRIES[entry.name] = entry
     LABELS[entry.name] = entry.label or entry.name.replace("_", " ")
 

@@ -4,12 +4,14 @@
   header with which a renderer writes such files.
 - `write_exr` and `read_exr` keep images with their layers in EXR files. `write_image` writes an
   image in the format of the file's suffix. `write_maps` and `write_netcdf` write results per pixel.
-- `denoise` denoises an image of estimates with Open Image Denoise.
+- `write_estimates` estimates the radiance of an image and writes it to a file. `denoise` denoises
+  an image of estimates with Open Image Denoise.
 """
 
 from __future__ import annotations
 
-from chdstat.io.denoiser import denoise
+from chdstat.estimators.denoiser import denoise
+from chdstat.io.estimate_files import write_estimates
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.reading import read
 from chdstat.io.stream import get_include
@@ -21,6 +23,7 @@ __all__ = [
     "get_include",
     "read",
     "read_exr",
+    "write_estimates",
     "write_exr",
     "write_image",
     "write_maps",

@@ -90,6 +90,10 @@ class ExrImage(Shown):
     extra: Mapping[str, Array]
     attributes: Mapping[str, str]
 
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Array:
+        """Return the image."""
+        return np.array(self.image, dtype, copy=copy)
+
     def _card(self) -> Card:
         known = self.image.shape[-1] in (1, 3)
         shown = {"image": png(tonemap(self.image))} if known else {}

@@ -42,7 +42,7 @@ from chdstat.fit.error_bars import (
 )
 from chdstat.fit.families import FAMILIES
 from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
-from chdstat.rendering.recipes import Region
+from chdstat.samples.tiles import Region
 from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any, cast
 
 import chdstat
+from chdstat._core.files import is_file
 from chdstat.errors import InputError
 from chdstat.rendering.options import RenderOptions, scene_integrator, scene_size
 from chdstat.samples import Samples
+from chdstat.samples.tiles import Region
 from chdstat.scenes import BUILTIN, REMAKES, Scene
-from chdstat.scenes.scene_files import is_file
 
 _EDGE = 128
 """Longest edge of the image if neither the user nor a recipe gives a size."""
@@ -50,61 +51,6 @@ PHENOMENA = (
 ``texture`` covers several colours under one light. Regions of ``albedo-contrast`` come in pairs: a
 dark and a pale one of the same texture, side by side.
 """
-
-
-@dataclass(frozen=True)
-class Region:
-    """A part of the image that shows one phenomenon.
-
-    Parameters
-    ----------
-    name
-        A short name.
-    phenomenon
-        One of `PHENOMENA`, or the name of a pattern for a region that the library chose.
-    rectangle
-        Left, top, right, bottom as fractions of the image, origin at the top left.
-    note
-        What can be seen there.
-    """
-
-    name: str
-    phenomenon: str
-    rectangle: tuple[float, float, float, float]
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        given = tuple(self.rectangle)
-        numbers = len(given) == 4 and all(type(v) in (int, float) for v in given)
-        if not (numbers and 0 <= given[0] < given[2] <= 1 and 0 <= given[1] < given[3] <= 1):
-            message = (
-                f"rectangle of region {self.name!r} must be (left, top, right, bottom) as "
-                "fractions of the image, 0 <= left < right <= 1, top < bottom alike, got "
-                f"{reprlib.repr(given)}"
-            )
-            raise InputError(message)
-        object.__setattr__(self, "rectangle", tuple(map(float, given)))
-
-    def pixels(self, height: int, width: int) -> tuple[slice, slice]:
-        """Return the rows and columns that the region covers, at least one of each.
-
-        Examples
-        --------
-        >>> Region("wall", "diffuse", (0.5, 0.25, 0.75, 0.5)).pixels(8, 16)
-        (slice(2, 4, None), slice(8, 12, None))
-        """
-        left, top, right, bottom = self.rectangle
-        return _covered(top, bottom, height), _covered(left, right, width)
-
-    def center(self, height: int, width: int) -> tuple[int, int]:
-        """Return (y, x) of the pixel in the middle."""
-        ys, xs = self.pixels(height, width)
-        return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
-
-
-def _covered(low: float, high: float, length: int) -> slice:
-    start = min(round(low * length), length - 1)
-    return slice(start, min(max(round(high * length), start + 1), length))
 
 
 @dataclass(frozen=True)

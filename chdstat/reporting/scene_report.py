@@ -37,7 +37,6 @@ from chdstat.rendering.backend import Backend
 from chdstat.rendering.options import RenderSettings
 from chdstat.rendering.recipes import (
     Recipe,
-    Region,
     check_integrator,
     load_recipe,
     recipe_of,
@@ -47,7 +46,7 @@ from chdstat.rendering.renders import render
 from chdstat.reporting import content, figures
 from chdstat.reporting.content import Contents
 from chdstat.reporting.documents import Document, typeset
-from chdstat.samples import Samples, is_store
+from chdstat.samples import Region, Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_distribution
 from chdstat.scenes import Scene, load_scene

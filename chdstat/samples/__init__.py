@@ -13,11 +13,12 @@ from chdstat.samples.store import (
     opened,
     samples_of,
 )
-from chdstat.samples.tiles import SampleBlocks, reduce_tiles
+from chdstat.samples.tiles import Region, SampleBlocks, reduce_tiles
 
 __all__ = [
     "ImageLike",
     "Mapped",
+    "Region",
     "SampleBlocks",
     "Samples",
     "cache_key",

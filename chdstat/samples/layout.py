@@ -52,6 +52,7 @@ from chdstat._core.arrays import Image
 from chdstat._core.files import (
     checksum,
     exists,
+    is_file,
     is_path,
     is_remote,
     place_of,
@@ -60,7 +61,6 @@ from chdstat._core.files import (
 )
 from chdstat.errors import StoreError
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart
-from chdstat.scenes.scene_files import is_file
 
 BLOCK = 16
 """Edge in pixels of the blocks that are compressed separately within a chunk."""

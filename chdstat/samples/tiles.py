@@ -1,14 +1,16 @@
-"""Tiles: how an image is cut for drawing, keeping and computing, and datasets made from tiles.
+"""Tiles and other parts of an image: how it is cut for drawing, keeping and computing.
 
 `over_tiles` gives a function each tile with all its samples; `reduce_tiles` gives it batch by
-batch, in constant memory.
+batch, in constant memory. A `Region` is a part of the image that shows something.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
+import reprlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +22,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Array, Image, LeftOut, Mapped, plain_attributes, spans
 from chdstat._core.files import Cache, release, room
 from chdstat._core.work import in_order, track
+from chdstat.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -75,6 +78,97 @@ class SampleSource(Protocol):
 
     def read_features(self) -> dict[str, Image]:
         """Return the first-hit features by name."""
+
+
+class SampleStream(Protocol):
+    """Samples that are drawn and not kept, as `chdstat.rendering.render_batches` makes them."""
+
+    batch: int
+    """Samples per pixel that are drawn together."""
+    spp: int
+    """Total samples per pixel."""
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(y, x, channel, sample)."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Provenance, as `Samples.attrs`."""
+
+    @property
+    def features(self) -> dict[str, Image]:
+        """First-hit features by name."""
+
+    def passes(self) -> Iterator[Iterator[tuple[Chunk, Image]]]:
+        """Yield passes over the image, each as chunks and their samples."""
+
+    def on_demand(self) -> contextlib.AbstractContextManager[tuple[Samples, int]]:
+        """Return samples that are drawn when they are read, and how many may read at once."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the image that shows one phenomenon.
+
+    Parameters
+    ----------
+    name
+        A short name.
+    phenomenon
+        One of `chdstat.rendering.recipes.PHENOMENA`, or the name of a pattern for a region that the
+        library chose.
+    rectangle
+        Left, top, right, bottom as fractions of the image, origin at the top left.
+    note
+        What can be seen there.
+    """
+
+    name: str
+    phenomenon: str
+    rectangle: tuple[float, float, float, float]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        given = tuple(self.rectangle)
+        numbers = len(given) == 4 and all(type(v) in (int, float) for v in given)
+        if not (numbers and 0 <= given[0] < given[2] <= 1 and 0 <= given[1] < given[3] <= 1):
+            message = (
+                f"rectangle of region {self.name!r} must be (left, top, right, bottom) as "
+                "fractions of the image, 0 <= left < right <= 1, top < bottom alike, got "
+                f"{reprlib.repr(given)}"
+            )
+            raise InputError(message)
+        object.__setattr__(self, "rectangle", tuple(map(float, given)))
+
+    def pixels(self, height: int, width: int) -> tuple[slice, slice]:
+        """Return the rows and columns that the region covers, at least one of each.
+
+        Examples
+        --------
+        >>> Region("wall", "diffuse", (0.5, 0.25, 0.75, 0.5)).pixels(8, 16)
+        (slice(2, 4, None), slice(8, 12, None))
+        """
+        left, top, right, bottom = self.rectangle
+        return _covered(top, bottom, height), _covered(left, right, width)
+
+    def center(self, height: int, width: int) -> tuple[int, int]:
+        """Return (y, x) of the pixel in the middle."""
+        ys, xs = self.pixels(height, width)
+        return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
+
+
+def _covered(low: float, high: float, length: int) -> slice:
+    start = min(round(low * length), length - 1)
+    return slice(start, min(max(round(high * length), start + 1), length))
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Image
+from chdstat._core.files import is_file
 from chdstat.errors import SceneError
-from chdstat.scenes.scene_files import digest_of, is_file
+from chdstat.scenes.scene_files import digest_of
 
 if TYPE_CHECKING:
     from chdstat.scenes.parsing import ParsedScene

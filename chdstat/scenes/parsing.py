@@ -21,10 +21,10 @@ import mitsuba as mi
 import mitsuba.parser
 import numpy as np
 
+from chdstat._core.files import is_file
 from chdstat.errors import SceneError
 from chdstat.scenes.faults import checked_mesh, filled, refuse_faults
 from chdstat.scenes.mitsuba_errors import in_words
-from chdstat.scenes.scene_files import is_file
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene

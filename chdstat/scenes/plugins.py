@@ -79,10 +79,6 @@ _LOADED: dict[str, Plugin] = {}
 """Plugins of this process, by the name of their file."""
 _REGISTERED: dict[tuple[str, str], _Registration] = {}
 """Registrations by Mitsuba's variant and the name of the file."""
-_ESTIMATORS: dict[str, str] = {}
-"""Names of the files, by the name of the estimator that they have registered."""
-_RUNNING: list[_Registration] = []
-"""Registration of the plugin that is running, if any."""
 
 
 def load_plugin(path: str | Path) -> Plugin:
@@ -186,21 +182,6 @@ def used(
     }
 
 
-def owns_estimator(name: str, *, held: bool) -> bool:
-    """Return whether an estimator of this name may be registered, and note the plugin that does.
-
-    One that is `held` in the registry may only be registered again by the file that it comes from.
-    """
-    if not _RUNNING:
-        return not held
-    running = _RUNNING[-1]
-    if held and _ESTIMATORS.get(name) != running.plugin.name:
-        return False
-    _ESTIMATORS[name] = running.plugin.name
-    running.estimators.add(name)
-    return True
-
-
 def _own_names(mi: Any) -> set[str]:
     """Return the names of Mitsuba's own plugins."""
     folder = Path(mi.__file__).parent
@@ -255,23 +236,26 @@ class _Loader(importlib.abc.SourceLoader):
 
 def _run(plugin: Plugin, variant: str) -> _Registration:
     """Run the code of a plugin, and return what it has registered."""
+    from chdstat.estimators.registry import registered_by
+
     registration, loader = _Registration(plugin), _Loader(plugin)
     spec = importlib.util.spec_from_loader(plugin.module, loader)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)
     previous = sys.modules.get(plugin.module)
     sys.modules[plugin.module] = module
-    _RUNNING.append(registration)
     try:
-        with _recorded(registration, variant), _beside(plugin):
+        with (
+            _recorded(registration, variant),
+            registered_by(plugin.name) as registration.estimators,
+            _beside(plugin),
+        ):
             loader.exec_module(module)
     except (Exception, SystemExit) as error:
         sys.modules.pop(plugin.module)
         if previous is not None:
             sys.modules[plugin.module] = previous
         raise failure([plugin], error) from error
-    finally:
-        _RUNNING.pop()
     if not registration.parts | registration.estimators:
         message = (
             f"plugin {plugin.path} registers nothing; end it with a line such as "

@@ -25,10 +25,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from chdstat._core.display import Card, Shown
+from chdstat._core.files import is_file
 from chdstat.errors import InputError, SceneError, did_you_mean
 from chdstat.scenes.builtin import BUILTIN, built_in
 from chdstat.scenes.plugins import code_of
-from chdstat.scenes.scene_files import described, digest_of, is_file
+from chdstat.scenes.scene_files import described, digest_of
 
 SceneLike = str | Path | Mapping[str, Any] | Any
 """A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""

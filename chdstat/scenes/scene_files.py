@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from chdstat._core.files import is_file
 from chdstat.errors import SceneError
 
 _DEEPEST = 100
@@ -110,14 +111,6 @@ def _named(key: str, text: str) -> list[str]:
     """Return the names of the files that a property's text may stand for."""
     tables = [f"data/ior/{text}.{part}.spd" for part in ("eta", "k")]  # of a metal
     return [text, *tables] if key == "material" else [text]
-
-
-def is_file(path: Path) -> bool:
-    """Return whether there is a file; text that cannot be a path is not a file."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # too long for a name, or with a zero byte
-        return False
 
 
 def _found_by_mitsuba(name: str) -> Path:

@@ -17,8 +17,8 @@ import numpy as np
 from chdstat._core.arrays import Array, Counts, Floats, Mask, generator, is_bad, luminance
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, quantile_of
 from chdstat.analysis import analyze
-from chdstat.rendering.recipes import Region
 from chdstat.samples import Samples
+from chdstat.samples.tiles import Region
 from chdstat.studies.findings import level_of, require, required
 from chdstat.studies.log_chds import LogChds, of_histograms
 from chdstat.summary.statistics import summarize
@@ -256,7 +256,7 @@ class SceneData:
     Examples
     --------
     >>> import chdstat as chd
-    >>> from chdstat.rendering.recipes import Region
+    >>> from chdstat.samples import Region
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=64)
     >>> wall = Region("wall", "diffuse", (0, 0, 0.5, 0.5))
     >>> len(SceneData("simulated", samples, (wall,)).patch("diffuse", "of diffuse objects"))

@@ -24,7 +24,7 @@ from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.renders import render
 from chdstat.rendering.seeds import SamplerName
-from chdstat.samples import Samples, cache_key, is_store
+from chdstat.samples import Region, Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
@@ -83,7 +83,7 @@ class StudyScene:
     name: str
     source: Scene | Samples
     recipe: recipes.Recipe | None
-    regions: tuple[recipes.Region, ...]
+    regions: tuple[Region, ...]
 
 
 def scenes_of(

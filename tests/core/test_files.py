@@ -22,7 +22,7 @@ from chdstat._core.work import in_order, track
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas
-from chdstat.rendering.recipes import Region
+from chdstat.samples.tiles import Region
 from chdstat.studies.claims import Finding, SceneData, find
 
 

@@ -12,7 +12,6 @@ from chdstat.estimators import (
     CombinationStream,
     combine,
     estimate,
-    write_estimates,
 )
 from chdstat.estimators.default_estimate import candidates as halves
 from chdstat.estimators.default_estimate import weighting_network as network
@@ -26,7 +25,7 @@ from chdstat.estimators.default_estimate.weighting_network import (
 )
 from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
 from chdstat.estimators.registry import interval_of_mean
-from chdstat.io import read_exr
+from chdstat.io import read_exr, write_estimates
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP
-from chdstat.estimators.estimates import estimate, write_estimates
+from chdstat.estimators.estimates import estimate
 from chdstat.estimators.training import train_model
-from chdstat.io import read_exr
+from chdstat.io import read_exr, write_estimates
 
 QUICK = {"iterations": 5, "progress": False}
 
@@ -40,7 +40,9 @@ def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch, model
 
 @pytest.fixture
 def doubling(monkeypatch):
-    monkeypatch.setattr("chdstat.io.denoiser.run_network", lambda images, **_: 2 * images["color"])
+    monkeypatch.setattr(
+        "chdstat.estimators.denoiser.run_network", lambda images, **_: 2 * images["color"]
+    )
 
 
 def test_it_is_the_same_every_time():

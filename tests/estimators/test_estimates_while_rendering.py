@@ -11,8 +11,8 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators.estimates import estimate, refine, write_estimates
-from chdstat.io import read_exr
+from chdstat.estimators.estimates import estimate, refine
+from chdstat.io import read_exr, write_estimates
 from chdstat.rendering import render_batches
 
 

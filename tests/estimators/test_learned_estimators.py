@@ -70,7 +70,9 @@ def test_features_reach_those_who_look_at_them(calls):
 
 
 def test_a_denoised_estimator_shares_the_training_of_its_own(calls, monkeypatch):
-    monkeypatch.setattr("chdstat.io.denoiser.run_network", lambda images, **_: images["color"])
+    monkeypatch.setattr(
+        "chdstat.estimators.denoiser.run_network", lambda images, **_: images["color"]
+    )
     found = chd.compare(image(), ["share", denoised("share")], n=16, progress=False)
     assert len(calls) == 1
     assert list(found.models) == ["share"]

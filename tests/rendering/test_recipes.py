@@ -12,11 +12,11 @@ import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.rendering.recipes import (
     PHENOMENA,
-    Region,
     find_recipe,
     load_recipe,
     regions_of,
 )
+from chdstat.samples import Region
 from chdstat.scenes import BUILTIN, load_scene
 
 GOOD = """

@@ -73,7 +73,7 @@ def largest(x):
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch):
     """Leave no plugin to other tests."""
-    for name in ("_LOADED", "_REGISTERED", "_ESTIMATORS"):
+    for name in ("_LOADED", "_REGISTERED"):
         monkeypatch.setattr(plugins, name, {})
     before = registry.names()
     yield

@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from chdstat._core.arrays import Image, Reals, spans
 from chdstat._core.work import in_order
+from chdstat.estimators.denoiser import denoise, works
 from chdstat.estimators.shapes import RADIUS, PowerSums, ShapeStatistics
-from chdstat.io.denoiser import denoise, works
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Work
 

@@ -63,7 +63,7 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     Examples
     --------
     >>> import chdstat as chd
-    >>> from chdstat.rendering.recipes import Region
+    >>> from chdstat.samples import Region
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=16)
     >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> found[1].name, found[1].verdict, found[1].reason

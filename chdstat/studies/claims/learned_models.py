@@ -25,7 +25,7 @@ from chdstat.comparison import Comparison, compare
 from chdstat.comparison.entries import entry_of, estimate_by
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names
-from chdstat.io.denoiser import denoise
+from chdstat.estimators.denoiser import denoise
 from chdstat.samples import Samples
 from chdstat.studies.claim import claim
 from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.rendering.recipes import PHENOMENA, Region
+from chdstat.rendering.recipes import PHENOMENA
+from chdstat.samples.tiles import Region
 from chdstat.studies.claims import CLAIMS, SceneData, find
 from chdstat.studies.claims.whole_image import brightest_firefly
 from tests.studies.claims import worlds

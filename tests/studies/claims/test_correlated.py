@@ -11,7 +11,7 @@ import scipy.stats
 import xarray as xr
 
 import chdstat as chd
-from chdstat.rendering.recipes import Region
+from chdstat.samples.tiles import Region
 from chdstat.studies.claims import CLAIMS, SceneData
 from chdstat.studies.claims.between_renders import p_of_independence, variances
 

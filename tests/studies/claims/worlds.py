@@ -12,7 +12,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat.comparison import Interval
-from chdstat.rendering.recipes import Region
+from chdstat.samples.tiles import Region
 from chdstat.studies.claims import SceneData
 
 Rng = np.random.Generator

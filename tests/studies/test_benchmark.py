@@ -8,10 +8,11 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.display import with_interval
-from chdstat.comparison import benchmark, denoised
+from chdstat.comparison import denoised
 from chdstat.comparison.flip import exposures, flip
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
+from chdstat.studies import benchmark
 
 SHAPE = (48, 64)
 TRUTH = np.stack([np.full(SHAPE, value) for value in (2.0, 1.0, 0.5)], axis=-1)
