@@ -398,7 +398,7 @@ def claim_content(claim: Claim, found: Mapping[str, Finding]) -> dict[str, Any]:
     for name, finding in with_others(found).items():
         reason = f"{finding.reason} {_p_value(finding)}".rstrip()
         scenes_of.setdefault((finding.verdict, reason), []).append(name)
-    hypotheses = [finding.details.get("null_hypothesis", "") for finding in found.values()]
+    hypotheses = [finding.null_hypothesis for finding in found.values()]
     return {
         "number": claim.number,
         "name": claim.name,
@@ -422,7 +422,7 @@ def _p_value(finding: Finding) -> str:
 
 def finding_content(finding: Finding) -> dict[str, Any]:
     """Return one finding with all its tests, ready for JSON."""
-    hypothesis = finding.details.get("null_hypothesis", "")
+    hypothesis = finding.null_hypothesis
     return {
         "number": finding.number,
         "name": finding.name,

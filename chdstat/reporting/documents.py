@@ -164,8 +164,8 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
     height, width, _, spp = samples.shape
     regions = scene.data.regions
     family, share = max(seen.families.items(), key=lambda item: item[1])
-    paths = next((f for f in scene.findings if f.number == 9), None)
-    ratio = None if paths is None else paths.details.get("time_ratio")
+    cost = next((f.tests for f in scene.findings if f.name == "cost of longer paths"), ())
+    slower = [test.interval.value for test in cost if test.name.startswith("time")]
     return {
         "name": scene.name,
         "about": BUILTIN.get(scene.name, ""),
@@ -192,7 +192,7 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
         "renders": list(_renders(scene)),
         "notes": list(scene.notes),
         "atlas": None if scene.atlas is None else atlas_content(scene.atlas),
-        "time_ratio": "" if ratio is None else number(float(ratio)),
+        "time_ratio": number(slower[0]) if slower else "",
     }
 
 

@@ -167,9 +167,9 @@ class Finding(Shown):
     missing
         What could not be measured, as sentences.
     p_value
-        p-value of the null hypothesis that the details name; None if there is none.
-    details
-        Further numbers by region or channel, ready for JSON.
+        p-value of the null hypothesis; None if there is none.
+    null_hypothesis
+        The null hypothesis of the p-value, in words.
     plot_data
         Data of its figure.
     model
@@ -196,7 +196,7 @@ class Finding(Shown):
     tests: tuple[ClaimTest, ...] = ()
     missing: tuple[str, ...] = ()
     p_value: float | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+    null_hypothesis: str = ""
     plot_data: PlotData = field(default_factory=PlotData)
     model: str = ""
     other_models: Mapping[str, Finding] = field(default_factory=dict)
@@ -300,8 +300,8 @@ class Finding(Shown):
                 "statistic": {"name": test.name, "value": test.interval.value, "unit": test.unit},
                 "interval": interval,
                 "p_value": self.p_value,
+                "null_hypothesis": self.null_hypothesis,
                 "parts": [test.to_dict() for test in self.tests],
-                "details": self.details,
                 "beside": {name: other.to_dict() for name, other in self.other_models.items()},
             }
         )

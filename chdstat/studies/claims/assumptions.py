@@ -33,7 +33,7 @@ _ACROSS = 8
 
 def explained_by_features(
     data: SceneData, batches: Floats, whole: PixelSet
-) -> tuple[Interval[float], float] | None:
+) -> Interval[float] | None:
     """Predict log variance from albedo, normal and depth in blocks that are held out.
 
     Parameters
@@ -47,9 +47,9 @@ def explained_by_features(
 
     Returns
     -------
-    tuple
-        Cross-validated R^2 divided by the share that is not noise (below 0 if features mislead);
-        and that share, from the correlation between two halves of the samples, corrected to all
+    Interval
+        Cross-validated R^2 divided by the share that is not noise, below 0 if features mislead.
+        That share follows from the correlation between two halves of the samples, corrected to all
         samples.
 
     References
@@ -75,11 +75,11 @@ def explained_by_features(
     known = np.isfinite(target) & np.isfinite(features).all(axis=1)
     x, y = features[known], target[known]
     if len(y) < 100 or not np.ptp(y):
-        return Interval.unknown(level=whole.level), math.nan
+        return Interval.unknown(level=whole.level)
     r = float(np.corrcoef(halves[0][known], halves[1][known])[0, 1])
     reliability = 2 * r / (1 + r)
     if not reliability > 0.2:
-        return Interval.unknown(level=whole.level), reliability
+        return Interval.unknown(level=whole.level)
     folds = PredefinedSplit(fold_of(whole.blocks, across=_ACROSS, folds=_FOLDS)[known])
     trees = HistGradientBoostingRegressor(
         max_iter=60, min_samples_leaf=20, early_stopping=False, random_state=0
@@ -89,7 +89,7 @@ def explained_by_features(
     )
     used = whole[known]
     error, total = used.blocks.sums(errors), used.blocks.sums(of_mean)
-    return used.interval(lambda w: (1 - (w @ error) / (w @ total)) / reliability), reliability
+    return used.interval(lambda w: (1 - (w @ error) / (w @ total)) / reliability)
 
 
 _Growing = tuple[Floats, Floats, Floats]
@@ -236,30 +236,17 @@ def broken_assumptions(data: SceneData) -> Finding:
         # Of Gaussian steps, the largest would hold 0.28.
         ClaimTest(largest, steps, least=0.5),
     ]
-    missing, reliability = list[str](), None
-    if (explained := explained_by_features(data, batches, whole)) is None:
+    missing = list[str]()
+    if (share := explained_by_features(data, batches, whole)) is None:
         missing.append("needs first-hit albedo, normal and depth")
     else:
-        share, reliability = explained
-        name = "share of log variance that features explain"
-        tests.append(ClaimTest(name, share, most=0.5))
-    rejected = None
-    if "averages_rejected_share" in data.summary:  # by the number of samples averaged
-        shares = data.summary["averages_rejected_share"].mean("channel")
-        sizes = shares["size"].to_numpy().tolist()
-        rejected = dict(zip(sizes, shares.to_numpy().tolist(), strict=True))
-    p_values = uniformity(batches, whole.blocks)
+        tests.append(ClaimTest("share of log variance that features explain", share, most=0.5))
     pixels = {"pixels": (logs(batches.mean(axis=1)), logs(batches.var(axis=1, ddof=1)))}
     return Finding(
         tuple(tests),
         tuple(missing),
-        p_value=p_values["breusch_pagan"],
-        details={
-            **p_values,
-            "null_hypothesis": "variance is uniform over the image (Breusch-Pagan, Holm-adjusted)",
-            "reliability_of_log_variance": reliability,
-            "averages_told_from_gaussian": rejected,
-        },
+        p_value=uniformity(batches, whole.blocks)["breusch_pagan"],
+        null_hypothesis="variance is uniform over the image (Breusch-Pagan, Holm-adjusted)",
         plot_data=PlotData("points", pixels, "log10 mean", "log10 variance of a mean"),
     )
 

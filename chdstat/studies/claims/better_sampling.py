@@ -68,7 +68,6 @@ def tails(data: SceneData) -> Finding:
     return Finding(
         tuple(tests),
         tuple(missing),
-        details={"spp": pair[0].samples.spp, "means": means},
         plot_data=PlotData.bars(means, "mean over pixels"),
     )
 
@@ -95,19 +94,8 @@ def averages(data: SceneData) -> Finding:
     until = _means(np.stack([s.ravel() ** 2 for s in skewness]))
     return Finding(
         (ClaimTest(name, ratio, most=-_LITTLE, unit="decade"),),
-        details={"samples_until_skewness_1": until, "time_ratio_with_compiling": _time_ratio(data)},
         plot_data=PlotData.bars(until, "mean samples until averages have a skewness of 1"),
     )
-
-
-def _time_ratio(data: SceneData) -> float | None:
-    """Return the time of a guided sample over that of a plain one; None if it is unknown.
-
-    Kernels are compiled within the time of a render; a guide is trained before it.
-    """
-    renders = [s for s in (data.samples, data.guided) if s is not None]
-    seconds = [float(s.attrs.get("render_seconds") or 0) / s.spp for s in renders]
-    return seconds[1] / seconds[0] if seconds[0] else None
 
 
 # --- adaptive counts ------------------------------------------------------------------------------
@@ -145,7 +133,6 @@ def counts(data: SceneData) -> Finding:
     name = "spread of relative errors over pixels, adaptive over even counts"
     return Finding(
         (ClaimTest(name, ratio, most=1.0),),
-        details={"spread_in_decades": decades},
         plot_data=PlotData.bars(decades, "decades that relative errors spread"),
         few="pixels",
     )

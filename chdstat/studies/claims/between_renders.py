@@ -23,9 +23,8 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance
 from chdstat._core.image_scales import relative_scale
-from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
+from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of
 from chdstat.inference import modality
-from chdstat.patterns import Label
 from chdstat.samples import Samples
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.tiles import tiles
@@ -74,8 +73,8 @@ _NO_TIMES = "needs times of the renders, by the scalar backend"
 )
 def lengths(data: SceneData) -> Finding:
     """Compare pixel by pixel with an image of the same view with shorter paths."""
-    (shorter, short), long = _shorter(data), data.summary
-    whole, changes = data.whole(tests=4), _changes(long, short)
+    _, short = _shorter(data)
+    whole, changes = data.whole(tests=4), _changes(data.summary, short)
     tests = tuple(
         ClaimTest(
             f"mean change of {name}",
@@ -87,21 +86,8 @@ def lengths(data: SceneData) -> Finding:
         )
         for name, change in changes.items()
     )
-    renders = (shorter, data.samples)
-    seconds = [_seconds_per_sample(samples) for samples in renders]
-    integrators = [samples.attrs.get("integrator") for samples in renders]
     bars = {n: m for n, v in changes.items() if np.isfinite(m := known_mean(v))}
-    return Finding(
-        tests,
-        details={
-            "time_ratio": seconds[1] / seconds[0] if seconds[0] and seconds[1] else None,
-            "seconds_per_sample": seconds,
-            "mean_ratio": float(long["mean"].mean() / short["mean"].mean()),
-            "max_depth": [i.get("max_depth") if isinstance(i, dict) else None for i in integrators],
-            "spp": [samples.spp for samples in renders],
-        },
-        plot_data=PlotData.bars(bars, "change with longer paths"),
-    )
+    return Finding(tests, plot_data=PlotData.bars(bars, "change with longer paths"))
 
 
 def _shorter(data: SceneData) -> tuple[Samples, xr.Dataset]:
@@ -183,7 +169,6 @@ def cost(data: SceneData) -> Finding:
     # Visible, after Weber's law.
     tests = [ClaimTest("mean radiance over that of shorter paths", ratio, least=1.02)]
     seconds = [_seconds_per_sample(samples) for samples in (data.samples, shorter)]
-    timed = seconds[0] and seconds[1]
     if seconds[0] and seconds[1]:
         slower = seconds[0] / seconds[1]
         time = Interval(slower, slower / _TIMING, slower * _TIMING, whole.level)
@@ -191,8 +176,7 @@ def cost(data: SceneData) -> Finding:
     values = {test.name.split(" over")[0]: test.interval.value for test in tests}
     return Finding(
         tuple(tests),
-        () if timed else (_NO_TIMES,),
-        details={"seconds_per_sample": seconds},
+        () if len(tests) > 1 else (_NO_TIMES,),
         plot_data=PlotData.bars(values, "over that of shorter paths"),
         few="renders on a quiet machine",
     )
@@ -240,10 +224,10 @@ def integrators(data: SceneData) -> Finding:
     }
     whole = data.whole(tests=2)
     together = replace(whole, level=1 - (1 - whole.level) / max(len(pairs), 1))
-    distances, sooner, fewer = {}, {}, {}
+    distances, sooner, fewer = list[Interval[float]](), {}, {}
     for name, base in pairs.items():
         both = summaries[name], summaries[base]
-        distances[name] = together.mean(squares(*both)).root()
+        distances.append(together.mean(squares(*both)).root())
         fewer[name] = samples_ratio(*both, whole)
         seconds = [_seconds_per_sample(renders[n]) for n in (name, base)]
         if seconds[0] and seconds[1]:
@@ -251,7 +235,7 @@ def integrators(data: SceneData) -> Finding:
             room = math.log10(_TIMING)
             low, high = log.low + by - room, log.high + by + room
             sooner[name] = Interval(log.value + by, low, high, log.level)
-    known = [d for d in distances.values() if np.isfinite(d.value)]
+    known = [distance for distance in distances if np.isfinite(distance.value)]
     require(known, "positive samples enough for shapes")
     largest = largest_interval(known, level=whole.level)
     name = "largest distance between the shapes of two integrators"
@@ -267,11 +251,6 @@ def integrators(data: SceneData) -> Finding:
     return Finding(
         tuple(tests),
         tuple(missing),
-        details={
-            "distances": {name: d.value for name, d in distances.items()},
-            f"log {_SLOWEST}": {name: i.to_dict() for name, i in sooner.items()},
-            f"log {_FASTEST}": {name: i.to_dict() for name, i in fewer.items()},
-        },
         plot_data=PlotData.bars(bars, f"decades of {_SLOWEST if sooner else _FASTEST}"),
         few="renders on a quiet machine",
     )
@@ -318,32 +297,19 @@ def correlated(data: SceneData) -> Finding:
 
     ratio = ratio_in(whole)
     by_region = {
-        region.name: ratio_in(PixelSet.of((region,), *data.samples.shape[:2]))
+        region.name: ratio_in(PixelSet.of((region,), *data.samples.shape[:2])).value
         for region in data.regions
     }
-    by_pattern = dict[str, Interval[float]]()
-    if data.given is not None and "label" in data.given:
-        label = data.given["label"].to_numpy().ravel()
-        places = {
-            Label(k).name.lower(): np.flatnonzero(label == k) for k in np.unique(label).tolist()
-        }
-        by_pattern = {name: ratio_in(whole[here]) for name, here in places.items()}
-    tested = _tested(data, spread, length)
+    first, some = spread.isel(sample=slice(min(count, 32) * length)), data.scattered(512)
+    x = SceneData(data.name, first).light(some)
     sampler = spread.attrs.get("sampler", "spreading")
     name = f"variance of an average of {length} over that of independent samples ({sampler})"
-    bars = {n: i.value for n, i in ({"image": ratio} | by_region).items()}
     return Finding(
         (ClaimTest(name, ratio, most=1.0),),
-        p_value=tested.pop("p_value"),
-        details={
-            "null_hypothesis": "samples of a sequence are independent in every pixel (shuffled "
-            "within pixels, alike in all)",
-            "sequences": count,
-            **tested,
-            "ratio_by_region": {n: i.to_dict() for n, i in by_region.items()},
-            "ratio_by_pattern": {n: i.to_dict() for n, i in by_pattern.items()},
-        },
-        plot_data=PlotData.bars(bars, "ratio of variances"),
+        p_value=p_of_independence(x.reshape(len(some), -1, length)),
+        null_hypothesis="samples of a sequence are independent in every pixel (shuffled within "
+        "pixels, alike in all)",
+        plot_data=PlotData.bars({"image": ratio.value, **by_region}, "ratio of variances"),
         few="sequences",
     )
 
@@ -389,12 +355,12 @@ def variances(spread: Samples) -> Floats:
     return np.where(np.isfinite(found), found, np.nan).reshape(2, -1)
 
 
-def p_of_independence(x: Floats) -> tuple[Floats, float]:
-    """Return p-values that samples of a sequence are independent, from both sides.
+def p_of_independence(x: Floats) -> float | None:
+    """Return the p-value that samples of a sequence are independent, from both sides.
 
     Independent samples may be grouped into sequences in any order. So the variance of the averages
-    is compared with that of shuffled samples. The p-value is exact, with any tail and with nulls.
-    All pixels are shuffled in the same way, so the p-value of their sum is exact, too.
+    is compared with that of shuffled samples. All pixels are shuffled in the same way, so that the
+    p-value is exact, with any tail and with nulls.
 
     Parameters
     ----------
@@ -403,9 +369,9 @@ def p_of_independence(x: Floats) -> tuple[Floats, float]:
 
     Returns
     -------
-    ndarray, float
-        p-values of each pixel, shape (pixel,), NaN if all samples are equal or one is bad; and the
-        p-value of the sum, over pixels, of the ratios of both variances.
+    float
+        p-value of the sum, over pixels, of the ratios of both variances. Pixels whose samples are
+        all equal, or of which one is bad, do not count; None without others.
 
     References
     ----------
@@ -416,8 +382,8 @@ def p_of_independence(x: Floats) -> tuple[Floats, float]:
     --------
     >>> rng = np.random.default_rng(0)
     >>> strata = rng.permuted(np.tile(np.arange(16), (2, 8, 1)), axis=-1)
-    >>> p_of_independence(np.stack([strata[0] / 16, rng.random((8, 16))]))[0] < 0.01
-    array([ True, False])
+    >>> p_of_independence(strata / 16), p_of_independence(rng.random((2, 8, 16))) > 0.01
+    (0.002, True)
     """
     rng, flat = generator(0), x.reshape(len(x), -1)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
@@ -425,24 +391,19 @@ def p_of_independence(x: Floats) -> tuple[Floats, float]:
         flat = flat / np.abs(flat).max(axis=1, keepdims=True, initial=0)  # no square is too large
         flat = flat / np.sqrt((flat**2).sum(axis=1, keepdims=True))
     known = np.isfinite(flat).all(axis=1)
+    if not known.any():
+        return None
     flat, shape = flat[known], x[known].shape
 
-    def spread_of(values: Floats) -> Floats:
-        """Return what each pixel has, and behind it their sum."""
-        found = (values.reshape(shape).sum(axis=-1) ** 2).sum(axis=-1)
-        return np.append(found, found.sum())
+    def spread_of(values: Floats) -> float:
+        return float((values.reshape(shape).sum(axis=-1) ** 2).sum())
 
     own = spread_of(flat)
-    room = 1e-9 * np.maximum(own, 1)
-    lower, higher = np.ones((2, len(own)))
-    for _ in range(_SHUFFLES):
-        other = spread_of(flat[:, rng.permutation(flat.shape[1])])
-        lower += other <= own + room
-        higher += other >= own - room
-    p = np.full(len(x), np.nan)
-    both = np.minimum(2 * np.minimum(lower, higher) / (_SHUFFLES + 1), 1)
-    p[known] = both[:-1]
-    return p, float(both[-1]) if known.any() else np.nan
+    orders = (rng.permutation(flat.shape[1]) for _ in range(_SHUFFLES))
+    others = np.array([spread_of(flat[:, order]) for order in orders])
+    room = 1e-9 * max(own, 1)
+    lower, higher = np.count_nonzero([others <= own + room, others >= own - room], axis=1)
+    return min(2 * (1 + int(min(lower, higher))) / (_SHUFFLES + 1), 1.0)
 
 
 def _sequences(block: Image, length: int) -> Floats:
@@ -451,23 +412,6 @@ def _sequences(block: Image, length: int) -> Floats:
         light = np.asarray(luminance(block.astype(np.float64)))
     light[is_bad(block).any(axis=-2)] = np.nan
     return light.reshape(*light.shape[:-1], -1, length)
-
-
-def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
-    """Return the share of pixels in which samples of a sequence are not independent."""
-    count = min(spread.spp // length, 32)
-    first, some = spread.isel(sample=slice(0, count * length)), data.scattered(512)
-    x = SceneData(data.name, first).light(some).reshape(len(some), count, length)
-    p, of_all = p_of_independence(x)
-    q = q_values(p[:, np.newaxis])[:, 0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = length * x.mean(axis=-1).var(axis=-1, ddof=1) / x.var(axis=(-2, -1), ddof=1)
-    known = np.isfinite(q)
-    shares = {
-        f"share_{side}": some.mean(np.where(known, (q <= 0.05) & differs, np.nan)).to_dict()
-        for side, differs in (("lower", ratio < 1), ("higher", ratio > 1))
-    }
-    return {"p_value": of_all if known.any() else None, **shares}
 
 
 # --- complexity of scenes -------------------------------------------------------------------------
@@ -491,28 +435,20 @@ def complexity(scenes: Sequence[SceneData]) -> Finding:
     """Correlate the mean number of modes of the scenes with their complexity."""
     require(len(scenes) >= _SCENES, f"{_SCENES} scenes to rank, there are {len(scenes)}")
     complexity = np.array([scene_complexity(data) for data in scenes])
-    n = common_count(scenes, least=64)
-    means = []
+    n, counted = common_count(scenes, least=64), list[float]()
     for data in scenes:
-        x, blocks = drawn(data, n, pixels=_MODES_PIXELS)
-        count = modality(x).modes.astype(np.float64)
-        means.append(mean_of(count[count > 0], blocks[count > 0]))
-    modes = np.array([mean.value for mean in means])
+        count = modality(drawn(data, n, pixels=_MODES_PIXELS)[0]).modes
+        counted.append(float(count[count > 0].mean()) if count.any() else math.nan)
+    modes = np.array(counted)
     known = np.isfinite(complexity + modes)
     enough = np.count_nonzero(known) >= _SCENES
     require(enough, f"first-hit features or a complexity of {_SCENES} scenes")
     correlation, p_value = rank_correlation(complexity[known], modes[known])
-    names = [data.name for data in scenes]
-    points = {name: (complexity[[i]], modes[[i]]) for i, name in enumerate(names)}
+    points = {data.name: (complexity[[i]], modes[[i]]) for i, data in enumerate(scenes)}
     return Finding(
         (ClaimTest("rank correlation of modes with scene complexity", correlation, least=0.0),),
         p_value=p_value,
-        details={
-            "positive_samples": n,
-            "modes": {name: mean.to_dict() for name, mean in zip(names, means, strict=True)},
-            "complexity": dict(zip(names, complexity, strict=True)),
-            "null_hypothesis": "modes and complexity have no common order (one-sided)",
-        },
+        null_hypothesis="modes and complexity have no common order (one-sided)",
         plot_data=PlotData("points", points, "complexity of the scene", "mean number of modes"),
         few="scenes",
     )
@@ -583,7 +519,6 @@ _LEAST = 64
 def scenes(scenes: Sequence[SceneData]) -> Finding:
     """Classify scenes by shapes, and compare shapes of integrators pixel by pixel."""
     level, tests, missing = level_of(2), list[ClaimTest](), list[str]()
-    details: dict[str, Any] = {"scenes": [data.name for data in scenes]}
     n = common_count(scenes, least=SHAPE_NEEDS)
     shapes = [_shapes(data, n) for data in scenes]
     if len(scenes) < 2:
@@ -591,8 +526,7 @@ def scenes(scenes: Sequence[SceneData]) -> Finding:
     elif min(len(of_scene) for of_scene, _ in shapes) < _LEAST:
         missing.append(f"needs {_LEAST} pixels of each scene with {n} positive samples")
     else:
-        accuracy, details["confusion"] = _scene_accuracy(shapes, level)
-        details["positive_samples"] = n
+        accuracy = _scene_accuracy(shapes, level)
         least = (1 + 1 / len(scenes)) / 2
         tests.append(ClaimTest("accuracy of telling scenes apart", accuracy, least=least))
     p_value = None
@@ -607,8 +541,6 @@ def scenes(scenes: Sequence[SceneData]) -> Finding:
         tests.append(ClaimTest(name, distance, least=_DIFFERENT, unit="decade^1/2"))
         p = permuted([values for _, values in squared])
         p_value = None if math.isnan(p) else p
-        by_scene = {data.name: permuted([values]) for data, values in squared}
-        details |= {"null_hypothesis": _NULL, "p_value_by_scene": by_scene}
     else:
         missing.append("needs a scene rendered by another integrator, or with shorter paths")
     means = {
@@ -616,14 +548,12 @@ def scenes(scenes: Sequence[SceneData]) -> Finding:
         for data, (of_scene, _) in zip(scenes, shapes, strict=True)
         if len(of_scene)
     }
-    plot = shape_plot(means)
-    return Finding(tuple(tests), tuple(missing), p_value, details=details, plot_data=plot)
+    about: Any = {"null_hypothesis": _NULL if changed else "", "plot_data": shape_plot(means)}
+    return Finding(tuple(tests), tuple(missing), p_value, **about)
 
 
-def _scene_accuracy(
-    scenes: Sequence[tuple[Floats, Blocks]], level: float
-) -> tuple[Interval[float], list[list[float]]]:
-    """Return the accuracy of a classifier of shapes, and its table of shares by scene.
+def _scene_accuracy(scenes: Sequence[tuple[Floats, Blocks]], level: float) -> Interval[float]:
+    """Return the accuracy of a classifier of shapes.
 
     For each scene, there are shapes (pixel, edge) and the blocks of its pixels.
 
@@ -646,12 +576,7 @@ def _scene_accuracy(
     predicted = cross_val_predict(trees, x, scene, cv=PredefinedSplit(fold))
     joined = Blocks.join([b[:] for b in blocks])  # without blocks that have no pixel
     hits = means_by_region((predicted == scene).astype(float), joined)
-    confusion = [
-        [float((predicted[scene == i] == j).mean()) for j in range(len(shapes))]
-        for i in range(len(shapes))
-    ]
-    accuracy = interval_of(lambda w: hits(w).mean(axis=1), joined, level=level, bounds=(0.0, 1.0))
-    return accuracy, confusion
+    return interval_of(lambda w: hits(w).mean(axis=1), joined, level=level, bounds=(0.0, 1.0))
 
 
 def _shapes(data: SceneData, n: int) -> tuple[Floats, Blocks]:

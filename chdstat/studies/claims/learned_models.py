@@ -86,14 +86,7 @@ def _worth(data: SceneData, comparison: Comparison, name: str) -> Finding:
         tests.append(ClaimTest(ratio, start, most=1.0))
     except ChdstatError as error:
         missing.append(f"needs a denoiser: {error}")
-    bias = float(comparison.measures["bias"].value[index, -1])
-    return Finding(
-        tuple(tests),
-        tuple(missing),
-        details={"estimator": name, "n": comparison.n, "bias": bias},
-        plot_data=plot_data,
-        model=name,
-    )
+    return Finding(tuple(tests), tuple(missing), plot_data=plot_data, model=name)
 
 
 def early_gain(history: Any, *, level: float) -> Interval[float]:
@@ -209,41 +202,33 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Finding:
         other = estimate(convert(x))[good]
         return other / factor - first
 
-    moved = {"reversed": changes(lambda part: np.ascontiguousarray(part[..., ::-1]))}
+    moved = [changes(lambda part: np.ascontiguousarray(part[..., ::-1]))]
     if not anew:
-        moved["drawn"] = changes(_shuffled)
+        moved.append(changes(_shuffled))
     # Values beyond single precision cannot be another unit.
     sizes = np.abs(x[np.isfinite(x) & (x != 0)]).astype(np.float64)
     tiny, huge = np.finfo(np.float32).tiny, np.finfo(np.float32).max
     factors = [f for f in _FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
-    scaled = {f: changes(partial(np.multiply, np.float32(f)), f) for f in factors}
+    scaled = [changes(partial(np.multiply, np.float32(f)), f) for f in factors]
     scale, change = _scale(x[good], first), "largest change of an estimate with the"
     largest = {
         "largest deviation of the estimate of equal samples, over their value": constants.values(),
         f"{change} order of its samples, over the pixel's scale": [
-            _largest(by, scale) for by in moved.values()
+            _largest(by, scale) for by in moved
         ],
         f"{change} unit of radiance, over the pixel's scale": [
-            _largest(by, scale) for by in scaled.values()
+            _largest(by, scale) for by in scaled
         ],
     }
     # These values are known exactly: nothing is random.
     known = {name: max(values) for name, values in largest.items() if values}
     level = level_of(3)
     tests = (ClaimTest(n, Interval(v, v, v, level), most=ROUNDING) for n, v in known.items())
-    step = first - x[good].mean(axis=-1, dtype=np.float64)
     # Deviations of 0 are drawn at the lower border.
     shown = np.log10(np.maximum(list(constants.values()), 1e-8))
     return Finding(
         tuple(tests),
         () if scaled else ("needs radiance that may be 1024 times as bright or dark",),
-        details={
-            "estimator": name,
-            "n": comparison.n,
-            "deviation_by_radiance": {f"{level:g}": v for level, v in constants.items()},
-            "change_over_step_by_order": {k: _over(v, step) for k, v in moved.items()},
-            "change_over_step_by_factor": {f"{k:g}": _over(v, step) for k, v in scaled.items()},
-        },
         plot_data=PlotData("curves", {name: (np.log10(list(constants)), shown)}),
         model=name,
     )
@@ -299,12 +284,6 @@ def _largest(change: Floats, scale: Floats) -> float:
     return float(np.where(np.isnan(relative), np.inf, relative).max(initial=0))
 
 
-def _over(change: Floats, step: Floats) -> float:
-    """Return the root mean square of changes over that of the way from mean to estimate."""
-    size = float(np.sqrt(np.mean(step**2)))
-    return float(np.sqrt(np.mean(change**2))) / size if size > 0 else float("nan")
-
-
 # --- guided samples -------------------------------------------------------------------------------
 
 _SAME = 1.1
@@ -352,7 +331,6 @@ def _holds(own: Comparison, guided: Comparison, name: str) -> Finding:
     values = {"own": before, "guided": after}
     return Finding(
         (ClaimTest(test, ratio, most=_SAME),),
-        details={"estimator": name, "n": own.n, "relmse_over_mean": values},
         plot_data=PlotData.bars(values, "relMSE over the mean's"),
         model=name,
     )

@@ -19,7 +19,6 @@ from scipy import ndimage, special, stats
 from chdstat._core.arrays import Counts, Floats, Mask, luminance
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Interval, interval_of
-from chdstat.fit import tail_index
 from chdstat.fit._gamma import gamma_shape
 from chdstat.inference import modality
 from chdstat.patterns import Thresholds
@@ -31,7 +30,6 @@ from chdstat.studies.scene_data import (
     QUANTILES_NEED,
     PixelSet,
     SceneData,
-    known_mean,
     largest_interval,
     logs,
     means_by_region,
@@ -121,10 +119,8 @@ def nulls(data: SceneData) -> Finding:
     if data.regions:
         every = PixelSet.of(data.regions, *data.samples.shape[:2])
         by_region = every.by_region(every.take(image))
-    everywhere = known_mean(image)
     return Finding(
         (ClaimTest(f"share of nulls in {where}", patch.mean(patch.take(image)), *expected),),
-        details={"by_region": by_region, "image": None if math.isnan(everywhere) else everywhere},
         plot_data=PlotData.bars(by_region, "share of nulls"),
     )
 
@@ -146,16 +142,7 @@ def indirect(data: SceneData) -> Finding:
     require(np.isfinite(tail).any(), f"{QUANTILES_NEED} positive samples in a pixel{enough}")
     grown = growing(x, x > 0, lambda moments: moments.kurtosis)
     kurtosis = with_room(patch.median(grown[-1]), grown)
-    nulls, with_nulls = (
-        patch.take(data.summary[name].to_numpy()) for name in ("null_share", "kurtosis")
-    )
-    measured = {
-        "tail": tail,
-        "tail_index": tail_index(x).xi,
-        "excess_kurtosis": grown[-1],
-        "excess_kurtosis_with_nulls": with_nulls,
-        "log_skewness": skewness,
-    }
+    nulls = patch.take(data.summary["null_share"].to_numpy())
     ordered = np.sort(skewness[np.isfinite(skewness)])
     rank = (np.arange(len(ordered)) + 0.5) / max(len(ordered), 1)
     curve = {"pixels": (ordered, rank)}
@@ -168,7 +155,6 @@ def indirect(data: SceneData) -> Finding:
             ClaimTest("skewness of log radiance", patch.mean(skewness), most=0.0),
             ClaimTest("share of nulls", patch.mean(nulls), least=Thresholds().null_share),
         ),
-        details={name: patch.by_region(values) for name, values in measured.items()},
         plot_data=PlotData("curves", curve, "skewness of log radiance", "share below"),
     )
 
@@ -237,7 +223,6 @@ def diffuse(data: SceneData) -> Finding:
             ClaimTest("distance of radiance to a gamma distribution", gamma, most=_DISTANCE),
             ClaimTest("mode over mean", highest, most=1.0),
         ),
-        details={"log_skewness": patch.by_region(skewness)},
         plot_data=PlotData("curves", curves, "standardised log radiance", "density"),
     )
 
@@ -286,9 +271,7 @@ def glossy(data: SceneData) -> Finding:
     blocks = [patch.blocks for patch in patches.values()]
     distance = pooled_distance(list(shapes.values()), blocks, level=glossy.level)
     slope = _spread_slope(x, glossy)
-    log_mean = logs(_moments(x).mean)
     known = {name: chds[chds.known].whole for name, chds in shapes.items() if chds.known.any()}
-    channels = enumerate(data.samples.channels)
     return Finding(
         (
             same_shape("distance between glossy and diffuse shapes", distance),
@@ -297,7 +280,6 @@ def glossy(data: SceneData) -> Finding:
             # radiance.
             ClaimTest("slope of log deviation on log mean over channels", slope, least=0.5),
         ),
-        details={"log_mean": {name: glossy.by_region(log_mean[:, i]) for i, name in channels}},
         plot_data=shape_plot({name: shape.mean(axis=0) for name, shape in known.items()}),
     )
 
@@ -330,8 +312,7 @@ def reflections(data: SceneData) -> Finding:
     patch = data.patch("noisy-reflection", "with a noisy reflection", tests=2)
     x = data.light(patch)
     shapes, grown = aligned(x), growing(np.nan_to_num(x), np.isfinite(x), _variation)
-    variation = grown[-1]
-    spread, noise = shape_spread(shapes, patch), with_room(patch.median(variation), grown)
+    spread, noise = shape_spread(shapes, patch), with_room(patch.median(grown[-1]), grown)
     some = shapes.whole[shapes.known][:64]
     return Finding(
         (
@@ -339,7 +320,6 @@ def reflections(data: SceneData) -> Finding:
             # That of an exponential distribution, whose average of 32 samples scatters by 18 %.
             ClaimTest("deviation over mean of the samples", noise, least=1.0),
         ),
-        details={"deviation_over_mean": patch.by_region(variation)},
         plot_data=shape_plot({f"pixel {i + 1}": shape for i, shape in enumerate(some)}),
     )
 
@@ -381,7 +361,6 @@ def penumbrae(data: SceneData) -> Finding:
             # Half of the variance of the ranks.
             ClaimTest(f"rank correlation of the {name} with position", follows, least=0.7),
         ),
-        details={"bright_weight": patch.by_region(weights)},
         plot_data=PlotData("points", points, "position across the penumbra in pixels", name),
     )
 
@@ -464,7 +443,6 @@ def textures(data: SceneData) -> Finding:
     channels = enumerate(data.samples.channels)
     return Finding(
         tuple(tests),
-        details={"regions": list(patch.names), "pixels": len(patch)},
         plot_data=PlotData(
             "points",
             {channel: (log_albedo[:, i], log_variance[:, i]) for i, channel in channels},
@@ -721,23 +699,19 @@ CASE_STUDY = (
 def _tested(data: SceneData, statements: Sequence[_Statement], *, cast: str) -> Finding:
     """Test statements, and that the channels of a phenomenon are shifted, if one is named."""
     count = len(statements) + bool(cast)
-    names = {s.phenomenon for s in statements} | {s.against for s in statements} - {""}
-    sets = {name: _pixels(data, name, count) for name in sorted(names)}
+    used = {s.phenomenon for s in statements} | {s.against for s in statements} - {""}
+    sets = {name: _pixels(data, name, count) for name in sorted(used)}
     x = {name: data.light(patch) for name, patch in sets.items()}
-    tests, means = list[ClaimTest](), dict[str, float]()
+    tests = list[ClaimTest]()
     for s in statements:
-        values = {name: s.of(x[name]) for name in (s.phenomenon, s.against) if name}
-        interval = _difference([*values.values()], [sets[name] for name in values])
+        names = [name for name in (s.phenomenon, s.against) if name]
+        interval = _difference([s.of(x[name]) for name in names], [sets[name] for name in names])
         tests.append(ClaimTest(s.name, interval, s.least, s.most, s.unit))
-        means |= {f"{name}: {s.name}": known_mean(v) for name, v in values.items()}
     if cast:
         tests.append(_cast(data, sets[cast], data.radiance(sets[cast])))
     curves = {name: _density(x[name]) for name in sets}
-    return Finding(
-        tuple(tests),
-        details={"means": means, "pixels": {name: len(patch) for name, patch in sets.items()}},
-        plot_data=PlotData("curves", curves, "log10 radiance", "density"),
-    )
+    plot = PlotData("curves", curves, "log10 radiance", "density")
+    return Finding(tuple(tests), plot_data=plot)
 
 
 def _pixels(data: SceneData, phenomenon: str, tests: int) -> PixelSet:
@@ -773,15 +747,12 @@ def similarity(data: SceneData) -> Finding:
     x, level = data.light(indirect), indirect.level
     shapes = aligned(x)
     parts = [indirect.region == i for i in range(len(indirect.names))]
-    distances = {
-        f"{indirect.names[i]} and {indirect.names[j]}": pooled_distance(
-            [shapes[parts[i]], shapes[parts[j]]],
-            [indirect.blocks[parts[i]], indirect.blocks[parts[j]]],
-            level=1 - (1 - level) / math.comb(len(parts), 2),
-        )
-        for i, j in combinations(range(len(parts)), 2)
-    }
-    known = [d for d in distances.values() if math.isfinite(d.value)]
+    each = 1 - (1 - level) / math.comb(len(parts), 2)
+    distances = [
+        pooled_distance([shapes[p] for p in pair], [indirect.blocks[p] for p in pair], level=each)
+        for pair in combinations(parts, 2)
+    ]
+    known = [distance for distance in distances if math.isfinite(distance.value)]
     require(known, "shapes of two regions of indirect light")
     noise = _difference([_noise(x), _noise(data.light(direct))], [indirect, direct])
     name = "log relative deviation, indirect less direct"
@@ -798,7 +769,6 @@ def similarity(data: SceneData) -> Finding:
             ),
             ClaimTest(name, noise, least=0.0, unit="decade"),
         ),
-        details={"distances": {name: d.value for name, d in distances.items()}},
         plot_data=shape_plot(means),
     )
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from chdstat._core.arrays import Counts, Floats, flag_names, generator
-from chdstat._core.resampling import LEVEL, Interval, largest_of
+from chdstat._core.resampling import largest_of
 from chdstat.samples.tiles import Region
 from chdstat.studies.claim import claim
 from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, required
@@ -60,8 +60,6 @@ def fireflies(data: SceneData) -> Finding:
     unseen *= float(pairs["excess"].sum() / pairs["count"].sum())
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = replace(ratio, high=max(ratio.high, float(1 + unseen / below.sum())))
-    ordinary = square[~fireflies & np.isfinite(square)]
-    others = float(np.sqrt(max(np.median(ordinary), 0))) if ordinary.size else None
     known = np.where(fireflies, square, np.nan)
     place = int(np.argsort(known, kind="stable")[np.isfinite(known).sum() // 2])
     edges = -5 + _BIN * np.arange(chds.halves.shape[-1])
@@ -77,11 +75,6 @@ def fireflies(data: SceneData) -> Finding:
             # A stop, half of what makes a firefly: both are about the same.
             ClaimTest(name, ratio, most=2.0),
         ),
-        details={
-            "fireflies": count,
-            "median_ratio_of_estimates": float(np.median(pairs["ratio"][fireflies])),
-            "distance_of_other_neighbours": others,
-        },
         plot_data=PlotData("curves", curves, "log10 radiance in W sr-1 m-2", "share below"),
     )
 
@@ -116,26 +109,24 @@ def _pairs(batches: Floats, partner: Counts) -> dict[str, Floats]:
     Returns
     -------
     dict
-        By pixel: ``count`` of the batches whose estimate is a firefly; ``ratio`` of the brightest
-        estimate to the mean of the neighbour; ``own`` and ``beside``, the mean of the other batches
-        of the pixel and of its neighbour, added up over its fireflies; ``excess``, what one more
-        such firefly would add to ``own``, added up over the fireflies of the pixel.
+        By pixel: ``count`` of the batches whose estimate is a firefly; ``own`` and ``beside``, the
+        mean of the other batches of the pixel and of its neighbour, added up over its fireflies;
+        ``excess``, what one more such firefly would add to ``own``, added up over the fireflies of
+        the pixel.
     """
-    count, ratio, own, beside, excess = np.zeros((5, len(batches)))
+    count, own, beside, excess = np.zeros((4, len(batches)))
     total, size = batches.sum(axis=1, keepdims=True), batches.shape[1]
     for fold in range(_FOLDS):
         here = batches[:, fold::_FOLDS]
         part = here.sum(axis=1, keepdims=True)
         same, others = part / here.shape[1], (total - part) / (size - here.shape[1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            brighter = np.where(same[partner] > 0, here / same[partner], 0.0)
-        firefly = brighter >= _BRIGHTER
-        ratio = np.fmax(ratio, np.fmax.reduce(brighter, axis=1, initial=0.0))
+            firefly = (same[partner] > 0) & (here / same[partner] >= _BRIGHTER)
         count += firefly.sum(axis=1)
         own += np.where(firefly, (total - here) / (size - 1), 0.0).sum(axis=1)
         beside += np.where(firefly, others[partner], 0.0).sum(axis=1)
         excess += np.where(firefly, here - same[partner], 0.0).sum(axis=1) / (size - 1)
-    return {"count": count, "ratio": ratio, "own": own, "beside": beside, "excess": excess}
+    return {"count": count, "own": own, "beside": beside, "excess": excess}
 
 
 def _partners(data: SceneData) -> Counts:
@@ -191,8 +182,7 @@ def neighbours(data: SceneData) -> Finding:
         # 1 of a blend, 0.5 of a CHD that moves from one side to the other as a whole; half way.
         tests.append(ClaimTest("share explained by a blend of both sides", blend, least=0.75))
     shown = {"distance to neighbours": (np.empty(0), np.sqrt(np.maximum(near, 0)))}
-    details = {"edge_pixels": len(left)}
-    return Finding(tuple(tests), tuple(missing), details=details, plot_data=PlotData("map", shown))
+    return Finding(tuple(tests), tuple(missing), plot_data=PlotData("map", shown))
 
 
 def _near(chds: LogChds) -> Floats:
@@ -283,7 +273,6 @@ def symmetry(data: SceneData) -> Finding:
     image = np.sqrt(np.maximum(square, 0))
     return Finding(
         (ClaimTest(name, largest, least=SAME_SHAPE, unit="decade^1/2"),),
-        details={"symmetric_share": share, "parts": len(np.unique(blocks.region))},
         plot_data=PlotData("map", {"distance to the mirror image": (image, image)}),
     )
 
@@ -298,50 +287,27 @@ def symmetry(data: SceneData) -> Finding:
     once=True,
 )
 def families(data: SceneData) -> Finding:
-    """Compare the share of gamma among the best families with that of the next frequent one.
-
-    The details have other readings of "gamma-like": gamma and Weibull together are the generalised
-    gamma distributions of one shape (Stacy 1962, doi:10.1214/aoms/1177704481).
-    """
+    """Compare the share of gamma among the best families with that of the next frequent one."""
     analysis, whole = data.analysis, data.whole()
     flags = {name: code for code, name in flag_names(analysis["best_family"].attrs).items()}
     names = [name for name, code in flags.items() if code >= 0]
     require("gamma" in names, "fits of gamma distributions")
 
-    def counts_of(variable: str) -> Floats:
-        """Return in how many channels of each pixel each family is best, (pixel, family)."""
-        best = analysis[variable].to_numpy()[..., np.newaxis] == [flags[name] for name in names]
-        return np.asarray(best.sum(axis=2).reshape(-1, len(names)), dtype=np.float64)
-
-    def share_of(families: list[str], counts: Floats) -> Interval[float]:
-        chosen = counts[:, [names.index(family) for family in families]].sum(axis=1)
-        return whole.ratio(chosen, counts.sum(axis=1), (0.0, 1.0))
+    best = analysis["best_family"].to_numpy()[..., np.newaxis] == [flags[name] for name in names]
+    # In how many channels of each pixel each family is best, (pixel, family).
+    counts = best.sum(axis=2).reshape(-1, len(names)).astype(np.float64)
+    require(counts.sum(), "pixels with enough positive samples to fit")
+    sums, gamma = whole.blocks.sums(counts), names.index("gamma")
 
     def lead(weights: Floats) -> Floats:
         """Return the lead of gamma over each other family."""
         total = weights @ sums
         shares = total / total.sum(axis=1, keepdims=True)
-        gamma = names.index("gamma")
         return np.asarray(shares[:, [gamma]] - np.delete(shares, gamma, axis=1))
 
-    counts = counts_of("best_family")
-    require(counts.sum(), "pixels with enough positive samples to fit")
-    sums = whole.blocks.sums(counts)
     least = whole.interval(lead, (-1.0, 1.0))
-    shares = {name: share_of([name], counts) for name in names}
-    kin = [name for name in names if name in ("gamma", "weibull")]
-    others = {"gamma_or_weibull": share_of(kin, counts)}
-    if "held_out_best_family" in analysis:
-        held_out = counts_of("held_out_best_family")
-        others["gamma_by_held_out_likelihood"] = share_of(["gamma"], held_out)
-    level = {"level": LEVEL}
-    bars = {name: share.value for name, share in shares.items()}
+    shares = dict(zip(names, (counts.sum(axis=0) / counts.sum()).tolist(), strict=True))
     return Finding(
         (ClaimTest("share of gamma less that of the next family", least, least=0.0),),
-        details={
-            "shares": {name: share.to_dict() | level for name, share in shares.items()},
-            **{name: share.to_dict() | level for name, share in others.items()},
-            "pixels_that_gamma_describes": float(analysis["gamma_like"].mean()),
-        },
-        plot_data=PlotData.bars(bars, "share of pixel channels"),
+        plot_data=PlotData.bars(shares, "share of pixel channels"),
     )

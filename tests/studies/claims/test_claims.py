@@ -101,7 +101,6 @@ def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
     (test,) = (q for q in found.tests if "integrators" in q.name)
     assert (found.p_value > 0.001) == same
     assert test.verdict == ("not supported" if same else "supported")
-    assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
 
 
 FEW = {
@@ -132,7 +131,7 @@ def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number):
     (test,) = found.tests
     assert test.verdict != "supported"
     if number == 11:
-        modes = [mode["value"] for mode in found.details["modes"].values()]
+        modes = [mean for _, (mean,) in found.plot_data.series.values()]
         assert np.ptp(modes) < 0.1
     else:
         assert test.interval.value < 0.35
@@ -249,17 +248,16 @@ def test_one_bad_pixel_does_not_spoil_its_region():
 
 
 def test_time_is_told_where_nothing_was_compiled():
-    first = true_scene(9)
-    details = {}
+    first, slower = true_scene(28), {}
     for backend in ("scalar", "llvm"):
         long, short = (
             chd.Samples.from_array(samples.read(), backend=backend, render_seconds=seconds)
             for samples, seconds in ((first.samples, 3.0), (first.shorter, 2.0))
         )
-        details[backend] = BY_NUMBER[9].find(replace(first, samples=long, shorter=short)).details
-    assert details["scalar"]["time_ratio"] == pytest.approx(1.5)
-    assert details["llvm"]["time_ratio"] is None
-    assert details["llvm"]["seconds_per_sample"] == [None, None]
+        _, *times = BY_NUMBER[28].find(replace(first, samples=long, shorter=short)).tests
+        slower[backend] = [test.interval.value for test in times]
+    assert slower["scalar"] == pytest.approx([3.0 / first.samples.spp / (2.0 / first.shorter.spp)])
+    assert slower["llvm"] == []
 
 
 # --- laws ---------------------------------------------------------------------------------------

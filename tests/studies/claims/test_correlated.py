@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
-import xarray as xr
 
 import chdstat as chd
 from chdstat.samples.tiles import Region
@@ -45,11 +44,9 @@ def test_the_ratio_is_known_for_uniform_strata():
     found = CLAIM.find(scene(x))
     assert found.verdict == "supported"
     assert found.test.interval.value == pytest.approx((1 + 1 / N**2) / 2, rel=0.03)
-    by_region = found.details["ratio_by_region"]
-    assert by_region["left"]["value"] == pytest.approx(1 / N**2, rel=0.05)
-    assert by_region["right"]["low"] < 1 < by_region["right"]["high"]
-    assert found.details["share_lower"]["value"] == pytest.approx(0.5, abs=0.02)
-    assert found.details["share_higher"]["value"] < 0.02
+    left, right = (float(found.plot_data.series[name][1][0]) for name in ("left", "right"))
+    assert left == pytest.approx(1 / N**2, rel=0.05)
+    assert right == pytest.approx(1, rel=0.05)
     assert found.p_value < 0.01
 
 
@@ -92,36 +89,19 @@ def test_a_firefly_adds_as_much_to_both_variances():
 
 @pytest.mark.parametrize("name", DRAWS)
 def test_p_values_of_independent_samples_are_uniform(name):
-    x = DRAWS[name](np.random.default_rng(2), (2000, 12, 8))
-    p, of_all = p_of_independence(x)
-    assert 0.01 < of_all <= 1
-    assert (p <= 0.05).mean() < 0.07
-    if name != "nulls":  # with ties, p-values are too large
-        assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
-    spread = stratified(np.random.default_rng(2), (500, 12), 8)
-    p, of_all = p_of_independence(spread)
-    assert (p <= 0.05).mean() > 0.95
-    assert of_all == 0.002
+    x = DRAWS[name](np.random.default_rng(2), (100, 3, 12, 8))
+    p = np.array([p_of_independence(pixels) for pixels in x])
+    # More than 13 of 100 would happen once in 3000 runs.
+    assert (p <= 0.05).sum() <= 13
+    assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
+    assert p_of_independence(stratified(np.random.default_rng(2), (50, 12), 8)) == 0.002
 
 
 def test_pixels_without_a_spread_of_samples_are_not_tested():
     x = np.ones((3, 12, 8))
     x[1, 0, 0] = np.nan
     x[2] = 0
-    p, of_all = p_of_independence(x)
-    assert np.isnan(p).all()
-    assert np.isnan(of_all)
-
-
-def test_patterns_have_ratios_of_their_own():
-    rng = np.random.default_rng(0)
-    x = stratified(rng, (24, 24, 16))
-    x[:12] = rng.random((12, 24, 16, N))
-    label = np.where(np.arange(24)[:, np.newaxis] < 12, 6, 8) * np.ones((24, 24), int)
-    found = CLAIM.find(scene(x, given=xr.Dataset({"label": (("y", "x"), label)})))
-    by_pattern = found.details["ratio_by_pattern"]
-    assert by_pattern["gamma_like"]["high"] < 0.02
-    assert by_pattern["long_tail"]["value"] == pytest.approx(1, abs=0.08)
+    assert p_of_independence(x) is None
 
 
 @pytest.mark.parametrize(
