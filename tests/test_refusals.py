@@ -18,9 +18,15 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
+from chdstat.comparison import error_curve
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, StoreError
+from chdstat.estimators import MLP, CombinationStream, combine
 from chdstat.estimators.denoiser import run_network
-from chdstat.io import denoise, read_exr, write_exr
+from chdstat.estimators.training import load_model, write_model
+from chdstat.inference import difference, gaussianity_of_means
+from chdstat.inference.references import Reference
+from chdstat.io import denoise, read_exr, write_estimates, write_exr
+from chdstat.patterns import Thresholds, agreement, attribute
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
 from chdstat.rendering.options import scene_size
@@ -28,6 +34,8 @@ from chdstat.rendering.recipes import load_recipe
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import Region
 from chdstat.scenes import load_plugin, load_scene
+from chdstat.summary.histograms import Histogram, StreamingHistogram
+from chdstat.summary.statistics import Summary
 from tests.io.writers import exr, planes_of, window
 from tests.rendering.test_recipes import GOOD
 from tests.rendering.test_scene_settings import box, floor
@@ -470,10 +478,359 @@ SCENES = [
     *each(SceneError, render, ({"scene": LOOP}, "itself")),
 ]
 
+# --- statistics ---------------------------------------------------------------------------------
+
+MEANS = partial(gaussianity_of_means, np.ones(64))
+LINEAR = chd.histogram(chd.Samples.from_array(np.ones((2, 2, 1, 64))), scale="linear")
+TWO_CHANNELS = chd.Samples.from_array(np.ones((2, 2, 2, 64)))
+TIMED = chd.Samples.from_array(np.ones((4, 4, 3, 48)), render_seconds=4.8)
+FOUR = chd.Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(2, 2, 3, 64)))
+UP = np.arange(1.0, 30)
+
+
+def stream(*batches: Any, **options: Any) -> StreamingHistogram:
+    found = StreamingHistogram(**options)
+    for batch in batches:
+        found.update(batch)
+    return found
+
+
+def summary(*batches: Any, **options: Any) -> Summary:
+    found = Summary(**options)
+    for batch in batches:
+        found.update(batch)
+    return found
+
+
+STATISTICS = [
+    *each(
+        InputError,
+        partial(chd.gaussianity, [1.0, 2.0]),
+        ({"transform": "cube"}, "transform", "log, linear, sqrt", "'cube'"),
+        ({"test": "shapiro"}, "test", "'shapiro'"),
+        ({"test": ("dagostino", "dagostino")}, "several different"),
+        ({"transform": ()}, "several different"),
+        ({"alpha": 5}, "alpha", "got 5"),
+    ),
+    *each(InputError, gaussianity_of_means, (np.ones(16), "spp")),
+    *each(
+        InputError,
+        MEANS,
+        ({"n_means": 4}, "n_means", "at least 8", "got 4"),
+        ({"n_means": 8, "test": "dagostino"}, "n_means", "at least 20", "got 8"),
+        ({"test": "shapiro"}, "test", "anderson-darling, shapiro-wilk", "'shapiro'"),
+        ({"alpha": 0}, "alpha", "got 0"),
+    ),
+    *each(
+        InputError,
+        partial(chd.contrast, TIMED),
+        (np.ones((6, 6, 3, 48)), "4 x 4", "6 x 6"),
+        (np.ones((4, 4, 1, 48)), "channels"),
+        ({"b": TIMED, "alpha": 1.5}, "alpha", "1.5"),
+        ({"b": TIMED, "seconds": 9}, "9.00 s", "90", "48"),
+        ({"b": TIMED, "seconds": 0.01}, "seconds"),
+        ({"b": TIMED, "seconds": -1}, "seconds", "above 0"),
+        ({"b": np.ones((4, 4, 3, 48)), "seconds": 1}, "B"),
+    ),
+    *each(
+        InputError,
+        Reference,
+        (np.ones((4, 4)), "(y, x, channel)", "(4, 4)"),
+        ((np.ones((4, 4, 3)), np.ones((4, 4, 1))), "shape", "(4, 4, 1)"),
+        ({"mean": np.ones((4, 4, 3)), "spp": 0}, "spp", "got 0"),
+        ({"mean": np.ones((4, 4, 3)), "precision": 1.0}, "precision", "1"),
+    ),
+    *each(
+        InputError,
+        difference,
+        ((SAMPLES, SAMPLES[:2, :]), "pixels"),
+        ((SAMPLES, np.ones((5, 6, 3, 8))), "one of each"),
+        ((np.ones((4, 3, 8)), np.ones((4, 1, 8))), "channels"),
+        ({"a": np.ones((3, 8)), "b": np.ones((3, 5)), "paired": True}, "8 and 5"),
+        ({"a": np.ones((3, 8)), "b": np.ones((3, 8)), "replicates": 0}, "replicates", "got 0"),
+        ({"a": np.ones((3, 8)), "b": np.ones((3, 8)), "replicates": 9.5}, "replicates", "9.5"),
+    ),
+    *each(
+        InputError,
+        partial(chd.fit.goodness, np.ones(100)),
+        ("normal", "normal"),
+        ({"fit": "gamma", "tests": ("lilliefors",)}, "'lilliefors'"),
+        ({"fit": "gamma", "tests": "chi-square"}, "chi-square"),
+        ({"fit": "gamma", "resamples": -1}, "resamples", "got -1"),
+        ({"fit": "gamma", "resamples": 9.5}, "resamples", "9.5"),
+        ({"fit": "gamma", "seed": -1}, "seed", "got -1"),
+        ({"fit": "gamma", "alpha": 2}, "alpha", "2"),
+    ),
+    *each(InputError, chd.fit.goodness, ((SAMPLES, chd.fit.gamma(np.ones(64))), "name")),
+    *each(
+        InputError,
+        partial(chd.fit.mixture, UP),
+        ({"family": "weibull"}, "lognormal, gamma", "'weibull'"),
+        ({"criterion": "aic"}, "bic, held_out", "'aic'"),
+        ({"effort": "much"}, "effort", "'much'"),
+        (0, "k", "1 to 8", "0"),
+        (9, "k", "1 to 8", "9"),
+        (2.5, "k", "1 to 8", "2.5"),
+        ({"max_k": 0}, "max_k", "0"),
+    ),
+    *each(
+        InputError,
+        partial(chd.fit.mixture, chd.histogram(UP)),
+        ({"criterion": "held_out"}, "samples"),
+    ),
+    *each(InputError, partial(chd.fit.fit, UP), ("cauchy", "gamma, lognormal", "'cauchy'")),
+    *each(InputError, partial(chd.fit.gamma, [1.0, 2.0]), ({"null": [True] * 3}, "broadcastable")),
+    *each(InputError, partial(chd.fit.gamma, chd.histogram(UP)), ({"null": [False]}, "null")),
+    *each(
+        InputError,
+        partial(chd.fit.select, [1.0, 2.0]),
+        ({"criterion": "r2"}, "criterion", "'r2'"),
+        ({"families": "gamma"}, "families"),
+    ),
+    *each(InputError, partial(chd.fit.select, chd.histogram(UP)), ({"held_out": True}, "samples")),
+    *each(
+        InputError,
+        partial(chd.fit.tail_index, np.ones(300)),
+        ({"share": 1.5}, "share", "1.5"),
+        ({"share": "all"}, "share", "'all'"),
+        ({"tested": -1}, "tested", "-1"),
+        ({"level": 1.0}, "level", "1"),
+    ),
+    *each(
+        InputError,
+        partial(chd.histogram, [[1.0, 2.0], [3.0, 4.0]]),
+        ({"scale": "sqrt"}, "scale", "'sqrt'"),
+        ({"bins": 0}, "bins", "0"),
+        ({"support": (2, 1)}, "low < high"),
+        ({"support": (0, 1)}, "0 < low"),
+        ({"support": (np.nan, 1)}, "finite"),
+        ({"support": ([1, 2, 3], 4)}, "batch shape"),
+        ({"null": np.array([True, False])}, "exactly 0"),
+        ({"bad": np.array([True, False, False])}, "bad"),
+    ),
+    *each(InputError, partial(chd.histogram, SAMPLES), ({"null": np.zeros(8, bool)}, "null")),
+    *each(InputError, Histogram.of_dataset, (LINEAR, "log_counts")),
+    *each(InputError, chd.fit.gamma, (chd.histogram([1.0, 2.0], scale="linear"), "linear")),
+    *each(
+        InputError,
+        StreamingHistogram.merge,
+        ((stream([1.0, 2.0], scale="linear"), stream([1.0, 3.0], scale="linear")), "support"),
+        ((stream(scale="linear", support=(0, 9)), stream([1.0, 2.0], scale="linear")), "support"),
+        ((stream([1.0, 2.0], scale="linear"), stream(scale="log")), "bins"),
+    ),
+    *each(InputError, stream, (([1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]]), "batch shape")),
+    *each(
+        InputError, lambda made: made().read(), (StreamingHistogram, "update"), (Summary, "update")
+    ),
+    *each(
+        InputError,
+        summary,
+        ({"batch_size": 0}, "batch_size", "0"),
+        ({"max_batches": 7}, "max_batches", "7"),
+        ([1.0, 2.0], "channel"),
+        ((np.ones((3, 4)), np.ones((1, 4))), "shape"),
+    ),
+    *each(
+        InputError,
+        Summary.merge,
+        ((summary(np.ones((3, 4))), summary(np.ones((1, 4)))), "shape"),
+        ((summary(np.ones((3, 4))), summary(2 * np.ones((3, 4)))), "support"),
+        ((Summary(), summary(np.ones((3, 4)), batch_size=9)), "batch_size"),
+    ),
+    *each(InputError, partial(chd.summarize, SAMPLES), ({"max_batches": 1}, "max_batches", "1")),
+    *each(
+        InputError,
+        partial(chd.atlas, SAMPLES),
+        ({"clusters": 0}, "clusters", "got 0"),
+        ({"max_clusters": 0}, "max_clusters", "got 0"),
+        ({"min_share": 1.0}, "min_share", "1.0"),
+    ),
+    *each(InputError, partial(chd.atlas, FOUR), ({"clusters": 5}, "5 clusters", "got 4")),
+    *each(InputError, chd.atlas, (({},), "dict"), (LINEAR, "log_counts"), (TWO_CHANNELS, "1 or 3")),
+    *each(
+        InputError,
+        Thresholds,
+        ({"alpha": 2}, "alpha", "2"),
+        ({"misfit": -1}, "misfit", "-1"),
+    ),
+    *each(
+        InputError,
+        chd.classify,
+        (np.ones(30), "channel, sample"),
+        (np.ones((2, 30)), "1 or 3 channels", "2"),
+    ),
+    *each(InputError, agreement, (np.zeros(4, int), "shape")),
+    *each(InputError, attribute, (np.ones((2, 2, 3, 8)), "--by-depth")),
+    *each(InputError, SAMPLES.regions, (({},), "at least one region")),
+    *each(
+        InputError,
+        partial(render, scene="bathroom"),
+        ({"by_light": ["lamp"]}, "'lamp'", "sky, sun"),
+        ({"by_light": ["s*", "sun"]}, "several groups"),
+    ),
+]
+
+# --- estimators and comparisons -----------------------------------------------------------------
+
+PLAIN = chd.Samples.from_array(np.random.default_rng(0).gamma(0.7, size=(12, 10, 3, 160)))
+TRUTH = {"a": PLAIN.read().mean(axis=-1)}
+
+
+def benched(**change: Any) -> Any:
+    given = {"scenes": {"a": PLAIN}, "estimators": ["mean"], "spp": [16], "progress": False}
+    return chd.bench(**given | change)
+
+
+def saved(about: Any) -> Any:
+    return load_model(write_model(Path("model"), {"a": np.zeros(3)}, about) or "model")
+
+
+ESTIMATORS = [
+    *each(
+        InputError,
+        partial(chd.compare, PLAIN),
+        (["mean", "mean"], "different names"),
+        ([], "different names"),
+        (["men"], "'men'"),
+        (["men + OIDN"], "'men'"),
+        ([np.mean], "names"),
+        (["mean + OIDN features"], "albedo"),
+        ({"estimators": ["median_of_means"], "n": 8}, "at least 11", "n=8"),
+        ({"estimators": ["median_of_means + OIDN"], "n": 8}, "at least 11"),
+        ({"estimators": ["elek2019"], "n": 16}, "exactly 32", "n=16"),
+        ({"estimators": ["mean"], "n": 81}, "162", "160"),
+        ({"estimators": ["mean"], "n": 0}, "n must", "0"),
+        ({"estimators": ["mean"], "max_batches": 0}, "max_batches", "0"),
+        ({"estimators": ["mean"], "labels": "patterns"}, "'classify'", "'patterns'"),
+        ({"estimators": ["mean"], "labels": np.zeros((3, 3), int)}, "(12, 10)", "(3, 3)"),
+        ({"estimators": ["mean"], "labels": np.zeros((12, 10))}, "integers"),
+        ({"estimators": ["mean"], "labels": np.full((12, 10), 99)}, "[99]"),
+        ({"estimators": ["mean"], "labels": LINEAR}, "'label'"),
+    ),
+    *each(
+        InputError,
+        partial(error_curve, PLAIN),
+        ("mean", "names", "'mean'"),
+        ({"estimators": [np.mean], "sizes": [8]}, "names"),
+        ({"estimators": ["mean"], "sizes": []}, "different numbers"),
+        ({"estimators": ["mean"], "sizes": [4, 4]}, "different numbers"),
+        ({"estimators": ["mean"], "sizes": [0, 4]}, "size", "got 0"),
+        ({"estimators": ["mean"], "sizes": [4.5]}, "size", "4.5"),
+        ({"estimators": ["mean"], "sizes": 8}, "sizes", "got 8"),
+        ({"estimators": ["mean"], "sizes": [4, 81]}, "162", "160"),
+        ({"estimators": ["mean"], "max_batches": 0}, "max_batches", "0"),
+        ({"estimators": ["median_of_means"], "sizes": [4, 8]}, "at least 11", "(4, 8)"),
+        ({"estimators": ["elek2019"], "sizes": [4]}, "exactly 32", "n=4"),
+    ),
+    *each(
+        InputError,
+        benched,
+        ({"estimators": ["elek2019"], "spp": [32]}, "reference"),
+        ({"estimators": ["nonsense"]}, "'nonsense'"),
+        ({"baseline": "median"}, "baseline", "mean"),
+        ({"images": {"mean": {}}}, "different names"),
+        ({"spp": [512], "references": TRUTH}, "160"),
+        ({"spp": [140]}, "too few"),
+        ({"scenes": []}, "none"),
+        ({"references": {"a": TRUTH["a"][:4]}}, "(4, 10, 3)"),
+    ),
+    *each(
+        InputError,
+        combine,
+        *((np.ones(shape), "1 or 3", "4") for shape in ((8, 8, 3, 3), (8, 8, 2, 16), (8, 3, 16))),
+    ),
+    *each(
+        InputError, lambda shape: CombinationStream(shape).estimate(), (((4, 4, 3),), "at least 4")
+    ),
+    *each(InputError, chd.estimators.zirr2018_pixel, (np.ones((2, 8)), "1 or 3", "2")),
+    *each(InputError, chd.estimators.lookup, ("men", "'men'", "mean")),
+    *each(
+        InputError,
+        partial(chd.estimators.train_model, PLAIN),
+        ("mean", "mean", "elek2019"),
+        ("nobody", "'nobody'"),
+        *(({"spp": spp}, "1 to 160", str(spp)) for spp in (0, 161, -1)),
+    ),
+    *each(
+        InputError,
+        MLP.preset("elek2019").train,
+        (PLAIN.isel(sample=slice(63)), "64", "63"),
+        (chd.Samples.from_array(np.ones((1, 1, 3, 64))), "at least 2 batches"),
+        ({"samples": PLAIN, "iterations": 0}, "iterations", "0"),
+        ({"samples": PLAIN, "pixels": [[0.5, 0]]}, "integer"),
+        ({"samples": PLAIN, "pixels": [[0, 24]]}, "10 x 12"),
+        ({"samples": PLAIN, "pixels": [0, 1]}, "integer"),
+    ),
+    *each(InputError, MLP.preset("elek2019").predict, (np.ones(32), "train")),
+    *each(InputError, MLP.preset, ("elek", "elek2019", "'elek'")),
+    *each(
+        StoreError,
+        saved,
+        ({"about": {"kind": "other"}}, "'other'", "'mlp'"),
+        ({"about": []}, "None", "'mlp'"),
+        ({"about": {"kind": ["mlp"]}}, "['mlp']", "'mlp'"),
+    ),
+    *each(
+        InputError,
+        partial(write_estimates, "out.exr", PLAIN),
+        ({"level": 1.0}, "level", "1"),
+        ({"spp": 161}, "spp", "1 to 160", "161"),
+        ({"spp": 2}, "at least 4"),
+        ({"seconds": 1}, "rendering"),
+    ),
+    *each(
+        InputError,
+        partial(write_estimates, samples=PLAIN),
+        ("out.jpg", ".exr, .npy, .pfm, .png"),
+        ("nowhere/out.exr", "nowhere"),
+        ("folder", ".exr"),
+    ),
+    *each(
+        StoreError, partial(write_estimates, "out.exr", PLAIN), ("nowhere.safetensors", "nowhere")
+    ),
+]
+
+# --- figures and reports ------------------------------------------------------------------------
+
+REPORTS = [
+    *each(
+        InputError,
+        partial(chd.report, SAMPLES),
+        ("out.html", ".pdf"),
+        ({"path": "out.pdf", "contents": "long"}, "short, full, claims", "'long'"),
+        ("nowhere/out.pdf", "nowhere"),
+    ),
+    *each(
+        InputError,
+        partial(chd.study, folder=None),
+        ([], "at least one scene"),
+        (["cornell-box", "cornell-box"], "'cornell-box'"),
+        ({"scenes": "cornell-box", "estimators": ["elek2020"]}, "'elek2020'"),
+        ({"scenes": "cornell-box", "sampler": "sobol"}, "sampler", "'sobol'"),
+        ({"scenes": PLAIN, "sampler": "multijitter", "estimators": ["mean"]}, "sampler"),
+    ),
+    *each(
+        SceneError, partial(chd.study, folder=None), ("cornel-box", "did you mean 'cornell-box'")
+    ),
+    *each(
+        StoreError,
+        partial(chd.study, "cornell-box", size=(4, 4), spp=64),
+        ({"folder": "x.txt"}, "x.txt"),
+    ),
+]
+
 
 # --- the sentences ------------------------------------------------------------------------------
 
-TABLES = {"rendering": RENDERING, "files": FILES, "samples": IN_ROOM, "scenes": SCENES}
+TABLES = {
+    "rendering": RENDERING,
+    "files": FILES,
+    "samples": IN_ROOM,
+    "scenes": SCENES,
+    "statistics": STATISTICS,
+    "estimators": ESTIMATORS,
+    "reports": REPORTS,
+}
 STATES = re.compile(
     r"\b(must|expected|needs?|cannot|can|not?|none|only|got|outside|takes?|holds?|has|is|are|names|failed)\b"
 )

@@ -200,24 +200,6 @@ def test_an_all_null_image_has_no_error_and_no_ratio():
     assert one.measures["mse"].value.shape == (1, 2)
 
 
-@pytest.mark.parametrize(
-    ("estimators", "options", "match"),
-    [
-        (["mean", "mean"], {}, "different names"),
-        ([], {}, "different names"),
-        (["men"], {}, "no estimator is called 'men'"),
-        (["median_of_means"], {"n": 8}, "at least 11 samples, got n=8"),
-        (["elek2019"], {"n": 16}, "exactly 32 samples, got n=16"),
-        (["mean"], {"n": 81}, "at least 162 spp, got 160"),
-        (["mean"], {"n": 0}, "n must be"),
-        (["mean"], {"max_batches": 0}, "max_batches must be"),
-    ],
-)
-def test_what_cannot_be_compared_is_refused(estimators, options, match):
-    with pytest.raises(InputError, match=match):
-        chd.compare(image(), estimators, **options)
-
-
 def test_a_model_that_nobody_asked_for_is_refused(model):
     with pytest.raises(InputError, match="not among"):
         chd.compare(image(), ["mean"], model=model)
@@ -485,24 +467,6 @@ def test_a_map_of_other_codes_brings_its_names():
     found = chd.compare(image(height=6, width=6), ["mean"], labels=where)
     assert found.breakdown.labels == ("wall", "lamp")
     assert found.breakdown.pixels.tolist() == [30, 6]
-
-
-@pytest.mark.parametrize(
-    ("labels", "match"),
-    [
-        ("patterns", "'classify', got 'patterns'"),
-        (
-            np.zeros((3, 3), int),
-            r"shape \(20, 16\), one .* got int64 of shape \(3, 3\)",
-        ),
-        (np.zeros((20, 16)), "must be integers"),
-        (np.full((20, 16), 99), r"got \[99\] too"),
-        (chd.summarize(image(spp=8)), "has a variable 'label'"),
-    ],
-)
-def test_labels_that_fit_nothing_are_refused(labels, match):
-    with pytest.raises(InputError, match=match):
-        chd.compare(image(), ["mean"], labels=labels)
 
 
 # --- pixels one by one --------------------------------------------------------------------------

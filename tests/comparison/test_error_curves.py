@@ -83,24 +83,3 @@ def test_what_learns_is_measured_at_its_own_size(model):
 def test_the_curve_is_ready_for_json(curve):
     content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
     assert content["table"][0]["n"] == 4
-
-
-@pytest.mark.parametrize(
-    ("names", "options", "match"),
-    [
-        (["mean"], {"sizes": []}, "different numbers from 1"),
-        (["mean"], {"sizes": [4, 4]}, "different numbers from 1"),
-        (["mean"], {"sizes": [0, 4]}, "a size must be at least 1, got 0"),
-        (["mean"], {"sizes": [4.5]}, "a size must be a whole number, got 4.5"),
-        (["mean"], {"sizes": 8}, "sizes must be several numbers, got 8"),
-        ("mean", {}, "must be a list of names, got the single name 'mean'"),
-        ([np.mean], {"sizes": [8]}, "expected names of estimators or entries"),
-        (["mean"], {"sizes": [4, 81]}, "at least 162 spp, got 160"),
-        (["mean"], {"max_batches": 0}, "max_batches must be"),
-        (["median_of_means"], {"sizes": [4, 8]}, r"at least 11 samples, got sizes \(4, 8\)"),
-        (["elek2019"], {"sizes": [4]}, "exactly 32 samples, got n=4"),
-    ],
-)
-def test_what_has_no_curve_is_refused(names, options, match):
-    with pytest.raises(InputError, match=match):
-        error_curve(image(), names, **options)

@@ -5,7 +5,7 @@ import pytest
 
 from chdstat._core.arrays import take_rows
 from chdstat._core.positive import PositivePart
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import FamilySelection
 from chdstat.summary.runner import measured
@@ -66,12 +66,6 @@ def test_a_single_channel_is_its_own_luminance():
     block = np.random.default_rng(1).gamma(0.5, size=(2, 1, 8))
     np.testing.assert_array_equal(PositivePart.of_pixels(block, rows="both").x, block)
     np.testing.assert_array_equal(PositivePart.of_pixels(block, rows="luminance").x, block[:, 0])
-
-
-@pytest.mark.parametrize("rows", ["luminance", "both"])
-def test_other_numbers_of_channels_have_no_luminance(rows):
-    with pytest.raises(InputError, match="1 or 3 channels, got 2"):
-        PositivePart.of_pixels(np.ones((4, 2, 8)), rows=rows)
 
 
 # --- rows: a part of a result is what the same part of the samples gives ------------------------

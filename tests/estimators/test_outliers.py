@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from chdstat import estimators
-from chdstat.errors import InputError
 from chdstat.estimators.outliers import BASE, LAYERS, Cascade, layer_weights
 from tests.luminance import LUMINANCE
 
@@ -105,11 +104,6 @@ def test_the_unit_makes_thresholds_relative():
     found = estimators.zirr2018(x, unit=3.0)
     assert estimators.zirr2018(x / 3.0, unit=1.0) * 3.0 == pytest.approx(found, rel=1e-12)
     assert estimators.zirr2018(x) != pytest.approx(found, rel=1e-3)
-
-
-def test_two_channels_have_no_luminance():
-    with pytest.raises(InputError, match="1 or 3 channels, got 2"):
-        estimators.zirr2018_pixel(np.ones((2, 8)))
 
 
 def scattered(seed=0, shape=(6, 7, 3, 5)):

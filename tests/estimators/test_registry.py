@@ -59,8 +59,3 @@ def test_its_row_says_what_it_is_called_and_where_it_stands():
     assert "darkest" in {found.name for found in scored(batches_of(x, 32))}
     registry.forget("darkest")
     assert "darkest" not in NAMES
-
-
-def test_an_unknown_name_is_refused_with_what_there_is():
-    with pytest.raises(InputError, match=r"'men'.*mean"):
-        estimators.lookup("men")

@@ -295,29 +295,6 @@ def test_ties_and_extremes_warn_of_nothing():
         assert (result.resamples[~ok] == 0).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"fit": "normal"}, "normal"),
-        ({"tests": ("lilliefors",)}, "lilliefors"),
-        ({"tests": "chi-square"}, "chi-square"),
-        ({"resamples": -1}, "resamples must be at least 0, got -1"),
-        ({"resamples": 9.5}, "resamples must be a whole number, got 9.5"),
-        ({"seed": -1}, "seed must be at least 0, got -1"),
-        ({"alpha": 2}, "2"),
-    ],
-)
-def test_wrong_options_are_refused(options, match):
-    with pytest.raises(InputError, match=match):
-        goodness(np.ones(100), **{"fit": "gamma", **options})
-
-
-def test_an_image_needs_a_name():
-    samples = chd.Samples.from_array(np.ones((2, 2, 1, 64)))
-    with pytest.raises(InputError, match="name of a family"):
-        goodness(samples, chd.fit.gamma(np.ones(64)))
-
-
 def test_of_a_selection_the_best_family_of_each_pixel_is_tested():
     rng = np.random.default_rng(41)
     x = np.stack([rng.gamma(0.7, size=400), rng.lognormal(sigma=1.0, size=400), np.zeros(400)])

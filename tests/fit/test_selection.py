@@ -150,12 +150,3 @@ def test_a_histogram_selects_what_the_samples_select():
     sure = of_samples.margin > 10
     assert sure.mean() > 0.5
     assert (of_samples.names == of_bins.names)[sure].mean() > 0.95
-
-
-def test_wrong_options_are_refused():
-    with pytest.raises(InputError, match="criterion"):
-        chd.fit.select([1.0, 2.0], criterion="r2")
-    with pytest.raises(InputError, match="held-out likelihood needs samples"):
-        chd.fit.select(chd.histogram([1.0, 2.0, 4.0]), held_out=True)
-    with pytest.raises(InputError, match="sequence of one or more families"):
-        chd.fit.select([1.0, 2.0], families="gamma")

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason
 from chdstat.inference import (
     MORE_THAN_TESTED,
     TESTS,
@@ -291,16 +291,3 @@ def test_n_needed_over_an_image_is_corrected_for_the_image():
 def test_sizes():
     np.testing.assert_array_equal(sizes_of_means(16384), 2 ** np.arange(10))
     np.testing.assert_array_equal(sizes_of_means(512, sizes=[8, 3, 3]), [3, 8])
-
-
-def test_wrong_options_are_refused():
-    with pytest.raises(InputError, match="render more spp"):
-        gaussianity_of_means(np.ones(16))
-    with pytest.raises(InputError, match="n_means must be at least 8"):
-        gaussianity_of_means(np.ones(64), n_means=4)
-    with pytest.raises(InputError, match="n_means must be at least 20"):
-        gaussianity_of_means(np.ones(64), n_means=8, test="dagostino")
-    with pytest.raises(InputError, match="test must be one of anderson-darling, shapiro-wilk"):
-        gaussianity_of_means(np.ones(64), test="shapiro")
-    with pytest.raises(InputError, match="alpha must lie"):
-        gaussianity_of_means(np.ones(64), alpha=0)

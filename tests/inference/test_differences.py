@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat.errors import InputError
 from chdstat.inference.differences import difference
 
 
@@ -213,18 +212,3 @@ def test_samples_share_numbers_by_seed_size_and_kind_of_backend():
         (False, chd.Samples.from_array(x, seed=3, backend="llvm", streams=1)),
     ):
         assert one.shares_numbers_with(other) == other.shares_numbers_with(one) == shares
-
-
-def test_what_cannot_be_compared_is_refused_in_words():
-    x = np.ones((4, 4, 3, 8))
-    samples = chd.Samples.from_array(x)
-    for message, a, b, options in (
-        ("as many pixels", samples, chd.Samples.from_array(x[:2]), {}),
-        ("one of each", samples, x, {}),
-        ("as many channels", x[0], x[0, :, :1], {}),
-        ("pairs need as many samples of both, got 8 and 5", x[0], x[0, ..., :5], {"paired": True}),
-        ("replicates must be at least 1, got 0", x[0], x[0], {"replicates": 0}),
-        ("replicates must be a whole number, got 9.5", x[0], x[0], {"replicates": 9.5}),
-    ):
-        with pytest.raises(InputError, match=message):
-            difference(a, b, **options)

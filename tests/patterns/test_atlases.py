@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import adjusted_rand_score
 
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason
 from chdstat.patterns import Atlas, atlas
 from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
@@ -221,19 +221,3 @@ def test_memory_does_not_grow_with_spp(monkeypatch):
     monkeypatch.setattr(Samples, "read", spy)
     find(Samples.from_array(x))
     assert max(lengths) <= 64
-
-
-def test_wrong_options_and_other_input_are_refused():
-    samples = Samples.from_array(image(gamma, edge=2)[0])
-    linear = histogram(Samples.from_array(np.ones((2, 2, 1, 64))), scale="linear")
-    for message, given, options in (
-        ("clusters must be at least 1, got 0", samples, {"clusters": 0}),
-        ("max_clusters must be at least 1, got 0", samples, {"max_clusters": 0}),
-        (r"min_share must be a share in \[0, 1\), got 1.0", samples, {"min_share": 1.0}),
-        ("5 clusters need as many different shapes, got 4", samples, {"clusters": 5}),
-        (r"expected Samples, an array .* got dict", {}, {}),
-        (r"scale='log'.* without log_counts", linear, {}),
-        ("luminance needs 1 or 3 channels", Samples.from_array(np.ones((2, 2, 2, 64))), {}),
-    ):
-        with pytest.raises(InputError, match=message):
-            find(given, **options)

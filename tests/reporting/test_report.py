@@ -11,7 +11,7 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.display import percent
-from chdstat.errors import InputError, LeftOutWarning
+from chdstat.errors import LeftOutWarning
 from chdstat.reporting import scene_report
 from chdstat.reporting.content import remake_note
 from chdstat.reporting.documents import pages_of, typeset
@@ -165,20 +165,6 @@ def test_a_region_may_have_any_name_and_what_is_bad_or_trained_is_told(radiance,
     assert "in 3 iterations" in text_of(path)
     assert "2 of 8,192 samples are NaN or infinite" in text_of(path)
     assert [r.getMessage()[:24] for r in caplog.records] == ["no font has the letters "]
-
-
-def test_what_cannot_be_reported_is_refused_and_leaves_nothing(radiance, tmp_path):
-    samples = chd.Samples.from_array(radiance)
-    with pytest.raises(InputError, match=r"must end in \.pdf"):
-        chd.report(samples, tmp_path / "report.html")
-    with pytest.raises(InputError, match="contents must be one of short, full, claims"):
-        chd.report(samples, tmp_path / "a.pdf", contents="long")
-    with pytest.raises(InputError, match="create it first"):
-        chd.report(samples, tmp_path / "nowhere" / "report.pdf")
-    five = chd.Samples.from_array(np.ones((8, 8, 5, 64)), axes="yxcs")
-    with pytest.raises(InputError, match="keep one or three of these"):
-        chd.report(five, tmp_path / "five.pdf")
-    assert not [*tmp_path.iterdir()]
 
 
 def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):

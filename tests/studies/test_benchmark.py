@@ -234,25 +234,6 @@ def test_a_finished_image_takes_part(tmp_path):
         chd.bench(scene, ["mean"], images={"other": {"a": file}}, **options)
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"estimators": ["elek2019"], "spp": [32]}, "trains against a reference"),
-        ({"estimators": ["nonsense"]}, "nonsense"),
-        ({"baseline": "median"}, "baseline must be one of mean"),
-        ({"images": {"mean": {}}}, "different names"),
-        ({"spp": [512], "references": {"a": TRUTH}}, "64 samples per pixel of one render"),
-        ({"spp": [48]}, "too few for a reference"),
-        ({"scenes": []}, "at least one scene, got none"),
-        ({"references": {"a": TRUTH[:4]}}, r"the reference of a has shape \(4, 64, 3\)"),
-    ],
-)
-def test_what_cannot_be_judged_is_refused(change, told):
-    given = {"scenes": {"a": images(1)}, "estimators": ["mean"], "spp": [16], "progress": False}
-    with pytest.raises(InputError, match=told):
-        chd.bench(**given | change)
-
-
 def test_one_scene_needs_no_list_and_the_notes_say_who_is_not_in_every_case():
     few = ["mean", "median_of_means"]
     found = chd.bench(images(1), few, spp=[4, 16], references={"samples": TRUTH}, progress=False)

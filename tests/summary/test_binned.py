@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from chdstat import Samples, fit, histogram
-from chdstat.errors import InputError, Reason
-from chdstat.summary import Histogram
+from chdstat import histogram
+from chdstat.errors import Reason
 
 
 def test_log_statistics_agree_with_those_of_the_samples():
@@ -47,13 +46,3 @@ def test_the_counts_are_those_of_the_samples():
 )
 def test_reasons(x, reason):
     assert histogram(x).positive.reason() == reason
-
-
-def test_what_cannot_be_binned_is_refused():
-    with pytest.raises(InputError, match="log histogram, got one of linear"):
-        histogram([1.0, 2.0], scale="linear").positive  # noqa: B018 - it raises
-    linear = histogram(Samples.from_array(np.ones((2, 2, 1, 4))), scale="linear")
-    with pytest.raises(InputError, match="without log_counts"):
-        Histogram.of_dataset(linear)
-    with pytest.raises(InputError, match="null is for arrays"):
-        fit.gamma(histogram([1.0]), null=[False])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason
 from chdstat.samples import Samples
 from chdstat.summary.histograms import StreamingHistogram, Support, histogram, linear_support
 
@@ -163,38 +163,6 @@ def test_extreme_radiance_is_counted_without_warnings():
         assert total(histogram(part, scale="linear")) == part.size
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"scale": "sqrt"}, "scale"),
-        ({"bins": 0}, "bins"),
-        ({"support": (2, 1)}, "low < high"),
-        ({"support": (0, 1)}, "0 < low"),
-        ({"support": (np.nan, 1)}, "finite"),
-        ({"support": ([1, 2, 3], 4)}, "batch shape"),
-        ({"null": np.array([True, False])}, "exactly 0"),
-        ({"bad": np.array([True, False, False])}, "bad mask"),
-    ],
-)
-def test_wrong_options_are_refused(options, message):
-    with pytest.raises(InputError, match=message):
-        histogram([[1.0, 2.0], [3.0, 4.0]], **options)
-
-
-def test_histograms_of_different_bins_do_not_merge():
-    one = StreamingHistogram(scale="linear").update([1.0, 2.0])
-    with pytest.raises(InputError, match="same support"):
-        one.merge(StreamingHistogram(scale="linear").update([1.0, 3.0]))
-    with pytest.raises(InputError, match="same support"):
-        StreamingHistogram(scale="linear", support=(0, 9)).merge(one)
-    with pytest.raises(InputError, match="same bins"):
-        one.merge(StreamingHistogram(scale="log"))
-    with pytest.raises(InputError, match="call update"):
-        StreamingHistogram().read()
-    with pytest.raises(InputError, match="batch shape"):
-        one.update([[1.0, 2.0], [3.0, 4.0]])
-
-
 def test_a_support_with_reasons_passes_through():
     support = Support(np.array([np.nan]), np.array([np.nan]), np.array([1], dtype=np.int8))
     h = histogram([[3.0]], scale="linear", support=support)
@@ -215,9 +183,3 @@ def test_image_equals_its_pixels(radiance, scale):
     np.testing.assert_array_equal(dataset["bad_count"], bad.sum(axis=(-2, -1)))
     if scale == "log":
         np.testing.assert_allclose(dataset["log_bin"], np.logspace(-5, 5, 201)[1::2])
-
-
-def test_an_image_knows_its_own_nulls():
-    samples = Samples.from_array(np.ones((1, 1, 3, 4)))
-    with pytest.raises(InputError, match="for arrays"):
-        histogram(samples, null=np.zeros(4, dtype=bool))

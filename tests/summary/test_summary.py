@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat.errors import InputError
 from chdstat.samples import Samples
 from chdstat.summary.histograms import Histogram, linear_support
 from chdstat.summary.statistics import Summary, summarize
@@ -246,34 +245,6 @@ def test_memory_does_not_grow_with_spp():
         s = summary.read()
         sizes.append(s.batch_means.size + s.log.counts.size + s.linear.counts.size)
     assert max(sizes[10:]) <= 6 * (64 + 200)
-
-
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        (lambda: Summary(batch_size=0), "batch_size"),
-        (lambda: Summary(max_batches=7), "even max_batches"),
-        (lambda: Summary().update([1.0, 2.0]), "channel"),
-        (lambda: Summary().update(np.ones((3, 4))).update(np.ones((1, 4))), "shape of the first"),
-        (lambda: Summary().read(), "call update"),
-        (
-            lambda: Summary().update(np.ones((3, 4))).merge(Summary().update(np.ones((1, 4)))),
-            "same shape",
-        ),
-        (
-            lambda: Summary().update(np.ones((3, 4))).merge(Summary().update(2 * np.ones((3, 4)))),
-            "same support",
-        ),
-        (
-            lambda: Summary().merge(Summary(batch_size=9).update(np.ones((3, 4)))),
-            "same batch_size",
-        ),
-        (lambda: summarize(Samples.from_array(np.ones((1, 1, 8))), max_batches=1), "max_batches"),
-    ],
-)
-def test_wrong_use_is_refused(action, message):
-    with pytest.raises(InputError, match=message):
-        action()
 
 
 def test_image_equals_its_pixels_whatever_the_tiles():
