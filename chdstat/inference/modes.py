@@ -5,7 +5,7 @@ nothing but continuity and has calibrated p-values, but little power. Mixtures o
 gamma components give the number of modes, their places and their separation.
 
 The dip is the distance of the samples from the closest unimodal distribution. Its p-values are
-interpolated in a table of the null distribution, from 20 samples on, for all rows at once.
+interpolated in a table of the null distribution, from 20 samples on.
 
 Both methods assume continuous samples, so that equal samples are separated first, evenly, and
 independently of other rows. There are two cases. If a few values are shared by many samples, they
@@ -17,15 +17,6 @@ that is wider than the steps beside it.
 Samples that a clamp set to its value, at either end, are left out first: a distribution that is cut
 off has as many modes as its rest. They count for the mode beside the clamp.
 
-`dips` follows Hartigan and Hartigan 1985, section 6. In an interval, at first that of all samples,
-the empirical distribution function F has a greatest convex minorant G and a least concave majorant
-L. They are farthest apart at a vertex of one of them. The next interval lies between this vertex
-and the next vertex of the other. Outside the interval, the closest unimodal distribution is G on
-the left and L on the right; F deviates from it by twice the dip.
-
-All rows take each step together. Samples are identified by their places in the array of all rows.
-Places differ by 1 from one sample to the next, as n F does.
-
 From 20 samples on, p-values (`_dip_p`) are interpolated between quantiles of sqrt(n) times the dip
 of uniform samples, simulated by tools/make_dip_table.py.
 """
@@ -34,12 +25,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import numpy.typing as npt
+from diptest import dipstat
 
-from chdstat._core.arrays import Counts, Floats, Indices, Mask, chunks, spans
+from chdstat._core.arrays import Counts, Floats, Mask, chunks
 from chdstat._core.display import Card, Width, each, reasons, with_error, written
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
@@ -58,13 +50,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # --- the dip --------------------------------------------------------------------------------------
-
-
-_STEPS = (1, 5)
-"""A sample is no vertex if it lies on or beyond a chord between samples this far on each side."""
-_THINNING = 8
-_CHUNK = 2**13
-"""Samples worked on at once: they stay in the cache."""
 
 
 def dips(ascending: Floats, n: Counts) -> Floats:
@@ -87,154 +72,10 @@ def dips(ascending: Floats, n: Counts) -> Floats:
     >>> dips(rows, np.array([4, 4])).round(4)
     array([0.125 , 0.2417])
     """
-    x = ascending.reshape(-1)
-    low = np.arange(len(ascending)) * ascending.shape[-1]
-    high = low + n - 1
-    # n F rises by 1 at each sample: G lies below the step, L above it.
-    deviation = np.ones(len(ascending))
-    rows = np.flatnonzero(x[high] > x[low])
-    low, high = low[rows], high[rows]
-    convex, concave = _candidates(ascending)
-    minorant, majorant = _Curve(x, low, convex, 1), _Curve(x, high, concave, -1)
-    while len(rows):
-        minorant.narrow(low, high)
-        majorant.narrow(low, high)
-        g, l = minorant.vertices, majorant.vertices  # noqa: E741 - as in the paper
-        at_g, g_place = _largest(majorant.above(g), g, low)
-        at_l, l_place = _largest(-minorant.above(l), l, low)
-        inner_low = np.where(at_g > at_l, g_place, g[np.searchsorted(g, l_place, "right") - 1])
-        inner_high = np.where(at_g > at_l, l[np.searchsorted(l, g_place)], l_place)
-        open_ = np.maximum(at_g, at_l) + 1 > deviation[rows]
-        rows, low, high, inner_low, inner_high = (
-            values[open_] for values in (rows, low, high, inner_low, inner_high)
-        )
-        if not len(rows):
-            break
-        left, right = _ranges(low, inner_low + 1), _ranges(inner_high, high + 1)
-        of_left = np.maximum.reduceat(-minorant.above(left), np.searchsorted(left, low))
-        of_right = np.maximum.reduceat(majorant.above(right), np.searchsorted(right, inner_high))
-        deviation[rows] = np.maximum(deviation[rows], np.maximum(of_left, of_right) + 1)
-        shrunk = (inner_low > low) | (inner_high < high)
-        open_ = shrunk & (x[inner_high] > x[inner_low])
-        rows, low, high = rows[open_], inner_low[open_], inner_high[open_]
-    return deviation / (2 * n)
-
-
-class _Curve:
-    """The greatest convex minorant (sign 1) or least concave majorant (-1) of n F in each row.
-
-    Parameters
-    ----------
-    x
-        Samples of all rows.
-    vertices
-        Places of the vertices, ascending: at first, the first sample of each row for a minorant,
-        the last for a majorant.
-    candidates
-        Places of samples that may become vertices.
-    """
-
-    def __init__(
-        self, x: Floats, vertices: Indices, candidates: Indices, sign: Literal[1, -1]
-    ) -> None:
-        self._x, self._candidates, self._sign = x, candidates, sign
-        self.vertices = vertices
-
-    def narrow(self, low: Indices, high: Indices) -> None:
-        """Restrict the curve to the samples from `low` to `high` of each row.
-
-        `low` is a vertex of the minorant so far, and `high` of the majorant. The vertices in
-        between therefore stay. New vertices appear at the other end, after the last vertex that
-        stays.
-        """
-        vertices, candidates = self.vertices, self._candidates
-        # At that end, chords reached beyond it: some samples that are no candidates are needed.
-        if self._sign > 0:
-            start, stop = vertices[np.searchsorted(vertices, high, "right") - 1], high
-            near = _ranges(np.maximum(start, high - _STEPS[-1]), high)
-        else:
-            start, stop = low, vertices[np.searchsorted(vertices, low)]
-            near = _ranges(low, np.minimum(stop, low + _STEPS[-1]))
-        new = _ranges(np.searchsorted(candidates, start), np.searchsorted(candidates, stop))
-        old = _ranges(np.searchsorted(vertices, low), np.searchsorted(vertices, high))
-        tried = np.zeros(len(self._x), dtype=bool)
-        for some in (low, vertices[old], candidates[new], near, high):
-            tried[some] = True
-        places = np.flatnonzero(tried)
-        fixed = np.zeros(len(places), dtype=bool)
-        fixed[np.searchsorted(places, np.concatenate([low, high]))] = True
-        self.vertices = places[_bends(places, self._sign * self._x[places], fixed)]
-
-    def above(self, places: Indices) -> Floats:
-        """Return how far the curve is above ascending samples, in places; 0 at its vertices."""
-        vertices = self.vertices
-        x = self._x[vertices]
-        run = np.diff(x)
-        slope = np.append(np.where(run > 0, np.diff(vertices) / run, 0), 0)
-        count = np.diff(np.searchsorted(places, vertices), append=len(places))
-        left = np.repeat(np.arange(len(vertices)), count)
-        rise = (self._x[places] - x[left]) * slope[left]
-        return np.asarray(rise - (places - vertices[left]))
-
-
-def _candidates(ascending: Floats) -> tuple[Indices, Indices]:
-    """Return the places of samples that may be vertices of a minorant, and of a majorant."""
-    convex, concave = np.empty((2, *ascending.shape), dtype=bool)
-    for rows in spans(len(ascending), max(1, _CHUNK // ascending.shape[-1])):
-        x = ascending[rows]
-        # The least and the largest rise per place, before each sample and after it.
-        before, behind = np.empty((2, 2, *x.shape))
-        before[0], before[1], behind[0], behind[1] = np.inf, -np.inf, np.inf, -np.inf
-        for step in _STEPS:
-            rise = x[:, step:] - x[:, :-step]
-            rise *= 1 / step
-            for ends in (before[..., step:], behind[..., :-step]):
-                np.minimum(ends[0], rise, out=ends[0])
-                np.maximum(ends[1], rise, out=ends[1])
-        np.greater(before[0], behind[1], out=convex[rows])
-        np.less(before[1], behind[0], out=concave[rows])
-    return np.flatnonzero(convex), np.flatnonzero(concave)
-
-
-def _bends(places: Indices, x: Floats, fixed: Mask) -> Indices:
-    """Return the indices of the samples that are vertices; `fixed` ones are always vertices.
-
-    They are vertices of a minorant, or of a majorant if `x` is negated. Samples on or beyond the
-    chord of their neighbours are removed until there are none. A smooth curve would lose its
-    vertices one by one; therefore, samples beyond the curve of every eighth sample are removed
-    first.
-    """
-    kept = np.arange(len(places))
-    if len(places) > 2 * _THINNING * np.count_nonzero(fixed):
-        thinned = fixed.copy()
-        thinned[::_THINNING] = True
-        thin = np.flatnonzero(thinned)
-        coarse = thin[_bends(places[thin], x[thin], fixed[thin])]
-        inside = x > np.interp(places, places[coarse], x[coarse])
-        inside[coarse] = True
-        kept = np.flatnonzero(inside)
-    while True:
-        slope = np.diff(x[kept]) / np.diff(places[kept])
-        stays = fixed[kept]
-        stays[1:-1] |= slope[:-1] > slope[1:]
-        if stays.all():
-            return kept
-        kept = kept[stays]
-
-
-def _largest(values: Floats, places: Indices, low: Indices) -> tuple[Floats, Indices]:
-    """Return the largest value of each row and its place; the rows begin at the places `low`."""
-    first = np.searchsorted(places, low)
-    largest = np.maximum.reduceat(values, first)
-    row = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))
-    equal = np.flatnonzero(values == largest[row])
-    return largest, places[equal[np.searchsorted(row[equal], np.arange(len(first)))]]
-
-
-def _ranges(start: Indices, stop: Indices) -> Indices:
-    """Return all places from each `start` to before its `stop`, concatenated."""
-    count = np.maximum(stop - start, 0)
-    return np.repeat(start - np.cumsum(count) + count, count) + np.arange(count.sum())
+    rows = zip(ascending, n, strict=True)
+    found = np.array([dipstat(row[:count], sort_x=False) for row, count in rows]).reshape(len(n))
+    # Of equal or evenly spaced samples, it is 0 there.
+    return np.maximum(found, 1 / (2 * n))
 
 
 _FLOOR = 1e-5
