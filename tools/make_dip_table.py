@@ -1,4 +1,4 @@
-"""Simulate the null distribution of the dip; print it for chdstat/inference/modes.py.
+"""Simulate the null distribution of the dip; print it for inference/null_quantiles.json.
 
     python tools/make_dip_table.py > table.txt
 
@@ -56,7 +56,7 @@ def main() -> None:
         quantiles.append(np.quantile(simulate(n, count), 1 - LEVELS))
         sys.stderr.write(f"{n} samples\n")
     fits = smooth(list(SIZES), repeats, np.array(quantiles), DEGREE, least=LEAST)
-    sys.stdout.write(f"    [\n{table(fits)}\n    ]\n")
+    sys.stdout.write(table("dip", fits))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Simulate null distributions of statistics of normality, for chdstat/inference/normality.py.
+"""Simulate null distributions of statistics of normality, for inference/null_quantiles.json.
 
     python tools/make_normality_tables.py > tables.txt
 
@@ -86,10 +86,10 @@ def limits(name: str) -> list[tuple[int, int, np.ndarray]]:
     return [(LIMIT, CAP, TESTS[name].scaled(-2 * np.log(LEVELS), float(LIMIT)))]
 
 
-def table(values: np.ndarray) -> str:
-    """Return an array as source code."""
-    rows = (" ".join(f"{value:.6g}," for value in np.atleast_1d(row)) for row in values)
-    return "\n".join(f"            [{row[:-1]}]," for row in rows)
+def table(name: str, values: np.ndarray) -> str:
+    """Return the rows of a statistic as JSON."""
+    rows = (", ".join(f"{value:.6g}" for value in row) for row in values)
+    return f' "{name}": [\n' + ",\n".join(f"  [{row}]" for row in rows) + "\n ],\n"
 
 
 def main() -> None:
@@ -108,7 +108,7 @@ def main() -> None:
         sizes, repeats_of, quantiles = zip(*parts, *limits(name), strict=True)
         sys.stderr.write(f"{name}: ")
         fits = smooth(list(sizes), list(repeats_of), np.array(quantiles), PLAN[name][1])
-        sys.stdout.write(f"{name}\n            quantiles=np.array([\n{table(fits)}\n        ]),\n")
+        sys.stdout.write(table(name, fits))
 
 
 if __name__ == "__main__":
