@@ -131,6 +131,10 @@ PAIRS = {
 }
 
 
+HARD = {("gamma", "roulette of 2 %, q .1"), ("log-normal, sigma 2", "roulette, q .1")}
+"""Pairs of which few samples decide."""
+
+
 def _interval(count, trials):
     ends = stats.binomtest(count, trials).proportion_ci(method="exact")
     return f"{count / trials:.3f} [{ends.low:.3f}, {ends.high:.3f}]"
@@ -138,7 +142,11 @@ def _interval(count, trials):
 
 @pytest.mark.parametrize(("chds", "kind"), PAIRS)
 def test_levels_of_simulated_pairs(as_benchmark, chds, kind):
-    """Shares of p-values up to a, and of false verdicts with their interval: printed, not held."""
+    """Shares of p-values up to a, and of false verdicts with their interval.
+
+    At most 5 % of the verdicts are false, 10 % of the pairs in `HARD`, but for what chance adds in
+    one case of 100. Without the allowance for missed samples, these were up to 19 %.
+    """
     p, verdicts = [], []
     for seed in range(200):
         rng = np.random.default_rng([seed, *map(ord, chds + kind)])
@@ -153,6 +161,8 @@ def test_levels_of_simulated_pairs(as_benchmark, chds, kind):
         f"\n{chds:26} {kind:27}{line}  false {_interval(verdicts.count('differ'), len(verdicts))}, "
         f"cannot tell {verdicts.count('cannot tell')}"
     )
+    level = 0.1 if (chds, kind) in HARD else 0.05
+    assert verdicts.count("differ") <= stats.binom.isf(0.01, len(verdicts), level)
 
 
 COUNTS = ((16, 144), (16, 256), (16, 1024), (16, 4096), (32, 288), (64, 640), (256, 16))
