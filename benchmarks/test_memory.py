@@ -37,9 +37,9 @@ COMMANDS = {
     "while-rendering": "estimate cornell-box --while-rendering {drawn} -o {out}.exr",
     "summary-only": "render cornell-box --summary-only {drawn} -o {out}.zarr",
 }
-FUNCTIONS = ("atlas", "classify")
-"""Those that are no commands."""
-CALL = "import sys, chdstat as chd; getattr(chd, sys.argv[1])(sys.argv[2], progress=False)"
+FUNCTIONS = ("atlas", "classify", "contrast")
+"""Those that are called from Python; as a command, the contrast of a store and itself fails."""
+CALL = "import sys, chdstat as chd; getattr(chd, sys.argv[1])(*sys.argv[2:])"
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +64,9 @@ def stores(tmp_path_factory):
 
 def peak(stage: str, **values: object) -> tuple[float, float]:
     """Return the largest resident memory of a command in MB, and seconds of processor time."""
-    how = ["-c", CALL] if stage in FUNCTIONS else ["-m", "chdstat"]
-    command = [sys.executable, *how, *COMMANDS[stage].format(**values).split(), "-q"]
-    whole = [sys.executable, "-c", WATCH, *command]
+    words = COMMANDS[stage].format(**values).split()
+    command = ["-c", CALL, *words] if stage in FUNCTIONS else ["-m", "chdstat", *words, "-q"]
+    whole = [sys.executable, "-c", WATCH, sys.executable, *command]
     done = subprocess.run(whole, capture_output=True, text=True, check=True)
     memory, seconds = map(float, done.stdout.split()[-2:])
     return memory / 1e3, seconds
