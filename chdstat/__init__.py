@@ -9,6 +9,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from chdstat._core import doors
+
 __version__ = "0.1.0"
 
 _FUNCTIONS = {
@@ -46,6 +48,12 @@ _MODULES = (
     "studies",
     "viz",
 )
+
+doors.draw.filled_by("chdstat.viz.results")
+doors.report.filled_by("chdstat.reporting.documents")
+doors.read_image.filled_by("chdstat.io.exr")
+doors.pixel_of.filled_by("chdstat.patterns.pixel")
+doors.regions_of.filled_by("chdstat.patterns.pixel")
 
 __all__ = ["__version__", *sorted((*_FUNCTIONS, *_MODULES))]
 

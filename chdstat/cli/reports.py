@@ -307,7 +307,7 @@ def doctor(
     fresh: Annotated[bool, option("Ignore cached results and test the backends again.")] = False,
 ) -> None:
     """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions."""
-    from chdstat.io import denoiser
+    from chdstat.estimators import denoiser
     from chdstat.rendering.backend import examine
 
     found = examine(fresh=fresh) | {"denoiser": denoiser.library()}

@@ -12,13 +12,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Seed, generator, plain, seed_number, whole
 from chdstat._core.display import Card, Shown, Width, png
+from chdstat._core.doors import draw
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
 from chdstat.comparison.entries import Entry, choose, notes
@@ -91,11 +92,7 @@ class PixelEstimates(Shown):
         fig: Figure | None = None,
     ) -> Figure:
         """Draw the pixels one by one, as `chdstat.viz.pixel_estimates` does."""
-        from chdstat import viz
-
-        ax = None if fig is None else fig.subplots()
-        drawn = viz.pixel_estimates(self, channels=channels, width=width, ax=ax)
-        return cast("Figure", drawn.figure)
+        return draw(self, channels=channels, width=width, fig=fig)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per pixel and channel: place, reference, mean, and all estimates."""
@@ -160,10 +157,7 @@ class Breakdown(Shown):
 
     def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
         """Draw the errors of each pattern, as `chdstat.viz.pattern_breakdown` does."""
-        from chdstat import viz
-
-        ax = None if fig is None else fig.subplots()
-        return cast("Figure", viz.pattern_breakdown(self, width=width, ax=ax).figure)
+        return draw(self, width=width, fig=fig)
 
     def _card(self) -> Card:
         return Card("Breakdown by pattern", table=titled(self.table()))
@@ -307,9 +301,7 @@ class Comparison(Shown):
         fig: Figure | None = None,
     ) -> Figure:
         """Draw all measures of all estimators, as `chdstat.viz.estimator_measures` does."""
-        from chdstat import viz
-
-        return viz.estimator_measures(self, channels=channels, width=width, fig=fig)
+        return draw(self, channels=channels, width=width, fig=fig)
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
         """Choose judging pixels at random, with their estimates.

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Seed, plain, seed_number, whole
 from chdstat._core.display import Card, Shown, Width
+from chdstat._core.doors import draw
 from chdstat._core.resampling import Interval
 from chdstat.comparison.entries import Entry, choose, curve_sizes
 from chdstat.comparison.judging import Models, judge, trained_candidates
@@ -77,9 +78,7 @@ class ErrorCurve(Shown):
 
     def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
         """Draw errors against the number of samples, as `chdstat.viz.error_curves` does."""
-        from chdstat import viz
-
-        return viz.error_curves(self, width=width, fig=fig)
+        return draw(self, width=width, fig=fig)
 
     def _card(self) -> Card:
         return Card("Error curve", table=titled(self.table()))

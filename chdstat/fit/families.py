@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,7 @@ from chdstat._core.display import (
     with_interval,
     written,
 )
+from chdstat._core.doors import draw
 from chdstat._core.positive import Part
 from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Result, Statistic, result, variable
@@ -184,10 +185,7 @@ class Fit(Result):
         InputError
             If there are more than six rows.
         """
-        from chdstat import viz
-
-        ax = None if fig is None else fig.subplots()
-        return cast("Figure", viz.fit_curve(self, width=width, ax=ax).figure)
+        return draw(self, width=width, fig=fig)
 
     def _card(self) -> Card:
         errors = {name: np.full_like(v, np.nan) for name, v in self.parameters.items()}

@@ -24,7 +24,7 @@ The index describes the samples. Whether the error bar of their mean holds is an
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ from scipy import interpolate, special
 
 from chdstat._core.arrays import Counts, Floats, Mapped, Mask, rows_by_count, spans
 from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
+from chdstat._core.doors import draw
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
@@ -178,10 +179,7 @@ class Tail(Result):
         InputError
             If there are more than six rows.
         """
-        from chdstat import viz
-
-        ax = None if fig is None else fig.subplots()
-        return cast("Figure", viz.tail_curve(self, width=width, ax=ax).figure)
+        return draw(self, width=width, fig=fig)
 
     def _card(self) -> Card:
         cases = {

@@ -17,6 +17,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, Seed, label_variables, plain, seed_number
 from chdstat._core.display import Card, Shown, Width, colour, number, percent, png, with_interval
+from chdstat._core.doors import draw
 from chdstat._core.image_scales import relative_scale, tonemap
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.statistic import RADIANCE
@@ -37,8 +38,6 @@ from chdstat.samples import ImageLike
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
-
-    from chdstat.io.exr import ExrImage
 
 _Outcome = Literal["no difference found", "differ", "cannot tell"]
 
@@ -316,9 +315,7 @@ class Contrast(Shown):
         fig: Figure | None = None,
     ) -> Figure:
         """Draw both images and where their means differ, as `chdstat.viz.contrast`."""
-        from chdstat import viz
-
-        return viz.contrast(self, channels=channels, width=width, fig=fig)
+        return draw(self, channels=channels, width=width, fig=fig)
 
     def _card(self) -> Card:
         facts = {"conclusion": self.conclusion, **self.table()}
@@ -331,7 +328,7 @@ class Contrast(Shown):
 
 def contrast(
     a: ImageLike,
-    b: ImageLike | Reference | ExrImage | npt.ArrayLike,
+    b: ImageLike | Reference | npt.ArrayLike,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,
@@ -424,7 +421,7 @@ def contrast(
 
 def contrasting(
     a: ImageLike,
-    b: ImageLike | Reference | ExrImage | npt.ArrayLike,
+    b: ImageLike | Reference | npt.ArrayLike,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,

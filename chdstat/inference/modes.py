@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,7 @@ from diptest import dipstat
 
 from chdstat._core.arrays import Counts, Floats, Mask, chunks
 from chdstat._core.display import Card, Width, each, reasons, with_error, written
+from chdstat._core.doors import draw
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
 from chdstat.errors import Reason
@@ -190,10 +191,7 @@ class Modality(Result):
         InputError
             If there are more than six rows.
         """
-        from chdstat import viz
-
-        ax = None if fig is None else fig.subplots()
-        return cast("Figure", viz.mode_stems(self, width=width, ax=ax).figure)
+        return draw(self, width=width, fig=fig)
 
 
 _MINIMUM = 20

@@ -20,8 +20,8 @@ from scipy import ndimage
 
 from chdstat._core.arrays import LUMINANCE, Array, Floats, Mask, whole
 from chdstat._core.display import Shown
+from chdstat._core.doors import read_image
 from chdstat.errors import InputError
-from chdstat.io.exr import ExrImage, read_exr
 
 _PRECISION = 5.2 * 2.0**-11
 """Largest error of R, G or B over the largest of them, if X, Y and Z of a grey were rounded to half
@@ -131,8 +131,8 @@ class Reference(Shown):
         StoreError
             If a file is missing or damaged.
         """
-        variances = None if variance is None else read_exr(variance).image
-        return cls(read_exr(mean).image, variances, spp, precision, name=str(mean))
+        variances = None if variance is None else read_image(variance)
+        return cls(read_image(mean), variances, spp, precision, name=str(mean))
 
     @classmethod
     def of(cls, image: Any) -> Reference | None:
@@ -141,8 +141,6 @@ class Reference(Shown):
             return image
         if isinstance(image, str | Path):
             return cls.read(image) if Path(image).suffix.lower() == ".exr" else None
-        if isinstance(image, ExrImage):
-            return cls(image.image)
         if np.ndim(image) == 3 and "sample" not in getattr(image, "dims", ()):
             return cls(image)
         return None

@@ -34,6 +34,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Image, warn_caller
 from chdstat._core.display import Card, Shown, png
+from chdstat._core.doors import read_image
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
@@ -888,3 +889,7 @@ def _check_attributes(attributes: Mapping[str, Any]) -> None:
         if not isinstance(value, str):
             message = f"attribute {name!r} must be text, got {type(value).__name__}"
             raise InputError(message)
+
+
+for _path in (str, Path):
+    read_image.register(_path, lambda path: read_exr(path).image)

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import is_bad, is_null, luminance, take_rows
+from chdstat._core.arrays import is_bad, is_null, luminance
 from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
+from chdstat._core.doors import draw, pixel_of, regions_of
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, Fit
 from chdstat.fit.mixtures import mixture
@@ -35,8 +36,6 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
-
-    from chdstat.viz import Panel
 
 
 @dataclass(frozen=True, repr=False)
@@ -248,26 +247,7 @@ class Pixel(Shown):
         InputError
             If a channel, a scale or the width is unknown.
         """
-        from chdstat import viz
-
-        panel = self.panel(f"{self.scene}, y {self.y}, x {self.x}")
-        return viz.chd_pair(panel, channels=channels, scales=scales, width=width, fig=fig)
-
-    def panel(self, title: str) -> Panel:
-        """Return what `chdstat.viz.chd_grid` draws: histograms, best fits and means."""
-        from chdstat import viz
-        from chdstat.viz.styling import called
-
-        if len(self.channels) == 1:
-            fits = [self.curve]
-        else:
-            best = enumerate(self.families.values())
-            fits = [take_rows(self.selection.fits[n], i, axis=0) if n else None for i, n in best]
-            fits.append(self.curve)  # of the luminance that a panel adds
-        named = [called(fit.name) for fit in fits[: len(self.channels)] if fit is not None]
-        note = f"{percent(self.null_share)} null, {' / '.join(dict.fromkeys(named)) or 'no fit'}"
-        densities = [None if fit is None else fit.pdf for fit in fits]
-        return viz.Panel.of(title, self.radiance, channels=self.channels, fits=densities, note=note)
+        return draw(self, channels=channels, scales=scales, width=width, fig=fig)
 
     def _card(self) -> Card:
         mean, error = (self.statistics[name].values for name in ("mean", "standard_error"))
@@ -299,10 +279,6 @@ class Pixel(Shown):
 
 
 # --- regions --------------------------------------------------------------------------------------
-
-
-_HALF = 2
-"""Pixels around that of a region that are marked with it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -347,6 +323,11 @@ class Regions(Shown):
             raise InputError(message)
         return cls(samples, {name: samples.pixel(y, x) for name, (y, x) in places.items()})
 
+    @cached_property
+    def image(self) -> npt.NDArray[Any]:
+        """Means of the image, shape (y, x, channel)."""
+        return np.asarray(summarize(self.samples)["mean"])
+
     def plot(
         self,
         *,
@@ -362,26 +343,7 @@ class Regions(Shown):
         channels, scales, width, fig
             As for `Pixel.plot`; None for luminance if it is known.
         """
-        from chdstat import viz
-
-        height, across = self.samples.shape[:2]
-        marks = []
-        for name, pixel in self.pixels.items():
-            ys, xs = (
-                slice(max(0, at - _HALF), min(size, at + _HALF + 1))
-                for at, size in ((pixel.y, height), (pixel.x, across))
-            )
-            marks.append(viz.Mark(name, ys, xs, (pixel.y, pixel.x)))
-        return viz.region_study(
-            summarize(self.samples)["mean"].to_numpy(),
-            marks,
-            [pixel.panel(name) for name, pixel in self.pixels.items()],
-            notes=[pixel.label for pixel in self.pixels.values()],
-            channels=channels,
-            scales=scales,
-            width=width,
-            fig=fig,
-        )
+        return draw(self, channels=channels, scales=scales, width=width, fig=fig)
 
     def _card(self) -> Card:
         rows = []
@@ -407,3 +369,7 @@ class Regions(Shown):
             )
         facts = {"samples": f"{self.samples.spp} per pixel"}
         return Card(f"Regions of {self.samples.name}", facts, rows)
+
+
+pixel_of.register(Samples, Pixel.of)
+regions_of.register(Samples, Regions.of)

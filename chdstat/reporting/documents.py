@@ -14,6 +14,7 @@ import matplotlib as mpl
 
 from chdstat import viz
 from chdstat._core.display import duration, number, percent
+from chdstat._core.doors import report
 from chdstat._core.files import scratch, writing
 from chdstat.errors import ChdstatError
 from chdstat.rendering.recipes import remake_of
@@ -208,3 +209,6 @@ def _renders(scene: SceneStudy) -> Iterator[str]:
         yield f"{attrs['sampler']} sequences of {attrs['sequence']}, {scene.data.spread.spp} spp"
     if again is not None:
         yield f"seed {again.attrs['seed']}, {again.spp} spp"
+
+
+report.register(Study, lambda study, target: typeset(study_document(study), target))

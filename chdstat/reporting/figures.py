@@ -32,6 +32,7 @@ from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.studies import SceneStudy
+from chdstat.viz.results import panel_of
 from chdstat.viz.styling import NAMES, called, estimator_name, spelt, upright
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def report_figures(
     height, width, _, spp = data.samples.shape
     small, image = height * width < FEW_PIXELS, data.summary["mean"].values
     if spp >= FEW_SAMPLES and small:
-        panels = [data.samples.pixel(*mark.pixel).panel(mark.name) for mark in _marks(data)]
+        panels = [panel_of(data.samples.pixel(*mark.pixel), mark.name) for mark in _marks(data)]
         alone = len(panels) == 1
         drawn["alone"] = viz.chd_pair(panels[0]) if alone else viz.chd_grid(panels, columns=2)
     elif spp >= FEW_SAMPLES and (image > 0).any():
@@ -118,7 +119,7 @@ def region_figure(data: SceneData) -> Figure:
         words = "" if pixel.curve is None else called(pixel.curve.name)
         room = len(mark.name) + len(note) + len(words) < _TITLE
         notes.append(note + f", {words}" * (bool(words) and room))
-    panels = [pixel.panel(mark.name) for mark, pixel in zip(marks, pixels, strict=True)]
+    panels = [panel_of(pixel, mark.name) for mark, pixel in zip(marks, pixels, strict=True)]
     return viz.region_study(data.summary["mean"].values, marks, panels, notes=notes)
 
 

@@ -34,6 +34,7 @@ from chdstat._core.arrays import (
     whole,
 )
 from chdstat._core.display import Card, channel_names, duration, png
+from chdstat._core.doors import draw, pixel_of, regions_of
 from chdstat._core.files import place_of, shown
 from chdstat._core.image_scales import tonemap
 from chdstat._core.moments import Moments
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.patterns.pixel import Pixel, Regions
 
 _BIASED = "where that number depended on the samples, means and their errors are biased"
 _ALL = slice(None)
@@ -290,8 +290,8 @@ class Samples:
             and all(one.get(name, value) == two.get(name, value) for name, value in named.items())
         )
 
-    def pixel(self, y: int, x: int) -> Pixel:
-        """Return a pixel as an object with its nulls, statistics, fits and patterns.
+    def pixel(self, y: int, x: int) -> Any:
+        """Return a `chdstat.patterns.Pixel`: its nulls, statistics, fits and patterns.
 
         Examples
         --------
@@ -299,12 +299,10 @@ class Samples:
         >>> samples.pixel(2, 3).families["R"], samples.pixel(2, 3).null_share
         ('gamma', 0.0)
         """
-        from chdstat.patterns.pixel import Pixel
+        return pixel_of(self, y, x)
 
-        return Pixel.of(self, y, x)
-
-    def regions(self, places: Mapping[str, tuple[int, int]] | None = None) -> Regions:
-        """Return pixels of several regions, as a figure and a table for a paper.
+    def regions(self, places: Mapping[str, tuple[int, int]] | None = None) -> Any:
+        """Return `chdstat.patterns.Regions`: pixels of several parts, for a figure and a table.
 
         Parameters
         ----------
@@ -318,9 +316,7 @@ class Samples:
         >>> study = samples.regions({"wall": (2, 3), "floor": (6, 1)})
         >>> figure, table = study.plot(width="column"), study.to_latex()
         """
-        from chdstat.patterns.pixel import Regions
-
-        return Regions.of(self, places)
+        return regions_of(self, places)
 
     def plot(self, y: int, x: int, **options: Any) -> Figure:
         """Draw linear and log10 histograms of one pixel with their best fits.
@@ -339,7 +335,7 @@ class Samples:
         >>> float(figure.get_figwidth())
         3.4
         """
-        return self.pixel(y, x).plot(**options)
+        return draw(self.pixel(y, x), **options)
 
     def __repr__(self) -> str:
         height, width, channels, _ = self.shape

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from chdstat.inference.findings import Finding, MissingDataError, require
 from chdstat.rendering.recipes import remake_of
-from chdstat.studies.findings import Finding, MissingDataError, require
 from chdstat.studies.scene_data import SceneData
 
 _ABOUT = {

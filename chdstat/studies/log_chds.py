@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Counts, Floats, Mask, generator, spans
 from chdstat._core.resampling import Interval
-from chdstat.studies.findings import ClaimTest, PlotData
+from chdstat.inference.findings import ClaimTest, PlotData
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,9 +17,9 @@ import numpy as np
 from chdstat._core.arrays import Array, Counts, Floats, Mask, generator, is_bad, luminance
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, quantile_of
 from chdstat.analysis import analyze
+from chdstat.inference.findings import level_of, require, required
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Region
-from chdstat.studies.findings import level_of, require, required
 from chdstat.studies.log_chds import LogChds, of_histograms
 from chdstat.summary.statistics import summarize
 

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from chdstat._core.arrays import plain
 from chdstat._core.display import Card, Shown, duration
+from chdstat._core.doors import report
 from chdstat._core.files import checked_target, writing
 from chdstat.analysis import Noise, Overview, noise_of, overview
 from chdstat.comparison import Comparison
@@ -213,10 +214,7 @@ class Study(Shown):
         ChdstatError
             If it cannot be typeset or written.
         """
-        from chdstat.reporting.documents import study_document, typeset
-
-        target = checked_target(path, ".pdf")
-        return typeset(study_document(self), target)
+        return report(self, checked_target(path, ".pdf"))
 
 
 def study(

@@ -21,7 +21,7 @@ from matplotlib.patches import Rectangle
 
 from chdstat._core.display import Width
 from chdstat.errors import InputError
-from chdstat.studies.findings import ClaimTest, PlotData
+from chdstat.inference.findings import ClaimTest, PlotData
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import (
     PALETTE,

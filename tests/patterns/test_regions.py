@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import chdstat as chd
+from chdstat.viz.results import panel_of
 from tests.viz.figures import texts
 
 X = np.random.default_rng(0).lognormal(size=(10, 12, 3, 128))
@@ -44,6 +45,6 @@ def test_the_curve_of_luminance_is_a_mixture_where_it_has_several_modes():
         *("lognormal_mixture", "lognormal"),
         None,
     ]
-    assert all(pixel.panel("wall").select("luminance").fits[0] for pixel in pixels[:2])
+    assert all(panel_of(pixel, "wall").select("luminance").fits[0] for pixel in pixels[:2])
     grey = chd.Samples.from_array(x[:, :, :1]).pixel(0, 0)
-    assert "mixture" in grey.panel("wall").note
+    assert "mixture" in panel_of(grey, "wall").note

@@ -12,8 +12,8 @@ import importlib
 import pkgutil
 from collections.abc import Sequence
 
+from chdstat.inference.findings import ClaimTest, Finding, PlotData
 from chdstat.studies.claim import ENTERED, Claim
-from chdstat.studies.findings import ClaimTest, Finding, PlotData
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["CLAIMS", "Claim", "ClaimTest", "Finding", "PlotData", "SceneData", "find"]

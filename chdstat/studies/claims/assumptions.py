@@ -23,8 +23,8 @@ from scipy import stats
 from chdstat._core.arrays import Floats, Mask, Reals, generator
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Interval
+from chdstat.inference.findings import ClaimTest, Finding, PlotData, require
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Finding, PlotData, require
 from chdstat.studies.scene_data import PixelSet, SceneData, fold_of, logs
 
 _FOLDS = 4

@@ -22,9 +22,9 @@ from chdstat._core.arrays import Floats
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Blocks
 from chdstat.fit import tail_index
+from chdstat.inference.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.studies.claim import claim
 from chdstat.studies.claims.between_renders import samples_ratio
-from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.studies.scene_data import SceneData, known_mean, logs
 
 _WHO = "own", "guided"

@@ -25,11 +25,11 @@ from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of
 from chdstat.inference import modality
+from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.samples import Samples
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.tiles import tiles
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.log_chds import aligned, shape_plot
 from chdstat.studies.scene_data import (
     BSDF_SAMPLING,

@@ -26,9 +26,9 @@ from chdstat.comparison.entries import entry_of, estimate_by
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names
 from chdstat.estimators.denoiser import denoise
+from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.samples import Samples
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.scene_data import SceneData
 
 _EstimateOf = Callable[[Array], Floats]

@@ -21,10 +21,10 @@ from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat.fit._gamma import gamma_shape
 from chdstat.inference import modality
+from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.patterns import Thresholds
 from chdstat.studies.claim import Claim, claim
 from chdstat.studies.claims.assumptions import growing, with_room
-from chdstat.studies.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.studies.log_chds import aligned, counts_by_row, same_shape, shape_plot, visible
 from chdstat.studies.scene_data import (
     QUANTILES_NEED,

@@ -9,9 +9,9 @@ import numpy as np
 
 from chdstat._core.arrays import Counts, Floats, flag_names, generator
 from chdstat._core.resampling import largest_of
+from chdstat.inference.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.samples.tiles import Region
 from chdstat.studies.claim import claim
-from chdstat.studies.findings import ClaimTest, Finding, PlotData, require, required
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 

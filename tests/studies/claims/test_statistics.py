@@ -18,11 +18,11 @@ from chdstat._core.resampling import (
     Interval,
     quantile_of,
 )
+from chdstat.inference.findings import Finding, level_of
 from chdstat.studies.claims import CLAIMS, ClaimTest, SceneData
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
 from chdstat.studies.claims.between_renders import rank_correlation, scene_complexity
 from chdstat.studies.claims.learned_models import early_gain
-from chdstat.studies.findings import Finding, level_of
 from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
 from chdstat.studies.scene_data import PixelSet, positive_quantiles
 from chdstat.studies.shape_distances import (

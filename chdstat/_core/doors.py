@@ -1,0 +1,84 @@
+"""Doors: what results ask of outer rings of the package, which they do not import.
+
+A result draws itself by `draw`; outer rings register how, for each type of result. The package,
+which stands outside of all rings, says in its ``__init__`` which module does.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from chdstat.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+T = TypeVar("T")
+
+
+class Door(Generic[T]):
+    """A function of results, which an outer ring implements for each of their types.
+
+    Parameters
+    ----------
+    done
+        What is done to a result, for errors.
+
+    Examples
+    --------
+    >>> weigh = Door("weighed")
+    >>> weigh.filled_by("math")
+    >>> weigh.register(int, lambda number, *, unit: f"{number} {unit}")
+    >>> weigh(3, unit="kg")
+    '3 kg'
+    >>> weigh("feathers")
+    Traceback (most recent call last):
+    chdstat.errors.InputError: expected what can be weighed, a result int, got str
+    """
+
+    def __init__(self, done: str) -> None:
+        self._done, self._module = done, ""
+        self._known = functools.singledispatch(self._refused)
+
+    def filled_by(self, module: str) -> None:
+        """Say which module registers implementations; the first call imports it."""
+        self._module = module
+
+    def register(self, kind: type, function: Callable[..., T]) -> None:
+        """Register what a type of results is given to."""
+        self._known.register(kind, function)
+
+    def __call__(self, result: object, *given: Any, **options: Any) -> T:
+        """Call what is registered for the type of a result.
+
+        Raises
+        ------
+        InputError
+            If nothing is.
+        """
+        importlib.import_module(self._module)
+        return self._known(result, *given, **options)
+
+    def _refused(self, result: object, *_: Any, **__: Any) -> T:
+        kinds = sorted(kind.__name__ for kind in self._known.registry if kind is not object)
+        message = (
+            f"expected what can be {self._done}, a result {', '.join(kinds)}, "
+            f"got {type(result).__name__}"
+        )
+        raise InputError(message)
+
+
+draw: Door[Figure] = Door("drawn")
+"""Draw a result; takes its options, and returns the figure."""
+report: Door[Path] = Door("typeset as a report")
+"""Typeset a result as PDF; takes the path, and returns it."""
+read_image: Door[Any] = Door("read as an image")
+"""Read an image from the path of an EXR file, as `chdstat.io.read_exr`."""
+pixel_of: Door[Any] = Door("looked at pixel by pixel")
+"""Return the `chdstat.patterns.Pixel` of samples at row y and column x."""
+regions_of: Door[Any] = Door("looked at region by region")
+"""Return the `chdstat.patterns.Regions` of samples at places by name."""
