@@ -17,10 +17,9 @@ p-value does not depend on the other rows.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -29,21 +28,9 @@ from chdstat._core.arrays import Counts, Floats, Mask, Seed, chunks, seed_number
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_probability
-from chdstat.fit.atoms import split
-from chdstat.fit.families import FamilyFit, Fit, estimate_part, get_family, zero_log_likelihood
-from chdstat.fit.family import (
-    Estimate,
-    Family,
-    Parameters,
-    WeightedSamples,
-    summed,
-    take,
-    take_part,
-    width_of,
-)
-from chdstat.fit.mixtures import Mixture, MixtureDistribution, MixtureFit
-from chdstat.fit.selection import FamilySelection, Selection
-from chdstat.samples import Samples
+from chdstat.fit.families import FAMILIES, FamilyFit, estimate_part, get_family
+from chdstat.fit.family import Family, Parameters, take, take_part, width_of
+from chdstat.fit.selection import FamilySelection
 from chdstat.summary.runner import Source, measured, of_source, run
 
 if TYPE_CHECKING:
@@ -96,20 +83,16 @@ class Goodness(Result):
     reason: npt.NDArray[np.int8] = variable("why there is no test of {}", "fit_test")
 
 
-Fitted: TypeAlias = Fit | Selection
-"""A fit or mixture that can be tested, or a selection of fits."""
-
-
 @dataclass(frozen=True, eq=False)
 class GoodnessOfFit(Statistic[Goodness]):
-    """Tests of a family, a fit, or (None) of the best family; options as in `goodness`."""
+    """Tests of a family, or (None) of the best one of each row; options as in `goodness`."""
 
     result: ClassVar = Goodness
     description: ClassVar = "testing {}"
     binned: ClassVar = True
     prefix: ClassVar = "{}_goodness_"
 
-    fit: Family | Fitted | None = None
+    family: Family | None = None
     tests: tuple[FitTest, ...] = FIT_TESTS
     resamples: int = 0
     seed: int = 0
@@ -125,31 +108,21 @@ class GoodnessOfFit(Statistic[Goodness]):
     @property
     def subject(self) -> str:
         """Name of the family that was tested."""
-        return "best" if self.fit is None or isinstance(self.fit, Selection) else self.fit.name
+        return "best" if self.family is None else self.family.name
 
     def coordinates(self) -> dict[str, tuple[FitTest, ...]]:
         """Return the tests."""
         return {"fit_test": self.tests}
 
     def measure(self, part: Part) -> Goodness:
-        """Test each row: against a `Family`, which is fitted to it first, or against its own fit.
+        """Test each row against the family, which is fitted to it first, or its best family.
 
-        With a `Selection`, each row is tested against its best family. The p-value is then a little
-        too large, since the replicates are fitted with that family alone.
+        The p-value of the best family is a little too large, since the replicates are fitted with
+        that family alone.
         """
-        given = self.fit if isinstance(self.fit, Family) else None
-        if self.fit is None:
-            fit: Fitted = measured(part, FamilySelection())
-        elif isinstance(self.fit, Family):
-            fit = measured(part, FamilyFit(self.fit))
-        else:
-            fit = self.fit
-            _check_fit(part, fit)
-        if isinstance(fit, Mixture):
-            part = split(part).rest_of_all()
-        reason = fit.reason.copy()
+        reason, cases = self._cases(part)
         values = np.full((3, *part.n.shape, len(self.tests)), np.nan)
-        for family, parameters, rows, _ in _cases(fit, given):
+        for family, parameters, rows in cases:
             few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
             reason[few] = Reason.TOO_FEW
             usable = rows & (reason == Reason.OK)
@@ -175,6 +148,21 @@ class GoodnessOfFit(Statistic[Goodness]):
             reason=reasons,
         )
 
+    def _cases(
+        self, part: Part
+    ) -> tuple[npt.NDArray[np.int8], list[tuple[Family, Parameters, Mask]]]:
+        """Return why rows have no fit, and each family, its parameters, and its rows."""
+        if self.family is not None:
+            fit = measured(part, FamilyFit(self.family))
+            whole = np.ones(part.n.shape, dtype=bool)
+            return fit.reason.copy(), [(self.family, fit.parameters, whole)]
+        best = measured(part, FamilySelection())
+        cases = [
+            (FAMILIES[name], best.fits[name].parameters, np.asarray(best.best == i))
+            for i, name in enumerate(best.families)
+        ]
+        return best.reason.copy(), cases
+
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Add names, and q-values; without replicates, there are no p-values."""
         if not self.resamples:
@@ -184,15 +172,12 @@ class GoodnessOfFit(Statistic[Goodness]):
 
 
 _MINIMUM = 8
-_SAME = 1e-6
-"""Difference of two log-likelihoods per sample above which they belong to different samples. Other
-samples differ by about 1 / sqrt(n); the same samples in single precision by less than 1e-7."""
 
 
 @of_source
 def goodness(
     x: Source,
-    fit: str | Family | Fitted,
+    family: str | Family,
     *,
     tests: Sequence[FitTest] = FIT_TESTS,
     resamples: int = 99,
@@ -212,11 +197,8 @@ def goodness(
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
-    fit
-        Name of a family, or a `Family`. For an array or a `Histogram`, also a `Fit`, a `Mixture` or
-        a `Selection` that was fitted to it. With a mixture, replicates are fitted with the same
-        number of components, and atoms are left out. With a selection, the best family of each
-        pixel is tested.
+    family
+        Name of a family, or a `Family`.
     tests
         Any of 'kolmogorov-smirnov', 'cramer-von-mises', 'anderson-darling', 'chi-square'.
     resamples
@@ -240,7 +222,7 @@ def goodness(
     Raises
     ------
     InputError
-        If there is no such family or test, a number is out of range, or a fit is not a fit to `x`.
+        If there is no such family or test, or a number is out of range.
 
     Notes
     -----
@@ -266,57 +248,10 @@ def goodness(
     >>> lognormal.p_value[:3], bool(lognormal.effect[0] > gamma.effect[0])
     (array([0.01, 0.01, 0.01]), True)
     """
-    image = isinstance(x, (Samples, str, Path)) or hasattr(x, "data_vars")
-    if image and not isinstance(fit, (str, Family)):
-        message = "an image needs the name of a family, got a fit"
-        raise InputError(message)
-    chosen = get_family(fit) if isinstance(fit, (str, Family)) else fit
     names: Any = tests if isinstance(tests, str) else tuple(tests)
     count, root = whole("resamples", resamples, least=0), seed_number(seed)
-    statistic = GoodnessOfFit(chosen, names, count, root, alpha)
+    statistic = GoodnessOfFit(get_family(family), names, count, root, alpha)
     return run(statistic, x, null=null, progress=progress)
-
-
-def _check_fit(part: Part, fit: Fitted) -> None:
-    """Raise InputError if a fit is not a fit to these samples, as its likelihood shows.
-
-    The likelihood is not compared for a mixture in bins, which spreads samples within bins, or for
-    a mixture with atoms, which is fitted to the rest. For both, only numbers of samples are
-    compared.
-    """
-    if fit.reason.shape != part.n.shape:
-        message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
-        raise InputError(message)
-    other = np.zeros(part.n.shape, dtype=bool)
-    for family, parameters, rows, one in _cases(fit):
-        found = family.log_likelihood(part, parameters) + zero_log_likelihood(part)
-        far = np.abs(found - one.log_likelihood) > _SAME * (part.n + np.abs(found))
-        if isinstance(one, Mixture):
-            far &= ~(split(part).tied | isinstance(part, PositiveHistogram))
-        other |= rows & ((one.n != part.n) | (one.n_null != part.n_null) | far)
-    if other.any():
-        message = (
-            f"the fit is not one to x: {np.count_nonzero(other)} of {other.size} rows have other "
-            "samples; fit x itself, with the same null, or give the family's name"
-        )
-        raise InputError(message)
-
-
-def _cases(
-    fit: Fitted, given: Family | None = None
-) -> Iterator[tuple[Family, Parameters, Mask, Fit]]:
-    """Yield each family, its parameters, its rows, and their fit."""
-    if isinstance(fit, Selection):
-        for i, name in enumerate(fit.families):
-            one = fit.fits[name]
-            yield get_family(name), one.parameters, np.asarray(fit.best == i), one
-        return
-    if not isinstance(fit, Mixture):
-        family = given or get_family(fit.family)
-        yield family, fit.parameters, np.ones(fit.n.shape, dtype=bool), fit
-        return
-    for k in np.unique(fit.k[fit.k > 0]).tolist():
-        yield *_mixture_family(fit, k), np.asarray(fit.k == k), fit
 
 
 _EQUAL = 1e-9
@@ -417,50 +352,6 @@ def _draw(
         drawn[i, :, :n] = law.rvs(size=(times, n), random_state=rng)
     bad = np.arange(drawn.shape[-1]) >= np.repeat(part.n, times)[:, np.newaxis]
     return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
-
-
-def _mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
-    """Return the mixtures of k components as a family, for the bootstrap, and their parameters.
-
-    The parameters are those of the components, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
-    """
-    base = get_family(mixture.family)
-    units = {**base.units, "weight": "1"}
-
-    def numbered(found: Mixture) -> Parameters:
-        each = {**found.parameters, "weight": found.weights}
-        return {f"{name}_{i + 1}": v[..., i] for i in range(k) for name, v in each.items()}
-
-    def components(parameters: Parameters) -> dict[str, Floats]:
-        return {n: np.stack([parameters[f"{n}_{i + 1}"] for i in range(k)]) for n in units}
-
-    def estimate(part: Part, *_search: object) -> Estimate:
-        found = measured(part, MixtureFit(k, mixture.family))
-        return Estimate(numbered(found), {}, found.converged)
-
-    def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
-        each, densities = components(parameters), []
-        for i, weight in enumerate(each["weight"]):
-            one = {name: each[name][i] for name in base.units}
-            densities.append(base.log_density(points, one) + np.log(weight)[:, np.newaxis])
-        return np.asarray(np.logaddexp.reduce(densities))
-
-    def distribution(parameters: Parameters) -> MixtureDistribution:
-        each = components(parameters)
-        none = np.empty((0, *each["weight"].shape[1:]))
-        return MixtureDistribution(base.distribution(each), each["weight"], none, none)
-
-    family = Family(
-        name=mixture.name,
-        label=f"mixture of {base.label}",
-        documentation=None,
-        units={f"{name}_{i + 1}": unit for i in range(k) for name, unit in units.items()},
-        estimate=estimate,
-        log_likelihood=summed(log_density),
-        log_density=log_density,
-        distribution=distribution,
-    )
-    return family, numbered(mixture)
 
 
 _LEAST = 1e-300

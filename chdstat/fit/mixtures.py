@@ -204,19 +204,6 @@ class MixtureDistribution:
         at_atoms = np.where(self.atoms <= x, self.atom_weights, 0.0).sum(axis=0)
         return np.asarray(self._mixed(self.components.cdf(x)) + at_atoms)
 
-    def sf(self, x: Floats) -> Floats:
-        """Return P(X > x) of the components."""
-        return self._mixed(self.components.sf(x))
-
-    def rvs(self, size: tuple[int, ...], random_state: np.random.Generator) -> Floats:
-        """Draw samples of the components."""
-        # A sample belongs to the component in whose share of (0, 1) its number lies.
-        number, below = random_state.random(size), np.cumsum(self.weights, axis=0)[:-1]
-        each = (len(self.weights), *size)
-        drawn = self.components.rvs(size=each, random_state=random_state)
-        which = (number >= below).sum(axis=0)[np.newaxis]
-        return np.asarray(np.take_along_axis(drawn, which, axis=0)[0])
-
     def ppf(self, q: Floats) -> Floats:
         """Bisect between the lowest and highest quantile of components and atoms."""
         # The ends of the range are known; 0.5 stands in for them.

@@ -135,7 +135,7 @@ def results(samples, stored, model):
         "mixture": chd.fit.mixture(x, null=null),
         "selection": chd.fit.select(x, null=null, held_out=True),
         "tail": chd.fit.tail_index(x, null=null),
-        "goodness": chd.fit.goodness(x, gamma, resamples=0),
+        "goodness": chd.fit.goodness(x, "gamma", resamples=0),
         "gaussianity": chd.gaussianity(x, null=null),
         "gaussianity of means": chd.inference.gaussianity_of_means(x),
         "modality": chd.modality(x, null=null),

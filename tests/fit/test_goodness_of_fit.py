@@ -7,9 +7,11 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat.errors import InputError, Reason
+from chdstat._core.positive import PositivePart
+from chdstat.errors import Reason
 from chdstat.fit import FAMILIES, goodness, select
-from chdstat.fit.goodness_of_fit import FIT_TESTS
+from chdstat.fit.goodness_of_fit import FIT_TESTS, GoodnessOfFit
+from chdstat.summary.runner import measured
 from tests.fit import families_by_scipy as by_scipy
 
 RESAMPLES = 19
@@ -71,15 +73,13 @@ def test_statistics_of_bins_by_their_formulas():
     x = draw("gamma", 2000, 75)
     histogram = chd.histogram(x)
     fitted = chd.fit.gamma(histogram)
-    result = goodness(histogram, fitted, resamples=0)
+    result = goodness(histogram, "gamma", resamples=0)
     distribution = FAMILIES["gamma"].distribution(fitted.parameters)
     edges = histogram.edges
     gap = np.searchsorted(np.sort(x), edges) / 2000 - distribution.cdf(edges)
     assert result.statistic[0] == pytest.approx(np.abs(gap).max(), abs=1e-9)
     weight = np.diff(distribution.cdf(edges))
     assert result.statistic[1] == pytest.approx(2000 * np.sum(gap[1:] ** 2 * weight), rel=1e-6)
-    with pytest.raises(InputError, match="not one to x"):
-        goodness(x, fitted, resamples=0)
     fine = goodness(x, "gamma", resamples=0)
     np.testing.assert_allclose(result.effect[1:3], fine.effect[1:3], rtol=0.3)
     assert result.effect[0] <= fine.effect[0]
@@ -148,68 +148,6 @@ def test_a_family_of_ones_own():
     ours, theirs = goodness(x, own, resamples=9), goodness(x, "gamma", resamples=9)
     assert ours.family == "own"
     np.testing.assert_array_equal(ours.p_value, theirs.p_value)
-
-
-def test_a_fit_is_not_repeated():
-    x = draw("weibull", (3, 200), 81)
-    fitted = chd.fit.weibull(x)
-    by_name, by_fit = goodness(x, "weibull", resamples=9), goodness(x, fitted, resamples=9)
-    np.testing.assert_array_equal(by_name.p_value, by_fit.p_value)
-    with pytest.raises(InputError, match=r"\(2,\), got \(3,\)"):
-        goodness(x[:2], fitted)
-
-
-@pytest.mark.parametrize("route", ["samples", "histogram"])
-def test_a_fit_of_other_samples_is_refused(route):
-    x, y = draw("gamma", (2, 4, 200), 90)
-    of = chd.histogram if route == "histogram" else np.asarray
-    fits = (chd.fit.gamma(of(x)), chd.fit.mixture(of(x), 2), select(of(x), ("gamma", "lognormal")))
-    for fitted in fits:
-        assert goodness(of(x), fitted, resamples=0).n.tolist() == [200] * 4
-        # Of a mixture in bins, only the numbers of samples are told.
-        short = np.where(np.arange(200) < 190, y[:1], 0)
-        in_bins = route == "histogram" and hasattr(fitted, "k")
-        mixed = of(np.concatenate([x[:3], short if in_bins else y[:1]]))
-        with pytest.raises(InputError, match="not one to x: 1 of 4 rows"):
-            goodness(mixed, fitted, resamples=0)
-    with pytest.raises(InputError, match="not one to x"):
-        goodness(x[0, :50], chd.fit.gamma(x[0, 50:100]))
-    float32 = x.astype(np.float32)
-    assert goodness(float32, chd.fit.gamma(x), resamples=0).n.tolist() == [200] * 4
-
-
-@pytest.mark.parametrize("component", ["lognormal", "gamma"])
-def test_p_values_of_mixtures_are_uniform(component):
-    """Of 8 tests of uniformity, one fails by chance at 1e-4 once in 1000 runs."""
-    rng = np.random.default_rng(86)
-    one, two = rng.gamma(3.0, size=(80, 150)), 40 * rng.gamma(3.0, size=(80, 150))
-    if component == "lognormal":
-        one, two = rng.lognormal(-2, 0.5, size=one.shape), rng.lognormal(1, 0.5, size=two.shape)
-    x = np.where(rng.random(one.shape) < 0.4, one, two)
-    result = goodness(x, chd.fit.mixture(x, 2, family=component), resamples=RESAMPLES, seed=87)
-    assert result.family == f"{component}_mixture"
-    for test in range(len(FIT_TESTS)):
-        uniformity = least_uniformity(result.p_value[:, test], result.resamples[:, test], test)
-        assert uniformity > 1e-4
-    assert (goodness(x, component, resamples=RESAMPLES).p_value == 0.05).mean() > 0.95
-
-
-def test_mixtures_of_several_numbers_of_components():
-    rng = np.random.default_rng(88)
-    x = rng.lognormal(0, 0.5, size=(3, 400))
-    x[1, ::2] *= 100
-    x[2] = 0
-    mixture = chd.fit.mixture(x)
-    assert mixture.k.tolist() == [1, 2, 0]
-    for source in (x, chd.histogram(x)):
-        result = goodness(source, mixture, resamples=9)
-        assert (result.effect[:2, 0] < 0.06).all()
-        assert np.isfinite(result.p_value[:2]).all()
-        assert (result.reason[2] == Reason.ALL_NULL).all()
-    single = goodness(x, "lognormal", resamples=0)
-    np.testing.assert_allclose(result.n, single.n)
-    samples = goodness(x, mixture, resamples=0)
-    np.testing.assert_allclose(samples.statistic[0, :3], single.statistic[0, :3], rtol=0.02)
 
 
 def test_replicates_are_independent_and_seeded():
@@ -295,13 +233,12 @@ def test_ties_and_extremes_warn_of_nothing():
         assert (result.resamples[~ok] == 0).all()
 
 
-def test_of_a_selection_the_best_family_of_each_pixel_is_tested():
+def test_the_best_family_of_each_pixel_is_tested():
     rng = np.random.default_rng(41)
     x = np.stack([rng.gamma(0.7, size=400), rng.lognormal(sigma=1.0, size=400), np.zeros(400)])
-    chosen = select(x, ("gamma", "lognormal"))
-    found = goodness(x, chosen, resamples=0)
+    found = measured(PositivePart.of(x), GoodnessOfFit())
     assert found.family == "best"
-    for row, name in enumerate(("gamma", "lognormal")):
-        alone = goodness(x[row], name, resamples=0)
+    for row, name in enumerate(select(x[:2]).names):
+        alone = goodness(x[row], str(name), resamples=0)
         np.testing.assert_allclose(found.statistic[row], alone.statistic, rtol=1e-9)
     assert (found.reason[2] == Reason.ALL_NULL).all()
