@@ -610,13 +610,6 @@ STATISTICS = [
     *each(InputError, partial(chd.histogram, SAMPLES), ({"null": np.zeros(8, bool)}, "null")),
     *each(InputError, Histogram.of_dataset, (LINEAR, "log_counts")),
     *each(InputError, chd.fit.gamma, (chd.histogram([1.0, 2.0], scale="linear"), "linear")),
-    *each(
-        InputError,
-        StreamingHistogram.merge,
-        ((stream([1.0, 2.0], scale="linear"), stream([1.0, 3.0], scale="linear")), "support"),
-        ((stream(scale="linear", support=(0, 9)), stream([1.0, 2.0], scale="linear")), "support"),
-        ((stream([1.0, 2.0], scale="linear"), stream(scale="log")), "bins"),
-    ),
     *each(InputError, stream, (([1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]]), "batch shape")),
     *each(
         InputError, lambda made: made().read(), (StreamingHistogram, "update"), (Summary, "update")
@@ -628,13 +621,6 @@ STATISTICS = [
         ({"max_batches": 7}, "max_batches", "7"),
         ([1.0, 2.0], "channel"),
         ((np.ones((3, 4)), np.ones((1, 4))), "shape"),
-    ),
-    *each(
-        InputError,
-        Summary.merge,
-        ((summary(np.ones((3, 4))), summary(np.ones((1, 4)))), "shape"),
-        ((summary(np.ones((3, 4))), summary(2 * np.ones((3, 4)))), "support"),
-        ((Summary(), summary(np.ones((3, 4)), batch_size=9)), "batch_size"),
     ),
     *each(InputError, partial(chd.summarize, SAMPLES), ({"max_batches": 1}, "max_batches", "1")),
     *each(

@@ -71,9 +71,12 @@ def nist_data(case):
     return np.concatenate([[case["first"]], cycle])
 
 
-def seen(x):
-    """Summarise samples (channel, sample) that lie between -1000 and 10^8."""
-    return Summary(support=(-1e3, 1e8), bins=1).update(x)
+def seen(x, step=None):
+    """Summarise samples (channel, sample) that lie between -1000 and 10^8, `step` at a time."""
+    summary = Summary(support=(-1e3, 1e8), bins=1)
+    for start in range(0, x.shape[1], step or x.shape[1]):
+        summary.update(x[:, start : start + step] if step else x)
+    return summary
 
 
 def exact_deviation(x):
@@ -83,18 +86,9 @@ def exact_deviation(x):
     return math.sqrt(sum((number - mean) ** 2 for number in numbers) / (len(numbers) - 1))
 
 
-def merged_at_random(parts, rng):
-    """Merge parts two by two, in random order, until one is left."""
-    parts = list(parts)
-    while len(parts) > 1:
-        one, other = (parts.pop(rng.integers(len(parts))) for _ in range(2))
-        parts.append(one.merge(other))
-    return parts[0]
-
-
 @pytest.mark.parametrize("name", sorted(NIST.keys() - {"source"}))
 @pytest.mark.parametrize("step", [7, 100, 2000])
-def test_nist_digits_in_any_order(name, step):
+def test_nist_digits_in_blocks(name, step):
     """Mean and deviation have 12 digits, but where double precision rounds the data themselves.
 
     The decimals of NumAcc3 and NumAcc4 are rounded by 1e-10 and 1e-9, a share of 1e-9 and 1e-8 of
@@ -103,8 +97,7 @@ def test_nist_digits_in_any_order(name, step):
     case = NIST[name]
     x = nist_data(case)[np.newaxis]
     digits = {"NumAcc3": 1e-9, "NumAcc4": 2e-8}.get(name, 1e-12)
-    parts = [seen(x[:, start : start + step]) for start in range(0, x.shape[1], step)]
-    found = merged_at_random(parts, np.random.default_rng(0)).read()
+    found = seen(x, step).read()
     np.testing.assert_allclose(found.mean, case["mean"], rtol=2e-15)
     deviation = np.sqrt(found.variance)
     np.testing.assert_allclose(deviation, case["standard_deviation"], rtol=digits)
@@ -118,16 +111,17 @@ def test_rounded_nist_data_lose_nothing_more_at_once(name):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_random_trees_of_merges_are_one_summary(seed):
+def test_random_blocks_are_one_summary(seed):
     rng = np.random.default_rng(seed)
     x = radiance((3, 3, 400), seed=seed)
     x = with_bad(x) if seed % 2 else x
     support = linear_support(x)
     whole = Summary(support=support).update(x).read()
     cuts = np.sort(rng.choice(np.arange(1, 400), rng.integers(1, 40), replace=False))
-    parts = [Summary(support=support).update(p) for p in np.split(x, cuts, axis=-1)]
-    parts += [Summary(support=support) for _ in range(seed % 3)]  # that have seen nothing
-    found = merged_at_random(parts, rng).read()
+    summary = Summary(support=support)
+    for block in np.split(x, cuts, axis=-1):
+        summary.update(block)
+    found = summary.read()
     for name in COUNTS:
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
     for name in MOMENTS:
@@ -136,15 +130,6 @@ def test_random_trees_of_merges_are_one_summary(seed):
     for one, other in ((found.linear, whole.linear), (found.log, whole.log)):
         for name in ("counts", "underflow", "overflow", "null_count", "bad_count"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-
-
-def test_merging_at_batch_bounds_keeps_the_batches():
-    x = radiance(seed=3)
-    support = linear_support(x)
-    one, two = (Summary(support=support).update(p) for p in np.split(x, [96], axis=-1))
-    before = two.read()
-    assert_same(one.merge(two).read(), Summary(support=support).update(x).read())
-    assert_same(two.read(), before)
 
 
 def test_bad_samples_are_as_if_they_had_not_been_drawn():
@@ -204,20 +189,6 @@ def test_batches_double_when_they_are_full(spp, expected):
     assert s.batch_spp.tolist() == expected
     first = x[..., : expected[0]].mean(axis=-1, dtype=np.float64)
     np.testing.assert_allclose(s.batch_means[..., 0], first, rtol=1e-12)
-
-
-@pytest.mark.parametrize("split", [1, 40, 100, 130, 700, 990])
-def test_merged_batches_hold_every_draw_of_a_complete_batch(split):
-    x = radiance((1, 1, 1000), seed=split).astype(np.float64)
-    one, two = (
-        Summary(max_batches=8, support=(0, 9)).update(part)
-        for part in np.split(x, [split], axis=-1)
-    )
-    s = one.merge(two).read()
-    assert s.draws == 1000
-    assert len(s.batch_spp) <= 8
-    assert (s.batch_spp >= 128).all()
-    assert 1000 - s.batch_spp.sum() < 128
 
 
 def test_batch_means_tell_independent_samples_from_correlated_ones():
