@@ -184,7 +184,7 @@ def rows(seeds: Sequence[Picture], numbers: Sequence[int]) -> Iterator[Row]:
         most = max(picture.numbers or (LARGEST, *numbers))  # first samples are always the same
         drawn, truth = picture.sampler(most, rng), picture.truth
         weight = 1 / (truth**2 + 0.01 * truth.mean(axis=(0, 1)) ** 2)
-        stream = CombinationStream(truth.shape)  # equals `combine`, and sums each sample once
+        stream = CombinationStream(truth.shape)  # equals `estimate`, and sums each sample once
         for n in sorted(numbers):
             stream.update(drawn[..., stream.spp : n])
             found = stream.estimate(features=picture.features)

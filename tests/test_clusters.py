@@ -19,7 +19,7 @@ from chdstat._core.files import beside
 from chdstat._core.work import client_of, in_order
 from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
-from chdstat.estimators import combine
+from chdstat.estimators import estimate
 from chdstat.estimators.shapes import PowerSums
 from chdstat.inference.modes import ModalMixture
 from chdstat.rendering import render_batches, workers
@@ -59,8 +59,8 @@ def test_workers_analyse_and_estimate_the_same_bits(client, store, held):
     samples = store if held == "store" else store.load()
     found = chd.analyze(samples, client=client, progress=False)
     assert found.identical(chd.analyze(samples, progress=False))
-    right = combine(store).radiance
-    for whole in (combine(samples), combine(samples, client=client)):
+    right = estimate(store).radiance
+    for whole in (estimate(samples), estimate(samples, client=client)):
         assert np.array_equal(whole.radiance, right)
 
 
@@ -194,10 +194,10 @@ def test_an_analysis_that_was_stopped_goes_on(store, tmp_path):
 def test_checkpoints_remove_nothing_of_others_and_need_a_folder(store, tmp_path):
     own = tmp_path / "thesis.txt"
     own.write_text("years of work")
-    combine(store, checkpoint=tmp_path)
+    estimate(store, checkpoint=tmp_path)
     assert list(tmp_path.iterdir()) == [own]
     with pytest.raises(StoreError, match=r"cannot keep checkpoints in .*; give another folder"):
-        combine(store, checkpoint=own)
+        estimate(store, checkpoint=own)
     assert own.exists()
 
 
@@ -222,17 +222,17 @@ def test_checkpoints_stay_until_the_output_is_there(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("one_thread")
 def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path):
-    folder, whole = tmp_path / "parts", combine(store)
+    folder, whole = tmp_path / "parts", estimate(store)
     with stopped(PowerSums, "of", 4):  # it is called twice a tile
-        combine(store, checkpoint=folder)
+        estimate(store, checkpoint=folder)
     with counted(PowerSums, "of") as calls:
-        found = combine(store, checkpoint=folder)
+        found = estimate(store, checkpoint=folder)
     assert np.array_equal(found.radiance, whole.radiance)
     assert len(calls) == 2 * (TILES - 2)
     with stopped(PowerSums, "of", 4):
-        combine(store, checkpoint=folder)
+        estimate(store, checkpoint=folder)
     fewer = store.isel(sample=slice(32))
-    assert np.array_equal(combine(fewer, checkpoint=folder).radiance, combine(fewer).radiance)
+    assert np.array_equal(estimate(fewer, checkpoint=folder).radiance, estimate(fewer).radiance)
 
 
 @pytest.mark.usefixtures("one_thread")

@@ -20,7 +20,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat.comparison import error_curve
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, StoreError
-from chdstat.estimators import MLP, CombinationStream, combine
+from chdstat.estimators import MLP, CombinationStream
 from chdstat.estimators.denoiser import run_network
 from chdstat.estimators.training import load_model, write_model
 from chdstat.inference import difference, gaussianity_of_means
@@ -721,8 +721,8 @@ ESTIMATORS = [
     ),
     *each(
         InputError,
-        combine,
-        *((np.ones(shape), "1 or 3", "4") for shape in ((8, 8, 3, 3), (8, 8, 2, 16), (8, 3, 16))),
+        chd.estimate,
+        *((np.ones(shape), "1 or 3", "4") for shape in ((8, 8, 3, 3), (8, 8, 2, 16))),
     ),
     *each(
         InputError, lambda shape: CombinationStream(shape).estimate(), (((4, 4, 3),), "at least 4")

@@ -1,4 +1,4 @@
-"""Train the network of `chdstat.estimators.combine`, and write the file that is shipped.
+"""Train the network of `chdstat.estimate`, and write the file that is shipped.
 
 Usage: ``python tools/train_combination.py FOLDER``. The folder keeps renders of built-in scenes
 only: each as it is, zoomed into, and with short paths; 256 samples of a pixel to estimate from, and

@@ -22,9 +22,7 @@ from chdstat.estimators.elek2019 import MLP, PRESETS, Preset
 from chdstat.estimators.estimates import (
     Combination,
     CombinationStream,
-    combine,
     estimate,
-    refine,
 )
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
@@ -53,12 +51,10 @@ __all__ = [
     "LearnedEstimator",
     "Model",
     "Preset",
-    "combine",
     "estimate",
     "load_model",
     "lookup",
     "names",
-    "refine",
     "register",
     "register_learned",
     "train_model",

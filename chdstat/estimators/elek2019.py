@@ -57,6 +57,8 @@ if TYPE_CHECKING:
 
 Weights = list[npt.NDArray[np.float32]]
 
+PAPER = "elek2019"
+"""Name of the network of the paper."""
 RECORD_EVERY = 100
 """Iterations between two rows of the history."""
 _VALIDATION_ROWS = 16_384
@@ -123,7 +125,7 @@ class Preset:
         return (self.inputs, *self.hidden, 1)
 
 
-PRESETS = {"elek2019": Preset(name="elek2019", source="Elek, Thomas and Forbes 2019")}
+PRESETS = {PAPER: Preset(name=PAPER, source="Elek, Thomas and Forbes 2019")}
 """Published networks by name."""
 
 
@@ -182,6 +184,26 @@ class MLP(training.TrainedModel[_TrainedMLP]):
     def __repr__(self) -> str:
         state = "untrained" if self._trained is None else f"scene {self.provenance['scene']!r}"
         return f"<MLP {self.name!r}, {self.inputs} samples, {state}>"
+
+    def effort(self) -> dict[str, Any]:
+        """Return iterations, patience and pixels of its training, and whether these are few."""
+        used = len(self.train_pixels)
+        return {
+            "iterations": int(self.history.iteration[-1]),
+            "patience": int(self.provenance.get("patience") or 0),
+            "train_pixels": used,
+            "fewer_pixels": used < self.config.pixels,
+        }
+
+    def deviations(self) -> list[str]:
+        """Return how its training differs from the published one, as sentences."""
+        effort, published, there = self.effort(), self.config, []
+        if (done := effort["iterations"]) < published.iterations:
+            there.append(f"{done} minibatches train its network in place of {published.iterations}")
+        if effort["fewer_pixels"]:
+            used = effort["train_pixels"]
+            there.append(f"{used} pixels train it in place of {published.pixels}")
+        return there
 
     def train(
         self,
@@ -400,7 +422,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         return model
 
 
-_ELEK = PRESETS["elek2019"]
+_ELEK = PRESETS[PAPER]
 
 
 def _train(samples: Samples, **options: Any) -> MLP:

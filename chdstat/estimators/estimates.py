@@ -5,7 +5,7 @@ outlier-free mean and denoised images of both, pixel by pixel. Given a trained m
 that model instead. It trains nothing. `chdstat.io.write_estimates` writes the image to a file.
 
 No single candidate is the best everywhere: a denoiser loses small bright details, the mean is
-noisy. `combine` weights the candidates by their error on held-out samples: each is computed from
+noisy. `estimate` weights the candidates by their error on held-out samples: each is computed from
 one half of the samples and compared with the mean of the other half, which is unbiased and has
 independent noise (van der Laan, Polley and Hubbard 2007, "Super learner",
 doi:10.2202/1544-6115.1309). A network turns these comparisons into a proposal. How much of its mean
@@ -21,7 +21,7 @@ Both combine two estimates; here there may be any number.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -29,24 +29,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special, stats
+from scipy import special
 
 from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.files import checkpoints
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, check_probability
-from chdstat.estimators.default_estimate.candidates import Measured, candidates, through_denoiser
+from chdstat.estimators.default_estimate.candidates import Measured, through_denoiser
 from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
-from chdstat.estimators.default_estimate.intervals import interval_around, spread_of_halves
+from chdstat.estimators.default_estimate.intervals import interval_around
 from chdstat.estimators.default_estimate.light import lost_light
-from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
-from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
+from chdstat.estimators.default_estimate.weighting_network import proposed
+from chdstat.estimators.default_estimate.weights import weight_of_mean
 from chdstat.estimators.denoiser import denoise as run_denoiser
 from chdstat.estimators.held_out import reordered
 from chdstat.estimators.registry import (
     Estimates,
     check_positive,
-    interval_of_mean,
     mean_of_good,
     register,
 )
@@ -91,8 +90,8 @@ def estimate(
 ) -> Estimates:
     """Estimate the radiance of every pixel.
 
-    Without a model, `chdstat.estimators.combine` weights candidates, which takes less time than
-    rendering the samples did.
+    Without a model, candidates are weighted by their error on held-out samples, which takes less
+    time than rendering the samples did.
 
     Parameters
     ----------
@@ -145,86 +144,16 @@ def estimate(
     return last.final
 
 
-def refine(
-    rendering: SampleStream,
-    *,
-    level: float = 0.9,
-    seconds: float | None = None,
-    error: float | None = None,
-) -> Iterator[Combination]:
-    """Estimate while a scene renders: at 16 samples per pixel, and at each doubling of that number.
-
-    Parameters
-    ----------
-    rendering
-        From `chdstat.rendering.render_batches`. Only sums of its samples are kept, so memory does
-        not grow with their number.
-    level
-        Probability of the intervals.
-    seconds
-        Stop after the first pass that ends later than this; None renders all.
-    error
-        Stop after the first pass whose relative error is at most this, and at most a tenth larger
-        in nine of ten images. The next pass comes when that is expected, if that is before the
-        number of samples has doubled.
-
-    Yields
-    ------
-    Combination
-        What `chdstat.estimate` returns for the samples so far. The last one equals, to the bit, the
-        estimate from a store of the same samples.
-
-    Raises
-    ------
-    InputError
-        If an option is out of range, or there are fewer than 4 samples.
-
-    Examples
-    --------
-    Stop when the error of the image is surely 20 %:
-
-    >>> from chdstat.rendering import render_batches
-    >>> rendering = render_batches("cornell-box", spp=1024, size=(16, 16), progress=False)
-    >>> *_, last = refine(rendering, error=0.2)
-    >>> last.relative_error <= 0.2, last.spp < 1024
-    (True, True)
-    """
-    check_probability(level=level)
-    if seconds is not None:
-        check_positive(seconds=seconds)
-    if error is not None:
-        check_positive(error=error)
-    if rendering.spp < _LEAST:
-        message = f"expected at least {_LEAST} samples of a pixel, got {rendering.spp}"
-        raise InputError(message)
-    y, x, channels, _ = rendering.shape
-    stream, begin = CombinationStream((y, x, channels)), time.monotonic()
-    due: float = _FIRST
-    for chunks in rendering.passes():
-        for chunk, samples in chunks:
-            stream.update(samples, rows=chunk.ys, columns=chunk.xs)
-        late = seconds is not None and time.monotonic() - begin >= seconds
-        enough = stream.spp >= _LEAST
-        if enough and (late or stream.spp >= min(due, rendering.spp)):
-            found = stream.estimate(features=rendering.features, level=level)
-            yield found
-            if late or (error is not None and found.error.reaches(error)):
-                return
-            due = 2 * found.spp
-            if error is not None:
-                due = max(_MORE * found.spp, min(due, _MARGIN * found.error.spp_to_reach(error)))
-
-
 @dataclass(frozen=True)
 class EstimateOptions:
     """Options of `estimate`."""
 
-    spp: int | None
-    level: float
-    denoise: bool
-    progress: bool | None
-    client: Client | None
-    checkpoint: str | Path | None
+    spp: int | None = None
+    level: float = 0.9
+    denoise: bool = False
+    progress: bool | None = False
+    client: Client | None = None
+    checkpoint: str | Path | None = None
 
 
 @dataclass(frozen=True)
@@ -273,23 +202,35 @@ def estimates_of(
     # Only a rendering has `batch`; testing for its class would import Mitsuba.
     if hasattr(source, "batch"):
         _check_rendering(source, model, options)
-        for found in refine(source, level=options.level, seconds=seconds, error=error):
+        passes = CombinationStream.passes
+        for found in passes(source, level=options.level, seconds=seconds, error=error):
             yield Estimated(source, options, None, found, found.mean)
         return
     samples = first_samples(source, options.spp)
     if options.denoise:
         check_denoiser(samples.shape[2])  # refused before the work, not after
     if model is None:
-        found = combine(
-            samples,
-            level=options.level,
-            progress=options.progress,
-            client=options.client,
-            checkpoint=options.checkpoint,
-        )
+        found = _combined(samples, samples.features, options)
         yield Estimated(samples, options, None, found, found.mean)
-    else:
-        yield Estimated(samples, options, model, *_by_model(model, samples, options))
+        return
+    check_memory(
+        _COPIES * samples.nbytes,
+        f"the {samples.spp} spp of an estimate and what it computes of them",
+        "use fewer, by spp or --spp, or leave the model out",
+    )
+    x = samples.read()
+    mean = mean_of_good(x).astype(np.float32)
+    yield Estimated(samples, options, model, _by_model(model, x, options.level), mean)
+
+
+def _by_model(model: AnyModel, x: Image, level: float) -> Estimates:
+    """Return the estimates of a model, with certainty and interval if it has them."""
+    if hasattr(model, "estimate"):
+        found: Estimates = model.estimate(x, level=level)
+        return found
+    radiance = model.predict(x)
+    unknown = np.full_like(radiance, np.nan)
+    return Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
 
 
 def _check_rendering(rendering: Any, model: AnyModel | None, options: EstimateOptions) -> None:
@@ -314,25 +255,6 @@ def _check_rendering(rendering: Any, model: AnyModel | None, options: EstimateOp
         raise InputError(message)
     if options.denoise:
         check_denoiser(rendering.shape[2])
-
-
-def _by_model(
-    model: AnyModel, samples: Samples, options: EstimateOptions
-) -> tuple[Estimates, npt.NDArray[np.float32]]:
-    """Return the estimates of a model, and the mean of the samples."""
-    check_memory(
-        _COPIES * samples.nbytes,
-        f"the {samples.spp} spp of an estimate and what it computes of them",
-        "use fewer, by spp or --spp, or leave the model out",
-    )
-    x = samples.read()
-    if hasattr(model, "estimate"):
-        found = model.estimate(x, level=options.level)
-    else:
-        radiance = model.predict(x)
-        unknown = np.full_like(radiance, np.nan)
-        found = Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
-    return found, mean_of_good(x).astype(np.float32)
 
 
 def check_denoiser(channels: int) -> None:
@@ -399,7 +321,7 @@ class Combination(Estimates):
         Examples
         --------
         >>> x = np.random.default_rng(0).exponential(size=(32, 32, 1, 64))
-        >>> found = combine(x)
+        >>> found = estimate(x)
         >>> found.spp_for(found.relative_error / 2) > 4 * found.spp
         True
         """
@@ -420,74 +342,28 @@ class Combination(Estimates):
         return np.asarray(within, np.float32)
 
 
-def combine(
-    samples: npt.ArrayLike | Samples,
-    *,
-    features: Mapping[str, npt.NDArray[Any]] | None = None,
-    level: float = 0.9,
-    progress: bool | None = False,
-    client: Client | None = None,
-    checkpoint: str | Path | None = None,
+def _combined(
+    image: Samples, features: Mapping[str, npt.NDArray[Any]], options: EstimateOptions
 ) -> Combination:
-    """Estimate radiance from candidates, weighted by their error on held-out samples.
-
-    Parameters
-    ----------
-    samples
-        `Samples`, read tile by tile, or an array (y, x, channel, sample), with 1 or 3 channels and
-        at least 4 samples of each pixel.
-    features
-        First-hit features by name; ``albedo`` and ``normal`` guide the denoiser. None takes those
-        of `Samples`.
-    level
-        Probability of the interval.
-    progress
-        Show a progress bar; None shows it on a terminal.
-    client, checkpoint
-        As for `chdstat.analyze`: workers of a cluster, and a folder for finished parts.
-
-    Returns
-    -------
-    Combination
-        Shape (y, x, channel), in the unit of the samples; NaN where no sample is good.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 4 samples, or neither 1 nor 3 channels.
-
-    Examples
-    --------
-    >>> import chdstat as chd
-    >>> samples = chd.render("cornell-box", spp=16, size=(16, 16), progress=False)
-    >>> found = combine(samples)
-    >>> found.radiance.shape, sorted(found.weights)[:2]
-    ((16, 16, 3), ['denoised', 'denoised shared_shape'])
-    """
-    check_probability(level=level)
-    shape = np.shape(samples)
-    if len(shape) != 4 or shape[2] not in (1, 3) or shape[3] < _LEAST:
+    """Estimate radiance from candidates, weighted by their error on held-out samples."""
+    if image.shape[2] not in (1, 3) or image.shape[3] < _LEAST:
         message = (
             f"expected samples (y, x, channel, sample) of 1 or 3 channels, at least {_LEAST} of a "
-            f"pixel, got shape {shape}; render more samples per pixel, or choose channels"
+            f"pixel, got shape {image.shape}; render more samples per pixel, or choose channels"
         )
         raise InputError(message)
-    image = (
-        samples
-        if isinstance(samples, Samples)
-        else Samples.from_array(np.asarray(samples, np.float32))
-    )
-    known = (image.features if features is None else features) or {}
-    with checkpoints(checkpoint, partial(checkpoint_key, image)) as kept:
+    client, progress = options.client, options.progress
+    with checkpoints(options.checkpoint, partial(checkpoint_key, image)) as kept:
         measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
-    return _combine_measured(measured, known, level=level, client=client)
+    return _combination_of(measured, features, level=options.level, client=client)
 
 
 class CombinationStream:
     """Estimate from samples that arrive in batches; only sums of them are kept.
 
-    Memory does not depend on the number of samples. `estimate` returns, to the bit, what `combine`
-    returns for the same samples in the same order, however they are cut into batches.
+    Memory does not depend on the number of samples. `estimate` returns, to the bit, what
+    `chdstat.estimate` returns for the same samples in the same order, however they are cut into
+    batches. `passes` estimates while a scene renders.
 
     Parameters
     ----------
@@ -500,7 +376,7 @@ class CombinationStream:
     >>> stream = CombinationStream((16, 16, 3))
     >>> for batch in np.split(x, 4, axis=-1):
     ...     stream.update(batch)
-    >>> stream.spp, np.array_equal(stream.estimate().radiance, combine(x).radiance)
+    >>> stream.spp, np.array_equal(stream.estimate().radiance, estimate(x).radiance)
     (32, True)
     """
 
@@ -549,96 +425,149 @@ class CombinationStream:
     def estimate(
         self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
     ) -> Combination:
-        """Estimate the radiance from the samples so far, as `combine` does."""
+        """Estimate the radiance from the samples so far, as `chdstat.estimate` does."""
+        check_probability(level=level)
         if self.spp < _LEAST:
             message = f"expected at least {_LEAST} samples of a pixel, got {self.spp}"
             raise InputError(message)
-        return _combine_measured(Measured.of_halves(*self._halves), features or {}, level=level)
+        return _combination_of(Measured.of_halves(*self._halves), features or {}, level=level)
+
+    @classmethod
+    def passes(
+        cls,
+        rendering: SampleStream,
+        *,
+        level: float = 0.9,
+        seconds: float | None = None,
+        error: float | None = None,
+    ) -> Iterator[Combination]:
+        """Estimate while a scene renders: at 16 samples per pixel, and at each doubling.
+
+        Parameters
+        ----------
+        rendering
+            From `chdstat.rendering.render_batches`.
+        level
+            Probability of the intervals.
+        seconds
+            Stop after the first pass that ends later than this; None renders all.
+        error
+            Stop after the first pass whose relative error is at most this, and at most a tenth
+            larger in nine of ten images. The next pass comes when that is expected, if that is
+            before the number of samples has doubled.
+
+        Yields
+        ------
+        Combination
+            What `chdstat.estimate` returns for the samples so far. The last one equals, to the bit,
+            the estimate from a store of the same samples.
+
+        Raises
+        ------
+        InputError
+            If an option is out of range, or there are fewer than 4 samples.
+
+        Examples
+        --------
+        Stop when the error of the image is surely 20 %:
+
+        >>> from chdstat.rendering import render_batches
+        >>> rendering = render_batches("cornell-box", spp=1024, size=(16, 16), progress=False)
+        >>> *_, last = CombinationStream.passes(rendering, error=0.2)
+        >>> last.relative_error <= 0.2, last.spp < 1024
+        (True, True)
+        """
+        check_probability(level=level)
+        given = {"seconds": seconds, "error": error}
+        check_positive(**{name: value for name, value in given.items() if value is not None})
+        if rendering.spp < _LEAST:
+            message = f"expected at least {_LEAST} samples of a pixel, got {rendering.spp}"
+            raise InputError(message)
+        y, x, channels, _ = rendering.shape
+        stream, begin = cls((y, x, channels)), time.monotonic()
+        due: float = _FIRST
+        for chunks in rendering.passes():
+            for chunk, samples in chunks:
+                stream.update(samples, rows=chunk.ys, columns=chunk.xs)
+            late = seconds is not None and time.monotonic() - begin >= seconds
+            enough = stream.spp >= _LEAST
+            if enough and (late or stream.spp >= min(due, rendering.spp)):
+                found = stream.estimate(features=rendering.features, level=level)
+                yield found
+                if late or (error is not None and found.error.reaches(error)):
+                    return
+                due = 2 * found.spp
+                if error is not None:
+                    due = max(
+                        _MORE * found.spp, min(due, _MARGIN * found.error.spp_to_reach(error))
+                    )
 
 
-def _combine_measured(
+def _combination_of(
     measured: Measured,
     features: Mapping[str, npt.NDArray[Any]],
     *,
-    level: float = 0.9,
+    level: float,
     client: Client | None = None,
 ) -> Combination:
     """Combine candidates from the statistics of all samples and of their halves."""
-    check_probability(level=level)
-    made = [candidates(start, features, client) for start in measured.starts]
-    names, unit = list(made[0]), unit_of(made[0])
-    mean, error = measured.mean, measured.errors[0]
-    ends = interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
-    if len(names) > 2:
-        weighting = WeightingNetwork.shipped(with_features="albedo" in features)
-        weights, width = weighting(made, measured, unit)
-        half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
-    else:
-        # Nothing is denoised: propose the limited mean, with the interval of the mean.
-        weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
-        half = ends[1] - mean
-    proposals = _proposals(weights, made, measured)
-    del made
-    _, one, other = proposals
-    spread = spread_of_halves(one, other, unit)
-    half = np.maximum(half, stats.norm.ppf(0.5 + level / 2) * spread)
+    weights, half, proposals = proposed(measured, features, level=level, client=client)
     unknown, absurd = measured.count == 0, measured.absurd[..., np.newaxis]
     of_means = [np.where(absurd, 1, weight) for weight in weight_of_mean(*proposals)]
     moved = [np.where(unknown, 0, 1 - weight) for weight in of_means]
     # Where samples are missing, a proposal has been filled in for their mean.
-    means = mean, one.mean, other.mean
+    means = measured.mean, *(proposal.mean for proposal in proposals[1:])
     estimates = [
-        m + part * (proposal.image - m)
-        for m, part, proposal in zip(means, moved, proposals, strict=True)
+        mean + part * (proposal.image - mean)
+        for mean, part, proposal in zip(means, moved, proposals, strict=True)
     ]
     given, error_of_light = lost_light(proposals, estimates, moved)
     radiance, *halves = (image + light for image, light in zip(estimates, given, strict=True))
-    # The mean of a pixel without light has no interval: take that of the proposal.
-    dark = (mean == 0) & (error == 0)
-    ends[1] = np.where(dark, np.maximum(proposals[0].image + half, 0), ends[1])
+    reach = _reach_of_mean(measured, level, proposals[0].image + half)
     low, high = interval_around(
-        radiance,
-        of_means[0],
-        (mean - ends[0], ends[1] - mean),
-        half,
-        error_of_light,
-        proposals,
-        halves,
-        level,
+        radiance, of_means[0], reach, half, error_of_light, proposals, halves, level
     )
-    of_mean = of_means[0].mean(axis=-1, keepdims=True)
-    weights = (weights * (1 - of_mean)).astype(np.float32)
-    weights[..., names.index("mean")] += of_mean[..., 0]
+    error, pairs = measured.errors[0], list(zip(halves, means[1:], strict=True))
 
     def in_its_unit(image: Reals) -> Image:
         return np.where(unknown, np.nan, image * measured.unit).astype(np.float32)
 
-    pairs = list(zip(halves, means[1:], strict=True))
-    bias, bias_error = _bias(radiance, mean, error)
+    shares = _shares(weights, of_means[0])
+    bias, bias_error = _bias(radiance, measured.mean, error)
     return Combination(
         in_its_unit(radiance),
-        1 - weights[..., names.index("mean")],
+        1 - shares["mean"],
         in_its_unit(low if measured.signed else np.maximum(low, 0)),
         in_its_unit(high),
         level,
-        mean=in_its_unit(mean),
-        weights={name: weights[..., j] for j, name in enumerate(names)},
+        mean=in_its_unit(measured.mean),
+        weights=shares,
         bias=bias,
         bias_error=bias_error,
-        least=in_its_unit(_floor(mean, error, measured.count)),
+        least=in_its_unit(_floor(measured.mean, error, measured.count)),
         spp=int(measured.count.max(initial=0)),
         error=error_of(np.where(unknown, np.nan, radiance), error, pairs, measured.count),
     )
 
 
-def _proposals(
-    weights: Image, made: Sequence[Mapping[str, Image]], measured: Measured
-) -> list[Proposal]:
-    """Return the weighted candidates of all samples and of each half, beside the means."""
-    return [
-        Proposal(_weighted(weights, images), start["mean"], error)
-        for images, start, error in zip(made, measured.starts, measured.errors, strict=True)
-    ]
+def _reach_of_mean(measured: Measured, level: float, highest: Reals) -> tuple[Reals, Reals]:
+    """Return how far the interval of the mean reaches below and above it.
+
+    The mean of a pixel without light has no interval: that of the proposal, up to `highest`, takes
+    its place.
+    """
+    mean = measured.mean
+    low, high = measured.interval(level)
+    dark = (mean == 0) & (measured.errors[0] == 0)
+    return mean - low, np.where(dark, np.maximum(highest, 0), high) - mean
+
+
+def _shares(weights: Mapping[str, Image], of_mean: Reals) -> dict[str, Image]:
+    """Return the shares of the candidates in the estimate, averaged over the channels."""
+    of_mean = of_mean.mean(axis=-1)
+    shares = {name: (one * (1 - of_mean)).astype(np.float32) for name, one in weights.items()}
+    shares["mean"] += of_mean
+    return shares
 
 
 @register(
@@ -656,7 +585,7 @@ def combination(
 ) -> Image:
     """Weight the mean, an outlier-free mean and denoised images of both, pixel by pixel.
 
-    Returns the radiance of `combine`. Its network was trained once, on built-in scenes.
+    Returns the radiance of `chdstat.estimate`. Its network was trained once, on built-in scenes.
 
     Parameters
     ----------
@@ -673,7 +602,7 @@ def combination(
     Raises
     ------
     InputError
-        As for `combine`.
+        As for `chdstat.estimate`.
 
     References
     ----------
@@ -686,16 +615,9 @@ def combination(
     >>> combination(image).shape
     (16, 16, 3)
     """
-    samples = as_pixels(x, minimum=_LEAST, image=True)
-    return combine(reordered(samples)[0], features=features).radiance
-
-
-def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
-    """Return the sum of images (y, x, channel) with weights (y, x, candidate)."""
-    found = np.zeros(next(iter(images.values())).shape, np.float32)
-    for j, image in enumerate(images.values()):
-        found += weights[..., j, np.newaxis] * image
-    return found
+    samples = reordered(as_pixels(x, minimum=_LEAST, image=True))[0]
+    image = Samples.from_array(np.asarray(samples, np.float32))
+    return _combined(image, features or {}, EstimateOptions()).radiance
 
 
 def _floor(mean: Reals, error: Reals, count: Reals) -> Reals:

@@ -23,8 +23,9 @@ from chdstat.analysis import (
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.comparison.metrics import in_words, shown_ratio
-from chdstat.estimators import MLP, Combination
+from chdstat.estimators import Combination
 from chdstat.estimators.default_estimate.error import spp_in_words
+from chdstat.estimators.elek2019 import PAPER
 from chdstat.patterns import PATTERNS, Atlas, Label
 from chdstat.patterns.attribution import largest_part
 from chdstat.rendering.recipes import remake_of
@@ -347,15 +348,8 @@ def _deviations(found: SceneStudy) -> list[str]:
         there.append(f"{spp} samples per pixel in place of {PUBLISHED_SPP}")
     if max(height, width) < PUBLISHED_SIZE:
         there.append(f"{width} × {height} pixels in place of {PUBLISHED_SIZE} × {PUBLISHED_SIZE}")
-    for model in [] if found.comparison is None else found.comparison.models.values():
-        if isinstance(model, MLP):
-            done, published = int(model.history.iteration[-1]), model.config.iterations
-            if done < published:
-                there.append(f"{done} minibatches train its network in place of {published}")
-            used = len(model.train_pixels)
-            if used < model.config.pixels:
-                there.append(f"{used} pixels train it in place of {model.config.pixels}")
-    return there
+    network: Any = None if found.comparison is None else found.comparison.models.get(PAPER)
+    return there if network is None else there + network.deviations()
 
 
 # --- claims -------------------------------------------------------------------------------------
@@ -582,7 +576,7 @@ def atlas_content(found: Atlas) -> dict[str, str]:
 
 def _estimator_table(comparison: Comparison) -> dict[str, Any]:
     """Return the measures of each estimator, and the settings of the comparison."""
-    trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
+    network: Any = comparison.models.get(PAPER)
     rows = [
         in_words(row) | {"name": estimator_name(row["estimator"]) + " *" * row["uses_neighbours"]}
         for row in comparison.table()
@@ -594,8 +588,5 @@ def _estimator_table(comparison: Comparison) -> dict[str, Any]:
         "batches": comparison.batches,
         "excluded": comparison.excluded,
         "test_pixels": int(comparison.test_pixels.sum()),
-        "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
-        "patience": int(trained[0].provenance.get("patience") or 0) if trained else 0,
-        "train_pixels": len(trained[0].train_pixels) if trained else 0,
-        "fewer_pixels": bool(trained) and len(trained[0].train_pixels) < trained[0].config.pixels,
+        **({"iterations": 0} if network is None else network.effort()),
     }

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack, get_args
+from typing import TYPE_CHECKING, Any, Unpack, cast, get_args
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from chdstat.comparison.entries import (
     without_denoiser,
 )
 from chdstat.errors import InputError, check_option
-from chdstat.estimators import Combination, LearnedEstimator, combine
+from chdstat.estimators import Combination, LearnedEstimator, estimate
 from chdstat.estimators.held_out import draw_pixels
 from chdstat.estimators.registry import Model
 from chdstat.estimators.training import first_samples
@@ -284,7 +284,7 @@ class _Report:
     def estimated(self) -> Combination | None:
         """Return the default estimate from all samples; None if it cannot take them."""
         with contextlib.suppress(InputError):
-            return combine(self.samples, progress=self.progress)
+            return cast("Combination", estimate(self.samples, progress=self.progress))
         return None
 
     def curve(self, comparison: Comparison) -> ErrorCurve | None:

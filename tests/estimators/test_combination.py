@@ -10,7 +10,6 @@ from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import (
     Combination,
     CombinationStream,
-    combine,
     estimate,
 )
 from chdstat.estimators.default_estimate import candidates as halves
@@ -95,9 +94,9 @@ def test_light_of_one_place_is_given_to_no_other():
 
 def test_light_of_one_pixel_in_one_half_of_the_samples_is_given_to_no_other():
     x = np.random.default_rng(8).exponential(0.1, size=(64, 64, 3, 16))
-    before = combine(x).radiance
+    before = estimate(x).radiance
     x[20, 30, :, ::4] = 500  # four samples of a lamp, all of them even
-    after = combine(x).radiance
+    after = estimate(x).radiance
     assert np.median(after / before) == pytest.approx(1, abs=0.015)
 
 
@@ -140,7 +139,7 @@ def quiet_and_loud(quiet, channel=None, n=64):
 def test_loud_pixels_and_channels_do_not_speak_for_quiet_ones(quiet, channel):
     """They made squared errors up to 2,500 times as large."""
     truth, x, calm = quiet_and_loud(quiet, channel)
-    found = combine(x)
+    found = estimate(x)
     error, of_mean = (np.square(image - truth) for image in (found.radiance, x.mean(axis=-1)))
     assert error[calm].mean() < 1.1 * of_mean[calm].mean()
     assert error[~calm].mean() < 0.25 * of_mean[~calm].mean()
@@ -155,7 +154,7 @@ def test_what_is_known_exactly_is_the_estimate(n):
     exact = np.zeros((48, 48, 3), bool)
     exact[5::8, 3::8] = exact[:12] = exact[30:40, 30:40, 1] = True
     x[exact] = 2.0
-    found = combine(x)
+    found = estimate(x)
     assert (found.radiance[exact] == 2).all()
     assert ((found.low <= 2) & (found.high >= 2))[exact].all()
 
@@ -163,7 +162,7 @@ def test_what_is_known_exactly_is_the_estimate(n):
 def test_samples_that_are_equal_by_chance_are_not_certain():
     truth = np.full((48, 48, 1), 0.9)
     x = np.where(np.random.default_rng(2).random((48, 48, 1, 8)) < truth[..., np.newaxis], 1.0, 0.0)
-    found = combine(x)
+    found = estimate(x)
     equal = (x == 1).all(axis=-1)
     assert (found.radiance[equal] == 1).all()
     assert ((found.low <= truth) & (truth <= found.high))[equal].mean() > 0.5
@@ -206,10 +205,7 @@ def test_intervals_hold_the_reference_and_are_wider_for_more(samples, found, ref
     inside, less = (np.mean((found.low <= y) & (y <= found.high)) for y in (truth, noisier))
     # As much noise again as the reference has tells what it took (simulation extrapolation).
     assert 0.8 < 2 * inside - less < 0.97
-    widths = [
-        np.mean(combine(samples.read(), features=samples.features, level=level).high)
-        for level in (0.4, *LEVELS, 0.995)
-    ]
+    widths = [np.mean(estimate(samples, level=level).high) for level in (0.4, *LEVELS, 0.995)]
     assert (np.diff(widths) > 0).all()
 
 
@@ -245,7 +241,7 @@ def test_the_order_of_samples_makes_no_difference(samples):
 
 
 def test_a_black_image_stays_black():
-    black = combine(np.zeros((8, 8, 3, 16)))
+    black = estimate(np.zeros((8, 8, 3, 16)))
     assert (black.radiance == 0).all()
     assert np.isnan(black.bias)
 
@@ -255,7 +251,7 @@ def test_a_lamp_that_many_samples_find_is_no_firefly():
     x = rng.exponential(0.02, size=(48, 48, 3, 64)).astype(np.float32)
     x[20, 20, :, rng.random(64) < 0.3] = 500  # the edge of a lamp
     x[30, 30, :, 5] = 500  # a firefly
-    found = combine(x).radiance
+    found = estimate(x).radiance
     assert (found[20, 20] > 40).all()
     assert (found[30, 30] < 4).all()
 
@@ -283,7 +279,7 @@ def test_it_is_denoised_once_more_as_far_as_the_samples_agree(samples, found):
 def test_a_mean_of_few_good_samples_is_less_certain():
     x = np.random.default_rng(0).exponential(size=(16, 16, 3, 32)).astype(np.float32)
     x[4, 5, :, 4:] = np.nan
-    least = combine(x).least
+    least = estimate(x).least
     for pixel, good in (((4, 5), 4), ((9, 9), 32)):
         kept = x[pixel][:, :good].astype(np.float64)
         error = kept.std(axis=-1, ddof=1) / np.sqrt(good)
@@ -293,7 +289,7 @@ def test_a_mean_of_few_good_samples_is_less_certain():
 
 def test_one_channel_is_taken():
     x = np.random.default_rng(0).gamma(0.3, size=(24, 24, 1, 16))
-    assert abs(combine(x).radiance.mean() - 0.3) < 0.03
+    assert abs(estimate(x).radiance.mean() - 0.3) < 0.03
 
 
 def test_a_store_is_read_by_tiles_and_never_as_a_whole(tmp_path, monkeypatch):
@@ -346,10 +342,10 @@ def test_a_network_sees_ratios_only(samples):
 def test_bands_of_rows_are_parts_of_the_whole(monkeypatch):
     x = np.random.default_rng(0).gamma(0.5, size=(128, 8, 3, 16)).astype(np.float32)
     x[60:70] *= 40
-    at_once = combine(x)
+    at_once = estimate(x)
     monkeypatch.setattr(halves, "_BAND", 30 * 8 * 3)
     monkeypatch.setattr(network, "_BAND", 20 * 8)
-    in_bands = combine(x)
+    in_bands = estimate(x)
     for name in ("radiance", "low", "high", "certainty"):
         # Matrix products of other shapes round otherwise.
         assert np.allclose(getattr(at_once, name), getattr(in_bands, name), atol=1e-4)
@@ -359,7 +355,7 @@ def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():
     x = np.random.default_rng(0).gamma(0.5, size=(24, 24, 3, 16)).astype(np.float32)
     x[6, 6, 1], x[12, 12, 0, 0] = np.nan, -np.inf
     x[18, 18, :, 1:], x[18, 18, :, 0] = np.nan, 1000
-    found = combine(x)
+    found = estimate(x)
     assert np.argwhere(np.isnan(found.radiance)).tolist() == [[6, 6, 1]]
     kept = np.isfinite(found.radiance)
     assert np.isfinite(found.high[kept]).all()
@@ -375,7 +371,7 @@ def test_pixels_without_samples_leave_the_others_as_good_as_they_are(share):
     lost = np.random.default_rng(2).random((48, 48)) < share
     x[lost] = np.nan
     with pytest.warns(LeftOutWarning, match="left out"):
-        found = combine(x)
+        found = estimate(x)
     mean = x[~lost].mean(axis=-1)
     assert np.array_equal(np.isnan(found.radiance).all(axis=-1), lost)
     assert np.square(found.radiance[~lost] - 1).mean() < 0.08 * np.square(mean - 1).mean()
@@ -412,7 +408,7 @@ def test_an_image_that_is_negative_everywhere_has_its_radiance():
 def test_detail_that_is_no_noise_is_kept_and_held_by_the_intervals(name, truth):
     """Before held-out samples were asked, squared errors were 2 to 50 times the mean's."""
     x = exponential(truth, 128, seed=5)
-    found, mean = combine(x), x.mean(axis=-1)
+    found, mean = estimate(x), x.mean(axis=-1)
     weight = 1 / (truth**2 + 0.01 * truth.mean() ** 2)
     for w in (1, weight):
         assert (w * (found.radiance - truth) ** 2).mean() <= 1.05 * (w * (mean - truth) ** 2).mean()
@@ -428,7 +424,7 @@ def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n, most):
     truth = 1.5 * level * np.ones((64, 64, 3))
     rare = rng.random((64, 64, 1, n)) < 1e-3
     x = level[..., np.newaxis] * rng.exponential(size=(64, 64, 1, n)) * np.where(rare, 500, 1)
-    found = combine(x)
+    found = estimate(x)
     # 16 events are too few to give much back; of more, at least a half comes back.
     assert abs(found.radiance.mean() / truth.mean() - 1) < most
     assert ((found.low <= truth) & (truth <= found.high)).mean() > 0.85
@@ -437,7 +433,7 @@ def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n, most):
 def test_where_nothing_refutes_it_the_proposal_is_taken():
     truth = np.full((48, 48, 3), 0.4)
     x = exponential(truth, 32, seed=6)
-    found = combine(x)
+    found = estimate(x)
     assert ((found.radiance - truth) ** 2).mean() < 0.05 * ((x.mean(axis=-1) - truth) ** 2).mean()
     assert found.certainty.mean() > 0.9
 
@@ -445,9 +441,9 @@ def test_where_nothing_refutes_it_the_proposal_is_taken():
 @pytest.mark.parametrize("value", [1e8, 1e21, 1e37])
 def test_one_absurd_sample_changes_no_other_pixel(samples, value):
     x = samples.read()[..., :16].copy()
-    before = combine(x)
+    before = estimate(x)
     x[30, 31, :, 7] = value
-    after = combine(x)
+    after = estimate(x)
     other = np.ones((64, 64), bool)
     other[30, 31] = False
     moved = np.abs(after.radiance - before.radiance)[other]
@@ -459,7 +455,7 @@ def test_one_absurd_sample_changes_no_other_pixel(samples, value):
 @pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
 def test_an_image_may_be_in_any_unit(samples, unit):
     x = samples.read()[..., :16]
-    first, scaled = combine(x), combine(x * np.float32(unit))
+    first, scaled = estimate(x), estimate(x * np.float32(unit))
     rounding = 0.02 * (first.high - first.low)
     for name in ("radiance", "low", "high"):
         apart = getattr(first, name) - getattr(scaled, name) / np.float32(unit)
@@ -514,7 +510,8 @@ def test_without_the_denoiser_the_other_candidates_are_combined(samples, monkeyp
     monkeypatch.setattr(halves, "works", lambda: False)
     x = samples.read()[..., :32].copy()
     x[10, 10, :, 3] = 1e4  # a firefly
-    found, mean = combine(x, features=samples.features), x.mean(axis=-1)
+    image = chd.Samples.from_array(x, features=samples.features)
+    found, mean = estimate(image), x.mean(axis=-1)
     assert found.weights.keys() == {"mean", "shared_shape"}
     assert found.radiance[10, 10].max() < 0.1 * mean[10, 10].max()
     assert np.median(np.abs(found.radiance - mean)) < 0.05 * np.median(mean)
@@ -527,6 +524,6 @@ def test_intervals_of_small_and_thin_images_hold_the_truth(shape):
     rng = np.random.default_rng(2)
     held = []
     for _ in range(12):
-        found = combine(rng.exponential(size=(*shape, 3, 16)), level=0.9)
+        found = estimate(rng.exponential(size=(*shape, 3, 16)), level=0.9)
         held.append(((found.low <= 1) & (found.high >= 1)).mean())
     assert np.mean(held) > 0.84  # it was .41 and .81

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from chdstat._core.image_scales import relative_error
-from chdstat.estimators import combine
+from chdstat.estimators import estimate
 from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
 
 
@@ -118,7 +118,7 @@ def test_the_unit_changes_nothing(unit):
 
 def test_one_pixel_has_the_error_of_its_mean():
     x = np.random.default_rng(0).exponential(size=(1, 1, 3, 200))
-    found = combine(x)
+    found = estimate(x)
     assert found.radiance == pytest.approx(found.mean, rel=0.2)
     assert found.relative_error == pytest.approx(1 / math.sqrt(200), rel=0.3)
     assert found.error.surely > 1.1 * found.relative_error
@@ -135,11 +135,11 @@ def test_a_mean_takes_four_times_the_samples_for_half_of_its_error():
 def test_the_forecast_of_what_is_smoothed_is_about_right():
     # Samples of a smooth image: the true error at the forecast number is about half.
     x = sky()[..., np.newaxis] * np.random.default_rng(1).exponential(size=(64, 64, 1, 1024))
-    found = combine(x[..., :32])
+    found = estimate(x[..., :32])
     n = round(found.spp_for(found.relative_error / 2))
     assert 4 * 32 < n < 1024
     then, now = (
-        relative_error((one.radiance - sky()) ** 2, sky()) for one in (combine(x[..., :n]), found)
+        relative_error((one.radiance - sky()) ** 2, sky()) for one in (estimate(x[..., :n]), found)
     )
     assert then / now == pytest.approx(0.5, abs=0.1)
 

@@ -11,7 +11,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators.estimates import estimate, refine
+from chdstat.estimators.estimates import CombinationStream, estimate
 from chdstat.io import read_exr, write_estimates
 from chdstat.rendering import render_batches
 
@@ -73,17 +73,19 @@ def test_too_few_samples_are_refused_before_they_are_rendered(monkeypatch):
 
 
 def test_it_gets_better_as_samples_come():
-    found = list(refine(rendering(spp=72)))
+    found = list(CombinationStream.passes(rendering(spp=72)))
     assert [image.spp for image in found] == [16, 32, 64, 72]
     assert found[-1].relative_error < found[0].relative_error
-    assert [image.spp for image in refine(rendering(spp=4096), seconds=1e-6)] == [4]
+    assert [image.spp for image in CombinationStream.passes(rendering(spp=4096), seconds=1e-6)] == [
+        4
+    ]
 
 
 def test_it_stops_when_the_error_is_surely_reached_and_tells_what_it_takes(tmp_path, caplog):
     caplog.set_level(logging.INFO, "chdstat")
-    first = next(refine(rendering(spp=4096)))
+    first = next(CombinationStream.passes(rendering(spp=4096)))
     wanted = first.relative_error / 1.5
-    passes = list(refine(rendering(spp=4096), error=wanted))
+    passes = list(CombinationStream.passes(rendering(spp=4096), error=wanted))
     *before, reached = (image.error.reaches(wanted) for image in passes)
     assert reached
     assert not any(before)
@@ -107,6 +109,6 @@ def test_what_is_there_already_is_not_stopped(tmp_path, box):
     with pytest.raises(InputError, match="stop a rendering"):
         write_estimates(tmp_path / "a.exr", box, seconds=1)
     with pytest.raises(InputError, match="seconds must be larger than 0"):
-        next(refine(rendering(), seconds=0))
+        next(CombinationStream.passes(rendering(), seconds=0))
     with pytest.raises(InputError, match="error must be larger than 0"):
-        next(refine(rendering(), error=0))
+        next(CombinationStream.passes(rendering(), error=0))

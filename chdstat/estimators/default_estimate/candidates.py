@@ -16,6 +16,7 @@ from scipy import ndimage
 from chdstat._core.arrays import Image, Reals, spans
 from chdstat._core.work import in_order
 from chdstat.estimators.denoiser import denoise, works
+from chdstat.estimators.registry import interval_of_mean
 from chdstat.estimators.shapes import RADIUS, PowerSums, ShapeStatistics
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Work
@@ -69,6 +70,10 @@ class Measured:
     null: Reals
     count: Reals
     signed: bool
+
+    def interval(self, level: float) -> Reals:
+        """Return the lower and upper end of intervals of the mean, shape (2, y, x, channel)."""
+        return interval_of_mean(self.mean, self.errors[0], self.count, level, signed=self.signed)
 
     @classmethod
     def of(cls, image: Samples, **work: Unpack[Work]) -> Measured:

@@ -13,15 +13,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import stats
 
-from chdstat._core.arrays import Image, Reals
-from chdstat.estimators.default_estimate.weights import BilateralGrid, Proposal
+from chdstat._core.arrays import Reals
+from chdstat.estimators.default_estimate.weights import Proposal
 
-_AROUND = 4.0
-"""Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
-_TILE, _CLASSES = 32, 2
-"""Distance, in pixels, of the places where errors are pooled, and their classes: those of noise."""
 _DOUBT = 0.5
 """Standard errors within which what held-out halves show may be noise."""
 _KEPT = 0.95
@@ -71,17 +67,6 @@ def interval_around(
     return radiance - below, radiance + above
 
 
-def spread_of_halves(one: Proposal, other: Proposal, unit: Image) -> Reals:
-    """Return the standard error of a proposal, shape (y, x, 1), from the proposals of the halves.
-
-    It is averaged over the pixels around. Images much smaller or thinner than the training images
-    have larger errors than the network expects.
-    """
-    apart = np.square((one.image - other.image) / (2 * unit[..., np.newaxis])).mean(axis=-1)
-    around = ndimage.gaussian_filter(apart, _AROUND, mode="nearest")
-    return np.asarray((np.sqrt(around) * unit)[..., np.newaxis])
-
-
 def _shown_over_expected(
     error: Reals, weight: Reals, proposals: Sequence[Proposal], halves: Sequence[Reals]
 ) -> Reals:
@@ -93,7 +78,7 @@ def _shown_over_expected(
     and noise. As long as its own noise explains it, what is expected stands.
     """
     whole, one, other = proposals
-    grid, unit = BilateralGrid(whole, _TILE, _CLASSES), whole.unit
+    grid, unit = whole.groups, whole.unit
     # The error of a pixel that keeps its mean is known from its samples.
     counted = (weight < _KEPT) / unit**2
     bias = counted * (halves[0] - one.mean) * (halves[1] - other.mean)

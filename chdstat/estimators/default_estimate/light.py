@@ -22,15 +22,12 @@ empirical Bayes estimators", doi:10.2307/2347593).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from chdstat._core.arrays import Floats, Indices, Reals, block_sums
-from chdstat.estimators.default_estimate.weights import BilateralGrid, Proposal
+from chdstat.estimators.default_estimate.weights import Proposal
 
-_BLOCK, _CLASSES = 32, 2
-"""Distance of places in pixels, and classes of groups: the noise, and the noise around it."""
 _OF_IMAGE, _OF_PLACE = 2.0, 4.0
 """Variances of a rate that may be noise: of the image's, and of what a place's differs in."""
 _MOST = 0.25
@@ -41,51 +38,6 @@ _ALIKE = 0.7
 """Part of the squares of what blocks lack that one rate explains, from which a group is alike."""
 _EDGES = 1, 2, 4, 8, 16
 """Edges of these blocks in pixels, each twice the one before."""
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The estimate of all samples or of a half of them, and who is alike in it.
-
-    Attributes
-    ----------
-    grid
-        Groups of pixels.
-    estimate, error
-        The estimate, and the standard error of the mean, shape (y, x, channel).
-    mean
-        Mean of the samples.
-    light, uncertain, all_light
-        Radiance that the pixel may get back, how much of it is within its standard error, and all
-        that it may have lost.
-    """
-
-    grid: BilateralGrid
-    estimate: Reals
-    mean: Reals
-    error: Reals
-    light: Reals
-    uncertain: Reals
-    all_light: Reals
-
-    @classmethod
-    def of(cls, proposal: Proposal, estimate: Reals, moved: Reals) -> _Part:
-        light = np.abs(estimate)
-        return cls(
-            BilateralGrid(proposal, _BLOCK, _CLASSES),
-            estimate,
-            proposal.mean,
-            proposal.error,
-            moved * np.minimum(light, _FARTHEST * proposal.noise),
-            moved * np.minimum(light, proposal.noise),
-            moved * light,
-        )
-
-    def lacks(self, held_out: _Part) -> tuple[Reals, Reals]:
-        """Return what each pixel lacks according to other samples, and its variance."""
-        moved = self.light > 0
-        lacking = np.where(moved, held_out.mean - self.estimate, 0)
-        return lacking, np.where(moved, np.square(held_out.error), 0)
 
 
 def lost_light(
@@ -125,32 +77,52 @@ def lost_light(
     0.3
     0.01
     """
-    parts = [_Part.of(*part) for part in zip(proposals, estimates, moved, strict=True)]
-    whole, one, other = parts
-    pairs = (one, other), (other, one)
+    whole, *halves = proposals
+    groups = [proposal.groups for proposal in proposals]
+    # What a pixel may get if its group lacks alike, what it may get otherwise, and all its light.
+    shares = [
+        [part * np.minimum(np.abs(image), most * proposal.noise) for most in (_FARTHEST, 1, np.inf)]
+        for proposal, image, part in zip(proposals, estimates, moved, strict=True)
+    ]
+    lacking = [
+        _lacking(image, held_out, share[0])
+        for image, held_out, share in zip(estimates[1:], halves[::-1], shares[1:], strict=True)
+    ]
     found = [
-        half.grid.sums(*half.lacks(held_out), half.light, half.uncertain, half.all_light)
-        for half, held_out in pairs
+        grid.sums(*lack, *share)
+        for grid, lack, share in zip(groups[1:], lacking, shares[1:], strict=True)
     ]
     of_places = _joined(*found)
     of_image = _joined(*(sums.sum(axis=(2, 3), keepdims=True) for sums in found))
     rate = _shrunk(0.0, of_image[:3], _OF_IMAGE)
     most = _shrunk(0.0, of_image[[0, 1, 3]], _OF_IMAGE)
     most = np.clip(_shrunk(most, of_places[[0, 1, 3]], _OF_PLACE), -_MOST, _MOST)
-    alike = np.clip((_explained(rate, pairs) - _ALIKE) / (1 - _ALIKE), 0, 1)
+    known = [
+        (grid.nearest, *lack, share[0])
+        for grid, lack, share in zip(groups[1:], lacking, shares[1:], strict=True)
+    ]
+    alike = np.clip((_explained(rate, known) - _ALIKE) / (1 - _ALIKE), 0, 1)
     given = [
-        part.grid.at(alike * rate) * part.light + part.grid.at((1 - alike) * most) * part.uncertain
-        for part in parts
+        grid.at(alike * rate) * light + grid.at((1 - alike) * most) * uncertain
+        for grid, (light, uncertain, _) in zip(groups, shares, strict=True)
     ]
     # Halves lose more than all samples do: no channel gets more than it lacks.
-    lost = (whole.mean - whole.estimate).sum(axis=(0, 1))
+    lost = (whole.mean - estimates[0]).sum(axis=(0, 1))
     back = given[0].sum(axis=(0, 1))
     kept = np.clip(np.divide(lost, back, out=np.zeros_like(back), where=back != 0), 0, 1)
     given = [kept * image for image in given]
     # What a place lacks and nobody gets is missing somewhere in it.
-    lacked = whole.grid.at(_shrunk(0.0, of_places[[0, 1, 4]], _OF_PLACE)) * whole.all_light
-    doubt = whole.grid.at(np.sqrt(of_places[1]) / np.maximum(of_places[4], 1e-30))
-    return given, np.hypot(doubt * whole.all_light, lacked - given[0])
+    all_light = shares[0][2]
+    lacked = groups[0].at(_shrunk(0.0, of_places[[0, 1, 4]], _OF_PLACE)) * all_light
+    doubt = groups[0].at(np.sqrt(of_places[1]) / np.maximum(of_places[4], 1e-30))
+    return given, np.hypot(doubt * all_light, lacked - given[0])
+
+
+def _lacking(estimate: Reals, held_out: Proposal, light: Reals) -> tuple[Reals, Reals]:
+    """Return what each pixel lacks according to other samples, and its variance."""
+    moved = light > 0
+    lacking = np.where(moved, held_out.mean - estimate, 0)
+    return lacking, np.where(moved, np.square(held_out.error), 0)
 
 
 def _joined(one: Floats, other: Floats) -> Floats:
@@ -174,13 +146,13 @@ def _shrunk(before: Reals | float, sums: Reals, variances: float) -> Reals:
     return np.asarray(before + sure * apart)
 
 
-def _explained(rate: Reals, pairs: Sequence[tuple[_Part, _Part]]) -> Reals:
+def _explained(rate: Reals, known: Sequence[tuple[Indices, Reals, Reals, Reals]]) -> Reals:
     """Return the part of the squares of what blocks lack that one rate of a group surely explains.
 
     Shape (channel, 1, 1, class, class), as `rate` has it. Of classes that no pixel is nearest to,
-    it is that of all pixels.
+    it is that of all pixels. Of each half, `known` are the nearest group of each pixel, what it
+    lacks, the variance of that, and its light.
     """
-    known = [(half.grid.nearest, *half.lacks(held_out), half.light) for half, held_out in pairs]
     largest = np.empty_like(rate)
     largest[:] = _largest_square(known, None).reshape(-1, 1, 1, 1, 1)
     for number, group in enumerate(np.ndindex(rate.shape[3:])):

@@ -1,4 +1,4 @@
-"""Network: from comparisons of the candidates to their weights and to the width of an interval.
+"""Network: from comparisons of the candidates to a proposal of them and the width of its interval.
 
 It was trained once, on built-in scenes with converged references (``tools/train_combination.py``).
 Its inputs are ratios that compare the candidates with each other; they say nothing else of the
@@ -11,13 +11,19 @@ import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage, stats
 
 from chdstat._core.arrays import Image, Reals, spans
-from chdstat.estimators.default_estimate.candidates import Measured
+from chdstat.estimators.default_estimate.candidates import Measured, candidates
+from chdstat.estimators.default_estimate.weights import Proposal
 from chdstat.estimators.training import read_model
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Probabilities for which the width of intervals was measured."""
@@ -26,6 +32,8 @@ _ROWS = 2**16
 """Pixels whose weights are computed at once."""
 _SCALES = (1.5, 4.0, 12.0)
 """Standard deviations, in pixels, of the windows in which comparisons are averaged."""
+_AROUND = 4.0
+"""Standard deviation, in pixels, of the window in which the spread of proposals is averaged."""
 _TRUNCATE = 3
 """Standard deviations at which these windows end."""
 _FAINT = 0.01
@@ -112,6 +120,75 @@ class WeightingNetwork:
         ]
         share = (stats.rankdata(brightness) - 0.5).reshape(brightness.shape) / brightness.size
         return np.asarray(np.interp(share, np.array((1, 3, 5)) / 6, widths), np.float32)
+
+
+def proposed(
+    measured: Measured,
+    features: Mapping[str, npt.NDArray[Any]],
+    *,
+    level: float,
+    client: Client | None = None,
+) -> tuple[dict[str, Image], Reals, list[Proposal]]:
+    """Return what is proposed instead of the mean: the weighted candidates.
+
+    Parameters
+    ----------
+    measured
+        Statistics of the samples and of their halves.
+    features
+        First-hit features by name; ``albedo`` and ``normal`` guide the denoiser.
+    level
+        Probability of the interval.
+    client
+        A Dask client whose workers denoise.
+
+    Returns
+    -------
+    weights
+        Of each candidate by its name, shape (y, x).
+    half
+        Half of the width of the interval of the proposal, shape (y, x, channel) or (y, x, 1).
+    proposals
+        Of all samples, and of each half of them.
+    """
+    made = [candidates(start, features, client) for start in measured.starts]
+    names, unit = list(made[0]), unit_of(made[0])
+    half: Reals
+    if len(names) > 2:
+        network = WeightingNetwork.shipped(with_features="albedo" in features)
+        weights, width = network(made, measured, unit)
+        half = (network.quantile(level, unit) * width * unit)[..., np.newaxis]
+    else:
+        # Nothing is denoised: propose the limited mean, with the interval of the mean.
+        weights = np.broadcast_to(np.array(names) == "shared_shape", (*unit.shape, 2))
+        half = measured.interval(level)[1] - measured.mean
+    proposals = [
+        Proposal(_weighted(weights, images), start["mean"], error)
+        for images, start, error in zip(made, measured.starts, measured.errors, strict=True)
+    ]
+    _, one, other = proposals
+    spread = _spread_of_halves(one, other, unit)
+    half = np.maximum(half, stats.norm.ppf(0.5 + level / 2) * spread)
+    return {name: weights[..., j] for j, name in enumerate(names)}, half, proposals
+
+
+def _weighted(weights: Image, images: Mapping[str, Image]) -> Image:
+    """Return the sum of images (y, x, channel) with weights (y, x, candidate)."""
+    found = np.zeros(next(iter(images.values())).shape, np.float32)
+    for j, image in enumerate(images.values()):
+        found += weights[..., j, np.newaxis] * image
+    return found
+
+
+def _spread_of_halves(one: Proposal, other: Proposal, unit: Image) -> Reals:
+    """Return the standard error of a proposal, shape (y, x, 1), from the proposals of the halves.
+
+    It is averaged over the pixels around. Images much smaller or thinner than the training images
+    have larger errors than the network expects.
+    """
+    apart = np.square((one.image - other.image) / (2 * unit[..., np.newaxis])).mean(axis=-1)
+    around = ndimage.gaussian_filter(apart, _AROUND, mode="nearest")
+    return np.asarray((np.sqrt(around) * unit)[..., np.newaxis])
 
 
 def unit_of(images: Mapping[str, Image]) -> Image:

@@ -66,6 +66,8 @@ _BELIEVED = -4.5, -2.5
 """Scores between which the weight of the mean before any evidence falls from 1."""
 _TILE = 8
 """Distance, in pixels, of the nodes at which evidence is collected."""
+_WIDE, _CLASSES_OF_NOISE = 32, 2
+"""Distance, in pixels, of the nodes of groups, and their classes: the noise, and that around."""
 _AROUND = 6.0, 1.5
 """Standard deviations, in nodes, of the windows in which evidence is averaged."""
 _REFUTED = 0.1
@@ -131,6 +133,11 @@ class Proposal:
     def known(self) -> Mask:
         """Whether the samples of a pixel and channel are all the same, and not null."""
         return np.asarray((self.error == 0) & (self.mean != 0))
+
+    @cached_property
+    def groups(self) -> BilateralGrid:
+        """Groups of pixels of the same channel, place and noise, over which sums are certain."""
+        return BilateralGrid(self, _WIDE, _CLASSES_OF_NOISE)
 
     def classes(self) -> list[tuple[Reals, Floats]]:
         """Return the quantities that classify pixels, each with its nodes: noise comes first."""

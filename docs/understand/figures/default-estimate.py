@@ -3,9 +3,9 @@ import numpy as np
 
 import chdstat as chd
 from chdstat import viz
-from chdstat.estimators.default_estimate.candidates import Measured, candidates
-from chdstat.estimators.default_estimate.weighting_network import WeightingNetwork, unit_of
-from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
+from chdstat.estimators.default_estimate.candidates import Measured
+from chdstat.estimators.default_estimate.weighting_network import proposed
+from chdstat.estimators.default_estimate.weights import weight_of_mean
 
 # A texture of little noise, which grows from top to bottom; fireflies in a disc; red is noisy.
 edge, spp, rare, glint = 64, 32, 0.02, 8.0
@@ -21,14 +21,9 @@ samples += glint * fireflies[:, :, np.newaxis] * rng.exponential(size=(edge, edg
 samples = samples.astype(np.float32)
 truth = texture + glint * rare * disc
 
-# The weight of the mean in each channel, as `chdstat.estimators.combine` finds it.
+# The weight of the mean in each channel, as `chdstat.estimate` finds it.
 measured = Measured.of(chd.Samples.from_array(samples))
-made = [candidates(start, {}) for start in measured.starts]
-shares, _ = WeightingNetwork.shipped(with_features=False)(made, measured, unit_of(made[0]))
-parts = []
-for images, start, error in zip(made, measured.starts, measured.errors, strict=True):
-    proposed = sum(shares[..., [k]] * image for k, image in enumerate(images.values()))
-    parts.append(Proposal(proposed, start["mean"], error))
+*_, parts = proposed(measured, {}, level=0.9)
 weight = next(weight_of_mean(*parts))
 found = chd.estimate(samples)
 
