@@ -170,7 +170,7 @@ def test_results_come_in_the_order_of_the_items():
     later = threading.Event()
 
     def first_waits(i):
-        assert i or later.wait(timeout=10)
+        assert i or later.wait(timeout=600)
         later.set()
         return i
 

@@ -59,6 +59,8 @@ def browser() -> Iterator[Any]:
     with api.sync_playwright() as playwright:
         # A container has neither the sandbox's privileges nor much shared memory.
         arguments = ["--no-sandbox", "--disable-dev-shm-usage"]
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=arguments, timeout=600_000
+        )
         yield browser
         browser.close()

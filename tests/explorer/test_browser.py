@@ -24,6 +24,8 @@ from chdstat.samples.store import Store
 from chdstat.viz.styling import called
 
 SIZE = 32
+PATIENCE = 600_000
+"""Milliseconds after which a page counts as stuck, however busy the machine is."""
 
 
 class Person:
@@ -32,11 +34,12 @@ class Person:
     def __init__(self, page, explorer):
         self.page, self.url = page, explorer.url
         self.errors = []
+        page.set_default_timeout(PATIENCE)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
 
     def open(self, query=""):
         self.page.goto(self.url + query)
-        self.page.wait_for_selector("body[data-shown]", timeout=30000)
+        self.page.wait_for_selector("body[data-shown]")
         return self
 
     def place(self, y, x, image=0, size=SIZE):
@@ -56,6 +59,11 @@ class Person:
             if shift:
                 self.page.keyboard.up("Shift")
 
+    def hold(self):
+        """Wait while the mouse is down, by the clock of the page: longer than a click takes."""
+        since = self.page.evaluate("performance.now()")
+        self.waits_for("since => performance.now() > since + 600", arg=since)
+
     def press(self, key):
         with self.answered():
             self.page.keyboard.press(key)
@@ -66,7 +74,7 @@ class Person:
         before = self.page.evaluate("window.chdstat.timings.length")
         yield
         shown = "t => window.chdstat.timings.length > t && window.chdstat.timings.at(-1).end"
-        self.page.wait_for_function(shown, arg=before, timeout=30000)
+        self.page.wait_for_function(shown, arg=before)
 
     def waits_for(self, expression, **options):
         """Wait until an expression is true on the page."""
@@ -86,7 +94,7 @@ class Person:
         ]
 
     def alert(self):
-        self.page.wait_for_selector("#alert:not([hidden])", timeout=15000)
+        self.page.wait_for_selector("#alert:not([hidden])")
         return self.text("#alert span")
 
 
@@ -211,13 +219,13 @@ def test_a_box_picks_a_region(person, store_path):
     with one.answered():  # a press that is held is a click ...
         one.page.mouse.move(*one.place(12, 9))
         one.page.mouse.down()
-        one.page.wait_for_timeout(600)
+        one.hold()
         one.page.mouse.up()
     assert one.chips == ["1: y 12 x 9"]
     with one.answered():  # ... unless it becomes a drag
         one.page.mouse.move(*one.place(4, 6))
         one.page.mouse.down()
-        one.page.wait_for_timeout(600)
+        one.hold()
         one.page.mouse.move(*one.place(11, 15), steps=4)
         one.page.mouse.up()
     one.waits_for("document.querySelector('#chips').innerText.includes('region')")
@@ -385,7 +393,7 @@ def test_names_of_patterns_tell_cause_and_cure(person, store_path):
     pattern = chd.open(store_path).pixel(20, 10).patterns
     label = Label(int(pattern.label))
     assert one.text("#why").endswith(f": {label.meaning}")
-    one.waits_for("document.querySelector('#colorbar button')", timeout=60000)
+    one.waits_for("document.querySelector('#colorbar button')")
     for place in ("#why", "#patterns tr:nth-child(3)", "#colorbar"):
         button = one.page.locator(f"{place} button").first
         (told,) = (x for x in Label if called(x.name.lower()) == button.inner_text())
@@ -409,7 +417,7 @@ def test_fits_are_tested_when_asked(person, store_path, monkeypatch):
     one = person(store_path).open("?p=20,10")
     assert not one.page.locator("#goodness progress").is_visible()
     one.page.get_by_role("button", name="Test the fits").click()
-    one.page.wait_for_selector("#goodness table", timeout=120000)
+    one.page.wait_for_selector("#goodness table")
     assert "199 replicates" in one.text("#goodness .note")
     assert one.page.locator("#goodness tr").count() == 5  # the head and four families
     one.page.evaluate("scrollTo(0, 0)")
@@ -424,7 +432,7 @@ def test_trained_estimators_are_among_the_others(person, tmp_path):
     path = tmp_path / "mine.safetensors"
     chd.estimators.train_model(samples, iterations=5, progress=False).save(path)
     one = person(tmp_path / "a.zarr", models=[path]).open("?p=20,10&n=32")
-    one.waits_for("document.querySelector('#estimates').innerText.includes('mine')", timeout=60000)
+    one.waits_for("document.querySelector('#estimates').innerText.includes('mine')")
     row = one.page.locator("#estimates tr", has_text="mine").inner_text()
     assert re.search(r"mine, [\d.]+.% certain.* ± ", row.replace("\n", " "))
 
@@ -433,7 +441,7 @@ def test_exports_are_files(person, store_path):
     one = person(store_path).open("?p=20,10&p=5,6")
     content = {}
     for kind in ("csv", "png", "svg", "pdf"):
-        with one.page.expect_download(timeout=30000) as coming:
+        with one.page.expect_download() as coming:
             one.page.locator(f"[data-export={kind}]").click()
         assert coming.value.suggested_filename == f"box-20_10-5_6.{kind}"
         content[kind] = Path(coming.value.path()).read_bytes()
@@ -487,9 +495,9 @@ def test_several_images_are_compared(person, several):
     bar = "document.querySelector('#colorbar').innerText"
     one.waits_for(f"{bar}.includes('shown minus reference')")
     one.page.locator("select[data-option=map]").select_option("contrast:difference")
-    one.waits_for(f"{bar}.includes('A box.zarr, B other.zarr.')", timeout=60000)
+    one.waits_for(f"{bar}.includes('A box.zarr, B other.zarr.')")
     one.page.keyboard.press("x")  # exchanged
-    one.waits_for(f"{bar}.includes('A other.zarr, B box.zarr.')", timeout=60000)
+    one.waits_for(f"{bar}.includes('A other.zarr, B box.zarr.')")
     one.page.keyboard.press("3")
     one.page.locator("select[data-option=map]").select_option("image")
     one.page.keyboard.press("s")
@@ -500,7 +508,7 @@ def test_several_images_are_compared(person, several):
     assert one.chips == ["1: y 5 x 6"]
     assert one.page.evaluate("document.documentElement.scrollWidth") <= 1280
     assert one.page.evaluate(OVERLAPS) == []
-    with one.page.expect_download(timeout=60000) as coming:
+    with one.page.expect_download() as coming:
         one.page.locator("[data-export=pdf]").click()
     assert Path(coming.value.path()).read_bytes().startswith(b"%PDF")
 
@@ -550,12 +558,8 @@ def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
     one = person(path).open("?p=20,10")
     assert "64 of 128 (not finished) spp" in one.text("#described")
     chd.render("cornell-box", spp=128, **job)
-    one.waits_for(
-        "document.querySelector('#described').innerText.includes('128 spp')", timeout=15000
-    )
-    one.waits_for(
-        "document.querySelector('#headline').innerText.includes('128 samples')", timeout=15000
-    )
+    one.waits_for("document.querySelector('#described').innerText.includes('128 spp')")
+    one.waits_for("document.querySelector('#headline').innerText.includes('128 samples')")
 
 
 def test_a_server_that_stops_is_told(person, store_path, explored):

@@ -25,7 +25,7 @@ class Stepped:
     def work(self, name, count=3):
         for i in range(count):
             self.at.release()
-            assert self._free.acquire(timeout=10)
+            assert self._free.acquire(timeout=600)
             self.steps.append(name)
             yield name, (i + 1) / count
 
@@ -33,13 +33,13 @@ class Stepped:
         """Do some steps, and wait until the next one is begun."""
         for _ in range(count):
             self._free.release()
-            assert self.at.acquire(timeout=10)
+            assert self.at.acquire(timeout=600)
 
     def ends(self, name):
         """Wait until a pass has ended."""
         self._free.release(99)
         event = self._ended.setdefault(name, threading.Event())
-        assert event.wait(10)
+        assert event.wait(600)
         event.clear()
 
     def _tell(self, what):

@@ -102,6 +102,6 @@ def test_ctrl_c_ends_it_whenever_it_comes():
         check=False,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
     assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)

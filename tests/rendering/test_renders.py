@@ -190,23 +190,33 @@ def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, whole, count):
     assert np.array_equal(chd.open(job["out"]).read(), whole)
 
 
+KILLED = """
+import os
+import signal
+import sys
+import chdstat as chd
+
+named = []
+
+
+def kill(event, about):
+    if event == "os.rename" and "/radiance/c/" in str(about[0]):
+        named.append(about)
+        if len(named) == 3:  # two chunks are there, and what will be the third
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+sys.addaudithook(kill)
+chd.render("cornell-box", out=sys.argv[1], spp=1024, size=(8, 8), backend="scalar")
+"""
+
+
 def test_a_killed_render_resumes_to_the_same_bits(tmp_path):
     path, whole = tmp_path / "killed.zarr", tmp_path / "whole.zarr"
-    job = {"spp": 4096, "size": (8, 8), "backend": "scalar"}
-    code = f"import chdstat as chd; chd.render('cornell-box', out={str(path)!r}, **{job!r})"
-    child = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE)
-    try:
-        deadline = time.monotonic() + 60
-        while len(list(path.glob("radiance/c/0/0/0/*"))) < 3:
-            assert child.poll() is None, child.stderr.read()
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
-    finally:
-        child.send_signal(signal.SIGKILL)
-        child.wait()
-        child.stderr.close()
-    assert child.returncode == -signal.SIGKILL
-    assert 0 < len(Store.open(path).pending()) < 64
+    job = {"spp": 1024, "size": (8, 8), "backend": "scalar"}
+    done = subprocess.run([sys.executable, "-c", KILLED, path], check=False, capture_output=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert 0 < len(Store.open(path).pending()) < 16
     chd.render("cornell-box", out=path, **job)
     chd.render("cornell-box", out=whole, **job)
     assert np.array_equal(chd.open(path).read(), chd.open(whole).read())
@@ -278,9 +288,10 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
     path = tmp_path / "s.zarr"
     render(out=path)
     with Store.open(path, writable=True) as store:
+        before = store.attrs["render_seconds"]
         fill_the_disk(monkeypatch, "zarr.json")
         store.spent(1.0)
-    assert Store.open(path).attrs["render_seconds"] < 1
+    assert Store.open(path).attrs["render_seconds"] == before
 
 
 # --- what else may lie at the path --------------------------------------------------------------
@@ -421,7 +432,7 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
         assert child.poll() is None
         time.sleep(0.01)
     child.send_signal(signal.SIGINT)
-    assert child.wait(timeout=120) == 7
+    assert child.wait(timeout=600) == 7
     done = Store.open(path)
     assert done.pending()
     kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger[c.index]]
@@ -447,7 +458,7 @@ def test_ctrl_c_works_after_a_render():
         "except KeyboardInterrupt:\n"
         "    sys.exit(7)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=600)
     assert done.returncode == 7
 
 

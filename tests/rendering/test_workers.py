@@ -86,7 +86,7 @@ def test_a_scheduler_that_dies_is_told_and_the_rest_is_kept(tmp_path, monkeypatc
     from distributed import Client
 
     out, note = tmp_path / "s.zarr", Store.note
-    with scheduler(tmp_path) as (child, address), Client(address, timeout="30s") as client:
+    with scheduler(tmp_path) as (child, address), Client(address, timeout="600s") as client:
 
         def fatal(*arguments: Any) -> None:
             note(*arguments)

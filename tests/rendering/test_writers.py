@@ -26,7 +26,7 @@ def test_of_two_writers_one_may_be_refused_and_the_samples_are_right(tmp_path):
     path, most = tmp_path / "box.zarr", 512
     pair = [started(path, 320), started(path, most)]
     for process in pair:
-        _, told = process.communicate(timeout=120)
+        _, told = process.communicate(timeout=600)
         assert process.returncode == 0 or (
             process.returncode == 2
             and ("is being written by" in told or "run the command again" in told)
