@@ -1,6 +1,7 @@
 """Input: axes by name, masks, integers and precision; whatever array is taken, the same holds."""
 
 import contextlib
+import functools
 import inspect
 import warnings
 from dataclasses import replace
@@ -45,7 +46,7 @@ def test_a_size_is_that_of_a_film_and_a_shape_that_of_an_image():
     functions = {
         function.__name__: inspect.signature(function).parameters
         for owner in (chd, *modules)
-        for function in (getattr(owner, name) for name in owner.__all__)
+        for function in (getattr(owner, name) for name in dir(owner))
         if inspect.isfunction(function)
     }
     sized = {
@@ -125,9 +126,18 @@ PIXELS = {
     "summary": lambda x: Summary(support=(0, 4)).update(x).read().mean,
     "Samples": lambda x: Samples.from_array(x).read(),
 }
+
+
+@functools.cache
+def _trained():
+    image = np.random.default_rng(3).gamma(0.9, size=(12, 12, 3, 64)).astype(np.float32)
+    return train_model(image, iterations=3, progress=False)
+
+
+LEARNED = {"elek2019": lambda x: _trained().predict(x)}
 FIXED = {n: estimators.lookup(n) for n in ("mean", "karis2013", "shared_patches")}
 """One for each set of axes that estimators look at: all others check their input the same way."""
-TAKING = {**ROWS, **PIXELS, **FIXED}
+TAKING = {**ROWS, **PIXELS, **LEARNED, **FIXED}
 
 
 def _warned(name, given):
@@ -160,25 +170,6 @@ def test_unsigned_integers_are_images_for_a_display(x, name):
 def test_dims_may_come_in_any_order(x, name):
     named = xr.DataArray(x, dims=DIMS).transpose("sample", "channel", "x", "y")
     np.testing.assert_array_equal(np.asarray(TAKING[name](named)), np.asarray(TAKING[name](x)))
-
-
-def test_learned_estimators_take_the_same_arrays(x):
-    rng = np.random.default_rng(3)
-    image = rng.gamma(0.9, size=(12, 12, 3, 64)).astype(np.float32)
-    model = train_model(image, iterations=3, progress=False)
-    image = image[..., :32]
-    named = xr.DataArray(image, dims=DIMS).transpose("sample", "channel", "x", "y")
-    expected = model.predict(image)
-    np.testing.assert_array_equal(model.predict(named), expected)
-    hidden = np.zeros(image.shape, bool)
-    hidden[..., 5] = True
-    bad = np.where(hidden, np.nan, image)
-    with pytest.warns(LeftOutWarning, match=r"3\.1 % of the samples \(432 of 13824\) are bad"):
-        found = model.predict(np.ma.masked_array(image, hidden))
-    with pytest.warns(LeftOutWarning):
-        np.testing.assert_array_equal(found, model.predict(bad))
-    with pytest.raises(InputError, match="unsigned integers"):
-        model.predict(image.astype(np.uint8))
 
 
 # --- images in every form ------------------------------------------------------------------------

@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.image_scales import relative_error
 from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import (
     Combination,
@@ -25,6 +24,7 @@ from chdstat.estimators.default_estimate.weighting_network import (
 from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
 from chdstat.estimators.registry import interval_of_mean
 from chdstat.io import read_exr, write_estimates
+from tests.luminance import relative_error
 
 
 @pytest.fixture(scope="module")
@@ -287,11 +287,6 @@ def test_a_mean_of_few_good_samples_is_less_certain():
         assert least[pixel] == pytest.approx(expected, rel=1e-5)
 
 
-def test_one_channel_is_taken():
-    x = np.random.default_rng(0).gamma(0.3, size=(24, 24, 1, 16))
-    assert abs(estimate(x).radiance.mean() - 0.3) < 0.03
-
-
 def test_a_store_is_read_by_tiles_and_never_as_a_whole(tmp_path, monkeypatch):
     x = np.random.default_rng(0).gamma(0.3, size=(96, 72, 3, 16)).astype(np.float32)
     held, sizes = chd.Samples.from_array(x), []
@@ -307,13 +302,6 @@ def test_a_store_is_read_by_tiles_and_never_as_a_whole(tmp_path, monkeypatch):
     assert np.array_equal(found.radiance, expected.radiance)
     assert np.array_equal(found.low, expected.low)
     assert max(sizes) <= (64, 64)
-
-
-def test_signed_samples_are_combined_too():
-    x = np.random.default_rng(0).normal(0.2, 3, size=(16, 16, 1, 16))
-    found = estimate(chd.Samples.from_array(x, axes="yxcs"), progress=False)
-    for image in (found.radiance, found.low, found.high):
-        assert np.isfinite(image).all()
 
 
 def test_the_file_holds_what_each_candidate_was_given(samples, found, tmp_path):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from chdstat._core.image_scales import relative_error
 from chdstat.estimators import estimate
 from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
+from tests.luminance import relative_error
 
 
 def halves_of(truth, n, change, seed=0, draw=np.random.Generator.exponential):

@@ -106,16 +106,6 @@ def test_half_keeps_eleven_bits(tmp_path):
 # --- files of others ------------------------------------------------------------------------------
 
 
-def test_other_channels_are_layers(tmp_path):
-    x = image()
-    planes = {name: x[..., i].copy() for i, name in enumerate("RGB")}
-    more = {"A": x[..., 0] + 1, "Z": x[..., 1] + 1, "N.X": x[..., 2] + 1}
-    found = read_exr(exr(tmp_path / "x.exr", {**planes, **more}))
-    np.testing.assert_array_equal(found.image, x)
-    assert found.extra.keys() == more.keys()
-    assert read_exr(tmp_path / "x.exr", channels=["Z"]).image.shape == (5, 7, 1)
-
-
 def test_channels_of_lower_resolution_are_refused(tmp_path):
     x = image()[:4, :6, 0].copy()
     path = exr(tmp_path / "x.exr", {"Y": x, "Q": OpenEXR.Channel("Q", x, 2, 2)})
@@ -129,13 +119,6 @@ def test_channels_of_lower_resolution_are_refused(tmp_path):
 
 
 # --- writing as a whole or not at all -------------------------------------------------------------
-
-
-def test_a_file_is_replaced(tmp_path):
-    path = write_exr(tmp_path / "x.exr", image())
-    write_exr(path, image(seed=1))
-    np.testing.assert_array_equal(read_exr(path).image, image(seed=1))
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_chromaticities_of_an_unknown_kind_are_told(tmp_path):

@@ -19,7 +19,7 @@ from chdstat.rendering.adaptive import (
 )
 from chdstat.samples.layout import counts_of, missing_of
 from chdstat.samples.store import Store
-from tests.rendering.noise import Pattern, patterns
+from tests.rendering.noise import patterns
 from tests.stops import stopped
 
 VIEW = {"size": (70, 12), "seed": 3, "progress": False}
@@ -140,24 +140,6 @@ def test_trial_samples_find_the_noisy_pixels(name):
     assert np.median(density[noisy]) > 2.5 * np.median(density[~noisy])
 
 
-def test_means_of_rare_light_have_no_bias():
-    """The mean of all pixels and seeds is 1; where pixels decide for themselves, it is lower."""
-    rng, means = np.random.default_rng(1), {"other": [], "own": []}
-    for _ in range(100):
-        x = glints(rng, (8, 8, 1, 256))
-        first = x[..., :8]
-        density, _ = decided(look_at(first), Adaptive("MSE", 8), {})
-        own = np.sqrt(first.var(axis=(2, 3)))
-        own = np.clip(own / own.mean(), 0.25, 8) if own.any() else np.ones((8, 8))
-        for name, each in (("other", density), ("own", own)):
-            counts = counts_of(each, 32, 8)
-            kept = np.arange(256) < counts[..., np.newaxis, np.newaxis]
-            means[name].append((x * kept).sum(axis=(2, 3)) / counts)
-    found = {n: (np.mean(m), np.std(np.mean(m, axis=(1, 2))) / 100**0.5) for n, m in means.items()}
-    assert abs(found["other"][0] - 1) < 3 * found["other"][1]  # fails by chance once in 370 times
-    assert found["own"][0] < 1 - 5 * found["own"][1]
-
-
 def test_means_have_no_bias_where_trials_decide_and_classes_go_on():
     """Going on where the kept samples themselves look noisy would make the mean too dark.
 
@@ -223,15 +205,6 @@ def test_a_single_bright_sample_does_not_hide_its_own_error():
     truth = math.sqrt((np.square(x.mean(axis=-1) - 1.25) / (1.01 * 1.25**2)).mean())
     found = error_of(chd.Samples.from_array(x.astype(np.float32)))
     assert found.value == pytest.approx(truth, rel=0.3)
-
-
-def test_pixels_that_differ_from_those_around_are_no_fireflies():
-    """Dots of 8 over 0.2, of which each has met its light 6 times on average."""
-    dots = np.random.default_rng(0).random((32, 32)) < 0.02
-    pattern = Pattern(np.where(dots, 0, 0.2), 80.0 * dots, np.where(dots, 0.1, 1.0))
-    looks = [look_at(pattern.samples(np.random.default_rng(seed), 64)) for seed in range(8)]
-    found = [error_of(look).value for look in looks]
-    assert np.mean(found) == pytest.approx(pattern.error(pattern.variance / 64), rel=0.2)
 
 
 def test_a_percentile_is_that_of_the_pixels():

@@ -33,13 +33,6 @@ def test_the_batches_are_the_samples_of_a_render(whole, batch, sizes):
     assert np.array_equal(np.concatenate(found, axis=-1), whole.read())
 
 
-def test_a_wavefront_gives_the_samples_of_a_render_too(wavefront):
-    job = {"backend": wavefront, "size": (8, 6), "spp": 70}
-    found = list(render_batches("cornell-box", batch=24, **job))
-    assert [part.shape[-1] for part in found] == [24, 24, 22]
-    assert np.array_equal(np.concatenate(found, axis=-1), chd.render("cornell-box", **job).read())
-
-
 def test_each_loop_draws_the_same(whole):
     rendering = batches(batch=4, spp=8)
     for _ in range(2):

@@ -336,22 +336,6 @@ def test_single_pixels():
     assert not np.array_equal(x[1], other)
 
 
-def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monkeypatch):
-    path, draw = tmp_path / "s.zarr", MitsubaRenderer.chunk
-
-    def failing(renderer: MitsubaRenderer, chunk: Any, **options: Any) -> Any:
-        if chunk.batch == 2:
-            message = "lost"
-            raise RuntimeError(message)
-        return draw(renderer, chunk, **options)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(MitsubaRenderer, "chunk", failing)
-        with pytest.raises(RuntimeError, match="lost"):
-            render(spp=256, out=path)
-    assert np.array_equal(render(spp=256, out=path).read(), render(spp=256).read())
-
-
 @pytest.mark.parametrize("where", ["{}/s.zarr", "memory://unborn/s.zarr"])
 def test_nothing_is_left_where_nothing_could_be_drawn(tmp_path, monkeypatch, where):
     out, draw, failed = UPath(where.format(tmp_path)), MitsubaRenderer.chunk, ["whole"]
@@ -444,22 +428,6 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
         for chunk in kept[-3:]:
             block = done.read(chunk.ys, chunk.xs, chunk.ss)
             assert np.array_equal(block, whole.chunk(chunk))
-
-
-def test_ctrl_c_works_after_a_render():
-    program = (
-        "import os, signal, sys, time\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "import chdstat as chd\n"
-        "chd.render('cornell-box', spp=64, size=(130, 70), backend='scalar')\n"
-        "try:\n"
-        "    os.kill(os.getpid(), signal.SIGINT)\n"
-        "    time.sleep(5)\n"
-        "except KeyboardInterrupt:\n"
-        "    sys.exit(7)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=600)
-    assert done.returncode == 7
 
 
 def test_what_renders_takes_one_set_of_options():

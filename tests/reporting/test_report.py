@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.display import percent
 from chdstat.errors import LeftOutWarning
 from chdstat.reporting import scene_report
 from chdstat.reporting.content import remake_note
@@ -78,7 +77,7 @@ def test_each_number_of_a_report_has_one_value(radiance, tmp_path, documents):
     (needed,) = (f for f in content["findings"] if "you need" in f["finding"])
     assert re.fullmatch(r"For [\d.]+.% you need about [\d,]+ spp\.", needed["finding"])
     error = chd.estimate(chd.Samples.from_array(radiance)).relative_error
-    assert f"of its relMSE, of about {percent(error)}" in needed["because"]
+    assert f"of its relMSE, of about {100 * error:.2g}\N{NO-BREAK SPACE}%" in needed["because"]
 
 
 def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
