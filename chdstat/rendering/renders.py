@@ -30,7 +30,8 @@ from chdstat.rendering.options import Crop, IntegratorLike, Job, RenderOptions, 
 from chdstat.rendering.seeds import SamplerName, check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import GUIDE, counts_of, differing, missing_of, part_folder
+from chdstat.samples.layout import GUIDE, differing, part_folder
+from chdstat.samples.ledger import counts_of, missing_of
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, chunk_grid
 from chdstat.scenes import SceneLike, load_scene

@@ -45,10 +45,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
-import numpy as np
-import numpy.typing as npt
-
-from chdstat._core.arrays import Image
 from chdstat._core.files import (
     checksum,
     exists,
@@ -159,44 +155,6 @@ def with_parts(manifest: Mapping[str, Any], parts: Iterable[LightPart]) -> dict[
 def feature_file(name: str, shape: Sequence[int]) -> str:
     """Return the file that holds a first-hit feature, within the store."""
     return f"features/{name}/c" + "/0" * len(shape)
-
-
-def grid(shape: Sequence[int]) -> tuple[int, int, int]:
-    """Return (tile_y, tile_x, batch) of a store."""
-    height, width, _, spp = shape
-    return -(-height // TILE), -(-width // TILE), -(-spp // BATCH)
-
-
-# --- counts that differ on purpose --------------------------------------------------------------
-
-_GOLDEN = (5**0.5 - 1) / 2
-
-
-def counts_of(density: Image, spp: float, least: int) -> npt.NDArray[np.int32]:
-    """Return the number of samples of each pixel, shape (y, x): `spp` times its density, rounded.
-
-    The offsets of the rounding are a sequence of low discrepancy, so that the mean is `spp`. They
-    do not depend on `spp`, so that no pixel loses samples when `spp` grows.
-
-    Examples
-    --------
-    >>> counts_of(np.array([[0.25, 1.75]], np.float32), 10, least=4)
-    array([[ 4, 18]], dtype=int32)
-    """
-    offsets = (np.arange(density.size) + 0.5) * _GOLDEN % 1
-    wanted = density.astype(np.float64) * spp + offsets.reshape(density.shape)
-    return np.maximum(wanted, least).astype(np.int32)
-
-
-def missing_of(held: Image, counts: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-    """Return which of the first `counts` samples of each pixel are missing, shape (y, x, sample).
-
-    The samples of a pixel end with its last sample that is not NaN. A bad one at the end is drawn
-    again.
-    """
-    number = np.arange(held.shape[-1])
-    known = (~np.isnan(held).all(axis=2) * (number + 1)).max(axis=-1, keepdims=True)
-    return np.asarray((number >= known) & (number < counts[..., np.newaxis]))
 
 
 # --- labels -------------------------------------------------------------------------------------

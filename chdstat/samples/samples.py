@@ -48,7 +48,8 @@ from chdstat.samples.dependence import (
     sequence_of,
     warn_of_repeats,
 )
-from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, SampleSource, Work
+from chdstat.samples.ledger import PixelCounts
+from chdstat.samples.tiles import ALL, DIRECT_DEPTH, LightPart, SampleSource, Work
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
 
 
 _BIASED = "where that number depended on the samples, means and their errors are biased"
-_ALL = slice(None)
 _ALWAYS_READ = 2**26
 """Bytes that are read without checking the memory."""
 _MOST_CHANNELS = 4
@@ -68,7 +68,6 @@ _THUMBNAIL, _VALUES = 256, 2**25
 
 _Index = slice | SupportsIndex
 _Places = tuple[range, range, range]
-_PixelCounts = npt.NDArray[np.int32]
 
 
 class Samples:
@@ -94,7 +93,7 @@ class Samples:
         parts: Mapping[LightPart, Samples] | None = None,
         part: _Places | None = None,
         path: Path | None = None,
-        counts: _PixelCounts | None = None,
+        counts: PixelCounts | None = None,
     ) -> None:
         height, width, _, spp = held.shape
         self._held, self._attrs, self._counts = held, dict(attrs), counts
@@ -210,7 +209,7 @@ class Samples:
         return int(self.counts.min())
 
     @property
-    def counts(self) -> _PixelCounts:
+    def counts(self) -> PixelCounts:
         """Samples of each pixel, shape (y, x); those beyond them read as NaN."""
         if self._counts is None:
             return np.full(self.shape[:2], self.spp, np.int32)
@@ -397,7 +396,7 @@ class Samples:
     def isel(self, *, x: SupportsIndex, y: _Index = ..., sample: _Index = ...) -> Image: ...
     @overload
     def isel(self, *, sample: SupportsIndex, y: _Index = ..., x: _Index = ...) -> Image: ...
-    def isel(self, *, y: _Index = _ALL, x: _Index = _ALL, sample: _Index = _ALL) -> Image | Samples:
+    def isel(self, *, y: _Index = ALL, x: _Index = ALL, sample: _Index = ALL) -> Image | Samples:
         """Select rows, columns or samples of each pixel.
 
         Slices return `Samples` without reading or copying; features and parts are cut alike. An
@@ -419,7 +418,7 @@ class Samples:
         rows, columns, samples = self.part
         ys, xs, ss = _cut("y", rows, y), _cut("x", columns, x), _cut("sample", samples, sample)
         if not all(isinstance(index, slice) for index in (y, x, sample)):
-            first = [_ALL if isinstance(index, slice) else 0 for index in (y, x, sample)]
+            first = [ALL if isinstance(index, slice) else 0 for index in (y, x, sample)]
             return np.asarray(self.read(ys, xs, ss)[first[0], first[1], :, first[2]])
         features, parts, attrs = self._features, {}, self._attrs
         if features is not None:
@@ -440,7 +439,7 @@ class Samples:
             counts=None if self._counts is None else self._counts[ys, xs],
         )
 
-    def read(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> Image:
+    def read(self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample).
 
         Raises
@@ -618,7 +617,7 @@ class Samples:
         places, shown = tiles.tiles(self.shape), {"description": description}
         return tiles.over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)
 
-    def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
+    def absent(self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL) -> int:
         """Return how many samples are missing in a part because pixels have fewer than others."""
         if self._counts is None:
             return 0
@@ -838,7 +837,7 @@ def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]
             raise InputError(message)
 
 
-def check_counts(counts: npt.ArrayLike, shape: tuple[int, ...]) -> _PixelCounts:
+def check_counts(counts: npt.ArrayLike, shape: tuple[int, ...]) -> PixelCounts:
     """Return how many of its samples each pixel has, shape (y, x).
 
     Raises
@@ -907,7 +906,7 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
 
 
-def _counted(counts: _PixelCounts, samples: range) -> _PixelCounts:
+def _counted(counts: PixelCounts, samples: range) -> PixelCounts:
     """Return how many of some samples each pixel has, if it has the first `counts`.
 
     Examples

@@ -17,7 +17,6 @@ import hashlib
 import importlib.metadata
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -47,10 +46,10 @@ from chdstat.samples.dependence import (
     sequence_of,
 )
 from chdstat.samples.layout import FOREIGN, DamageError, is_store
+from chdstat.samples.ledger import Ledger, PixelCounts, counts_of
 from chdstat.samples.samples import ImageLike, Samples
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Chunk, LightPart, chunk_grid
+from chdstat.samples.tiles import ALL, DIRECT_DEPTH, Chunk, LightPart
 
-_ALL = slice(None)
 _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes that decide whether the samples of two stores share random numbers."""
 _FILES = (".exr", ".npy", ".npz", ".nc", ".pfm", ".png", ".hdr", ".jpg")
@@ -74,22 +73,19 @@ class Store:
     shape
         Room of the store, (y, x, channel, sample).
     ledger
-        Stored samples per pixel of each chunk, shape (tile_y, tile_x, batch); in an adaptive
-        render, the total over its pixels.
+        The chunks that there should be, and what is stored of them.
     density
         In an adaptive render, samples of each pixel over the mean, shape (y, x); None until it is
         decided.
     """
 
     frames = False
-    _counts: npt.NDArray[np.int32] | None = None
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
         self.path, self._attributes, self._lock = path.absolute(), dict(attributes), lock
         height, width, channels, spp = self._manifest["shape"]
         self.shape = (height, width, channels, spp)
         self.density = self._decided()
-        self._full = self._room()
         self.ledger = self._stored()
         self._lay_out()
 
@@ -160,7 +156,7 @@ class Store:
             store = cls(path, layout.attributes_of(path), lock)
             store._save()
             for chunk in store._damaged_chunks():
-                store.ledger[chunk.index] = 0
+                store.ledger.note(chunk, 0)
         return store
 
     @property
@@ -216,51 +212,37 @@ class Store:
                 self._change({"shape": list(self.shape), "complete": 0, "features": features})
             return None
 
-    def counts(self) -> npt.NDArray[np.int32] | None:
+    def counts(self) -> PixelCounts | None:
         """Return the number of samples of each pixel, shape (y, x), if they differ."""
         if self.adaptive is not None and layout.DENSITY in self._manifest["features"]:
             density = self.density
             if density is None:  # it is damaged; reading raises the error
                 density = self._read_feature(layout.DENSITY)
-            return layout.counts_of(density, self._attributes["spp"], self.adaptive["first"])
+            return counts_of(density, self._attributes["spp"], self.adaptive["first"])
         if layout.COUNTS not in self._manifest["features"]:
             return None
         return self._read_feature(layout.COUNTS).astype(np.int32)
 
-    def _room(self) -> npt.NDArray[np.int32]:
-        """Return the ledger of a store in which everything is stored."""
-        starts = np.arange(0, self.shape[3], BATCH)
-        full = np.zeros(layout.grid(self.shape), np.int32)
-        if self.adaptive is None:
-            full[...] = np.minimum(BATCH, self.shape[3] - starts)
-            return full
-        counts = None if self.density is None else self.counts()
-        if counts is None:
-            counts = np.full(self.shape[:2], self.shape[3], np.int32)
-        self._counts = counts
-        for i, start in enumerate(starts):
-            held = np.clip(counts - start, 0, BATCH)
-            for axis in (0, 1):
-                held = np.add.reduceat(held, np.arange(0, held.shape[axis], TILE), axis=axis)
-            full[..., i] = held
-        return full
+    def _empty(self) -> Ledger:
+        """Return the ledger of a store in which nothing is stored."""
+        counts = None
+        if self.adaptive is not None:
+            counts = None if self.density is None else self.counts()
+            if counts is None:  # the first samples, which all pixels have
+                counts = np.full(self.shape[:2], self.shape[3], np.int32)
+        return Ledger(self.shape, counts)
 
-    def _stored(self) -> npt.NDArray[np.int32]:
+    def _stored(self) -> Ledger:
         """Return the ledger: the leading samples that are known, and those with labels."""
-        known, spp = int(self._manifest["complete"]), self.shape[3]
-        starts = np.arange(0, spp, BATCH)
-        ledger: npt.NDArray[np.int32]
-        if self.adaptive is None:
-            ledger = np.clip(known - starts, 0, self._full)
-        else:
-            ledger = np.where((starts + BATCH <= known) | (known >= spp), self._full, 0)
-        for chunk in self._chunks(ss=slice(known, spp)):
+        known, ledger = int(self._manifest["complete"]), self._empty()
+        ledger.note_first(known)
+        for chunk in ledger.chunks(ss=slice(known, self.shape[3])):
             if self.chunk_file(chunk).exists():
                 # A damaged chunk counts as stored, so that reading it reports the damage.
-                ledger[chunk.index] = self._full[chunk.index]
+                ledger.note(chunk)
                 with contextlib.suppress(DamageError):
-                    ledger[chunk.index] = min(self._label(chunk)[0], self._full[chunk.index])
-        return np.asarray(ledger, np.int32)
+                    ledger.note(chunk, self._label(chunk)[0])
+        return ledger
 
     def _lay_out(self) -> None:
         """Make the arrays that decode and encode chunks, without reading."""
@@ -271,43 +253,31 @@ class Store:
         self._encoded: dict[str, Any] = {}
         self._encoder = layout.array(MemoryStore(self._encoded), "radiance", metadata)
 
-    def _chunks(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> Iterator[Chunk]:
-        height, width, _, spp = self.shape
-        return chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
-
     def pending(self) -> list[Chunk]:
         """Return the chunks that are not safely stored yet, in the order of rendering."""
-        return [c for c in self._chunks() if self.ledger[c.index] < self._full[c.index]]
+        return self.ledger.pending()
 
     @property
     def lacking(self) -> int:
         """Samples that are not stored yet, over all pixels."""
-        if self.adaptive is None:
-            return sum(chunk.size for chunk in self.pending())
-        return int(self._full.sum()) - int(self.ledger.sum())
+        return self.ledger.lacking
 
     def to_draw(self, chunk: Chunk) -> Chunk:
         """Return a chunk with its missing samples marked, if counts differ on purpose."""
-        if self._counts is None:
+        if self.ledger.counts is None:
             return chunk
         height, width, samples = chunk.shape
         held = np.full((height, width, 1, samples), np.nan, np.float32)
-        if self.ledger[chunk.index]:
+        if self.ledger.held[chunk.index]:
             held = self.read(chunk.ys, chunk.xs, chunk.ss)
-        wanted = self._counts[chunk.ys, chunk.xs] - chunk.ss.start
-        return replace(chunk, missing=layout.missing_of(held, wanted))
+        return self.ledger.marked(chunk, held)
 
     def complete_spp(self) -> int:
         """Return the number of leading samples that every pixel has, out of those it should have.
 
         In an adaptive render, only whole batches count.
         """
-        short = (self.ledger < self._full).any(axis=(0, 1))
-        if not short.any():
-            return int(self.shape[3])
-        batch = int(short.argmax())
-        stored = 0 if self.adaptive else int(self.ledger[..., batch].min())
-        return int(BATCH * batch + stored)
+        return self.ledger.complete_spp
 
     def chunk_file(self, chunk: Chunk) -> Path:
         """Return the file that holds a chunk."""
@@ -356,8 +326,8 @@ class Store:
             If a chunk is damaged, missing or in the wrong place; the message says where.
         """
         try:
-            for chunk in self._chunks(ys, xs, ss):
-                if self.ledger[chunk.index]:
+            for chunk in self.ledger.chunks(ys, xs, ss):
+                if self.ledger.held[chunk.index]:
                     self._check(chunk)
             return np.asarray(self._radiance[ys, xs, :, ss], dtype=np.float32)
         except FOREIGN as error:
@@ -373,7 +343,7 @@ class Store:
         With `content`, its checksum is compared, too.
         """
         samples, length, told = self._label(chunk)
-        if samples < self.ledger[chunk.index]:
+        if samples < self.ledger.held[chunk.index]:
             message = "it is an older one, with fewer samples"
             raise DamageError(message)
         if content and checksum(self.chunk_file(chunk).read_bytes()[:length]) != told:
@@ -381,13 +351,13 @@ class Store:
             raise DamageError(message)
 
     def _damaged_chunks(
-        self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL, *, content: bool = True
+        self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL, *, content: bool = True
     ) -> list[Chunk]:
         """Return the stored chunks in a part that are damaged, by their labels or their content."""
         damaged = []
-        for chunk in self._chunks(ys, xs, ss):
+        for chunk in self.ledger.chunks(ys, xs, ss):
             try:
-                if self.ledger[chunk.index]:
+                if self.ledger.held[chunk.index]:
                     self._check(chunk, content=content)
             except FOREIGN:
                 damaged.append(chunk)
@@ -477,7 +447,7 @@ class Store:
 
     def write(self, chunk: Chunk, block: Image) -> None:
         """Store one chunk, or add its missing samples; `block` is (y, x, channel, sample)."""
-        if chunk.missing is not None and self.ledger[chunk.index]:
+        if chunk.missing is not None and self.ledger.held[chunk.index]:
             held = self.read(chunk.ys, chunk.xs, chunk.ss)
             block = np.where(chunk.missing[:, :, np.newaxis], block, held)
         self.put(chunk, block)
@@ -489,13 +459,13 @@ class Store:
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
         with layout.disk_errors(self.path):
-            samples = chunk.shape[2] if self.adaptive is None else int(self._full[chunk.index])
+            samples = int(self.ledger.full[chunk.index])
             labelled = layout.labelled(content, self._manifest["identity"], chunk, samples)
             layout.put(self.path / key, labelled)
 
     def note(self, chunk: Chunk) -> None:
         """Count a chunk as stored, whoever wrote its file."""
-        self.ledger[chunk.index] = self._full[chunk.index]
+        self.ledger.note(chunk)
         if self.complete_spp() > self._manifest["complete"]:
             self.update()
 
@@ -522,7 +492,7 @@ class Store:
 
     def discard(self) -> None:
         """Remove the store, if no samples were written to it."""
-        if self._stored().any():
+        if self._stored().held.any():
             return
         if is_remote(self.path):
             with layout.disk_errors(self.path):
@@ -539,9 +509,8 @@ class Store:
     def _grow(self, spp: int) -> None:
         """Make room for more samples of every pixel, or of some pixels."""
         self.shape = (*self.shape[:3], max(spp, self.shape[3]))
-        self._full = self._room()
-        before, self.ledger = self.ledger, np.zeros_like(self._full)
-        self.ledger[..., : before.shape[2]] = before
+        before, self.ledger = self.ledger.held, self._empty()
+        self.ledger.held[..., : before.shape[2]] = before
         self._lay_out()
         complete = self.complete_spp()  # of counts that grew, fewer than before
         self._change({"shape": list(self.shape), "complete": complete})

@@ -42,7 +42,7 @@ _AT_ONCE = 3 * 2**20
 """Most bytes of samples that statistics take at once, as their work holds many times as much."""
 _OF_BAD = ("bad_count", "nan_count", "n_bad")
 """Counts of bad samples; samples that a pixel lacks read as NaN and are subtracted from them."""
-_ALL = slice(None)
+ALL = slice(None)
 
 LightPart = int | str
 """A part of the light of samples: paths of up to this many segments, or lights of this name."""
@@ -204,7 +204,7 @@ class Chunk:
 
 
 def chunk_grid(
-    height: int, width: int, spp: int, *, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL
+    height: int, width: int, spp: int, *, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL
 ) -> Iterator[Chunk]:
     """Yield the chunks of an image, or of a part of it.
 

@@ -17,7 +17,7 @@ from chdstat.rendering.adaptive import (
     expected_error,
     more,
 )
-from chdstat.samples.layout import counts_of, missing_of
+from chdstat.samples.ledger import counts_of, missing_of
 from chdstat.samples.store import Store
 from tests.rendering.noise import patterns
 from tests.stops import stopped

@@ -419,7 +419,7 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
     assert child.wait(timeout=600) == 7
     done = Store.open(path)
     assert done.pending()
-    kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger[c.index]]
+    kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger.held[c.index]]
     assert kept
     with activate(probe("scalar")):
         whole = MitsubaRenderer(
