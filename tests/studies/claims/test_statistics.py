@@ -144,7 +144,7 @@ def test_integrators_of_equal_shapes_are_seldom_told_apart_and_those_of_others_a
     assert np.sum(np.array(found) < 0.05) < 7
     assert abs(np.mean(found) - 0.5) < 0.18
     squared = squares(lit(rng, sigma, 256, 0.5), lit(rng, 1.3 * sigma, 96, 0.8))
-    assert permuted([squared]) == 0.001
+    assert permuted([squared]) < 0.001
     # Of log-normals, at the mean of their spreads in decades: nearly quadratic in their difference.
     expected = 0.3**2 * sigma.mean() / np.log(10) / (4 * np.sqrt(np.pi))
     assert np.nanmean(squared) == pytest.approx(expected, rel=0.35)
@@ -165,7 +165,7 @@ def test_integrators_that_share_random_numbers_are_compared_in_pairs():
     assert abs(np.mean(p) - 0.5) < 0.2
     assert np.mean(wrong) > 0.9
     squared = squares_of_pairs(*sharing(rng, (0.8, 1.04), 0.8))
-    assert permuted([squared]) == 0.001
+    assert permuted([squared]) < 0.001
     expected = 0.3**2 * 0.8 / np.log(10) / (4 * np.sqrt(np.pi))
     assert np.nanmean(squared) == pytest.approx(expected, rel=0.35)
 
