@@ -9,8 +9,6 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from chdstat._core import doors
-
 __version__ = "0.1.0"
 
 _FUNCTIONS = {
@@ -49,11 +47,14 @@ _MODULES = (
     "viz",
 )
 
-doors.draw.filled_by("chdstat.viz.results")
-doors.report.filled_by("chdstat.reporting.documents")
-doors.read_image.filled_by("chdstat.io.exr")
-doors.pixel_of.filled_by("chdstat.patterns.pixel")
-doors.regions_of.filled_by("chdstat.patterns.pixel")
+DOORS = {
+    "draw": "viz.results",
+    "pixel_of": "patterns.pixel",
+    "read_image": "io.exr",
+    "regions_of": "patterns.pixel",
+    "report": "reporting.documents",
+}
+"""The module that fills each door of `chdstat._core.doors`: this one stands outside the rings."""
 
 __all__ = ["__version__", *sorted((*_FUNCTIONS, *_MODULES))]
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+import chdstat
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,13 +26,15 @@ class Door(Generic[T]):
 
     Parameters
     ----------
+    name
+        Name in `chdstat.DOORS`, which has the module that registers implementations: the first call
+        imports it.
     done
         What is done to a result, for errors.
 
     Examples
     --------
-    >>> weigh = Door("weighed")
-    >>> weigh.filled_by("math")
+    >>> weigh = Door("weigh", "weighed")
     >>> weigh.register(int, lambda number, *, unit: f"{number} {unit}")
     >>> weigh(3, unit="kg")
     '3 kg'
@@ -40,13 +43,9 @@ class Door(Generic[T]):
     chdstat.errors.InputError: expected what can be weighed, a result int, got str
     """
 
-    def __init__(self, done: str) -> None:
-        self._done, self._module = done, ""
+    def __init__(self, name: str, done: str) -> None:
+        self._name, self._done = name, done
         self._known = functools.singledispatch(self._refused)
-
-    def filled_by(self, module: str) -> None:
-        """Say which module registers implementations; the first call imports it."""
-        self._module = module
 
     def register(self, kind: type, function: Callable[..., T]) -> None:
         """Register what a type of results is given to."""
@@ -60,7 +59,8 @@ class Door(Generic[T]):
         InputError
             If nothing is.
         """
-        importlib.import_module(self._module)
+        if self._name in chdstat.DOORS:
+            importlib.import_module(f"chdstat.{chdstat.DOORS[self._name]}")
         return self._known(result, *given, **options)
 
     def _refused(self, result: object, *_: Any, **__: Any) -> T:
@@ -72,13 +72,13 @@ class Door(Generic[T]):
         raise InputError(message)
 
 
-draw: Door[Figure] = Door("drawn")
+draw: Door[Figure] = Door("draw", "drawn")
 """Draw a result; takes its options, and returns the figure."""
-report: Door[Path] = Door("typeset as a report")
+report: Door[Path] = Door("report", "typeset as a report")
 """Typeset a result as PDF; takes the path, and returns it."""
-read_image: Door[Any] = Door("read as an image")
+read_image: Door[Any] = Door("read_image", "read as an image")
 """Read an image from the path of an EXR file, as `chdstat.io.read_exr`."""
-pixel_of: Door[Any] = Door("looked at pixel by pixel")
+pixel_of: Door[Any] = Door("pixel_of", "looked at pixel by pixel")
 """Return the `chdstat.patterns.Pixel` of samples at row y and column x."""
-regions_of: Door[Any] = Door("looked at region by region")
+regions_of: Door[Any] = Door("regions_of", "looked at region by region")
 """Return the `chdstat.patterns.Regions` of samples at places by name."""

@@ -51,8 +51,7 @@ def test_what_nobody_draws_is_refused_by_name():
 
 
 def test_an_implementation_of_a_subclass_comes_first():
-    told: Door[str] = Door("told")
-    told.filled_by("math")
+    told: Door[str] = Door("tell", "told")
     told.register(int, lambda _: "a number")
     told.register(bool, lambda _: "a truth")
     assert (told(1), told(True)) == ("a number", "a truth")
