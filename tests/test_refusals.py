@@ -29,7 +29,7 @@ from chdstat.io import denoise, read_exr, write_estimates, write_exr
 from chdstat.patterns import Thresholds, agreement, attribute
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
-from chdstat.rendering.options import scene_size
+from chdstat.rendering.jobs import scene_size
 from chdstat.rendering.recipes import load_recipe
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import Region

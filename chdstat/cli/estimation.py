@@ -9,16 +9,16 @@ import typer
 
 from chdstat._core.files import place_of
 from chdstat.cli import output
-from chdstat.cli.program import command
-from chdstat.cli.shared_options import (
+from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
     SceneOrStore,
     StorePath,
-    option,
+    argument,
     pairs_of,
 )
+from chdstat.cli.program import command
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,14 +48,17 @@ _COMPARED = {
     *OUTPUT,
 )
 def train(
-    source: SceneOrStore,
-    out: Annotated[Path, option("The model to write, .safetensors.", "--out", "-o")],
-    asked: CommonOptions,
-    estimator: Annotated[
-        str, option("The learned estimator to train.", "-e", "--estimator", metavar="NAME")
-    ] = "elek2019",
+    source: SceneOrStore, out: Path, asked: CommonOptions, estimator: str = "elek2019"
 ) -> None:
-    """Train an estimator on a scene and write it to a file."""
+    """Train an estimator on a scene and write it to a file.
+
+    Parameters
+    ----------
+    out : path
+        The model to write, .safetensors.
+    estimator : NAME
+        The learned estimator to train.
+    """
     from chdstat.estimators.training import check_choice, train_model
 
     target = asked.target(out, ".safetensors")  # refused before the work, not after
@@ -85,23 +88,13 @@ def train(
 )
 def estimate(
     source: SceneOrStore,
-    out: Annotated[Path, option("The image to write: .exr, .npy, .pfm or .png.", "--out", "-o")],
+    out: Path,
     asked: CommonOptions,
-    model: Annotated[
-        Path | None,
-        option(
-            "A trained model, written by 'train'.",
-            metavar="FILE",
-            unset="candidates are combined",
-        ),
-    ] = None,
-    level: Annotated[float, option("Probability of the interval.")] = 0.9,
-    denoise: Annotated[bool, option("Denoise the estimate with Open Image Denoise.")] = False,
-    while_rendering: Annotated[bool, option("Estimate from a render; keep no samples.")] = False,
-    seconds: Annotated[
-        float | None,
-        option("While rendering: stop after this many seconds.", "--time", unset="all samples"),
-    ] = None,
+    model: Path | None = None,
+    level: float = 0.9,
+    denoise: bool = False,
+    while_rendering: bool = False,
+    time: float | None = None,
 ) -> None:
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
@@ -111,6 +104,21 @@ def estimate(
     is tone-mapped. With --while-rendering, the file is written at each doubling of the number of
     samples, and a line says the relative error and the samples that a smaller one takes; --time and
     --error stop it.
+
+    Parameters
+    ----------
+    out : path
+        The image to write: .exr, .npy, .pfm or .png.
+    model : FILE, default candidates are combined
+        A trained model, written by 'train'.
+    level : float
+        Probability of the interval.
+    denoise : bool
+        Denoise the estimate with Open Image Denoise.
+    while_rendering : bool
+        Estimate from a render; keep no samples.
+    time : float, default all samples
+        While rendering: stop after this many seconds.
     """
     from chdstat._core.files import kept_until_written
     from chdstat.estimators.training import load_model
@@ -119,7 +127,7 @@ def estimate(
 
     target = asked.target(out, *IMAGES)  # refused before the work, not after
     trained = None if model is None else load_model(model)
-    endless = (seconds, asked.error) != (None, None)
+    endless = (time, asked.error) != (None, None)
     samples = (
         _drawn(source, asked, endless=endless)
         if while_rendering
@@ -137,7 +145,7 @@ def estimate(
             progress=asked.progress,
             client=client,
             checkpoint=checkpoint,
-            seconds=seconds,
+            seconds=time,
             relative_error=asked.error,
         )
     about = IMAGES[path.suffix.lower()]
@@ -171,18 +179,30 @@ def _drawn(source: str, asked: CommonOptions, *, endless: bool) -> Samples | Ren
 def compare(
     store: StorePath,
     asked: CommonOptions,
-    n: Annotated[int, option("Number of samples per estimate.", "--n")] = 32,
-    max_batches: Annotated[
-        int, option("Largest number of batches per pixel to estimate from.")
-    ] = 16,
-    patterns: Annotated[bool, option("Also compare for each pattern of pixels.")] = False,
-    denoise: Annotated[bool, option("Also compare after Open Image Denoise.")] = False,
-    curve: Annotated[bool, option("Also measure errors against the number of samples.")] = False,
-    out: Annotated[
-        Path | None, option("New folder for figures and numbers.", "--out", "-o")
-    ] = None,
+    n: int = 32,
+    max_batches: int = 16,
+    patterns: bool = False,
+    denoise: bool = False,
+    curve: bool = False,
+    out: Path | None = None,
 ) -> None:
-    """Compare estimators on held-out pixels: errors, bias and fireflies."""
+    """Compare estimators on held-out pixels: errors, bias and fireflies.
+
+    Parameters
+    ----------
+    n : int
+        Number of samples per estimate.
+    max_batches : int
+        Largest number of batches per pixel to estimate from.
+    patterns : bool
+        Also compare for each pattern of pixels.
+    denoise : bool
+        Also compare after Open Image Denoise.
+    curve : bool
+        Also measure errors against the number of samples.
+    out : path
+        New folder for figures and numbers.
+    """
     import chdstat
     from chdstat.estimators.training import first_samples
     from chdstat.reporting.figures import save_comparison
@@ -217,34 +237,35 @@ def compare(
 
 @command("contrast path.zarr changed.zarr -o contrast.pdf", "seed", "overwrite", *OUTPUT)
 def contrast(
-    a: Annotated[Path, typer.Argument(metavar="A", help="A finished store.", parser=place_of)],
-    b: Annotated[
-        Path,
-        typer.Argument(metavar="B", help="Another store, or a reference as EXR.", parser=place_of),
-    ],
+    a: Annotated[Path, argument("A", "A finished store.", parser=place_of)],
+    b: Annotated[Path, argument("B", "Another store, or a reference as EXR.", parser=place_of)],
     asked: CommonOptions,
-    variance: Annotated[
-        Path | None,
-        option("Variances of a sample of the reference, an EXR.", unset="unknown"),
-    ] = None,
-    reference_spp: Annotated[
-        int | None, option("Samples per pixel of the reference.", unset="unknown")
-    ] = None,
-    alpha: Annotated[
-        float, option("Probability of a difference found where there is none.")
-    ] = 0.05,
-    seconds: Annotated[
-        float | None, option("Compare what each renders in this time.", unset="all samples")
-    ] = None,
-    out: Annotated[Path | None, option("A page with maps to write, .pdf.", "--out", "-o")] = None,
-    distributions: Annotated[
-        bool, option("Test variances and distributions of pixels, too.")
-    ] = False,
+    variance: Path | None = None,
+    reference_spp: int | None = None,
+    alpha: float = 0.05,
+    seconds: float | None = None,
+    out: Path | None = None,
+    distributions: bool = False,
 ) -> None:
     """Test whether two renders have the same mean, and which is more efficient.
 
     The exit code is 0 if no difference was found, 3 if one was, and 4 if the samples cannot tell,
     for example because they are too few. An error ends with 2.
+
+    Parameters
+    ----------
+    variance : path, default unknown
+        Variances of a sample of the reference, an EXR.
+    reference_spp : int, default unknown
+        Samples per pixel of the reference.
+    alpha : float
+        Probability of a difference found where there is none.
+    seconds : float, default all samples
+        Compare what each renders in this time.
+    out : path
+        A page with maps to write, .pdf.
+    distributions : bool
+        Test variances and distributions of pixels, too.
     """
     import chdstat
     from chdstat.reporting.figures import save_figure
@@ -278,50 +299,41 @@ def bench(
     asked: CommonOptions,
     scenes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="SCENE|STORE...", help="Built-in names, Mitsuba XML files, stores."),
+        argument("SCENE|STORE...", "Built-in names, Mitsuba XML files, stores."),
     ] = None,
-    spp: Annotated[
-        list[int] | None,
-        option(
-            "Samples per pixel to estimate from; repeat.",
-            unset="16 and 64; 128, 512 and 2048 if certified",
-        ),
-    ] = None,
-    seeds: Annotated[int, option("Number of renders of each scene to average over.")] = 1,
-    reference: Annotated[
-        list[str] | None,
-        option(
-            "A converged EXR file, or a store of other samples; can be repeated.",
-            metavar="SCENE=FILE",
-            unset="rendered with another seed",
-        ),
-    ] = None,
-    reference_spp: Annotated[
-        int | None,
-        option("Samples per pixel of a rendered reference.", unset="2048; 2^20 to certify"),
-    ] = None,
-    image: Annotated[
-        list[str] | None,
-        option(
-            "A finished image of another program, EXR; can be repeated.", metavar="NAME@SCENE=FILE"
-        ),
-    ] = None,
-    folder: Annotated[
-        Path | None, option("Folder that keeps renders, references and certified pixels.")
-    ] = None,
-    certified: Annotated[
-        bool,
-        option(
-            "Judge this library's own statistics instead, on pixels with certified answers: those "
-            "of the built-in scenes, or of each SCENE, which is certified first (minutes)."
-        ),
-    ] = False,
-    out: Annotated[Path | None, option("Table to write: .csv, .json.", "--out", "-o")] = None,
+    spp: list[int] | None = None,
+    seeds: int = 1,
+    reference: list[str] | None = None,
+    reference_spp: int | None = None,
+    image: list[str] | None = None,
+    folder: Path | None = None,
+    certified: bool = False,
+    out: Path | None = None,
 ) -> None:
     """Compare estimators on several scenes against converged references, as a paper would.
 
     With --certified, judge intervals, tails, modes and families that this library finds in 128, 512
     and 2048 samples. A million samples of each of 64 pixels certify the pixels of a scene.
+
+    Parameters
+    ----------
+    spp : int, default 16 and 64; 128, 512 and 2048 if certified
+        Samples per pixel to estimate from; repeat.
+    seeds : int
+        Number of renders of each scene to average over.
+    reference : SCENE=FILE, default rendered with another seed
+        A converged EXR file, or a store of other samples; can be repeated.
+    reference_spp : int, default 2048; 2^20 to certify
+        Samples per pixel of a rendered reference.
+    image : NAME@SCENE=FILE
+        A finished image of another program, EXR; can be repeated.
+    folder : path
+        Folder that keeps renders, references and certified pixels.
+    certified : bool
+        Judge this library's own statistics instead, on pixels with certified answers: those of the
+        built-in scenes, or of each SCENE, which is certified first (minutes).
+    out : path
+        Table to write: .csv, .json.
     """
     import chdstat
     from chdstat.studies import Bench

@@ -10,18 +10,16 @@ import reprlib
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from copy import copy
-from inspect import Parameter, Signature, cleandoc, signature
+from inspect import Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, TextIO, get_args
+from typing import Annotated, Any, TextIO
 
 import typer
 import typer.core
-from typer.models import OptionInfo
 
 from chdstat import __version__
 from chdstat._core.files import place_of
-from chdstat.cli.shared_options import SHARED, CommonOptions
+from chdstat.cli.arguments import SHARED, SHARED_TEXTS, CommonOptions, described, parameter
 from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
 
 _INTERRUPTED = 130
@@ -84,33 +82,17 @@ def command(
 
         @functools.wraps(function)
         def run(**given: Any) -> None:
-            asked = CommonOptions(**{key: given.pop(key) for key in shared})
+            asked = CommonOptions.of({key: given.pop(key) for key in shared})
             _load_plugins(asked.plugin)
             function(**given, asked=asked)
 
-        options = [_parameter(one, unset.get(one.name)) for one in taken]
+        about, texts = described(function)
+        told = {key: SHARED_TEXTS[key] for key in shared} | texts
+        options = [parameter(one, told, unset.get(one.name)) for one in taken]
         run.__signature__ = Signature(options)  # type: ignore[attr-defined]
-        paragraphs = cleandoc(function.__doc__ or "").split("\n\n")
-        # Typer would keep the line breaks of the docstring.
-        about = "\n\n".join(" ".join(text.split()) for text in paragraphs)
         return app.command(name, help=about, epilog=f"Example: chdstat {example}")(run)
 
     return enter
-
-
-def _parameter(declared: Parameter, unset: str | None) -> Parameter:
-    """Return a parameter as typer takes it, with its default as the help shows it.
-
-    A truth value is an option without its negation.
-    """
-    kind, how = get_args(declared.annotation)
-    if isinstance(how, OptionInfo):
-        how = copy(how)
-        if kind is bool and how.default is ...:  # which holds the first of its names
-            how.param_decls = (f"--{declared.name.replace('_', '-')}",)
-        if unset or (declared.default is None and how.show_default is True):
-            how.show_default = unset or "none"
-    return declared.replace(kind=Parameter.KEYWORD_ONLY, annotation=Annotated[kind, how])
 
 
 def _load_plugins(files: list[Path] | None) -> None:

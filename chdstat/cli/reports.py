@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from chdstat.cli import output
-from chdstat.cli.program import command
-from chdstat.cli.shared_options import (
+from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
     SceneOrStore,
     StorePath,
-    option,
+    argument,
     pairs_of,
 )
+from chdstat.cli.program import command
 from chdstat.errors import InputError, check_option
 from chdstat.rendering.seeds import SamplerName
 
@@ -34,18 +34,21 @@ _RECIPE_SIZE = "the recipe's, or 128 along the longer edge"
 def analyze(
     store: StorePath,
     asked: CommonOptions,
-    out: Annotated[Path | None, option("New zarr store for all maps.", "--out", "-o")] = None,
-    threshold: Annotated[
-        list[str] | None,
-        option(
-            "Threshold of a pattern, such as tail_index=0.3; can be repeated.", metavar="NAME=VALUE"
-        ),
-    ] = None,
-    resamples: Annotated[
-        int, option("Bootstrap replicates of goodness of fit: minutes for an image.", min=0)
-    ] = 0,
+    out: Path | None = None,
+    threshold: list[str] | None = None,
+    resamples: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:
-    """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
+    """Describe the sample distributions of a store: nulls, families, tails, modes, averages.
+
+    Parameters
+    ----------
+    out : path
+        New zarr store for all maps.
+    threshold : NAME=VALUE
+        Threshold of a pattern, such as tail_index=0.3; can be repeated.
+    resamples : int
+        Bootstrap replicates of goodness of fit: minutes for an image.
+    """
     import chdstat
     from chdstat._core.files import kept_until_written
     from chdstat.analysis import overview, save
@@ -109,22 +112,28 @@ def _thresholds_of(given: list[str] | None) -> Thresholds:
 )
 def report(
     source: SceneOrStore,
-    out: Annotated[Path, option("The PDF to write.", "--out", "-o")],
+    out: Path,
     asked: CommonOptions,
-    recipe: Annotated[
-        Path | None, option("Recipe with the regions to show.", unset="the scene's own")
-    ] = None,
-    full: Annotated[
-        bool,
-        option("Add the case study, the claims of the paper, averages and trainings."),
-    ] = False,
-    claims: Annotated[bool, option("Only test the claims of the paper.")] = False,
-    as_published: Annotated[
-        bool,
-        option("Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours."),
-    ] = False,
+    recipe: Path | None = None,
+    full: bool = False,
+    claims: bool = False,
+    as_published: bool = False,
 ) -> None:
-    """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps."""
+    """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps.
+
+    Parameters
+    ----------
+    out : path
+        The PDF to write.
+    recipe : path, default the scene's own
+        Recipe with the regions to show.
+    full : bool
+        Add the case study, the claims of the paper, averages and trainings.
+    claims : bool
+        Only test the claims of the paper.
+    as_published : bool
+        Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours.
+    """
     import chdstat
     from chdstat.reporting.documents import pages_of
     from chdstat.scenes import Scene
@@ -173,34 +182,32 @@ def study(
     asked: CommonOptions,
     scenes: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[NAME|PATH]...",
-            help="Built-in names, Mitsuba XML files, recipes (.toml) or finished stores; "
-            "without any, all built-in scenes with a recipe.",
+        argument(
+            "[NAME|PATH]...",
+            "Built-in names, Mitsuba XML files, recipes (.toml) or finished stores; without any, "
+            "all built-in scenes with a recipe.",
         ),
     ] = None,
-    out: Annotated[Path | None, option("The PDF to write.", "--out", "-o")] = None,
-    store: Annotated[
-        Path,
-        option("Folder that keeps the stores, from which the study resumes.", metavar="FOLDER"),
-    ] = Path("renders/out"),
-    sampler: Annotated[
-        SamplerName,
-        option(
-            "Sampler of one more render of each scene, for the claim on correlated samples: "
-            f"{', '.join(get_args(SamplerName)[1:])}; with independent, there is no such render.",
-            metavar="NAME",
-        ),
-    ] = "independent",
-    integrators: Annotated[
-        bool,
-        option(
-            "Render scenes by path guiding and adaptively, and built-in ones by five more "
-            "integrators, too."
-        ),
-    ] = False,
+    out: Path | None = None,
+    store: Path = Path("renders/out"),
+    sampler: SamplerName = "independent",
+    integrators: bool = False,
 ) -> None:
-    """Test the claims of the paper on scenes: verdicts, figures, a PDF."""
+    """Test the claims of the paper on scenes: verdicts, figures, a PDF.
+
+    Parameters
+    ----------
+    out : path
+        The PDF to write.
+    store : FOLDER
+        Folder that keeps the stores, from which the study resumes.
+    sampler : NAME
+        Sampler of one more render of each scene, for the claim on correlated samples: stratified,
+        multijitter, orthogonal, ldsampler; with independent, there is no such render.
+    integrators : bool
+        Render scenes by path guiding and adaptively, and built-in ones by five more integrators,
+        too.
+    """
     import chdstat
     from chdstat.reporting.documents import pages_of
 
@@ -232,22 +239,30 @@ def study(
 def explore(
     sources: Annotated[
         list[str],
-        typer.Argument(
-            metavar="SCENE|STORE|EXR...",
-            help="Built-in name, Mitsuba XML file, store or EXR image; several are compared.",
+        argument(
+            "SCENE|STORE|EXR...",
+            "Built-in name, Mitsuba XML file, store or EXR image; several are compared.",
         ),
     ],
     asked: CommonOptions,
-    model: Annotated[
-        list[Path] | None, option("A trained estimator to show; can be repeated.")
-    ] = None,
-    maps: Annotated[Path | None, option("Maps from 'chdstat analyze -o' to show.")] = None,
-    port: Annotated[int, option("Port to listen on; 0 takes a free one.")] = 5006,
-    browser: Annotated[
-        bool, option("Open the page in the browser.", "--browser/--no-browser")
-    ] = True,
+    model: list[Path] | None = None,
+    maps: Path | None = None,
+    port: int = 5006,
+    browser: bool = True,
 ) -> None:
-    """Show the distribution of any pixel on a page in the browser, served on localhost only."""
+    """Show the distribution of any pixel on a page in the browser, served on localhost only.
+
+    Parameters
+    ----------
+    model : path
+        A trained estimator to show; can be repeated.
+    maps : path
+        Maps from 'chdstat analyze -o' to show.
+    port : int
+        Port to listen on; 0 takes a free one.
+    browser : bool
+        Open the page in the browser.
+    """
     import chdstat
 
     explorer = chdstat.explore(
@@ -302,11 +317,14 @@ def list_names(
 
 
 @command("doctor", "as_json")
-def doctor(
-    asked: CommonOptions,
-    fresh: Annotated[bool, option("Ignore cached results and test the backends again.")] = False,
-) -> None:
-    """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions."""
+def doctor(asked: CommonOptions, fresh: bool = False) -> None:
+    """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions.
+
+    Parameters
+    ----------
+    fresh : bool
+        Ignore cached results and test the backends again.
+    """
     from chdstat.estimators import denoiser
     from chdstat.rendering.backend import examine
 

@@ -10,8 +10,17 @@ import typer
 
 from chdstat._core.files import is_remote, place_of
 from chdstat.cli import output
+from chdstat.cli.arguments import (
+    OUTPUT,
+    VIEW,
+    CommonOptions,
+    FromOne,
+    Place,
+    SceneName,
+    StorePath,
+    argument,
+)
 from chdstat.cli.program import command
-from chdstat.cli.shared_options import OUTPUT, VIEW, CommonOptions, SceneName, StorePath, option
 from chdstat.errors import ChdstatError, InputError
 
 _NOT_REACHED = 3
@@ -30,53 +39,39 @@ _OF_RENDER = ("sensor", "integrator", "crop", "color", "sampler", "sequence")
 )
 def render(
     scene: SceneName,
-    out: Annotated[
-        Path,
-        option(
-            "Store to write, resume or append to.", "--out", "-o", metavar="PATH", parser=place_of
-        ),
-    ],
+    out: Place,
     asked: CommonOptions,
-    direct: Annotated[bool, option("Also store the direct light of each sample.")] = False,
-    light: Annotated[
-        list[str] | None,
-        option(
-            "Also store the part of each sample from this light; a pattern such as 'lamp-*' is a "
-            "group of lights. Can be repeated.",
-            metavar="NAME",
-        ),
-    ] = None,
-    by_depth: Annotated[
-        int | None,
-        option(
-            "Also store the light of each sample by the length of its path, up to this.",
-            metavar="SEGMENTS",
-        ),
-    ] = None,
-    adaptive: Annotated[
-        bool,
-        option(
-            "Draw samples where they are needed. --spp is their mean number; a quarter of them "
-            "measures how noisy the image is. --error does so, too, with --spp as the most."
-        ),
-    ] = False,
-    percentile: Annotated[
-        float | None,
-        option(
-            "Reach the --error in this percentage of the pixels, such as 95, not in the image.",
-            metavar="PERCENT",
-        ),
-    ] = None,
-    summary_only: Annotated[
-        bool,
-        option("Keep no samples: write maps of statistics, histograms and families instead."),
-    ] = False,
+    direct: bool = False,
+    light: list[str] | None = None,
+    by_depth: int | None = None,
+    adaptive: bool = False,
+    percentile: float | None = None,
+    summary_only: bool = False,
 ) -> None:
     """Render a scene and keep every sample.
 
     A store that was stopped half-way is resumed; a larger --spp appends to it. With --summary-only,
     no samples are kept: PATH gets maps of statistics, histograms and families, as of 'analyze -o'.
     The exit code is 3 if the --error was not reached, and 2 if nothing could be rendered.
+
+    Parameters
+    ----------
+    out : PATH
+        Store to write, resume or append to.
+    direct : bool
+        Also store the direct light of each sample.
+    light : NAME
+        Also store the part of each sample from this light; a pattern such as 'lamp-*' is a group of
+        lights. Can be repeated.
+    by_depth : SEGMENTS
+        Also store the light of each sample by the length of its path, up to this.
+    adaptive : bool
+        Draw samples where they are needed. --spp is their mean number; a quarter of them measures
+        how noisy the image is. --error does so, too, with --spp as the most.
+    percentile : PERCENT
+        Reach the --error in this percentage of the pixels, such as 95, not in the image.
+    summary_only : bool
+        Keep no samples: write maps of statistics, histograms and families instead.
     """
     import chdstat
     from chdstat._core.files import kept_until_written
@@ -123,77 +118,67 @@ def render(
         raise typer.Exit(_NOT_REACHED)
 
 
-def _feature(name: str) -> Any:
-    what = f"First-hit {name}: a layer of the files, or a file of it."
-    return option(what, metavar="NAME|FILE")
-
-
 @command("import frames/*.exr -o own.zarr --scene kitchen", *OUTPUT, name="import")
 def import_samples(
     sources: Annotated[
-        list[str],
-        typer.Argument(metavar="SOURCE...", help="Files of samples in their order, or a folder."),
+        list[str], argument("SOURCE...", "Files of samples in their order, or a folder.")
     ],
-    out: Annotated[
-        Path, option("Store to write or append to.", "--out", "-o", metavar="PATH", parser=place_of)
-    ],
+    out: Place,
     asked: CommonOptions,
-    format: Annotated[  # noqa: A002 - what users call it
-        str | None,
-        option(
-            "Format, one that 'chdstat list formats' names.",
-            metavar="NAME",
-            unset="by the names of the files",
-        ),
-    ] = None,
-    axes: Annotated[
-        str | None,
-        option(
-            "Order of the axes of arrays: y, x, c (channel) and s (sample), such as syxc.",
-            metavar="LETTERS",
-            unset="yxcs, or by name",
-        ),
-    ] = None,
-    variable: Annotated[
-        str | None,
-        option(
-            "Array (GROUP/NAME) or layer of samples.", metavar="NAME", unset="the largest; R, G, B"
-        ),
-    ] = None,
-    albedo: Annotated[str | None, _feature("albedo")] = None,
-    normal: Annotated[str | None, _feature("normal")] = None,
-    depth: Annotated[str | None, _feature("depth")] = None,
-    position: Annotated[str | None, _feature("position")] = None,
-    counts: Annotated[
-        Path | None,
-        option(
-            "Samples of each pixel, where they differ: .npy.", metavar="FILE", unset="all of each"
-        ),
-    ] = None,
-    averaged: Annotated[
-        int | None,
-        option("Number of samples that each value averages.", min=1, unset="the files' own"),
-    ] = None,
-    sequence: Annotated[
-        int | None,
-        option(
-            "Number of samples of a pixel that depend on each other, as stratified ones do.",
-            metavar="N",
-            min=1,
-            unset="none: independent",
-        ),
-    ] = None,
-    scene: Annotated[
-        str | None, option("Name of the scene.", unset="the files', or OUT's of several files")
-    ] = None,
-    renderer: Annotated[str | None, option("Name of the renderer.", unset="unknown")] = None,
-    seed: Annotated[int | None, option("Seed of the render.", unset="unknown")] = None,
-    unit: Annotated[str | None, option("Unit of radiance.", unset="W sr-1 m-2")] = None,
-    append: Annotated[bool, option("Add the samples to those of the store.")] = False,
+    format: str | None = None,  # noqa: A002 - what users call it
+    axes: str | None = None,
+    variable: str | None = None,
+    albedo: str | None = None,
+    normal: str | None = None,
+    depth: str | None = None,
+    position: str | None = None,
+    counts: Path | None = None,
+    averaged: FromOne = None,
+    sequence: FromOne = None,
+    scene: str | None = None,
+    renderer: str | None = None,
+    seed: int | None = None,
+    unit: str | None = None,
+    append: bool = False,
 ) -> None:
     """Write samples of another renderer to a store, which every command takes.
 
     An import that was stopped goes on when it is repeated.
+
+    Parameters
+    ----------
+    out : PATH
+        Store to write or append to.
+    format : NAME, default by the names of the files
+        Format, one that 'chdstat list formats' names.
+    axes : LETTERS, default yxcs, or by name
+        Order of the axes of arrays: y, x, c (channel) and s (sample), such as syxc.
+    variable : NAME, default the largest; R, G, B
+        Array (GROUP/NAME) or layer of samples.
+    albedo : NAME|FILE
+        First-hit albedo: a layer of the files, or a file of it.
+    normal : NAME|FILE
+        First-hit normal: a layer of the files, or a file of it.
+    depth : NAME|FILE
+        First-hit depth: a layer of the files, or a file of it.
+    position : NAME|FILE
+        First-hit position: a layer of the files, or a file of it.
+    counts : FILE, default all of each
+        Samples of each pixel, where they differ: .npy.
+    averaged : int, default the files' own
+        Number of samples that each value averages.
+    sequence : N, default none: independent
+        Number of samples of a pixel that depend on each other, as stratified ones do.
+    scene : str, default the files', or OUT's of several files
+        Name of the scene.
+    renderer : str, default unknown
+        Name of the renderer.
+    seed : int, default unknown
+        Seed of the render.
+    unit : str, default W sr-1 m-2
+        Unit of radiance.
+    append : bool
+        Add the samples to those of the store.
     """
     import chdstat
 
@@ -244,14 +229,17 @@ def include(asked: CommonOptions) -> None:
 
 @command("export maps.zarr -o maps.exr", "overwrite", *OUTPUT)
 def export(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="MAPS", parser=place_of, help="What 'chdstat analyze -o' wrote."),
-    ],
-    out: Annotated[Path, option("Layers of an EXR file (.exr), or netCDF (.nc).", "--out", "-o")],
+    source: Annotated[Path, argument("MAPS", "What 'chdstat analyze -o' wrote.", parser=place_of)],
+    out: Path,
     asked: CommonOptions,
 ) -> None:
-    """Write maps in the formats of other programs."""
+    """Write maps in the formats of other programs.
+
+    Parameters
+    ----------
+    out : path
+        Layers of an EXR file (.exr), or netCDF (.nc).
+    """
     import chdstat
     from chdstat.io.writing import open_maps
 
@@ -262,12 +250,14 @@ def export(
 
 
 @command("info bathroom.zarr", *OUTPUT)
-def info(
-    store: StorePath,
-    asked: CommonOptions,
-    verify: Annotated[bool, option("Read everything and list damaged files.")] = False,
-) -> None:
-    """Describe a store, and say whether it is complete and sound."""
+def info(store: StorePath, asked: CommonOptions, verify: bool = False) -> None:
+    """Describe a store, and say whether it is complete and sound.
+
+    Parameters
+    ----------
+    verify : bool
+        Read everything and list damaged files.
+    """
     from chdstat.samples import inspect
     from chdstat.samples.samples import provenance
 

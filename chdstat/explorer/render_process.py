@@ -21,8 +21,8 @@ from typing import Any
 
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job
 
 COARSE = 128
 """Pixels of the longer side of a coarse image."""

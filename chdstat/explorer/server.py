@@ -31,7 +31,7 @@ from chdstat._core.files import is_exr, place_of
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.explorer.render_process import COARSE, RenderProcess
-from chdstat.rendering.options import Job, RenderOptions
+from chdstat.rendering.jobs import Job
 from chdstat.samples import Samples, is_store
 from chdstat.scenes import Scene
 
@@ -275,8 +275,7 @@ def explore(
     elif is_exr(first) or is_store(first):
         name = place_of(first).name
     else:
-        options = RenderOptions(size=size, seed=seed, max_depth=max_depth, backend="scalar")
-        job = Job.of(first, options)
+        job = Job.of(first, size=size, seed=seed, max_depth=max_depth, backend="scalar")
         render, name = RenderProcess(job), job.scene.name
     drawing = ThreadPoolExecutor(1, thread_name_prefix="chdstat-startup")
     try:

@@ -336,7 +336,7 @@ class SceneSource:
     channels = ("R", "G", "B")
 
     def __init__(self, render: RenderProcess, coarse: Image | None = None) -> None:
-        self._seed, self._render = seed_number(render.job.options.seed), render
+        self._seed, self._render = seed_number(render.job.options["seed"]), render
         (width, height), self._integrator = self._render.described
         self.size: tuple[int, int] = (height, width)
         self.name = self.title = render.job.scene.name

@@ -7,11 +7,11 @@ rendered. `render_pixels` renders only a few pixels.
 from __future__ import annotations
 
 from chdstat.rendering.batches import Rendering, render_batches
-from chdstat.rendering.options import RenderOptions, refuse_render
+from chdstat.rendering.jobs import RenderSettings, refuse_render
 from chdstat.rendering.renders import render, render_pixels
 
 __all__ = [
-    "RenderOptions",
+    "RenderSettings",
     "Rendering",
     "refuse_render",
     "render",

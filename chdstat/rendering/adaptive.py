@@ -193,11 +193,11 @@ class Adaptive:
         """The part that belongs to the identity of samples."""
         return {"measure": self.measure, "first": self.first}
 
-    def trials(self, spp: int) -> int:
+    def first_trial(self, spp: int) -> int:
         """Return the number of trial samples to begin with, if `spp` are drawn at most."""
         return max(min(2 * _TRIAL, spp // 8), 4)
 
-    def more_trials(self, noise: Mapping[str, Any], spp: int) -> bool:
+    def needs_larger_trial(self, noise: Mapping[str, Any], spp: int) -> bool:
         """Return whether to draw as many trial samples again before they decide."""
         drawn = noise["trials"]
         few = _TRIAL * drawn < min(self.needed(noise), spp)
@@ -286,7 +286,7 @@ class Look:
         return np.asarray(np.maximum(self.whole.mean.mean(axis=-1), 0))
 
 
-class _Noise(NamedTuple):
+class _SquaredError(NamedTuple):
     """Expected squared error of one sample of each pixel, averaged over the channels, (y, x).
 
     `spread` is the variance of its estimate, and `halves` has both for each half of the samples.
@@ -297,7 +297,7 @@ class _Noise(NamedTuple):
     halves: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
     @classmethod
-    def of(cls, look: Look, scale: Floats) -> _Noise:
+    def of(cls, look: Look, scale: Floats) -> _SquaredError:
         """Return the noise, relative to a scale of squared radiance (y, x, channel)."""
         of_each = [
             tuple(_over(values, scale) for values in (_variance(m), np.sqrt(_spread(m))))
@@ -311,7 +311,7 @@ class _Noise(NamedTuple):
         features: Mapping[str, Image],
         classes: Classes | None = None,
         width: float = _NEAR,
-    ) -> _Noise:
+    ) -> _SquaredError:
         """Return it, drawn towards that of similar pixels around, as far as it is uncertain."""
         values, squares = (
             np.stack([half[i] for half in self.halves], axis=-1)[:, :, np.newaxis] for i in (0, 1)
@@ -319,7 +319,7 @@ class _Noise(NamedTuple):
         found = _likely(values, squares, features, classes, width)
         one, two = (np.maximum(found.halves[..., 0, i], 0) for i in (0, 1))
         halves = (one, self.halves[0][1]), (two, self.halves[1][1])
-        return _Noise(np.maximum(found.value[..., 0], 0), self.spread, halves)
+        return _SquaredError(np.maximum(found.value[..., 0], 0), self.spread, halves)
 
 
 def _variance(moments: Moments) -> Floats:
@@ -347,21 +347,21 @@ def _relative(mean: Floats, of_scene: Floats, classes: Classes | None) -> Floats
     return relative_scale(mean, means)
 
 
-def _noise_for_counts(look: Look, measure: str, classes: Classes | None) -> _Noise:
+def _noise_for_counts(look: Look, measure: str, classes: Classes | None) -> _SquaredError:
     """Return the noise by which others decide: relative to own means, so never very large.
 
     The square of a mean of samples is too large by the variance of the mean, which is subtracted.
     """
     if measure == "MSE":
-        return _Noise.of(look, np.ones(look.whole.mean.shape))
+        return _SquaredError.of(look, np.ones(look.whole.mean.shape))
     own, square = _mean_of(look.whole)
     mean = np.sqrt(np.maximum(own**2 - square, _LEFT * own**2))
-    return _Noise.of(look, _relative(mean, own, classes))
+    return _SquaredError.of(look, _relative(mean, own, classes))
 
 
 def _noise_for_error(
     look: Look, measure: str, features: Mapping[str, Image], classes: Classes | None = None
-) -> _Noise:
+) -> _SquaredError:
     """Return the noise from which the error of the image follows: relative to the likely mean.
 
     With `classes`, that of a class depends on its own samples only.
@@ -374,10 +374,10 @@ def _noise_for_error(
     scales = (_relative(mean, own, classes) for mean in means)
     of_own, of_others = (np.divide(1, x, out=np.zeros_like(x), where=x > 0) for x in scales)
     mixed = likely.weight * of_own + (1 - likely.weight) * of_others
-    return _Noise.of(look, np.divide(1, mixed, out=np.zeros_like(mixed), where=mixed > 0))
+    return _SquaredError.of(look, np.divide(1, mixed, out=np.zeros_like(mixed), where=mixed > 0))
 
 
-def _own_noise(look: Look, measure: str, features: Mapping[str, Image]) -> _Noise:
+def _own_noise(look: Look, measure: str, features: Mapping[str, Image]) -> _SquaredError:
     """Return the likely noise of each pixel, in which its own samples have a share.
 
     It is relative to the likely mean, and to the error of the mean, so never very large: numbers
@@ -387,7 +387,7 @@ def _own_noise(look: Look, measure: str, features: Mapping[str, Image]) -> _Nois
         return _noise_for_counts(look, measure, None).likely(features, width=_WIDE)
     own, square, likely = _likely_means(look, features, None)
     mean = np.sqrt(_limited(likely.value, own, square) ** 2 + square)
-    return _Noise.of(look, _relative(mean, own, None)).likely(features, width=_WIDE)
+    return _SquaredError.of(look, _relative(mean, own, None)).likely(features, width=_WIDE)
 
 
 def _likely_means(

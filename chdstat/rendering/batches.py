@@ -17,8 +17,8 @@ from chdstat._core.arrays import Image, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.work import Interrupts, track
 from chdstat.rendering.backend import activate
+from chdstat.rendering.jobs import Job, RenderSettings, showing_settings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions, RenderSettings
 from chdstat.rendering.renders import checked_renderer
 from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.samples import Samples
@@ -30,6 +30,7 @@ _AT_ONCE = 4
 """Samples that a scalar thread draws of a tile, so that few tiles keep all threads busy."""
 
 
+@showing_settings
 def render_batches(
     scene: SceneLike,
     *,
@@ -71,8 +72,8 @@ def render_batches(
     >>> [batch.shape for batch in rendering]
     [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
     """
-    batch, job = whole("batch", batch, least=1), Job.of(scene, RenderOptions(**options))
-    renderer = checked_renderer(job, kept=min(job.options.spp, batch), out=None)
+    batch, job = whole("batch", batch, least=1), Job.of(scene, **options)
+    renderer = checked_renderer(job, kept=min(job.options["spp"], batch), out=None)
     return Rendering(renderer, batch=batch, progress=progress)
 
 
@@ -101,7 +102,7 @@ class Rendering:
 
     def __init__(self, renderer: MitsubaRenderer, *, batch: int, progress: bool | None) -> None:
         self._job, self._renderer, self._progress = renderer.job, renderer, progress
-        self.spp, self.batch, self._seconds = renderer.job.options.spp, batch, 0.0
+        self.spp, self.batch, self._seconds = renderer.job.options["spp"], batch, 0.0
 
     @property
     def name(self) -> str:
@@ -183,7 +184,7 @@ class Rendering:
 
     def _step(self, few: int) -> int:
         """Return how many samples of a pixel to draw together; `few` if any number will do."""
-        sequences = self._job.options.sequences
+        sequences = self._job.sequences
         if sequences is not None:
             return sequences.span
         return few if self._job.backend.name == "scalar" else BATCH

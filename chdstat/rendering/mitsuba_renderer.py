@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import hashlib
 import importlib.metadata
 import logging
+import math
+import re
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -33,7 +36,7 @@ from chdstat.errors import (
     did_you_mean,
 )
 from chdstat.rendering.backend import activate
-from chdstat.rendering.options import IntegratorObject, Job, told
+from chdstat.rendering.jobs import Job, built_kind, in_python
 from chdstat.rendering.seeds import STREAMS, Streams
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
@@ -75,36 +78,37 @@ class MitsubaRenderer:
             self._scalar = job.backend.name == "scalar"
             self.files, self.scene_hash = job.scene.files(), job.scene.hash
             self._asked = asked = job.asked()
+            options = job.options
             live = job.scene.source if isinstance(job.scene.source, LiveScene) else None
-            self.film, note = asked.film.resized(job.options.size)
+            self.film, note = asked.film.resized(options["size"])
             self.notes = [*asked.notes, *note]
-            if job.options.crop is not None:
-                self.film = self.film.cropped(job.options.crop)
+            if options["crop"] is not None:
+                self.film = self.film.cropped(options["crop"])
             self.size = self.film.crop_size
-            if job.options.max_depth is not None:
-                asked.integrator.node(0).props["max_depth"] = job.options.max_depth
-            given = job.options.integrator
-            self._given = given if isinstance(given, IntegratorObject) else None
-            self.integrator: dict[str, Any] = {"type": asked.integrator.plugin(0)}
-            self._streams = Streams(self.size, seed_number(job.options.seed))
-            self._sequences = job.options.sequences
+            if options["max_depth"] is not None:
+                asked.integrator.node(0).props["max_depth"] = options["max_depth"]
+            self._built = built = job.built_integrator
+            kind = asked.integrator.plugin(0) if built is None else built_kind(built)
+            self.integrator: dict[str, Any] = {"type": kind}
+            self._streams = Streams(self.size, seed_number(options["seed"]))
+            self._sequences = job.sequences
             self._local = threading.local()
             with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
                 self._scene = live.value if live else asked.scene.make(parallel=True)
             # Only now, since Mitsuba records which settings were read.
-            settings = self._given.description if self._given else asked.integrator.node(0).props
-            self.integrator |= told(dict(settings))
-            self._loaded_sensor = self._scene.sensors()[job.options.sensor]
+            props = asked.integrator.node(0).props
+            self.integrator |= _told(dict(props) if built is None else _settings_of(mi, built))
+            self._loaded_sensor = self._scene.sensors()[options["sensor"]]
             self._sensor_medium = self._loaded_sensor.get_medium()
-            self._as_it_is = live is not None and not live.is_described(job.options.sensor)
+            self._as_it_is = live is not None and not live.is_described(options["sensor"])
             self._refuse_view()
             if job.light is not None:
                 _darken(mi, self._scene, job.light)
             self.code = code_of(made)
-            if self._given is not None:
-                self.code |= self._given.code
-                made.append(self._given.value)
+            if built is not None:
+                self.code |= code_of([built]) if in_python(built) else {}
+                made.append(built)
             self.plugins = used(job.plugins, str(mi.variant()), asked.plugins, made)
             if job.scene.files() != self.files:
                 message = f"files of scene {job.scene.name!r} changed while they were read; again"
@@ -128,7 +132,7 @@ class MitsubaRenderer:
             return self.job.guide
         seeds = [self._streams.of_training(i) for i in range(guiding.PASSES)]
         width, height = self.size
-        samples = width * height * self.job.options.spp if self.job.guided == "auto" else None
+        samples = width * height * self.job.options["spp"] if self.job.guided == "auto" else None
         return guiding.trained(self._mi, self._scene, sensor, self.size, seeds, samples=samples)
 
     @property
@@ -144,7 +148,7 @@ class MitsubaRenderer:
     @property
     def provenance(self) -> dict[str, Any]:
         """Origin of the samples, ready for JSON."""
-        job = self.job
+        job, options = self.job, self.job.options
         return {
             "scene": job.scene.name,
             **self.identity,
@@ -152,18 +156,18 @@ class MitsubaRenderer:
             "scene_parameters": dict(job.scene.parameters),
             "integrator": self.integrator,
             "guide": job.guide.digest if job.guide else None,
-            "sensor": job.options.sensor,
+            "sensor": options["sensor"],
             "size": list(self.size),
             "crop": self.film.crop,
             "light": job.light,
-            "spp": job.options.spp,
-            "seed": job.options.seed,
+            "spp": options["spp"],
+            "seed": options["seed"],
             "backend": job.backend.name,
             "color": job.backend.color,
             "mitsuba_version": importlib.metadata.version("mitsuba"),
             "chdstat_version": importlib.metadata.version("chdstat"),
             "filter": "box",
-            "sampler": job.options.sampler,
+            "sampler": options["sampler"],
             **({"sequence": self._sequences.length} if self._sequences else {}),
             "streams": STREAMS,
             "units": "linear radiance",
@@ -253,9 +257,9 @@ class MitsubaRenderer:
     def depth(self) -> int | None:
         """Longest path in segments, below 0 for no limit; None if the integrator has none.
 
-        It cannot be changed for an integrator that is an object.
+        It cannot be changed for the integrator of a scene that Mitsuba has built.
         """
-        if self._given is not None:
+        if self._built is not None:
             return None
         properties = self._mi.Properties(self._asked.integrator.node(0).props)
         properties["max_depth"] = longest = int(properties.get("max_depth", -1))
@@ -300,9 +304,9 @@ class MitsubaRenderer:
             raise failure(self.job.plugins, error) from error
         except Exception as error:
             # No variable holds the new error: its traceback would hold the scene in a circle.
-            raise self._told(error) from error
+            raise self._error(error) from error
 
-    def _told(self, error: Exception) -> Exception:
+    def _error(self, error: Exception) -> Exception:
         told = failure(self.job.plugins, error)
         if told is not error and isinstance(told, InputError):
             return told
@@ -320,7 +324,7 @@ class MitsubaRenderer:
 
     def _refuse_view(self) -> None:
         """Refuse a view that the sensor cannot show."""
-        kind, crop = self._asked.sensor.plugin(0), self.job.options.crop
+        kind, crop = self._asked.sensor.plugin(0), self.job.options["crop"]
         if crop is not None and self.film.crop is not None and not self._asked.crops:
             message = (
                 f"a {kind} sensor cannot be cropped, as Mitsuba shows all of it in any crop; leave "
@@ -375,15 +379,15 @@ class MitsubaRenderer:
 
             described = self._asked.integrator.branch(0)
             check_variant(described)
-            made = self._given.value if self._given else described.make()
-            name = self._given.kind if self._given else self.integrator["type"]
+            made = described.make() if self._built is None else self._built
             if not isinstance(made, self._mi.SamplingIntegrator) or made.aov_names():
+                name = self.integrator["type"]
                 message = (
                     f"integrator {name!r} does not sample pixel by pixel, or not radiance alone; "
                     "use one that does, such as path, volpath or direct"
                 )
                 raise RenderError(message)
-            if self._given is None:
+            if self._built is None:
                 described.node(0).props["block_size"] = BLOCK
                 made = described.make()
             self._local.integrator = made
@@ -562,6 +566,55 @@ def _uncollected() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
+
+
+# --- settings of integrators --------------------------------------------------------------------
+
+_UNLIMITED = 2**32 - 1
+"""Mitsuba's integrators print a max_depth of -1 as this number."""
+_WRITTEN = 16
+"""Numbers of an array that are written out; longer arrays are written as a digest."""
+
+
+def _settings_of(mi: Any, built: Any) -> dict[str, Any]:
+    """Return the settings of an integrator object: those that it prints, traverses and holds."""
+    settings: dict[str, Any] = {}
+    if in_python(built):
+        settings |= vars(built)
+    else:
+        printed = re.findall(r"^\s*(\w+) = (.*?),?$", str(built), re.MULTILINE)
+        settings |= {name: _number(text) for name, text in printed}
+    with contextlib.suppress(RuntimeError, TypeError):  # a class that does not say
+        settings |= dict(mi.traverse(built))
+    return settings
+
+
+def _number(text: str) -> str | int | float:
+    if text.isdecimal():
+        return -1 if int(text) == _UNLIMITED else int(text)
+    with contextlib.suppress(ValueError):
+        return float(text)
+    return text
+
+
+def _told(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings ready for JSON: texts, numbers and arrays; parts with others are left out."""
+    found = {name: _value_told(value) for name, value in settings.items()}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _value_told(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, str | int | float):
+        return value
+    with contextlib.suppress(TypeError, ValueError, RuntimeError):
+        array = np.asarray(value.matrix if "Transform" in type(value).__name__ else value)
+        if array.dtype.kind in "biuf":
+            if array.size <= _WRITTEN and np.isfinite(array).all():
+                return array.tolist()
+            return "SHA-256 " + hashlib.sha256(array.tobytes()).hexdigest()[:16]
+    return None
 
 
 # --- lights -------------------------------------------------------------------------------------

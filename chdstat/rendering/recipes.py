@@ -17,7 +17,7 @@ from typing import Any, cast
 import chdstat
 from chdstat._core.files import is_file
 from chdstat.errors import InputError
-from chdstat.rendering.options import RenderOptions, scene_integrator, scene_size
+from chdstat.rendering.jobs import checked_settings, scene_integrator, scene_size
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Region
 from chdstat.scenes import BUILTIN, REMAKES, Scene
@@ -224,12 +224,9 @@ def _recipe(content: Mapping[str, Any]) -> Recipe:
     _only_known(content, _KEYS)
     integrator = _key(content, "integrator", dict, optional=True) or {}
     _only_known(integrator, ("type", "max_depth"), "integrator.")
-    used = RenderOptions(
-        size=_key(content, "size", list),
-        spp=_key(content, "spp", int),
-        seed=_key(content, "seed", int),
-        max_depth=integrator.get("max_depth"),
-    )
+    kinds: dict[str, type] = {"size": list, "spp": int, "seed": int}
+    given: Any = {name: _key(content, name, kind) for name, kind in kinds.items()}
+    used = checked_settings(given | {"max_depth": integrator.get("max_depth")})
     regions = content.get("regions", [])
     tables = isinstance(regions, list) and all(isinstance(r, Mapping) for r in regions)
     _expect(tables, "regions", "tables [[regions]]", regions)
@@ -237,10 +234,10 @@ def _recipe(content: Mapping[str, Any]) -> Recipe:
     _expect(len({str(n) for n in names}) == len(names), "regions", "distinct names", names)
     return Recipe(
         scene=_key(content, "scene", str),
-        size=cast("tuple[int, int]", used.size),
-        spp=used.spp,
-        seed=cast("int", used.seed),
-        max_depth=used.max_depth,
+        size=cast("tuple[int, int]", used["size"]),
+        spp=used["spp"],
+        seed=cast("int", used["seed"]),
+        max_depth=used["max_depth"],
         regions=tuple(_region(i, region) for i, region in enumerate(regions)),
         integrator=_key(integrator, "type", str, "integrator.", optional=True),
         name=_key(content, "name", str, optional=True),

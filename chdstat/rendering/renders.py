@@ -12,28 +12,28 @@ import math
 import pickle
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, Seed, whole
+from chdstat._core.arrays import Image, whole
 from chdstat._core.files import free_disk, place_of
 from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, Look, decided, error_of, more
-from chdstat.rendering.backend import Backend, Color, activate
+from chdstat.rendering.backend import activate
+from chdstat.rendering.jobs import Job, RenderSettings, checked_settings, showing_settings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Crop, IntegratorLike, Job, RenderOptions, RenderSettings
-from chdstat.rendering.seeds import SamplerName, check_spp, max_spp
+from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import GUIDE, differing, part_folder
 from chdstat.samples.ledger import counts_of, missing_of
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, chunk_grid
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, Work, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import LONGEST
@@ -46,19 +46,10 @@ _MOST_COMPRESSION = 10
 """Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
 
 
+@showing_settings
 def render(
     scene: SceneLike,
     *,
-    spp: int = 256,
-    size: tuple[int, int] | None = None,
-    seed: Seed = 0,
-    max_depth: int | None = None,
-    sensor: int = 0,
-    integrator: IntegratorLike | None = None,
-    crop: Crop | None = None,
-    color: Color = "rgb",
-    sampler: SamplerName = "independent",
-    sequence: int | None = None,
     direct: bool = False,
     by_depth: int | None = None,
     by_light: Sequence[str] = (),
@@ -66,9 +57,9 @@ def render(
     error: float | None = None,
     percentile: float | None = None,
     out: str | Path | None = None,
-    backend: Backend = "auto",
     client: Client | None = None,
     progress: bool | None = None,
+    **options: Unpack[RenderSettings],
 ) -> Samples:
     """Render a scene and keep every sample.
 
@@ -99,9 +90,6 @@ def render(
           "auto" does so if these paths show that it pays.
         - Your own, by the name under which a plugin registers it (see
           `chdstat.scenes.load_plugin`); `max_depth` applies to it.
-        - A Mitsuba object, such as one of your own class. It renders in this process, with the
-          backend of its variant. With "scalar", the samples of a pixel then depend on how many
-          threads Mitsuba has.
     crop
         (x, y, width, height): render only this part of the image, with its own random numbers. To
         continue an `out` with a crop, give the same `size` and `crop` again.
@@ -179,36 +167,24 @@ def render(
     >>> samples
     <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
     """
-    loaded = load_scene(scene)
-    options = RenderOptions(
-        spp=spp,
-        size=size,
-        seed=seed,
-        max_depth=max_depth,
-        sensor=sensor,
-        integrator=integrator,
-        crop=crop,
-        color=color,
-        sampler=sampler,
-        sequence=sequence,
-        backend=backend,
-    )
+    loaded, settings = load_scene(scene), checked_settings(options)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
-    existing = Store.open(place_of(out)) if out is not None and is_store(out) else None
+    place = None if out is None else place_of(out)
+    existing = Store.open(place) if place and is_store(out) else None
     if existing is not None:
         held = existing.parts()  # parts of other samples are refused here
         depths |= {part for part in held if isinstance(part, int)}
         by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
-        options = _as_stored(options, existing)
+        settings = _as_stored(settings, existing)
     how, decided_by = None, existing.adaptive if existing else None
     if adaptive is not False or (error, percentile, decided_by) != (None, None, None):
-        how = Adaptive.of(adaptive, error, percentile, options.spp, decided_by)
-    if (depths or by_light or how is not None) and options.sequences is not None:
+        how = Adaptive.of(adaptive, error, percentile, settings["spp"], decided_by)
+    if (depths or by_light or how is not None) and settings["sampler"] != "independent":
         message = (
             "direct, by_depth and by_light draw the same samples again, and adaptive draws more of "
             "some pixels, which only independent ones allow; leave them out, or the sampler "
-            f"{options.sampler!r}"
+            f"{settings['sampler']!r}"
         )
         raise InputError(message)
     if by_light and isinstance(loaded.source, LiveScene):
@@ -217,7 +193,7 @@ def render(
             "give the file or dict that it was made of"
         )
         raise InputError(message)
-    job = Job.of(loaded, options)
+    job = Job.of(loaded, **settings)
     if job.guided and existing is not None:
         from chdstat.rendering.guiding import NOTHING, Guide
 
@@ -227,9 +203,9 @@ def render(
             job = replace(job, guide=NOTHING)  # "auto" goes on as the store was begun
     if client is not None:
         _check_portable(job)
+    work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
-        place = None if out is None else place_of(out)
-        return _captured(job, depths, by_light, how, place, client, progress)
+        return _captured(job, depths, by_light, how, place, work)
 
 
 def _captured(
@@ -238,28 +214,22 @@ def _captured(
     lights: Sequence[str],
     how: Adaptive | None,
     out: Path | None,
-    client: Client | None,
-    progress: bool | None,
+    work: Work,
 ) -> Samples:
     """Render a job, and again for each part of its light."""
-    kept = job.options.spp * (1 + len(depths) + len(lights))
-    renderer = checked_renderer(job, kept=kept, out=out)
+    spp = job.options["spp"]
+    renderer = checked_renderer(job, kept=spp * (1 + len(depths) + len(lights)), out=out)
     renderer.check_lights(lights)
-    job = renderer.job
-    partial = _cut_paths(renderer, depths) | {n: replace(job, light=n) for n in lights}
+    partial = _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
     with _writer(renderer, out, how) as writer:  # which refuses a store of another scene
-        is_less = job.options.spp < writer.attrs["spp"] and (how is None or how.error is None)
+        is_less = spp < writer.attrs["spp"] and (how is None or how.error is None)
         if is_less and not writer.pending():
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
-            _log.warning(message, out, writer.attrs["spp"], job.options.spp)
-        with _features_restored(renderer, client, writer):
-            _fill(renderer, writer, client, progress)
+            _log.warning(message, out, writer.attrs["spp"], spp)
+        with _features_restored(renderer, writer, work):
+            _fill(renderer, writer, work)
         if how is not None:
-            _decide(how, writer, renderer, client, progress)
-            _fill(renderer, writer, client, progress)
-            look = _go_on(how, writer, job)
-            _fill(renderer, writer, client, progress)
-            _tell(how, writer, look, job.options.spp)
+            _AdaptiveRender(how, renderer, writer, work).finish()
         parts = {}
         for which, of_part in partial.items():
             del renderer  # kernels are frozen where one scene is alive only
@@ -267,132 +237,140 @@ def _captured(
             with _writer(renderer, out and out / part_folder(which), how) as part:
                 if writer.density is not None:
                     part.decide(writer.density, writer.attrs["spp"], writer.attrs["noise"])
-                _fill(renderer, part, client, progress)
+                _fill(renderer, part, work)
                 parts[which] = part.finish()
         return writer.finish(parts)
 
 
-def _decide(
-    how: Adaptive,
-    writer: Writer,
-    renderer: MitsubaRenderer,
-    client: Client | None,
-    progress: bool | None,
-) -> None:
-    """Make room for the samples of each pixel, as the first samples or trial samples decide."""
-    most = renderer.job.options.spp
-    if writer.density is not None:
-        density, noise = writer.density, writer.attrs["noise"]
-        if how.percentile not in (None, decided_for := noise.get("percentile")):
-            of = "the whole image" if decided_for is None else f"{decided_for:g} % of the pixels"
-            message = (
-                f"the numbers of samples were decided for the error of {of}, not of "
-                f"{how.percentile:g} % of the pixels: render into another store, or leave "
-                "percentile out"
-            )
-            raise InputError(message)
-    else:
-        held = writer.finish()
-        if how.error is None:
-            density, noise = decided(Look.of(held), how, held.features)
+@dataclass
+class _AdaptiveRender:
+    """An adaptive render whose first samples are there.
+
+    Attributes
+    ----------
+    how
+        The plan of the render.
+    renderer, writer, work
+        What renders, what keeps the samples, and where and how to work.
+    """
+
+    how: Adaptive
+    renderer: MitsubaRenderer
+    writer: Writer
+    work: Work
+
+    def __post_init__(self) -> None:
+        self._most = self.renderer.job.options["spp"]
+
+    def finish(self) -> None:
+        """Render the other samples, and say how large the error is."""
+        self._decide()
+        _fill(self.renderer, self.writer, self.work)
+        look = self._go_on()
+        _fill(self.renderer, self.writer, self.work)
+        self._tell(look)
+
+    def _decide(self) -> None:
+        """Make room for the samples of each pixel, as first samples or trial samples decide."""
+        how, density = self.how, self.writer.density
+        if density is not None:
+            noise = self.writer.attrs["noise"]
+            if how.percentile not in (None, decided_for := noise.get("percentile")):
+                whole_image = "the whole image"
+                of = whole_image if decided_for is None else f"{decided_for:g} % of the pixels"
+                message = (
+                    f"the numbers of samples were decided for the error of {of}, not of "
+                    f"{how.percentile:g} % of the pixels: render into another store, or leave "
+                    "percentile out"
+                )
+                raise InputError(message)
         else:
-            density, noise = _tried(renderer, how, held.features, client, progress)
-    _make_room(writer, renderer.job, density, how.spp(noise, most), noise)
+            held = self.writer.finish()
+            if how.error is None:
+                density, noise = decided(Look.of(held), how, held.features)
+            else:
+                density, noise = self._tried(held.features)
+        self._make_room(density, how.spp(noise, self._most), noise)
 
+    def _make_room(self, density: Image, spp: float, noise: Mapping[str, Any]) -> None:
+        """Let pixels have different numbers of samples, `spp` on average."""
+        height, width = density.shape
+        counts = counts_of(density, spp, self.writer.attrs["adaptive"]["first"])
+        check_spp(self.renderer.job.backend.name, width, height, int(counts.max()))
+        self.writer.decide(density, spp, noise)
 
-def _make_room(
-    writer: Writer, job: Job, density: Image, spp: float, noise: Mapping[str, Any]
-) -> None:
-    """Let pixels have different numbers of samples, `spp` on average."""
-    height, width = density.shape
-    counts = counts_of(density, spp, writer.attrs["adaptive"]["first"])
-    check_spp(job.backend.name, width, height, int(counts.max()))
-    writer.decide(density, spp, noise)
+    def _tried(self, features: Mapping[str, Image]) -> tuple[Image, dict[str, Any]]:
+        """Return what trial samples decide, which are not kept.
 
+        Their batches are numbered from the middle of those that have random numbers, so that none
+        of them is rendered.
+        """
+        width, height = self.renderer.size
+        number = max_spp(self.renderer.job.backend.name, width, height) // (2 * BATCH)
+        look, drawn, wanted = None, 0, self.how.first_trial(self._most)
+        while True:
+            while drawn < wanted:
+                begin, size = number * BATCH, min(BATCH, wanted - drawn)
+                chunks = chunk_grid(height, width, begin + size, ss=slice(begin, None))
+                part = self._looked(list(chunks))
+                look = part if look is None else look.merge(part)
+                number, drawn = number + 1, drawn + size
+            assert look is not None, "there are trial samples"
+            density, noise = decided(look, self.how, features)
+            noise["trials"] = drawn
+            if not self.how.needs_larger_trial(noise, self._most):
+                return density, noise
+            wanted = 2 * drawn
 
-def _tried(
-    renderer: MitsubaRenderer,
-    how: Adaptive,
-    features: Mapping[str, Image],
-    client: Client | None,
-    progress: bool | None,
-) -> tuple[Image, dict[str, Any]]:
-    """Return what trial samples decide, which are not kept.
+    def _looked(self, chunks: list[Chunk]) -> Look:
+        """Render chunks of one batch, look at them, and keep nothing."""
+        (width, height), name = self.renderer.size, self.renderer.job.scene.name
+        samples = sum(chunk.size for chunk in chunks)
+        with track(f"trying {name}", samples, unit="S", show=self.work["progress"]) as advance:
 
-    Their batches are numbered from the middle of those that have random numbers, so that none of
-    them is rendered.
-    """
-    (width, height), job = renderer.size, renderer.job
-    number = max_spp(job.backend.name, width, height) // (2 * BATCH)
-    look, drawn, wanted = None, 0, how.trials(job.options.spp)
-    while True:
-        while drawn < wanted:
-            begin, size = number * BATCH, min(BATCH, wanted - drawn)
-            chunks = chunk_grid(height, width, begin + size, ss=slice(begin, None))
-            part = _looked(renderer, list(chunks), client, progress)
-            look = part if look is None else look.merge(part)
-            number, drawn = number + 1, drawn + size
-        assert look is not None, "there are trial samples"
-        density, noise = decided(look, how, features)
-        noise["trials"] = drawn
-        if not how.more_trials(noise, job.options.spp):
-            return density, noise
-        wanted = 2 * drawn
+            def blocks() -> Iterator[tuple[tuple[slice, ...], Image]]:
+                for chunk, block in rendered(self.renderer, chunks, self.work["client"]):
+                    assert block is not None, "without a store, samples are yielded"
+                    yield (chunk.ys, chunk.xs), block
+                    advance(chunk.size)
 
+            return Look.of_blocks((height, width, 3), blocks())
 
-def _looked(
-    renderer: MitsubaRenderer, chunks: list[Chunk], client: Client | None, progress: bool | None
-) -> Look:
-    """Render chunks of one batch, look at them, and keep nothing."""
-    width, height = renderer.size
-    samples = sum(chunk.size for chunk in chunks)
-    with track(f"trying {renderer.job.scene.name}", samples, unit="S", show=progress) as advance:
+    def _go_on(self) -> Look | None:
+        """Make room for more samples, once, if those that were kept tell that the error needs them.
 
-        def blocks() -> Iterator[tuple[tuple[slice, ...], Image]]:
-            for chunk, block in rendered(renderer, chunks, client):
-                assert block is not None, "without a store, samples are yielded"
-                yield (chunk.ys, chunk.xs), block
-                advance(chunk.size)
-
-        return Look.of_blocks((height, width, 3), blocks())
-
-
-def _go_on(how: Adaptive, writer: Writer, job: Job) -> Look | None:
-    """Make room for more samples, once, if those that were kept tell that the error needs them.
-
-    Return what was looked at, if nothing comes to it.
-    """
-    noise = writer.attrs["noise"]
-    if how.error is None or "trials" not in noise or noise.get("settled"):
+        Return what was looked at, if nothing comes to it.
+        """
+        how, writer, noise = self.how, self.writer, self.writer.attrs["noise"]
+        if how.error is None or "trials" not in noise or noise.get("settled"):
+            return None
+        held, spp = writer.finish(), writer.attrs["spp"]
+        look, noise = Look.of(held), noise | {"settled": True}
+        factors, most = more(look, how, held.features), self._most - noise["trials"]
+        if factors is None or most <= spp:
+            writer.update(noise=noise)
+            return look
+        assert writer.density is not None, "numbers were decided"
+        density = writer.density * factors
+        needed = spp * density.mean() / writer.density.mean()
+        noise = {k: v for k, v in noise.items() if k not in ("low", "high", "surely")}
+        noise["value"] = float(how.error**2 * needed)
+        density = writer.density * np.minimum(factors, most / spp)
+        mean = density.mean() / writer.density.mean()
+        # Rounded up: no pixel loses a sample.
+        rounded = np.nextafter((density / mean).astype(np.float32), np.float32(np.inf))
+        self._make_room(rounded, float(spp * mean), noise)
         return None
-    held, spp = writer.finish(), writer.attrs["spp"]
-    look, noise = Look.of(held), noise | {"settled": True}
-    factors, most = more(look, how, held.features), job.options.spp - noise["trials"]
-    if factors is None or most <= spp:
-        writer.update(noise=noise)
-        return look
-    assert writer.density is not None, "numbers were decided"
-    density = writer.density * factors
-    needed = spp * density.mean() / writer.density.mean()
-    noise = {k: v for k, v in noise.items() if k not in ("low", "high", "surely")}
-    noise["value"] = float(how.error**2 * needed)
-    density = writer.density * np.minimum(factors, most / spp)
-    mean = density.mean() / writer.density.mean()
-    # Rounded up: no pixel loses a sample.
-    rounded = np.nextafter((density / mean).astype(np.float32), np.float32(np.inf))
-    _make_room(writer, job, rounded, float(spp * mean), noise)
-    return None
 
-
-def _tell(how: Adaptive, writer: Writer, look: Look | None, most: int) -> None:
-    """Estimate the error of all samples, and say so if it is not what was asked for."""
-    held = writer.finish()
-    found = error_of(look or Look.of(held), "relMSE", how.percentile, features=held.features)
-    told = how.told(found)
-    writer.update(error=told)
-    if not told.get("reached", True):
-        of_trials = writer.attrs["noise"].get("trials", 0)
-        _log.warning(how.not_reached(found, writer.attrs["spp"] + of_trials, most))
+    def _tell(self, look: Look | None) -> None:
+        """Estimate the error of all samples, and say so if it is not what was asked for."""
+        how, writer, held = self.how, self.writer, self.writer.finish()
+        found = error_of(look or Look.of(held), "relMSE", how.percentile, features=held.features)
+        told = how.told(found)
+        writer.update(error=told)
+        if not told.get("reached", True):
+            drawn = writer.attrs["spp"] + writer.attrs["noise"].get("trials", 0)
+            _log.warning(how.not_reached(found, drawn, self._most))
 
 
 def render_pixels(
@@ -428,15 +406,14 @@ def render_pixels(
     (1, 3, 16)
     """
     options = {"spp": 2048, "backend": "scalar", **options}
-    job = Job.of(scene, RenderOptions(**options))
-    if job.options.sequences is not None:
-        message = (
-            f"samples of single pixels are independent; leave out sampler={job.options.sampler!r}"
-        )
+    job = Job.of(scene, **options)
+    if job.sequences is not None:
+        sampler = job.options["sampler"]
+        message = f"samples of single pixels are independent; leave out {sampler=}"
         raise InputError(message)
     with activate(job.backend):
         renderer = MitsubaRenderer(job)
-        return renderer.pixels(_checked_pixels(pixels, renderer.size), job.options.spp)
+        return renderer.pixels(_checked_pixels(pixels, renderer.size), job.options["spp"])
 
 
 def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray[np.intp]:
@@ -474,9 +451,9 @@ def checked_renderer(job: Job, *, kept: int, out: Path | None) -> MitsubaRendere
     InputError, SceneError, RenderError
         If the scene cannot be rendered as asked, or there is no room for the kept samples.
     """
-    renderer, spp = MitsubaRenderer(job), job.options.spp
+    renderer, spp = MitsubaRenderer(job), job.options["spp"]
     width, height = renderer.size
-    check_spp(job.backend.name, width, height, spp, job.options.sequences)
+    check_spp(job.backend.name, width, height, spp, job.sequences)
     needed = 12 * width * height * kept
     what = f"{kept} samples for each of {width} x {height} pixels"
     if out is None:
@@ -508,16 +485,14 @@ def _cut_paths(renderer: MitsubaRenderer, depths: Collection[int]) -> dict[Light
         raise RenderError(message)
     most = LONGEST if longest is None or longest < 0 else longest
     return {
-        depth: replace(job, options=replace(job.options, max_depth=min(depth, most)))
+        depth: replace(job, options=job.options | {"max_depth": min(depth, most)})
         for depth in sorted(depths)
         if depth < most or depth == DIRECT_DEPTH
     }
 
 
 @contextlib.contextmanager
-def _features_restored(
-    renderer: MitsubaRenderer, client: Client | None, writer: Writer
-) -> Iterator[None]:
+def _features_restored(renderer: MitsubaRenderer, writer: Writer, work: Work) -> Iterator[None]:
     """Give a writer the first-hit features that it lacks, while its samples are rendered.
 
     Features take as long as a few dozen samples per pixel, so that one worker of a cluster draws
@@ -525,11 +500,11 @@ def _features_restored(
     """
     if not writer.lacks_features:
         yield
-    elif client is None:
+    elif work["client"] is None:
         writer.restore(*renderer.features())
         yield
     else:
-        with pool(client=client) as cluster:
+        with pool(client=work["client"]) as cluster:
             drawn = cluster.submit(features_remote, renderer.job, renderer.identity)
             try:
                 yield
@@ -539,9 +514,7 @@ def _features_restored(
             writer.restore(*features)
 
 
-def _fill(
-    renderer: MitsubaRenderer, writer: Writer, client: Client | None, progress: bool | None
-) -> None:
+def _fill(renderer: MitsubaRenderer, writer: Writer, work: Work) -> None:
     """Render what is missing, and write each chunk as it arrives."""
     chunks = writer.pending()
     if not chunks:
@@ -550,9 +523,10 @@ def _fill(
     samples = writer.lacking
     # This process adds the missing samples of chunks to the existing ones.
     store = writer if isinstance(writer, Store) and writer.adaptive is None else None
-    with track(f"rendering {name}", samples, unit="S", show=progress) as advance:
+    with track(f"rendering {name}", samples, unit="S", show=work["progress"]) as advance:
         try:
-            for chunk, block in rendered(renderer, map(writer.to_draw, chunks), client, store):
+            drawn = rendered(renderer, map(writer.to_draw, chunks), work["client"], store)
+            for chunk, block in drawn:
                 if block is not None:
                     writer.write(chunk, block)
                 elif store is not None:
@@ -674,7 +648,7 @@ def _first_spp(attrs: Mapping[str, Any]) -> int:
     return int(attrs["adaptive"]["first"] if "adaptive" in attrs else attrs["spp"])
 
 
-def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
+def _as_stored(options: RenderSettings, store: Store) -> RenderSettings:
     """Take options that were not given from the store that is continued."""
     if "scene_hash" not in store.attrs:
         message = (
@@ -682,12 +656,13 @@ def _as_stored(options: RenderOptions, store: Store) -> RenderOptions:
             "added; nothing was changed. Give another path"
         )
         raise StoreError(message)
-    backend, size = options.backend, options.size
-    if backend == "auto":
-        backend = store.attrs["backend"]
-    if size is None and options.crop is None:
-        size = tuple(store.attrs["size"])
-    return replace(options, backend=backend, size=size)
+    stored: RenderSettings = {}
+    if options["backend"] == "auto":
+        stored["backend"] = store.attrs["backend"]
+    if options["size"] is None and options["crop"] is None:
+        width, height = store.attrs["size"]
+        stored["size"] = width, height
+    return options | stored
 
 
 _IDENTITY = (

@@ -8,15 +8,14 @@ import itertools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from chdstat._core.arrays import Image
 from chdstat._core.work import Interrupts, Pool, cores, pool
 from chdstat.errors import RenderError, StoreError
 from chdstat.rendering.backend import activate, one_thread
+from chdstat.rendering.jobs import Job, in_python
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import IntegratorObject, Job
 from chdstat.rendering.seeds import grouped
 from chdstat.samples.layout import differing
 from chdstat.samples.store import reopened
@@ -45,7 +44,7 @@ def rendered(
     samples. Ctrl-C raises KeyboardInterrupt once no thread is at work any more.
     """
     job = renderer.job
-    groups = grouped(chunks, job.options.sequences)
+    groups = grouped(chunks, job.sequences)
     if client is None:
         with Interrupts() as interrupts, at_once(job) as workers, pool(workers) as threads:
             draw = functools.partial(_samples_of, renderer, before_pass=interrupts.before_pass)
@@ -80,8 +79,8 @@ def at_once(job: Job) -> Iterator[int]:
     if job.backend.name != "scalar":
         yield 1
         return
-    integrator = job.options.integrator
-    alone = isinstance(integrator, IntegratorObject) and integrator.in_python
+    built = job.built_integrator
+    alone = built is not None and in_python(built)
     with one_thread():
         yield 1 if alone else cores()  # a class in Python may keep what it draws with
 
@@ -141,7 +140,7 @@ def _remote(job: Job, identity: dict[str, Any]) -> Iterator[MitsubaRenderer]:
 
     A pass uses all cores, and Mitsuba's signal handler is not reentrant.
     """
-    options = replace(job.options, spp=1)  # any number of samples takes the same renderer
+    options = job.options | {"spp": 1}  # any number of samples takes the same renderer
     parts = identity["scene_hash"], identity["scene_code"], options, job.backend, job.light
     key = (str(parts), job.plugins, job.guide and job.guide.digest)
     with activate(job.backend), _REMOTE_LOCK:

@@ -34,7 +34,7 @@ from chdstat.estimators.training import first_samples
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.options import RenderSettings
+from chdstat.rendering.jobs import RenderSettings
 from chdstat.rendering.recipes import (
     Recipe,
     check_integrator,

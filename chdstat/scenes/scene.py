@@ -308,7 +308,7 @@ _ELSEWHERE = (
 )
 
 
-def is_built(value: object) -> bool:
+def _is_built(value: object) -> bool:
     """Return whether a value is a Mitsuba object."""
     mi: Any = sys.modules.get("mitsuba")
     return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
@@ -318,7 +318,7 @@ def _holds_objects(value: object) -> bool:
     """Return whether a scene dict holds Mitsuba objects, apart from data."""
     if isinstance(value, Mapping):
         return any(map(_holds_objects, value.values()))
-    return is_built(value) and type(value).__name__ not in ("Bitmap", "VolumeGrid")
+    return _is_built(value) and type(value).__name__ not in ("Bitmap", "VolumeGrid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +337,7 @@ class LiveScene:
     def fits(value: object) -> bool:
         """Return whether a value is a Mitsuba scene, of any variant."""
         scene: Any = value
-        return is_built(value) and bool(scene.class_name() == "Scene")
+        return _is_built(value) and bool(scene.class_name() == "Scene")
 
     def parts(self) -> list[Any]:
         """Return each object's text and parameters, which tell one scene from another.

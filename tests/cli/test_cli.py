@@ -8,6 +8,7 @@ import shutil
 import sys
 from inspect import signature
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from typer.main import get_command
 
 import chdstat as chd
 import chdstat.samples
-from chdstat.cli import main, output, program, shared_options
-from chdstat.rendering import RenderOptions
+from chdstat.cli import arguments, main, output, program
+from chdstat.rendering.jobs import SETTINGS
+from chdstat.rendering.seeds import SamplerName
 
 ROOT = Path(chd.__file__).parent
 
@@ -142,20 +144,23 @@ LIBRARY = {
 }
 
 
-def test_options_of_a_render_are_the_fields_of_its_options():
+def test_a_render_has_an_option_for_each_of_its_settings():
     """An option that is not given is no argument: the library knows what holds then."""
-    fields = signature(RenderOptions).parameters
-    assert fields.keys() < signature(shared_options.CommonOptions).parameters.keys()
-    assert shared_options.CommonOptions().settings == {}
-    asked = shared_options.CommonOptions(
-        size="12x8", crop="1,2,3x4", integrator='{"type": "path"}', spp=3
-    )
+    assert arguments.CommonOptions().settings == {}
+    texts = {"size": "12x8", "crop": "1,2,3x4", "integrator": '{"type": "path"}', "spp": 3}
     settings = {"spp": 3, "size": (12, 8), "integrator": {"type": "path"}, "crop": (1, 2, 3, 4)}
-    assert asked.settings == settings
-    for option in COMMANDS["render"].params:
-        default = fields[option.name].default if option.name in fields else None
-        if default is not None:
-            assert option.show_default == str(default), option.name
+    assert arguments.CommonOptions.of(texts).settings == settings
+    options = {option.name: option for option in COMMANDS["render"].params}
+    for name, setting in SETTINGS.items():
+        assert options[name].default is None
+        if setting.default is not None:
+            assert options[name].show_default == str(setting.default), name
+
+
+@pytest.mark.parametrize("command", ["render", "study"])
+def test_the_help_names_every_sampler(command):
+    (option,) = (one for one in COMMANDS[command].params if one.name == "sampler")
+    assert all(name in option.help for name in get_args(SamplerName))
 
 
 @pytest.mark.parametrize("command", LIBRARY)

@@ -18,15 +18,15 @@ from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.server import Startup
 from chdstat.explorer.sources import SceneSource
 from chdstat.rendering.backend import activate
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions
 
 PIXELS = np.array([[8, 12], [3, 5]])
 
 
 @pytest.fixture
 def job():
-    return Job.of("cornell-box", RenderOptions(size=(24, 16), backend="scalar"))
+    return Job.of("cornell-box", size=(24, 16), backend="scalar")
 
 
 def test_it_draws_what_the_renderer_draws(job):
@@ -52,7 +52,7 @@ def test_a_process_that_has_ended_says_so(job):
 def test_a_scene_that_cannot_be_read_is_an_error_here():
     wrong = chd.load_scene({"type": "scene", "shape": {"type": "no such shape"}})
     with pytest.raises((SceneError, RenderError)):
-        _ = RenderProcess(Job.of(wrong, RenderOptions(backend="scalar"))).described
+        _ = RenderProcess(Job.of(wrong, backend="scalar")).described
 
 
 def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):

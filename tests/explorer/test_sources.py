@@ -29,7 +29,7 @@ from chdstat.explorer.sources import (
 )
 from chdstat.patterns import classify
 from chdstat.rendering import render_pixels
-from chdstat.rendering.options import Job, RenderOptions
+from chdstat.rendering.jobs import Job
 from tests.luminance import LUMINANCE
 
 ARRAYS = dict[str, npt.NDArray[Any]]
@@ -209,9 +209,7 @@ def test_tones_rise_with_radiance_and_show_what_is_not_finite(tone):
 
 @pytest.fixture(scope="module")
 def scene():
-    return SceneSource(
-        RenderProcess(Job.of("cornell-box", RenderOptions(size=(24, 16), backend="scalar")))
-    )
+    return SceneSource(RenderProcess(Job.of("cornell-box", size=(24, 16), backend="scalar")))
 
 
 def test_more_samples_of_a_pixel_are_new_ones(scene):
@@ -242,7 +240,7 @@ def test_the_image_of_a_scene_gets_better(scene):
 
 def test_a_scene_without_emitters_says_so():
     dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
-    source = SceneSource(RenderProcess(Job.of(dark, RenderOptions(size=(8, 8), backend="scalar"))))
+    source = SceneSource(RenderProcess(Job.of(dark, size=(8, 8), backend="scalar")))
     with pytest.raises(SceneError, match="emitter"):
         list(source.passes())
 

@@ -11,8 +11,8 @@ from chdstat.errors import RenderError, StoreError
 from chdstat.rendering import guiding, render_batches, render_pixels
 from chdstat.rendering.backend import activate, resolve
 from chdstat.rendering.guiding import Guide, Lookup, Paths, learn, uniform
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.workers import render_remote
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
@@ -197,7 +197,7 @@ def test_it_needs_a_backend_of_wavefronts_and_a_scene_of_its_own(wavefront):
 
 def test_a_worker_draws_the_same_samples(wavefront):
     """The guide travels with the job, and is no other job's."""
-    job = Job.of(ROOM, RenderOptions(spp=4, integrator="guided", backend=wavefront))
+    job = Job.of(ROOM, spp=4, integrator="guided", backend=wavefront)
     (chunk,) = chunk_grid(12, 12, 4)
     with activate(job.backend):
         renderer = MitsubaRenderer(job)

@@ -105,7 +105,7 @@ def test_an_error_of_a_class_names_it_and_is_not_met_by_the_next_render(backend,
     assert kept.value.__cause__ is raised
 
 
-# --- objects of Mitsuba's -----------------------------------------------------------------------
+# --- integrators of scenes that Mitsuba has built -----------------------------------------------
 
 
 @pytest.fixture
@@ -125,42 +125,50 @@ def own(mi, value):
         def sample(self, scene, sampler, ray, medium=None, active=True):
             return mi.Color3f(self.value), True, []
 
+        def to_string(self):
+            return "Constant"
+
     return Constant(value)
 
 
-def test_an_object_of_mitsuba_draws_what_its_settings_draw(mi):
-    path = mi.load_dict({"type": "path", "max_depth": 3})
-    few, pixels = {"spp": 70, "size": (12, 8)}, [(2, 3), (6, 6)]
-    given = render_pixels("cornell-box", pixels, **few, integrator=path)
+def built(integrator):
+    """Return the Cornell box, which Mitsuba builds with an integrator object."""
+    return {**chd.load_scene("cornell-box").source, "integrator": integrator}
+
+
+def test_the_integrator_of_a_built_scene_draws_what_its_settings_draw(mi):
     settings = {"type": "path", "max_depth": 3}
+    scene, few, pixels = (
+        built(mi.load_dict(settings)),
+        {"spp": 70, "size": (12, 8)},
+        [(2, 3), (6, 6)],
+    )
     expected = render_pixels("cornell-box", pixels, **few, integrator=settings)
-    assert np.array_equal(given, expected)
-    given = render(integrator=path)
-    assert np.array_equal(given.read(), render(integrator=path).read())
+    assert np.array_equal(render_pixels(scene, pixels, **few), expected)
+    given = chd.render(scene, **VIEW)
+    assert np.array_equal(given.read(), chd.render(scene, **VIEW).read())
     assert given.attrs["integrator"] == {"type": "PathIntegrator", "max_depth": 3, "rr_depth": 5}
     assert given.attrs["scene_code"] == {}
 
 
-def test_an_object_of_one_s_own_class_renders_with_the_backend_of_its_variant(mi, tmp_path):
-    out = tmp_path / "a.zarr"
-    samples = render(integrator=own(mi, 2.0), backend="auto", out=out)
+def test_a_class_of_one_s_own_in_a_built_scene_is_known_again(mi, tmp_path):
+    out, view = tmp_path / "a.zarr", {**VIEW, "backend": "auto"}
+    samples = chd.render(built(own(mi, 2.0)), **view, out=out)
     assert samples.attrs["backend"] == "scalar"
     assert samples.attrs["integrator"] == {"type": samples.attrs["integrator"]["type"], "value": 2}
     assert [name.split(".")[-1] for name in samples.attrs["scene_code"]] == ["Constant"]
     assert (samples.read() == 2).all()
-    assert render(integrator=own(mi, 2.0), spp=6, out=out).spp == 6
+    assert chd.render(built(own(mi, 2.0)), **{**view, "spp": 6}, out=out).spp == 6
     with pytest.raises(StoreError, match="changed code of plugins: .*Constant"):
-        render(integrator=own(mi, 3.0), spp=8, out=out)
-    few = {"size": (4, 4), "spp": 3}
-    assert (render_pixels("cornell-box", (1, 1), integrator=own(mi, 2.0), **few) == 2).all()
+        chd.render(built(own(mi, 3.0)), **{**view, "spp": 8}, out=out)
 
 
-def test_an_object_renders_in_a_wavefront(wavefront):
+def test_a_built_scene_renders_in_the_wavefront_of_its_variant(wavefront):
     with activate(probe(wavefront)) as mi:
-        integrator = own(mi, mi.Float(2.0))
-        samples = render(integrator=integrator, backend="auto")
+        scene = built(own(mi, mi.Float(2.0)))
+        samples = chd.render(scene, **{**VIEW, "backend": "auto"})
         with pytest.raises(InputError, match=r"_ad_rgb, which cannot render with the scalar"):
-            render(integrator=integrator)
+            chd.render(scene, **VIEW)
     assert samples.attrs["backend"] == wavefront
     assert (samples.read() == 2).all()
     assert samples.attrs["integrator"]["value"] == [2.0]
@@ -180,13 +188,17 @@ def test_an_integrator_that_a_wavefront_knows_alone_takes_its_place_in_a_scene(w
     assert (chd.render(scene, **{**VIEW, "backend": wavefront}).read() == 2).all()
 
 
-def test_what_an_object_cannot_do_is_told(mi):
+def test_what_the_integrator_of_a_built_scene_cannot_do_is_told(mi):
     path = mi.load_dict({"type": "path"})
     with pytest.raises(InputError, match="max_depth=3 cannot be given to a PathIntegrator"):
-        render(integrator=path, max_depth=3)
+        chd.render(built(path), **VIEW, max_depth=3)
     with pytest.raises(RenderError, match="no max_depth that can be set"):
-        render(integrator=path, by_depth=3)
-    with pytest.raises(InputError, match="can only render in this process"):
-        chd.render("cornell-box", **VIEW, integrator=path, client=object())
-    with pytest.raises(RenderError, match="does not sample pixel by pixel"):
-        render(integrator=mi.load_dict({"type": "ptracer"}))
+        chd.render(built(path), **VIEW, by_depth=3)
+    for kind in ({"type": "ptracer"}, {"type": "moment", "within": {"type": "path"}}):
+        with pytest.raises(RenderError, match="does not sample pixel by pixel"):
+            chd.render(built(mi.load_dict(kind)), **VIEW)
+
+
+def test_an_object_is_given_as_a_dict_or_by_the_name_of_a_plugin(mi):
+    with pytest.raises(InputError, match=r"got a MonteCarloIntegrator; .*scenes\.load_plugin"):
+        render(integrator=mi.load_dict({"type": "path"}))

@@ -185,10 +185,6 @@ def test_what_it_cannot_do_is_told(mi):
         chd.render(built, **VIEW, by_light=["light"])
     with pytest.raises(InputError, match="can only be rendered in this process"):
         chd.render(built, **VIEW, integrator=PATH, client=object())
-    moment = mi.load_dict({"type": "moment", "within": PATH})
-    for made in (moment, mi.load_dict({"type": "ptracer"})):
-        with pytest.raises(RenderError, match=f"{made.class_name()}' does not .* such as path"):
-            chd.render(built, **VIEW, integrator=made)
     spot = mi.load_dict({"type": "scene", "sensor": METER})
     with pytest.raises(RenderError, match="the RadianceMeter of .* shows 1 x 1 pixels only"):
         chd.render(spot, **VIEW, integrator=PATH)

@@ -19,8 +19,8 @@ import scipy.stats
 import chdstat as chd
 from chdstat.rendering import render_pixels, seeds
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
 from chdstat.scenes import load_scene
@@ -110,9 +110,7 @@ def test_the_last_passes_vary_as_independent_ones(streams):
     if streams != "scalar":
         pytest.skip("a wavefront has no passes")
     with activate(probe("scalar")):
-        renderer = MitsubaRenderer(
-            Job.of(NUMBERS, RenderOptions(size=SIZE, seed=5, backend="scalar"))
-        )
+        renderer = MitsubaRenderer(Job.of(NUMBERS, size=SIZE, seed=5, backend="scalar"))
         last = max_spp("scalar", *SIZE)
         chunk = replace(next(chunk_grid(16, 16, 64)), ss=slice(last - 2048, last))
         x = renderer.chunk(chunk)
@@ -143,9 +141,7 @@ def test_passes_chunks_and_single_pixels_share_no_number():
     assert seeds.PASSES * TILE**2 <= 2**32 - seeds.PIXELS
     assert seeds.CHUNKS <= 2**32 - seeds.PIXELS
     for seed in (0, 1, 55, 10_945):
-        renderer = MitsubaRenderer(
-            Job.of("cornell-box", RenderOptions(size=(8, 8), seed=seed, backend="scalar"))
-        )
+        renderer = MitsubaRenderer(Job.of("cornell-box", size=(8, 8), seed=seed, backend="scalar"))
         numbers = [renderer._streams.of_pixel(y, x) for y in range(8) for x in range(8)]
         assert len(set(numbers)) == 64
         assert 2**32 - seeds.PIXELS <= min(numbers) <= max(numbers) < 2**32

@@ -20,8 +20,8 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering import render_pixels, renders
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.jobs import SETTINGS, Job, RenderSettings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions, RenderSettings
 from chdstat.samples import layout
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
@@ -422,22 +422,19 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
     kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger.held[c.index]]
     assert kept
     with activate(probe("scalar")):
-        whole = MitsubaRenderer(
-            Job.of("cornell-box", RenderOptions(size=(96, 96), backend="scalar"))
-        )
+        whole = MitsubaRenderer(Job.of("cornell-box", size=(96, 96), backend="scalar"))
         for chunk in kept[-3:]:
             block = done.read(chunk.ys, chunk.xs, chunk.ss)
             assert np.array_equal(block, whole.chunk(chunk))
 
 
-def test_what_renders_takes_one_set_of_options():
-    """The fields of `RenderOptions`: the same names, types and defaults."""
-    taken = signature(chd.render).parameters
-    for name, option in signature(RenderOptions).parameters.items():
-        assert (
-            taken[name].annotation
-            == option.annotation
-            == RenderSettings.__annotations__[name].__forward_arg__
-        )
-        assert taken[name].default == option.default, name
-    assert RenderSettings.__annotations__.keys() == signature(RenderOptions).parameters.keys()
+def test_settings_are_declared_once_and_shown_where_they_are_taken():
+    """What is not declared is refused, and what is not given has its declared default."""
+    defaults = {name: setting.default for name, setting in SETTINGS.items()}
+    assert SETTINGS.keys() == RenderSettings.__annotations__.keys()
+    for function in (chd.render, chd.rendering.render_batches):
+        taken = signature(function).parameters
+        assert {name: taken[name].default for name in SETTINGS} == defaults
+        with pytest.raises(TypeError, match="unexpected keyword argument 'ssp'"):
+            function("cornell-box", ssp=4)
+    assert Job.of("cornell-box", backend="scalar").options == defaults | {"backend": "scalar"}

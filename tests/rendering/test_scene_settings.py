@@ -18,7 +18,7 @@ from chdstat.errors import InputError, StoreError
 from chdstat.io import write_exr
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.options import scene_integrator, scene_size
+from chdstat.rendering.jobs import scene_integrator, scene_size
 from chdstat.scenes import load_scene
 from tests.luminance import LUMINANCE
 from tests.matrices import look_at, translate

@@ -18,8 +18,8 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering import render_batches, seeds
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions
 from chdstat.rendering.seeds import Sequences, grouped, max_spp
 from chdstat.samples.tiles import TILE, chunk_grid
 from tests.rendering.numbers import ALPHA, NUMBERS, register_numbers
@@ -193,7 +193,7 @@ def test_samples_do_not_depend_on_how_they_are_cut(backend, sampler, length, tmp
     batches = render_batches(NUMBERS, spp=spp, batch=50, backend=backend, **options)
     assert np.array_equal(np.concatenate(list(batches), axis=-1), whole)
     with activate(probe(backend)):
-        renderer = MitsubaRenderer(Job.of(NUMBERS, RenderOptions(backend=backend, **options)))
+        renderer = MitsubaRenderer(Job.of(NUMBERS, backend=backend, **options))
         chunk = list(chunk_grid(*size[::-1], spp))[1]
         alone = renderer.chunk(replace(chunk, ss=slice(70, 75)))
     assert np.array_equal(alone, whole[..., 70:75])

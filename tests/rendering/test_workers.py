@@ -17,8 +17,8 @@ import chdstat as chd
 from chdstat.errors import ClusterError, InputError, RenderError
 from chdstat.rendering import workers
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
 
@@ -117,7 +117,7 @@ def test_workers_of_other_versions_are_refused():
 
 
 def test_a_worker_that_reads_another_scene_is_refused():
-    job = Job.of("cornell-box", RenderOptions(size=(8, 8), backend="scalar"))
+    job = Job.of("cornell-box", size=(8, 8), backend="scalar")
     identity = MitsubaRenderer(job).identity
     chunk = next(chunk_grid(8, 8, 1))
     group = chunk, [chunk]

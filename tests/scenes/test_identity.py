@@ -17,8 +17,8 @@ import chdstat as chd
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.io import write_exr
 from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
-from chdstat.rendering.options import Job, RenderOptions
 from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.parsing import ParsedScene
 from tests.matrices import look_at, scale, translate
@@ -380,9 +380,7 @@ def test_a_class_with_other_values_around_it_is_another_plugin(tmp_path):
         codes = []
         for strength in (1.0, 1.0, 2.0):
             register(strength)
-            codes.append(
-                MitsubaRenderer(Job.of(source, RenderOptions(size=(4, 4), backend="scalar"))).code
-            )
+            codes.append(MitsubaRenderer(Job.of(source, size=(4, 4), backend="scalar")).code)
     assert codes[0] == codes[1] != codes[2]
     assert [name.split(".")[-1] for name in codes[0]] == ["Around"]
     assert pickle.loads(pickle.dumps(load_scene(source))).hash == load_scene(source).hash

@@ -15,7 +15,7 @@ from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.estimators import registry
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.rendering import render_pixels
-from chdstat.rendering.options import Job, RenderOptions
+from chdstat.rendering.jobs import Job
 from chdstat.scenes import load_plugin, plugins
 
 VIEW: dict[str, Any] = {"spp": 4, "size": (12, 8), "progress": False}
@@ -154,8 +154,8 @@ def test_the_process_of_the_explorer_has_the_plugin(write):
     path = write(INTEGRATOR)
     load_plugin(path)
     path.unlink()  # the code travels, not the name of a file
-    options = RenderOptions(size=(8, 8), integrator="constant_radiance", backend="scalar")
-    job = Job.of("cornell-box", options)
+    own = "constant_radiance"
+    job = Job.of("cornell-box", size=(8, 8), integrator=own, backend="scalar")
     render = RenderProcess(job)
     try:
         assert render._child is not None, "rendered in this process"
