@@ -7,7 +7,7 @@ import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import registry
-from chdstat.explorer.estimators import batches_of, scored
+from chdstat.explorer.estimators import batches_of, estimates
 from chdstat.viz.styling import NAMES
 
 
@@ -56,6 +56,6 @@ def test_its_row_says_what_it_is_called_and_where_it_stands():
     samples = chd.Samples.from_array(np.random.default_rng(0).gamma(1, size=(9, 9, 3, 64)))
     assert chd.compare(samples, ["mean", "darkest"], progress=False).estimators[1] == "darkest"
     x = samples.read()[0, 0]
-    assert "darkest" in {found.name for found in scored(batches_of(x, 32))}
+    assert "darkest" in {found.name for found in estimates(batches_of(x, 32))}
     registry.forget("darkest")
     assert "darkest" not in NAMES
