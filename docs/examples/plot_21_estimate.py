@@ -13,7 +13,7 @@ nearest to the truth?
 import chdstat as chd
 from chdstat import viz
 
-samples = chd.render("night-room", spp=1024, size=(48, 48), seed=6, backend="scalar")
+samples = chd.render("night-room", spp=512, size=(48, 48), seed=6, backend="scalar")
 few = samples.first(32)
 
 # %%
@@ -28,7 +28,7 @@ found = chd.estimate(few, progress=False)
 
 mean = few.read().mean(axis=-1)
 viz.side_by_side(
-    {"mean of 32": mean, "estimate": found.radiance, "mean of 1024": samples.read().mean(axis=-1)}
+    {"mean of 32": mean, "estimate": found.radiance, "mean of 512": samples.read().mean(axis=-1)}
 )
 
 # %%

@@ -31,10 +31,10 @@ figure
 # Count how often it holds
 # ------------------------
 #
-# The mean of 4096 other samples stands for the truth. Against a mean of a hundred, even perfect
+# The mean of 2048 other samples stands for the truth. Against a mean of a hundred, even perfect
 # intervals would seem to miss far more than they do.
 
-reference = chd.render("bathroom", spp=4096, size=(48, 48), seed=7).read()
+reference = chd.render("bathroom", spp=2048, size=(48, 48), seed=7).read()
 reference = reference.mean(axis=-1, dtype=float)
 levels, shares = (0.5, 0.8, 0.9, 0.95), []
 for level in levels:

@@ -168,7 +168,8 @@ def test_bad_black_and_signed_samples_have_estimates_too(trained):
     rest = np.delete(found.radiance.reshape(12, 3), 0, axis=0)
     assert np.isfinite(rest).all()
     assert (found.low.reshape(12, 3)[1:] <= rest).all()
-    black = MLP.preset("elek2019").train(chd.Samples.from_array(np.zeros((4, 4, 3, 64))))
+    dark = chd.Samples.from_array(np.zeros((4, 4, 3, 64)))
+    black = MLP.preset("elek2019").train(dark, iterations=50)
     assert not black.estimate(np.zeros((2, 3, 32))).radiance.any()
     for wrong, told in ((np.ones(32), "channel"), (np.ones((3, 31)), "exactly 32")):
         with pytest.raises(InputError, match=told):
