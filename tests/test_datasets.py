@@ -7,7 +7,6 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.fit.selection import family_shares
 from chdstat.inference import gaussianity_of_means
 from chdstat.patterns import attribute
 
@@ -27,7 +26,6 @@ DATASETS = {
     "gamma of a summary": lambda s: chd.fit.gamma(chd.summarize(s)),
     "mixture": chd.fit.mixture,
     "select": lambda s: chd.fit.select(s, criterion="held_out"),
-    "family shares": lambda s: family_shares(chd.fit.select(s)),
     "goodness": lambda s: chd.fit.goodness(s, "gamma", resamples=19),
     "gaussianity": chd.gaussianity,
     "gaussianity of means": gaussianity_of_means,

@@ -12,7 +12,7 @@ from chdstat.fit.families import FAMILIES, Fit, family_fit, fit
 from chdstat.fit.family import Family
 from chdstat.fit.goodness_of_fit import Goodness, goodness
 from chdstat.fit.mixtures import Mixture, mixture
-from chdstat.fit.selection import HeldOut, Selection, family_shares, select
+from chdstat.fit.selection import HeldOut, Selection, select
 from chdstat.fit.tail import Tail, tail_index
 from chdstat.summary.runner import OfSource
 
@@ -25,7 +25,6 @@ __all__ = [
     "Mixture",
     "Selection",
     "Tail",
-    "family_shares",
     "fit",
     "goodness",
     "mixture",

@@ -1,7 +1,7 @@
 """Selection: which family describes the samples best, and by how much.
 
-Use `select` on samples or log histograms. `family_shares` counts how many pixels of an image each
-family describes best.
+Use `select` on samples or log histograms. `chdstat.analysis.pooled_shares` counts how many pixels
+of an image each family describes best.
 
 The held-out likelihood is that of one half of the samples under a fit to the other half. Unlike an
 information criterion, it needs no count of parameters and does not assume that one of the families
@@ -23,13 +23,10 @@ from chdstat._core.arrays import (
     Mapped,
     Mask,
     chunks,
-    flag_names,
-    label_variables,
     place_attributes,
 )
 from chdstat._core.display import Card, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
-from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.families import (
@@ -326,63 +323,6 @@ def select(
         raise InputError(message)
     chosen = tuple(get_family(family) for family in families)
     return run(FamilySelection(chosen, criterion, held_out), x, null=null, progress=progress)
-
-
-def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.Dataset:
-    """Return the share of pixels that each family describes best, with Wilson's interval.
-
-    The interval treats pixels as independent. Neighbours are not quite independent, so that the
-    interval is a little too short.
-
-    Parameters
-    ----------
-    dataset
-        Result of `select` for an image.
-    variable
-        'best_family' or 'held_out_best_family'.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``family_share`` over (channel, family), among the pixels with a best family;
-        ``family_share_interval`` over (channel, family, bound); and ``n_pixels`` over (channel),
-        the number of these pixels.
-
-    Raises
-    ------
-    InputError
-        If the dataset has no such variable.
-
-    References
-    ----------
-    Wilson, "Probable inference, the law of succession, and statistical inference", 1927,
-    doi:10.1080/01621459.1927.10502953.
-    """
-    import xarray as xr
-
-    if variable not in dataset:
-        message = f"expected the dataset of chdstat.fit.select with {variable}, got one without"
-        raise InputError(message)
-    best = dataset[variable]
-    _, *names = flag_names(best.attrs).values()
-    family = {"family": np.array(names, dtype=object)}
-    codes = xr.DataArray(np.arange(len(names)), dims="family", coords=family)
-    counts = (best == codes).sum(("y", "x"), keep_attrs=False)
-    total = counts.sum("family")
-    interval = wilson(counts.values, total.values[:, np.newaxis])
-    shares = xr.Dataset(
-        {
-            "family_share": counts / total.where(total > 0),
-            "family_share_interval": ((*counts.dims, "bound"), interval),
-            "n_pixels": total,
-        }
-    )
-    labels = {
-        "family_share": "share of pixels that a family describes best",
-        "family_share_interval": "Wilson interval of the share of pixels",
-        "n_pixels": "pixels with any family",
-    }
-    return label_variables(shares, labels)
 
 
 _LOOSE = 1e-2

@@ -6,7 +6,7 @@ from scipy import stats
 from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
-from chdstat.errors import InputError
+from chdstat.analysis import pooled_shares
 
 ROWS = 400
 
@@ -135,13 +135,10 @@ def test_shares_of_an_image():
     radiance = np.stack([draws("lognormal")[:12], draws("gamma")[:12]]).reshape(2, 4, 3, 512)
     radiance[0, 0] = 0
     dataset = chd.fit.select(chd.Samples.from_array(radiance), ("gamma", "lognormal"))
-    shares = chd.fit.family_shares(dataset)
-    np.testing.assert_array_equal(shares["n_pixels"], [7, 7, 7])
-    np.testing.assert_allclose(shares["family_share"].sel(family="gamma"), 4 / 7)
-    expected = proportion_confint(4, 7, method="wilson")
-    np.testing.assert_allclose(shares["family_share_interval"][0, 0], expected)
-    with pytest.raises(InputError, match="held_out_best_family, got one without"):
-        chd.fit.family_shares(dataset, variable="held_out_best_family")
+    shares = pooled_shares(dataset)
+    assert shares["gamma"].value == pytest.approx(12 / 21)
+    expected = proportion_confint(12, 21, method="wilson")
+    np.testing.assert_allclose((shares["gamma"].low, shares["gamma"].high), expected)
 
 
 def test_a_histogram_selects_what_the_samples_select():
