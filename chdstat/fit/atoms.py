@@ -122,12 +122,6 @@ class Atoms:
         parts = np.concatenate([self.counts, others], axis=-1)
         return np.asarray(special.xlogy(parts, parts / np.maximum(n, 1)).sum(axis=-1))
 
-    def rest_of_all(self) -> Part:
-        """Return the continuous rest of all rows, with the shape of the part."""
-        if not (isinstance(self.part, PositivePart) and isinstance(self.rest, PositivePart)):
-            return self.part
-        return with_rows(self.part, self.tied, self.rest.x, self.rest.positive)
-
 
 def split(part: Part) -> Atoms:
     """Split the positive samples into atoms and a continuous rest, row by row.

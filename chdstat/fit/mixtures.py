@@ -7,7 +7,7 @@ One search finds the mixtures for all numbers of components. `chdstat.fit.mixtur
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,15 +28,12 @@ from chdstat.fit.families import (
     get_family,
     zero_log_likelihood,
 )
-from chdstat.fit.family import halves_of
 from chdstat.fit.groups import SampleGroups
-from chdstat.fit.search import EFFORTS, Effort, Piece, log_likelihood, log_samples, score, search
+from chdstat.fit.search import EFFORTS, Effort, Piece, log_samples, score, search
 from chdstat.summary.runner import Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
-
-_MixtureCriterion = Literal["bic", "held_out"]
 
 
 @result
@@ -53,8 +50,6 @@ class Mixture(Fit):
     ----------
     family
         Family of the components: 'lognormal' or 'gamma'.
-    criterion
-        Criterion that chose the number of components: 'bic' or 'held_out'.
     k
         Number of components, shape (...).
     weights
@@ -80,9 +75,6 @@ class Mixture(Fit):
     bics
         BIC for 1 to K components, shape (..., K); NaN where there are too few samples for that
         many.
-    held_out
-        Log-likelihood per positive sample in linear radiance, of each half of the samples under the
-        fit to the other half, shape (..., K); NaN unless it is the criterion.
     null_share, null_interval
         Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
     n, n_null, n_zero, n_negative, n_bad
@@ -102,7 +94,6 @@ class Mixture(Fit):
     name_of: ClassVar = "{}_mixture"
 
     family: MixtureFamily
-    criterion: _MixtureCriterion
     k: npt.NDArray[np.int8] = variable("number of components")
     weights: Floats = variable("weights of the components", "component")
     atoms: Floats = variable("radiance that many samples share", "atom")
@@ -110,9 +101,6 @@ class Mixture(Fit):
     log_likelihood: Floats = variable("log-likelihood of the zero-inflated mixture")
     bics: Floats = variable(
         "Bayesian information criterion for each number of components", "component"
-    )
-    held_out: Floats = variable(
-        "held-out log-likelihood per sample for each number of components", "component"
     )
     converged: Mask = variable("the chosen fit converged")
     reason: npt.NDArray[np.int8] = variable("why there is no {} mixture")
@@ -246,23 +234,18 @@ class ChosenMixtures:
         Most components.
     k
         Number of components; None for the best score.
-    held_out
-        Scores, shape (row, component); None for BIC.
     """
 
     atoms: Atoms
     reason: npt.NDArray[np.int8]
     largest: int
     k: int | None = None
-    held_out: Floats | None = None
 
     def __post_init__(self) -> None:
         size = self.reason.size, self.largest
         ok = (self.reason == Reason.OK)[..., np.newaxis]
         allowed = _allowed_components(self.atoms, self.largest) & ok
         self._allowed = allowed.reshape(size)
-        if self.held_out is not None:
-            self.held_out = np.where(self._allowed, self.held_out, np.nan)
         self._k = np.zeros(size[0], dtype=np.int8)
         # Estimates and errors, of weights and of both parameters.
         self._table = np.full((2, 3, *size), np.nan)
@@ -278,8 +261,7 @@ class ChosenMixtures:
         self._likelihoods[piece.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
         log_n = log_samples(piece.corrected.n)
         scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
-        compared = scores if self.held_out is None else self.held_out[piece.rows]
-        compared = np.where(allowed & ~np.isnan(compared), compared, -np.inf)
+        compared = np.where(allowed & ~np.isnan(scores), scores, -np.inf)
         best = compared.argmax(axis=-1)
         if self.k is not None:
             best[:] = self.k - 1
@@ -327,10 +309,8 @@ class ChosenMixtures:
             dict(zip(names, values, strict=True))
             for values in self._table.reshape(2, 3, *shape, largest)
         )
-        held_out = np.full(bics.shape, np.nan) if self.held_out is None else self.held_out
         return Mixture(
             family=family,
-            criterion="bic" if self.held_out is None else "held_out",
             k=k,
             weights=estimates.pop("weight"),
             atoms=atoms.values,
@@ -341,7 +321,6 @@ class ChosenMixtures:
             aic=np.asarray(6.0 * k - 2 * chosen),
             bic=bic,
             bics=bics,
-            held_out=held_out.reshape(bics.shape),
             **counts_of(part),
             converged=self._converged.reshape(shape),
             reason=self.reason,
@@ -375,13 +354,11 @@ class MixtureFit(ParametricFit[Mixture]):
 
     k: int | None = None
     family: MixtureFamily = "lognormal"
-    criterion: _MixtureCriterion = "bic"
     max_k: int = 3
     effort: Effort = "thorough"
 
     def __post_init__(self) -> None:
         check_option("family", self.family, COMPONENTS)
-        check_option("criterion", self.criterion, get_args(_MixtureCriterion))
         check_option("effort", self.effort, EFFORTS)
         for name, given in (("k", 1 if self.k is None else self.k), ("max_k", self.max_k)):
             if not isinstance(given, (int, np.integer)) or not 1 <= given <= _LARGEST_K:
@@ -406,17 +383,8 @@ class MixtureFit(ParametricFit[Mixture]):
         if k is not None:
             least = _allowed_components(atoms, k)[..., k - 1]
             reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
-        held_out = None
-        if self.criterion == "held_out":
-            rest = atoms.rest_of_all()
-            if not isinstance(rest, PositivePart):
-                message = (
-                    "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
-                )
-                raise InputError(message)
-            held_out = _held_out(rest, reason == Reason.OK, family, largest, effort)
         atoms = before_clamps(atoms, family)
-        chosen = ChosenMixtures(atoms, reason, largest, k=k, held_out=held_out)
+        chosen = ChosenMixtures(atoms, reason, largest, k=k)
         whole = (reason == Reason.OK) & ~atoms.tied
         for found in search(part, whole, family, largest, effort=effort):
             chosen.enter(*found)
@@ -430,7 +398,6 @@ def mixture(
     k: int | None = None,
     *,
     family: MixtureFamily = "lognormal",
-    criterion: _MixtureCriterion = "bic",
     max_k: int = 3,
     effort: Effort = "thorough",
     null: npt.ArrayLike | None = None,
@@ -459,13 +426,9 @@ def mixture(
         standard deviation in log x is at least 0.28 of a bin's width h, 0.063 by default. Its
         log-likelihood is that of the bins, per h.
     k
-        Number of components; None to choose from 1 to `max_k`.
+        Number of components; None to choose from 1 to `max_k` by BIC.
     family
         Family of the components: 'lognormal' or 'gamma'.
-    criterion
-        Criterion that chooses k: 'bic', or 'held_out', the log-likelihood of each half of the
-        samples (even and odd ones) under the fit to the other half. 'held_out' needs samples, not a
-        histogram.
     max_k
         Largest number of components that is tried, at most 8.
     effort
@@ -483,18 +446,16 @@ def mixture(
     Raises
     ------
     InputError
-        If an option is unknown or out of range, or held-out likelihood is asked of a histogram.
+        If an option is unknown or out of range.
 
     References
     ----------
     Dempster, Laird and Rubin, "Maximum likelihood from incomplete data via the EM algorithm", 1977,
     doi:10.1111/j.2517-6161.1977.tb01600.x. Verbeek, Nunnink and Vlassis, "Accelerated EM-based
-    clustering of large data sets", 2006, doi:10.1007/s10618-005-0033-3. Smyth, "Model selection for
-    probabilistic clustering using cross-validated likelihood", 2000, doi:10.1023/A:1008940618127.
-    Fraley and Raftery, "Bayesian regularization for normal mixture estimation and model-based
-    clustering", 2007, doi:10.1007/s00357-007-0004-5 (the penalty is the inverse gamma prior there,
-    much weaker). Chen and Tan, "Inference for multivariate normal mixtures", 2009,
-    doi:10.1016/j.jmva.2008.12.006.
+    clustering of large data sets", 2006, doi:10.1007/s10618-005-0033-3. Fraley and Raftery,
+    "Bayesian regularization for normal mixture estimation and model-based clustering", 2007,
+    doi:10.1007/s00357-007-0004-5 (the penalty is the inverse gamma prior there, much weaker). Chen
+    and Tan, "Inference for multivariate normal mixtures", 2009, doi:10.1016/j.jmva.2008.12.006.
 
     Examples
     --------
@@ -504,28 +465,8 @@ def mixture(
     >>> int(result.k), result.weights.round(2), result.parameters["mu"].round(1)
     (2, array([0.3, 0.7, nan]), array([-4.1,  1. ,  nan]))
     """
-    statistic = MixtureFit(k, family, criterion, max_k, effort)
+    statistic = MixtureFit(k, family, max_k, effort)
     return run(statistic, x, null=null, progress=progress)
-
-
-def _held_out(
-    part: PositivePart, usable: Mask, family: MixtureFamily, largest: int, effort: Effort
-) -> Floats:
-    """Return held-out log-likelihoods per sample, shape (row, component)."""
-    rows = part.n.size
-    halves = halves_of(part, np.arange(rows))
-    both = usable.reshape(-1) & (halves.reason() == Reason.OK).all(axis=0)
-    total = np.full((rows, largest), np.nan)
-    total[both] = 0.0
-    n, ascending = halves.n.reshape(-1), halves.log_sorted.reshape(2 * rows, halves.x.shape[-1])
-    for piece, solutions in search(halves, np.tile(both, 2), family, largest, effort=effort):
-        other = (piece.rows + rows) % (2 * rows)
-        for i, solution in enumerate(solutions):
-            value = log_likelihood(ascending[other], n[other], solution)
-            np.add.at(total[:, i], piece.rows % rows, value)
-    enough = halves.n.min(axis=0)[:, np.newaxis] >= 3 * np.arange(1, largest + 1) - 1
-    per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
-    return np.where(enough, per_sample, np.nan)
 
 
 _SMALLEST = 1e-150
