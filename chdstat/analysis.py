@@ -55,7 +55,6 @@ from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
-    import pandas as pd
     import xarray as xr
     from distributed import Client
 
@@ -127,8 +126,7 @@ def analyze(
         ======================  ==========================================================
 
         ``luminance_mean`` and ``coefficient_of_variation`` (y, x) describe luminance. `atlas`,
-        which looks at the image as a whole, is not included. `chdstat.analysis.to_dataframe` makes
-        a table of the dataset.
+        which looks at the image as a whole, is not included.
 
     Raises
     ------
@@ -364,40 +362,6 @@ def _released(found: xr.Dataset) -> None:
     """Release the memory of maps in files, which were read or written."""
     for name in found.data_vars:
         release(found[name].values)
-
-
-def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
-    """Return the single-valued variables of an analysis as a table, a row per pixel and channel.
-
-    Variables with further dims, such as histograms, are left out. Variables of a pixel are repeated
-    for its channels. Codes become words.
-
-    Parameters
-    ----------
-    found
-        Result of `analyze`, `summarize` or another function for an image.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Rows (y, x, channel), or (y, x) where nothing depends on the channel.
-
-    Examples
-    --------
-    >>> import chdstat as chd
-    >>> rng = np.random.default_rng(0)
-    >>> frame = to_dataframe(chd.analyze(rng.gamma(2.0, size=(2, 2, 3, 256)), progress=False))
-    >>> len(frame), list(frame.index.names), frame.loc[(1, 0, "R"), "best_family"]
-    (12, ['y', 'x', 'channel'], 'gamma')
-    """
-    dims = [dim for dim in ("y", "x", "channel") if dim in found.dims]
-    kept = [name for name, variable in found.items() if {*variable.dims} <= {*dims}]
-    frame = found[kept].reset_coords(drop=True).to_dataframe(dim_order=dims)
-    for name in kept:
-        attrs = found[name].attrs
-        if "flag_meanings" in attrs:
-            frame[name] = frame[name].map(flag_names(attrs)).astype("category")
-    return frame
 
 
 def save(found: xr.Dataset, path: str | Path) -> Path:

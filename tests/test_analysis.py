@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.analysis import noise_of, overview, patterns_of, save, to_dataframe
+from chdstat.analysis import noise_of, overview, patterns_of, save
 from chdstat.errors import StoreError
 from chdstat.samples import tiles
 from tests.luminance import LUMINANCE
@@ -132,27 +132,3 @@ def test_maps_are_written_as_many_at_once_as_fit_into_memory(found, tmp_path, mo
     assert len(writes) > 2
     assert max(writes) <= largest
     assert xr.open_zarr(path, consolidated=False).identical(some)
-
-
-def test_a_data_frame_has_a_row_for_each_pixel_and_channel(found):
-    frame = to_dataframe(found)
-    assert frame.index.names == ["y", "x", "channel"]
-    assert len(frame) == 6 * 8 * 3
-    row = frame.loc[(2, 5, "G")]
-    place = {"y": 2, "x": 5, "channel": "G"}
-    assert row["mean"] == found["mean"].sel(place)
-    assert row["null_share"] == found["null_share"].isel(y=2, x=5)
-    assert row["label"] == names(found["label"])[int(found["label"].isel(y=2, x=5))]
-    assert row["best_family"] == names(found["best_family"])[int(found["best_family"].sel(place))]
-    assert "averages_p_value" not in frame
-
-
-def names(variable):
-    attrs = variable.attrs
-    return dict(zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True))
-
-
-def test_a_data_frame_of_what_no_channel_has_is_one_of_pixels(samples):
-    frame = to_dataframe(chd.classify(samples))
-    assert frame.index.names == ["y", "x"]
-    assert len(frame) == 48
