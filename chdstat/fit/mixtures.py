@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Floats, Mask, Seed, generator
+from chdstat._core.arrays import Floats, Mask
 from chdstat._core.display import Card
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.statistic import result, variable
@@ -112,23 +112,6 @@ class Mixture(Fit):
         if np.isfinite(self.atoms).any():
             own |= {"atoms": self.atoms, "their shares": self.atom_weights}
         return replace(card, facts={**own, **card.facts})
-
-    def rvs(self, size: int, *, seed: Seed = None) -> Floats:
-        """Draw samples of all point masses and components, shape (..., size)."""
-        rng = generator(seed)
-        shape = (*self.null_share.shape, size)
-        of_components = self._continuous_share[..., np.newaxis] * np.nan_to_num(self.weights)
-        shares = np.concatenate([of_components, self.atom_weights], axis=-1)
-        below = np.cumsum(shares, axis=-1)[..., np.newaxis, :-1]
-        which = (rng.random(shape)[..., np.newaxis] > below).sum(axis=-1)
-        largest = self.weights.shape[-1]
-        atom = np.take_along_axis(self.atoms, np.maximum(which - largest, 0), axis=-1)
-        part = np.minimum(which, np.maximum(self.k, 1)[..., np.newaxis] - 1)
-        chosen = {n: np.take_along_axis(v, part, axis=-1) for n, v in self.parameters.items()}
-        drawn = get_family(self.family).distribution(chosen).ppf(rng.random(shape))
-        drawn = np.where((which < largest) | np.isnan(drawn), drawn, atom)
-        zero = self.zero_share[..., np.newaxis]
-        return np.asarray(np.where(rng.random(shape) < zero, 0 * drawn, drawn))
 
     def component_pdf(self, x: npt.ArrayLike) -> Floats:
         """Return the density of each component times its share; they add up to `pdf`.
