@@ -435,7 +435,7 @@ def contrasting(
     check_probability(alpha=alpha)
     pair, seed = Pair.of(a, b, seconds), seed_number(seed)
     maps, cells, edge = yield from pair.compare()
-    cells = cells.doubted(seed)
+    cells = cells.with_extra_variance(seed)
     p = maps["p_value"]
     height, width, bands = p.shape
     q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
@@ -535,7 +535,7 @@ def _hidden(
     found = detectable["image"] if np.isfinite(detectable["image"]) else 0
     if not light > max(found, LEAST_LIGHT) * total > 0:
         return None
-    error = np.sqrt(maps["doubt"][maps["hidden"] > 0].sum() / pair.terms)
+    error = np.sqrt(maps["extra"][maps["hidden"] > 0].sum() / pair.terms)
     return float(light / total), int(np.ceil(pair.spp[0] * (_STANDARD_ERRORS * error / light) ** 2))
 
 

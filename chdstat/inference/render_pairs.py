@@ -27,6 +27,7 @@ from chdstat._core.arrays import (
     LeftOut,
     Mask,
     all_good,
+    block_sums,
     first_of,
     is_bad,
     spans,
@@ -46,7 +47,7 @@ _TERMS = 256
 _UNITS, _TIMES = 1024, 16
 """Most units of the longer render: this number, or this many times the units of the other. More
 change the standard error of the difference by less than 3 %."""
-_DOUBTED = 0.1
+_SMALL = 0.1
 """Pixels with p-values up to this are also compared by units."""
 _AT_ONCE = 2**22
 _ROUNDING = 1e-3
@@ -54,7 +55,7 @@ _ROUNDING = 1e-3
 _CELLS, _LEAST_CELL = 32, 4
 """Cells along the longer edge of the image, and least edge of a cell in pixels."""
 _OF_CELLS = ("differences", "levels", "units", "unit_level")
-_OF_DOUBT = ("number", "lowest", "highest")
+_OF_REFERENCE = ("number", "lowest", "highest")
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ class Pair:
         are ``variance_a`` and ``variance_b`` of a sample's luminance, NaN where unknown, the
         ``correlation`` of the terms, ``bad_a`` and ``bad_b``, the shares of bad samples, where
         terms are ``constant`` in both, and the ``reason`` why there is no p-value. Against a
-        reference, ``hidden`` is light that A does not show, and ``doubt`` what the variance of the
+        reference, ``hidden`` is light that A does not show, and ``extra`` what the variance of the
         terms lacks for luminance.
         """
         height, width, channels, _ = self.a.shape
@@ -202,31 +203,31 @@ class Pair:
             for name in tiles[0]
         }
         lamps, p = maps.pop("lamps"), maps["p_value"]
-        doubts, outliers = [], []
+        extras, outliers = [], []
         for band in range(bands):
             moments = FlipMoments.joined([part[band] for part in parts])
             p[..., band] = guarded(p[..., band], moments, lamps[..., band])
             if isinstance(self.b, Reference):
-                doubt, hidden = self._doubt(band, moments, maps)
-                doubts.append(doubt)
+                extra, hidden = self._extra_variance(band, moments, maps)
+                extras.append(extra)
                 excess = maps["highest"][..., band] - maps["mean_a"][..., band]
                 outliers.append(self.b.outlier(excess, self.spp[0] * _averaged(self.a)))
                 if band == 0:
-                    maps |= {"hidden": hidden, "doubt": doubt}
-                p[..., band] = np.maximum(p[..., band], moments.p_value_with(doubt, outliers[-1]))
+                    maps |= {"hidden": hidden, "extra": extra}
+                p[..., band] = np.maximum(p[..., band], moments.p_value_with(extra, outliers[-1]))
         sums = {name: maps.pop(name) for name in _OF_CELLS if name in maps}
         if isinstance(self.b, Reference):
-            for name in _OF_DOUBT:
+            for name in _OF_REFERENCE:
                 del maps[name]
             known = np.isfinite(maps["mean_a"] + maps["mean_b"])
             sums |= {
-                "doubt": np.maximum(_cells(np.stack(doubts, axis=-1), cell), 0),
-                "slack": _cells(np.where(known, self.b.rounding, 0), cell),
+                "extra": np.maximum(_cells(np.stack(extras, axis=-1)[..., None], cell), 0)[..., 0],
+                "slack": _cells(np.where(known, self.b.rounding, 0)[..., None], cell)[..., 0],
                 "outlier": np.array(outliers),
             }
         return maps, Cells(**sums, short=min(self.units), unit_size=self.unit_size), cell
 
-    def _doubt(
+    def _extra_variance(
         self, band: int, moments: FlipMoments, maps: dict[str, Array]
     ) -> tuple[Floats, Floats]:
         """Return what the variance of the terms lacks, and light that no sample shows, each (y, x).
@@ -255,8 +256,8 @@ class Pair:
             known, spp = np.isfinite(variance), np.asarray(self.b.spp or number)
             of_sample, more = np.where(known, variance, own), np.where(known, variance - own, more)
             hidden = hidden & ~known
-        doubt = np.asarray((more + number / spp * of_sample) / each)
-        return doubt, np.where(hidden & moments.few_outliers, shift, 0)
+        extra = np.asarray((more + number / spp * of_sample) / each)
+        return extra, np.where(hidden & moments.few_outliers, shift, 0)
 
     def _present(self, i: int, ys: slice) -> Array | int:
         """Return the number of samples of A (0) or B (1) in the pixels of some rows, bad or not."""
@@ -315,15 +316,15 @@ class Pair:
         known = self.terms - missing.sum(axis=-1)
         means = [sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b.mean[ys]]
         mean_a, mean_b = map(with_luminance, means)
-        tested, constant, of_doubt = d, np.ones(d.shape[:-1], bool), {}
+        tested, constant, of_reference = d, np.ones(d.shape[:-1], bool), {}
         if isinstance(self.b, Reference):
             # What rounding explains is no difference of a pixel.
             slack = self.b.rounding[ys]
             shift = np.clip(d.sum(axis=-1, dtype=float) / np.maximum(known, 1), -slack, slack)
             tested = d - shift.astype(d.dtype)[..., np.newaxis]
             tested *= ~missing
-            of_doubt = {name: getattr(sums[0], name) for name in _OF_DOUBT[1:]}
-            of_doubt["number"] = sums[0].number.sum(axis=-1)
+            of_reference = {name: getattr(sums[0], name) for name in _OF_REFERENCE[1:]}
+            of_reference["number"] = sums[0].number.sum(axis=-1)
         else:
             constant = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
             # For constant renders, such as lamps, only so many digits of files and sums count.
@@ -367,7 +368,7 @@ class Pair:
             "levels": _cells(one + other, cell) / 2,
             "moments": [FlipMoments.of(x, level[..., i]) for i, x in enumerate(bands)],
             **of_units,
-            **of_doubt,
+            **of_reference,
         }
 
     def _read(self, ys: slice, left_out: LeftOut) -> list[_Sums]:
@@ -397,17 +398,17 @@ class Pair:
         return sums
 
     def _of_units(self, sums: list[_Sums], p: Floats, cell: int) -> dict[str, Any]:
-        """Return sums of units over cells; raise p-values (y, x, band) where units doubt them."""
+        """Return sums of units over cells; raise p-values (y, x, band) that they do not confirm."""
         short = min(self.units)
         ordered = sums if self.units[0] == short else sums[::-1]
         total = np.concatenate([render.unit_total for render in ordered], axis=-1)
         number = np.concatenate([render.unit_number for render in ordered], axis=-1)
         x, good = with_luminance(total / np.maximum(number, 1)[:, :, np.newaxis]), number > 0
         for band in range(x.shape[2]):
-            doubted = p[..., band] <= _DOUBTED
-            rows, known = x[:, :, band][doubted], good[doubted]
+            small = p[..., band] <= _SMALL
+            rows, known = x[:, :, band][small], good[small]
             found = p_of_means(rows[:, :short], rows[:, short:], known[:, :short], known[:, short:])
-            p[doubted, band] = np.fmax(p[doubted, band], found)
+            p[small, band] = np.fmax(p[small, band], found)
         number_of_good = np.maximum(good.sum(axis=-1), 1)[:, :, np.newaxis, np.newaxis]
         level = (x.sum(axis=-1, keepdims=True, dtype=float) / number_of_good).astype(x.dtype)
         x = np.where(good[:, :, np.newaxis], x - level, 0)
@@ -520,9 +521,7 @@ def _luminance(x: Array) -> Array:
 
 def _cells(x: Array, cell: int) -> Image:
     """Return sums of (y, x, band, term) over cells, shape (band, y, x, term)."""
-    rows = np.add.reduceat(x, np.arange(0, x.shape[0], cell), axis=0)
-    both = np.add.reduceat(rows, np.arange(0, x.shape[1], cell), axis=1)
-    return np.moveaxis(both, 2, 0).astype(np.float32, copy=False)
+    return block_sums(np.moveaxis(x, 2, 0), cell).astype(np.float32, copy=False)
 
 
 def _correlation(a: Array, b: Array) -> Floats:

@@ -210,7 +210,7 @@ class Cells:
         Number of units of the render with fewer samples.
     unit_size
         Number of samples of a unit.
-    doubt, slack
+    extra, slack
         Against a reference: what the variance of a term lacks, and how far rounding may have moved
         each term, shape (band, y, x).
     outlier
@@ -223,17 +223,17 @@ class Cells:
     unit_level: Image | None = None
     short: int = 0
     unit_size: int = 1
-    doubt: Image | None = None
+    extra: Image | None = None
     slack: Image | None = None
     outlier: Floats | None = None
 
-    def doubted(self, seed: Seed) -> Cells:
-        """Return cells whose terms vary by `doubt` more, and have the same sums.
+    def with_extra_variance(self, seed: Seed) -> Cells:
+        """Return cells whose terms vary by `extra` more, and have the same sums.
 
         That adds signs to the terms, as many of one as of the other among the terms of even and
         of odd numbers. They are the same for all bands: where one is wrong, all are.
         """
-        if self.doubt is None:
+        if self.extra is None:
             return self
         rng, (_, *shape, terms) = generator(seed), self.differences.shape
         signs = np.zeros((*shape, terms), np.float32)
@@ -242,8 +242,8 @@ class Cells:
             even = np.concatenate([np.repeat([1, -1], count // 2), np.zeros(count % 2)])
             signs[..., half] = rng.permuted(np.broadcast_to(even, (*shape, count)), axis=-1)
         signs *= np.sqrt(terms / max(np.count_nonzero(signs[0, 0]), 1))
-        more = np.sqrt(self.doubt)[..., np.newaxis] * signs
-        return replace(self, differences=self.differences + more, doubt=None)
+        more = np.sqrt(self.extra)[..., np.newaxis] * signs
+        return replace(self, differences=self.differences + more, extra=None)
 
 
 @dataclass(frozen=True)
