@@ -226,5 +226,4 @@ BURR = Family(
     density="(cd/s) (x/s)^{c-1} (1 + (x/s)^c)^{-d-1}",
     tail_index=":math:`1 / (cd)`",
     error_formula="observed information",
-    typical={"c": (0.6, 5.0), "d": (0.25, 4.0), "scale": (1.0, 1.0)},
 )

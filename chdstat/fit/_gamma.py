@@ -111,5 +111,4 @@ GAMMA = Family(
     density=r"x^{k-1} e^{-x/s} / (\Gamma(k)\, s^k)",
     tail_index="0",
     error_formula="expected information",
-    typical={"shape": (0.1, 31.6), "scale": (1.0, 1.0)},
 )

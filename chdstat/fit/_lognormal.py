@@ -67,5 +67,4 @@ LOGNORMAL = Family(
     density=r"e^{-(\log x - \mu)^2 / 2 \sigma^2} / (\sqrt{2\pi}\, \sigma x)",
     tail_index="0, but only far out",
     error_formula=r":math:`\sigma / \sqrt{n}` and :math:`\sigma / \sqrt{2n}`",
-    typical={"mu": (0.0, 0.0), "sigma": (0.1, 2.5)},
 )

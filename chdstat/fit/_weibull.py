@@ -107,5 +107,4 @@ WEIBULL = Family(
     density="(k/s) (x/s)^{k-1} e^{-(x/s)^k}",
     tail_index="0",
     error_formula="expected information",
-    typical={"shape": (0.3, 5.0), "scale": (1.0, 1.0)},
 )

@@ -80,9 +80,6 @@ class Family:
     density, tail_index, error_formula
         For the table in the documentation: the density as TeX; the tail index and the source of the
         standard errors as reStructuredText.
-    typical
-        Range of each parameter over the CHDs of rendered images at unit scale. Simulations draw
-        their parameters from it.
     """
 
     name: str
@@ -98,7 +95,6 @@ class Family:
     density: str = ""
     tail_index: str = ""
     error_formula: str = ""
-    typical: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __eq__(self, other: object) -> bool:
         """Compare by name: a family that was sent to a worker of a cluster stays the same."""

@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+from scipy import special, stats
 
 from chdstat._core.arrays import LUMINANCE, Floats, Seed, generator
 from chdstat.errors import InputError, check_option
@@ -60,24 +60,23 @@ class Component:
         """Scale of a gamma distribution."""
         return float(self.median / special.gammaincinv(self.shape, 0.5))
 
+    @cached_property
+    def _law(self) -> Any:
+        """SciPy's distribution, of what is not a constant."""
+        if self.family == "gamma":
+            return stats.gamma(self.shape, scale=self.scale)
+        return stats.lognorm(self.shape, scale=self.median)
+
     def cdf(self, x: Floats) -> Floats:
         """Return P(X <= x)."""
-        if self.family == "gamma":
-            return np.asarray(special.gammainc(self.shape, x / self.scale))
-        if self.family == "lognormal":
-            return np.asarray(special.ndtr(self._z(x)))
-        return np.asarray(x >= self.median, dtype=np.float64)
+        constant = self.family == "constant"
+        return np.asarray(x >= self.median if constant else self._law.cdf(x), dtype=np.float64)
 
     def pdf(self, x: Floats) -> Floats:
         """Return the density; infinite at a constant."""
-        if self.family == "gamma":
-            z = x / self.scale
-            log = special.xlogy(self.shape - 1, z) - z - special.gammaln(self.shape)
-            return np.asarray(np.exp(log) / self.scale)
-        if self.family == "lognormal":
-            log = -0.5 * self._z(x) ** 2 - np.log(np.sqrt(2 * np.pi) * self.shape * x)
-            return np.asarray(np.exp(log))
-        return np.where(x == self.median, np.inf, 0.0)
+        if self.family == "constant":
+            return np.where(x == self.median, np.inf, 0.0)
+        return np.asarray(self._law.pdf(x))
 
     def mean_below(self, x: float) -> float:
         """Return E[X; X <= x]: the part of the expectation up to `x`."""
@@ -86,8 +85,8 @@ class Component:
             share = special.gammainc(self.shape + 1, x / self.scale)
             return float(self.shape * self.scale * share)
         if self.family == "lognormal":
-            mean = self.median * np.exp(self.shape**2 / 2)
-            return float(mean * special.ndtr(self._z(np.asarray(x)) - self.shape))
+            z = np.log(x / self.median) / self.shape
+            return float(self._law.mean() * special.ndtr(z - self.shape))
         return self.median if x >= self.median else 0.0
 
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
@@ -97,10 +96,6 @@ class Component:
         if self.family == "lognormal":
             return np.asarray(rng.lognormal(np.log(self.median), self.shape, size=count))
         return np.full(count, self.median)
-
-    def _z(self, x: Floats) -> Floats:
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(x / self.median) / self.shape)
 
 
 _HALVINGS = 60

@@ -12,6 +12,14 @@ from scipy import optimize, stats
 import chdstat as chd
 from chdstat.fit import FAMILIES
 
+TYPICAL: dict[str, dict[str, tuple[float, float]]] = {
+    "gamma": {"shape": (0.1, 31.6), "scale": (1.0, 1.0)},
+    "lognormal": {"mu": (0.0, 0.0), "sigma": (0.1, 2.5)},
+    "weibull": {"shape": (0.3, 5.0), "scale": (1.0, 1.0)},
+    "burr": {"c": (0.6, 5.0), "d": (0.25, 4.0), "scale": (1.0, 1.0)},
+}
+"""Range of each parameter over the CHDs of rendered images at unit scale."""
+
 
 def random_parameters(family: str, rng: np.random.Generator, size: int) -> dict[str, np.ndarray]:
     """Draw parameters of CHDs at unit scale: shapes from spiky to peaked."""
@@ -20,7 +28,7 @@ def random_parameters(family: str, rng: np.random.Generator, size: int) -> dict[
 
 def parameters_at(family: str, place: Any) -> dict[str, np.ndarray]:
     """Return parameters at a place from 0 to 1 in the range of each that is typical of CHDs."""
-    ranges = FAMILIES[family].typical
+    ranges = TYPICAL[family]
     place = np.broadcast_to(place, (len(ranges), *np.shape(place)[1:]))
     return {
         name: low * (high / low) ** u if low > 0 else low + (high - low) * u
