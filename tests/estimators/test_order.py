@@ -1,4 +1,4 @@
-"""The mean, order statistics and M-estimators: against NumPy, SciPy and statsmodels."""
+"""The mean, order statistics, M-estimators and buckets: against SciPy, statsmodels, definitions."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from statsmodels.robust import norms, scale
 
 from chdstat import estimators
 from chdstat.estimators.order import balance
+from chdstat.estimators.robust_means import bootstrap_counts, bucket_means, gini
 
 
 def test_dtype_of_the_samples_is_kept_and_its_rounding_is_not_added_up():
@@ -111,3 +112,140 @@ def test_a_root_is_found_where_newton_alone_would_run_away():
 
     centre = np.array([0.123, 0.987])
     assert balance(stiff, rows, np.array([0.5, 0.5]), centre) == pytest.approx(centre, rel=1e-9)
+
+
+# --- buckets, reweighting and resampling ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [11, 31, 32, 64])
+@pytest.mark.parametrize("buckets", [1, 2, 5, 11])
+def test_median_of_means_follows_its_definition(n, buckets):
+    x = np.random.default_rng(n).gamma(0.5, size=(6, n))
+    expected = [np.median([row[j::buckets].mean() for j in range(buckets)]) for row in x]
+    assert estimators.median_of_means(x, buckets=buckets) == pytest.approx(expected)
+
+
+def test_gini_coefficient_is_half_the_relative_mean_difference():
+    x = np.sort(np.random.default_rng(2).gamma(0.5, size=(50, 11)))
+    difference = np.abs(x[:, :, np.newaxis] - x[:, np.newaxis]).mean(axis=(1, 2))
+    assert gini(x) == pytest.approx(difference / (2 * x.mean(axis=-1)), rel=1e-12)
+
+
+def test_gini_coefficient_of_nothing_and_of_equal_numbers_is_zero():
+    assert gini(np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1]])).tolist() == [0.0, 0.0]
+
+
+def test_binary_gmon_is_the_mean_or_the_median_of_means_as_the_gini_coefficient_says():
+    x = np.random.default_rng(3).gamma(1.5, size=(500, 32))
+    agree = gini(np.sort(bucket_means(x, 11))) <= 0.25
+    assert 0.2 < agree.mean() < 0.8
+    expected = np.where(agree, estimators.mean(x), estimators.median_of_means(x))
+    assert estimators.gmon_binary(x) == pytest.approx(expected, rel=1e-14)
+
+
+def test_adaptive_gmon_follows_its_definition():
+    x = np.random.default_rng(5).lognormal(0, 1.5, size=(200, 32))
+    for row, estimate in zip(x, estimators.gmon_adaptive(x), strict=True):
+        m = np.sort(bucket_means(row, 11))
+        g = 2 * np.sum(np.arange(1, 12) * m) / (11 * m.sum()) - 12 / 11
+        cut = int(g * 5)
+        assert estimate == pytest.approx(m[cut : 11 - cut].mean(), rel=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+@pytest.mark.parametrize("name", ["median_of_means", "gmon_binary", "gmon_adaptive"])
+def test_a_bucket_without_a_good_sample_is_left_out(name):
+    x = np.random.default_rng(7).gamma(2, size=(4, 33))
+    holes = x.copy()
+    holes[:, 10::11] = np.nan
+    estimate = estimators.lookup(name)
+    kept = np.delete(x, np.s_[10::11], axis=-1)
+    assert estimate(holes) == pytest.approx(estimate(kept, buckets=10), rel=1e-12)
+
+
+def draw_skewed(seed, shape=(100, 32)):
+    return np.random.default_rng(seed).lognormal(0, 1.5, size=shape)
+
+
+@pytest.mark.parametrize("alpha", [0.5, 1.0, 3.0])
+def test_bayesian_median_of_means_follows_its_definition(alpha):
+    x = draw_skewed(0)
+    correction = x.std(axis=-1) * stats.skew(x, axis=-1) / (3 * (32 * alpha + 2))
+    expected = x.mean(axis=-1) - correction
+    found = estimators.bayesian_median_of_means(x, alpha=alpha)
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_bayesian_median_of_means_is_the_median_of_means_with_dirichlet_weights():
+    """Of 100 000 draws, whose median errs by 0.004 of their spread; the bound is 0.03 of it."""
+    rng = np.random.default_rng(1)
+    x = rng.gamma(2, size=32)
+    means = rng.dirichlet(np.ones(32), size=100_000) @ x
+    spread = means.std()
+    drawn = np.median(means)
+    assert estimators.bayesian_median_of_means(x) == pytest.approx(drawn, abs=0.03 * spread)
+    assert abs(estimators.mean(x) - drawn) > 0.03 * spread
+
+
+@pytest.mark.parametrize("delta", [0.9, 0.2, 0.01, 1e-6])
+@pytest.mark.parametrize("buckets", [1, 11])
+def test_lee_valiant_takes_its_amount_of_weight_off(delta, buckets):
+    amount = np.log(1 / delta) / 3
+    x = draw_skewed(3)
+    centre = estimators.median_of_means(x, buckets=buckets)
+    for row, middle, found in zip(
+        x, centre, estimators.lee_valiant(x, delta=delta, buckets=buckets), strict=True
+    ):
+        square = (row - middle) ** 2
+        # Bisection in log a: the sum of the weights grows with a.
+        low, high = -100.0, 100.0
+        for _ in range(200):
+            half = (low + high) / 2
+            reached = np.minimum(np.exp(half) * square, 1).sum() >= amount
+            low, high = (low, half) if reached else (half, high)
+        weight = np.minimum(np.exp(high) * square, 1)
+        assert weight.sum() == pytest.approx(amount, rel=1e-9)
+        expected = middle + np.mean((row - middle) * (1 - weight))
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_lee_valiant_has_as_many_buckets_as_the_authors_set():
+    x = draw_skewed(4)
+    expected = estimators.lee_valiant(x, buckets=5)
+    assert estimators.lee_valiant(x) == pytest.approx(expected, rel=1e-15)
+    expected = estimators.lee_valiant(x, delta=1e-6, buckets=14)
+    assert estimators.lee_valiant(x, delta=1e-6) == pytest.approx(expected, rel=1e-15)
+
+
+def test_fewer_deviating_samples_than_the_amount_lose_all_of_their_weight():
+    x = np.r_[np.full(31, 0.5), 1e6]
+    assert estimators.lee_valiant(x) == 0.5
+
+
+def test_resamples_are_balanced():
+    counts = bootstrap_counts(32, 128, 0)
+    assert (counts.sum(axis=0) == 32).all()
+    assert (counts.sum(axis=1) == 128).all()
+    assert counts.max() > 1
+
+
+def test_counts_are_binomial():
+    """The share of zeros, (1 - 1/n)^n for independent draws, within five standard errors."""
+    share = (bootstrap_counts(32, 2000, 1) == 0).mean()
+    assert share == pytest.approx((1 - 1 / 32) ** 32, abs=5 * np.sqrt(0.23 / 64_000))
+
+
+def test_estimate_is_the_median_of_the_resampled_means():
+    x = np.random.default_rng(2).lognormal(0, 1.5, size=(30, 32))
+    means = np.array([[np.dot(row, c) / 32 for c in bootstrap_counts(32, 100, 5).T] for row in x])
+    found = estimators.jung2015(x, resamples=100, seed=5)
+    assert found == pytest.approx(np.median(means, axis=-1), rel=1e-12)
+    found = estimators.jung2015(x, resamples=100, seed=5, location="huber")
+    assert found == pytest.approx(estimators.huber(means), rel=1e-9)
+
+
+def test_it_tends_to_the_mean_with_the_samples_and_lies_below_where_they_are_skewed():
+    x = np.random.default_rng(3).lognormal(0, 1.5, size=(2000, 32))
+    assert estimators.jung2015(x).mean() < 0.99 * x.mean()
+    x = np.random.default_rng(3).gamma(2, size=(4, 4096))
+    assert estimators.jung2015(x) == pytest.approx(x.mean(axis=-1), rel=5e-3)

@@ -1,4 +1,4 @@
-"""Clusters that die, have no workers, or have others than the client: errors in words."""
+"""Clusters that die, have no workers, or others than the client; two processes at one store."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from chdstat.rendering import workers
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
+from chdstat.samples import inspect
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import chunk_grid
 
@@ -127,3 +128,35 @@ def test_a_worker_that_reads_another_scene_is_refused():
     other = {**identity, "scene_hash": "0", "scene_files": {"tex.exr": "0"}}
     with pytest.raises(RenderError, match=r"reads another scene than is read here \(tex.exr"):
         workers.render_remote(job, other, None, group)
+
+
+# --- two processes at one store -------------------------------------------------------------------
+
+
+BOX = {"scene": "cornell-box", "size": (66, 5), "backend": "scalar", "progress": False}
+
+
+def started(out, spp):
+    """Start a render in a process of its own."""
+    asked = ("cornell-box", "--size", "66x5", "--backend", "scalar", "--spp", str(spp), "-q")
+    command = [sys.executable, "-m", "chdstat", "render", *asked, "-o", str(out)]
+    return subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=out.parent
+    )
+
+
+def test_of_two_writers_one_may_be_refused_and_the_samples_are_right(tmp_path):
+    path, most = tmp_path / "box.zarr", 512
+    pair = [started(path, 320), started(path, most)]
+    for process in pair:
+        _, told = process.communicate(timeout=600)
+        assert process.returncode == 0 or (
+            process.returncode == 2
+            and ("is being written by" in told or "run the command again" in told)
+        ), told
+    assert 0 in [process.returncode for process in pair]
+    chd.render(**BOX, spp=most, out=path)
+    assert inspect(path, verify=True)["damaged"] == []
+    assert np.array_equal(chd.open(path).read(), chd.render(**BOX, spp=most).read())
+    left = [p.name for p in tmp_path.rglob("*") if ".partial" in p.name or p.name == ".lock"]
+    assert left == []

@@ -1,20 +1,28 @@
-"""Report: a PDF comes out of whatever samples there are, and says what it could not do."""
+"""Reports, and files of comparisons: whatever samples there are, and what could not be done."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import json
 import re
+import shutil
+from dataclasses import replace
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import chdstat as chd
-from chdstat.errors import LeftOutWarning
+from chdstat.comparison import Interval
+from chdstat.errors import ChdstatError, LeftOutWarning, StoreError
 from chdstat.reporting import scene_report
-from chdstat.reporting.content import remake_note
-from chdstat.reporting.documents import pages_of, typeset
-from chdstat.studies.claims import CLAIMS
+from chdstat.reporting.content import claim_content, finding_content, remake_note, with_others
+from chdstat.reporting.documents import Document, pages_of, typeset
+from chdstat.reporting.figures import claim_figures, save_comparison
+from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, PlotData
 from tests.pdf import text_of
 
 FIXED = ("mean", "median_of_means")
@@ -192,3 +200,142 @@ def test_the_first_page_tells_what_is_noisy_and_what_helps(tmp_path, documents):
     assert re.search(r"[78]\.\d % \[", text)
     regions = [region["name"] for region in documents[0].content["regions"]]
     assert regions[:2] == ["null-heavy", "gamma-like"]  # what holds most of the noise comes first
+
+
+# --- files of a comparison ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found():
+    rng = np.random.default_rng(0)
+    samples = chd.Samples.from_array(rng.exponential(size=(4, 4, 3, 64)))
+    return chd.compare(samples, ["mean"], n=4, progress=False)
+
+
+def test_a_comparison_is_there_when_it_is_complete(found, tmp_path, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    target = tmp_path / "new" / "found"
+    with monkeypatch.context() as patch:
+        patch.setattr(Figure, "savefig", full)
+        with pytest.raises(StoreError, match="cannot write to .*found: No space left"):
+            save_comparison(found, target)
+    assert list(target.parent.iterdir()) == []
+    written = save_comparison(found, target)
+    assert {"comparison.json", "comparison.zarr", "measures.pdf"} <= {p.name for p in written}
+    assert list(target.parent.iterdir()) == [target]
+    with pytest.raises(StoreError, match="nothing was overwritten"):
+        save_comparison(found, target)
+
+
+# --- typesetting ----------------------------------------------------------------------------------
+
+
+TEMPLATES = resources.files("chdstat.reporting") / "templates"
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Return a folder of templates, for a test to add its own."""
+    folder = Path(shutil.copytree(str(TEMPLATES), tmp_path / "templates"))
+    monkeypatch.setattr("chdstat.reporting.documents._TEMPLATES", folder)
+    return folder
+
+
+@pytest.mark.parametrize("width", [1.5, 6.5])
+def test_a_figure_has_the_size_in_which_it_was_drawn(own, tmp_path, width):
+    (own / "size.typ").write_text(
+        '#import "parts.typ": *\n#context [#measure(drawing("drawn")[]).width]'
+    )
+    drawn = {"drawn": Figure(figsize=(width, 1))}
+    path = typeset(Document("size.typ", {}, drawn), tmp_path / "size.pdf")
+    assert text_of(path).split()[0] == f"{72 * width:g}pt"
+
+
+@pytest.mark.parametrize("name", ["parts.typ", "scene_report.typ", "study.typ"])
+def test_no_semicolon_of_a_sentence_ends_an_expression(name):
+    # Typst takes the one after "#data.number" for the end of code; "\\;" is a letter.
+    text = (TEMPLATES / name).read_text(encoding="utf-8")
+    assert re.findall(r"#[\w.-]+(?:\([^()]*\))?;", text) == []
+
+
+def test_an_old_document_survives_a_failed_one(own, tmp_path):
+    (own / "wrong.typ").write_text("#nothing")
+    target = tmp_path / "old.pdf"
+    target.write_bytes(b"old")
+    with pytest.raises(ChdstatError, match="typesetting the report failed: .*nothing"):
+        typeset(Document("wrong.typ", {}, {}), target)
+    assert target.read_bytes() == b"old"
+
+
+# --- claims in a report ---------------------------------------------------------------------------
+
+
+CLAIM = CLAIMS[14]
+
+
+def part(low, high, unit="1"):
+    return ClaimTest("share", Interval((low + high) / 2, low, high), least=0.5, unit=unit)
+
+
+def finding(*parts, **more):
+    about = {"number": 15, "name": CLAIM.name, "claim": CLAIM.claim, "about": "About this image."}
+    return Finding(parts, scene="box", spp=64, **about, **more)
+
+
+@pytest.fixture
+def both():
+    other = finding(part(0.1, 0.2))
+    return finding(part(0.6, 0.8), other_models={"mine": other})
+
+
+def test_each_part_has_its_number_and_what_was_claimed(both):
+    content = finding_content(both)
+    assert content["parts"] == [
+        {
+            "name": "share",
+            "value": "0.700",
+            "interval": "0.600 to 0.800",
+            "claimed": "at least 0.5",
+            "verdict": "supported",
+        }
+    ]
+    assert json.dumps(content)
+
+
+def test_a_part_without_an_interval_says_so():
+    unknown = part(np.nan, np.nan, "decade^1/2")
+    (shown,) = finding_content(finding(unknown))["parts"]
+    assert (shown["name"], shown["value"], shown["interval"]) == ("share (√decade)", "—", "—")
+    assert "no interval" in str(unknown)
+
+
+def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
+    (beside,) = finding_content(both)["beside"]
+    assert (beside["name"], beside["verdict"]) == ("mine", "not supported")
+    rows = claim_content(CLAIM, {"box": both})["rows"]
+    assert [(row["scenes"], row["verdict"]) for row in rows] == [
+        (["box"], "supported"),
+        (["box, mine"], "not supported"),
+    ]
+    assert list(with_others({"box": both})) == ["box", "box, mine"]
+    (figure,) = claim_figures(15, {"box": both}).values()
+    assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == list(
+        with_others({"box": both})
+    )
+
+
+def test_what_cannot_be_told_says_what_is_needed():
+    assert finding_content(finding())["needs"] == "Nothing was measured."
+    assert finding_content(finding(part(0.6, 0.8)))["needs"] == ""
+
+
+def test_plots_of_several_claims_have_labels_that_fit_their_panels():
+    long = "log10 relative variance around its region's mean"
+    x = np.arange(5.0)
+    one = finding(plot_data=PlotData("curves", {"a": (x, x)}, "x", long))
+    two = replace(one, plot_data=PlotData("bars", {"a": (x[:1], x[:1])}, y_label="share"))
+    figure = claim_figures(15, {"1": one, "2": two})["plots15"]
+    assert max(len(line) for line in figure.axes[0].get_ylabel().splitlines()) < 30
+    assert claim_figures(15, {"none": finding()}) == {}
