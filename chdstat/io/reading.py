@@ -24,7 +24,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Image, warn_caller
 from chdstat._core.files import is_path, local
 from chdstat.errors import InputError, StoreError
-from chdstat.io.labelled_files import ZARR
+from chdstat.io.array_files import ZARR, load_npy
 from chdstat.io.sources import Opened, ReadOptions
 from chdstat.samples import Samples
 from chdstat.samples.dependence import warn_of_repeats
@@ -92,7 +92,7 @@ FORMATS = (
         "xarray",
         (".nc", ".nc4", ".h5", ".hdf5", ".zarr"),
         "Arrays of netCDF, HDF5 and zarr",
-        "labelled_files",
+        "array_files",
         ("axes", *_NAMED),
     ),
     Format("exr", (".exr",), "EXR images, each a sample or average", "exr", _NAMED),
@@ -286,6 +286,4 @@ def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
 
 def _loaded(value: str | Path | npt.ArrayLike) -> npt.ArrayLike:
     """Return an array, or the array in a .npy file."""
-    from chdstat.io.array_files import load_npy
-
     return load_npy(Path(value)) if isinstance(value, str | Path) else value

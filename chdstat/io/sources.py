@@ -1,9 +1,8 @@
 """Sources: samples in files, read part by part, and how damage is reported.
 
-`ArraySource` reads an array that slices index; it never reads an array whole. `Frames` reads files
-of one image each, and decodes a batch at a time. Temporary files keep the decoded samples, so that
-memory holds no more than one image, however many samples there are. Parts of many images can then
-be read without decoding again.
+`Frames` reads files of one image each, and decodes a batch at a time. Temporary files keep the
+decoded samples, so that memory holds no more than one image, however many samples there are. Parts
+of many images can then be read without decoding again.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import weakref
 import zipfile
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -24,10 +23,9 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, Image
-from chdstat.errors import ChdstatError, InputError, StoreError
+from chdstat._core.arrays import Image
+from chdstat.errors import ChdstatError, StoreError
 from chdstat.samples.layout import FOREIGN
-from chdstat.samples.samples import single
 from chdstat.samples.tiles import BATCH, SampleSource, gathered
 
 DAMAGED = (
@@ -96,94 +94,6 @@ def readable(path: Path) -> Iterator[None]:
         why = (error.strerror if isinstance(error, OSError) else None) or error
         message = f"cannot read {path}: {why}"
         raise StoreError(message) from error
-
-
-class ArraySource:
-    """Samples in an array that is indexed on demand.
-
-    Parameters
-    ----------
-    array
-        An array-like of real numbers with a shape, indexed by slices.
-    axes
-        The letters of its axes.
-    path
-        File of the array.
-    features
-        First-hit features in the file.
-    """
-
-    def __init__(
-        self, array: Any, axes: str, path: Path, features: Mapping[str, Array] | None = None
-    ) -> None:
-        self._array, self._axes, self.path = array, axes, path
-        self._features = features or {}
-        sizes = dict(zip(axes, array.shape, strict=True))
-        self.shape = (sizes["y"], sizes["x"], sizes.get("c", 1), sizes["s"])
-        self.frames = axes.index("s") < axes.index("y")
-
-    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
-        """Return a part of the samples, shape (y, x, channel, sample)."""
-        index = {"y": ys, "x": xs, "s": ss, "c": slice(None)}
-        with readable(self.path):
-            block = np.asarray(self._array[tuple(index[letter] for letter in self._axes)])
-        block = block.transpose([self._axes.index(i) for i in "yxcs" if i in self._axes])
-        if "c" not in self._axes:
-            block = block[:, :, np.newaxis]
-        return np.ascontiguousarray(single(block, self.path.name))
-
-    def read_features(self) -> dict[str, Image]:
-        """Return the first-hit features that are in the file."""
-        return {name: np.asarray(image, np.float32) for name, image in self._features.items()}
-
-
-class Joined:
-    """Samples of several sources of one size, concatenated."""
-
-    def __init__(self, sources: Sequence[ArraySource]) -> None:
-        self._sources, first = sources, sources[0]
-        self.path, self.frames = first.path, len(sources) > 1 or first.frames
-        for source in sources:
-            if source.shape[:3] != first.shape[:3]:
-                message = (
-                    f"{source.path.name} holds samples of shape (y, x, channel) = "
-                    f"{source.shape[:3]}, {first.path.name} of {first.shape[:3]}"
-                )
-                raise InputError(message)
-        self._ends = np.cumsum([source.shape[3] for source in sources])
-        self.shape = (*first.shape[:3], int(self._ends[-1]))
-
-    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
-        """Return a part of the samples, shape (y, x, channel, sample)."""
-        if len(self._sources) == 1:
-            return self._sources[0].read(ys, xs, ss)
-        numbers = np.arange(self.shape[3])[ss]
-        place = np.searchsorted(self._ends, numbers, side="right")
-        parts = []
-        for i in np.unique(place):
-            source = self._sources[i]
-            own = numbers[place == i] - (self._ends[i] - source.shape[3])
-            step = int(own[1] - own[0]) if len(own) > 1 else 1
-            parts.append(source.read(ys, xs, slice(int(own[0]), int(own[-1]) + 1, step)))
-        return np.concatenate(parts, axis=-1)
-
-    def read_features(self) -> dict[str, Image]:
-        """Return the features of the first source."""
-        return self._sources[0].read_features()
-
-
-class Remapped:
-    """An array in a file that is mapped into memory anew for each part that is read.
-
-    Pages of a lasting map count as memory of the process, until the whole file does.
-    """
-
-    def __init__(self, mapped: Callable[[], Array]) -> None:
-        self._mapped, array = mapped, mapped()
-        self.shape, self.dtype, self.size = array.shape, array.dtype, array.size
-
-    def __getitem__(self, index: Any) -> Array:
-        return np.asarray(self._mapped()[index])
 
 
 class Frames:

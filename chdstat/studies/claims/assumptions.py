@@ -3,11 +3,11 @@
 The paper claims that four of them fail: noise is spatially uniform and additive, averages are
 Gaussian, variance follows feature buffers, and radiance is regular.
 
-`uniformity` tests whether the noise of pixels has one variance. `explained_by_features` measures
-how much of the variance map first-hit features predict. `growing` and `with_room` allow for missing
-samples: skewness and kurtosis depend on the rare bright samples of a tail, most of which a pixel
-has not seen. Both are underestimated and grow with the number of samples. So it is safe to say that
-they lie above a limit, but not below one.
+`p_of_uniform_noise` tests whether the noise of pixels has one variance. `explained_by_features`
+measures how much of the variance map first-hit features predict. `growing` and `with_room` allow
+for missing samples: skewness and kurtosis depend on the rare bright samples of a tail, most of
+which a pixel has not seen. Both are underestimated and grow with the number of samples. So it is
+safe to say that they lie above a limit, but not below one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy import stats
 
 from chdstat._core.arrays import Floats, Mask, Reals, generator
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import Blocks, Interval
+from chdstat._core.resampling import Interval
 from chdstat.inference.findings import ClaimTest, Finding, PlotData, require
 from chdstat.studies.claim import claim
 from chdstat.studies.scene_data import PixelSet, SceneData, fold_of, logs
@@ -163,45 +163,38 @@ _TINY = float(np.finfo(np.float64).tiny)
 """Smallest p-value: an underflow does not make it 0."""
 
 
-def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
-    """Return p-values of equal variance, Holm-adjusted, from one batch of each pixel.
+def p_of_uniform_noise(batches: Floats) -> float | None:
+    """Return the p-value that variance does not depend on log mean, from one batch of each pixel.
 
     Parameters
     ----------
     batches
         Means of batches, shape (pixel, batch). The noise of the last batch, its distance from the
         mean of the others, is tested: pixels are rendered independently.
-    blocks
-        Groups of pixels for Levene's test.
 
     Returns
     -------
-    dict
-        ``breusch_pagan``: variance does not depend on log mean (Breusch and Pagan 1979,
-        doi:10.2307/1911963, without normality: Koenker 1981, doi:10.1016/0304-4076(81)90062-2).
-        ``levene``: variance is the same in all blocks, around medians (Brown and Forsythe 1974,
-        doi:10.1080/01621459.1974.10482955). NaN where there is nothing to test.
+    float
+        None where there is nothing to test.
+
+    References
+    ----------
+    Breusch and Pagan, "A simple test for heteroscedasticity and random coefficient variation",
+    1979, doi:10.2307/1911963; without normality: Koenker, "A note on studentizing a test for
+    heteroscedasticity", 1981, doi:10.1016/0304-4076(81)90062-2.
     """
     from statsmodels.stats.diagnostic import het_breuschpagan
-    from statsmodels.stats.multitest import multipletests
 
     rest = batches[:, :-1].mean(axis=1)
     noise = batches[:, -1] - rest
     known = np.isfinite(noise) & (rest > 0)
-    noise, log_mean, block = noise[known], np.log(rest[known]), blocks.of_pixel[known]
-    p = np.full(2, np.nan)
-    if len(noise) > 2 and np.ptp(log_mean) and np.ptp(noise):
-        design = np.stack([np.ones_like(log_mean), log_mean], axis=1)
-        # A scale of 1 keeps fourth powers within range.
-        p[0] = het_breuschpagan(noise / np.abs(noise).max(), design, robust=True)[1]
-    groups = [noise[block == i] for i in np.unique(block)]
-    groups = [group for group in groups if len(group) > 2]
-    if len(groups) > 1 and np.ptp(noise):
-        p[1] = stats.levene(*groups, center="median").pvalue
-    tested = np.isfinite(p)
-    if tested.any():
-        p[tested] = multipletests(np.maximum(p[tested], _TINY), method="holm")[1]
-    return dict(zip(("breusch_pagan", "levene"), p.tolist(), strict=True))
+    noise, log_mean = noise[known], np.log(rest[known])
+    if len(noise) < 3 or not np.ptp(log_mean) or not np.ptp(noise):
+        return None
+    design = np.stack([np.ones_like(log_mean), log_mean], axis=1)
+    # A scale of 1 keeps fourth powers within range.
+    p = het_breuschpagan(noise / np.abs(noise).max(), design, robust=True)[1]
+    return max(float(p), _TINY)
 
 
 _AVERAGED = 32
@@ -245,8 +238,8 @@ def broken_assumptions(data: SceneData) -> Finding:
     return Finding(
         tuple(tests),
         tuple(missing),
-        p_value=uniformity(batches, whole.blocks)["breusch_pagan"],
-        null_hypothesis="variance is uniform over the image (Breusch-Pagan, Holm-adjusted)",
+        p_value=p_of_uniform_noise(batches),
+        null_hypothesis="variance is uniform over the image (Breusch-Pagan)",
         plot_data=PlotData("points", pixels, "log10 mean", "log10 variance of a mean"),
     )
 
