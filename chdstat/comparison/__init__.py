@@ -14,11 +14,12 @@ from chdstat._core.resampling import Interval
 from chdstat.comparison.comparisons import (
     Breakdown,
     Comparison,
+    ErrorCurve,
     PixelEstimates,
     compare,
+    error_curve,
 )
 from chdstat.comparison.entries import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
-from chdstat.comparison.error_curves import ErrorCurve, error_curve
 from chdstat.comparison.judges import Judge
 from chdstat.comparison.metrics import MEASURES
 

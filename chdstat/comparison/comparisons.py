@@ -3,26 +3,27 @@
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
 batch, and compares the estimate with all *other* samples of the pixel
 (`chdstat.comparison.judging`). Its `Comparison` holds all measures with intervals, a `Breakdown`
-holds them by pattern, and `PixelEstimates` holds a few pixels one by one. They convert to tables,
-data frames, datasets, LaTeX and JSON.
+holds them by pattern, and `PixelEstimates` holds a few pixels one by one. `error_curve` does so for
+many n, and returns an `ErrorCurve`: use it to see up to how many samples an estimator pays, as with
+a constant bias its error stops falling.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Seed, generator, plain, seed_number, whole
-from chdstat._core.display import Card, Shown, Width, png
+from chdstat._core.display import Card, Shown, Tabled, Width, png
 from chdstat._core.doors import draw
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
-from chdstat.comparison.entries import Entry, choose, notes
+from chdstat.comparison.entries import Entry, choose, curve_sizes, notes
 from chdstat.comparison.judges import Judge, check_judged
 from chdstat.comparison.judging import (
     Models,
@@ -33,11 +34,7 @@ from chdstat.comparison.judging import (
 from chdstat.comparison.metrics import (
     Columns,
     columns_of,
-    counts,
-    data_frame_of,
     described,
-    measures_of,
-    rows_of,
     stacked,
     titled,
 )
@@ -47,7 +44,6 @@ from chdstat.estimators.registry import Model
 from chdstat.samples import ImageLike, samples_of
 
 if TYPE_CHECKING:
-    import pandas as pd
     import xarray as xr
     from distributed import Client
     from matplotlib.figure import Figure
@@ -94,44 +90,76 @@ class PixelEstimates(Shown):
         """Draw the pixels one by one, as `chdstat.viz.pixel_estimates` does."""
         return draw(self, channels=channels, width=width, fig=fig)
 
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class _Scores(Tabled):
+    """Measures of estimators, with intervals.
+
+    Attributes
+    ----------
+    estimators
+        Names of the estimators, in the given order.
+    uses_neighbours
+        Whether an estimator uses the pixels around, shape (estimator,).
+    measures
+        By the names of `chdstat.comparison.MEASURES`; `_rows` says what their axes are.
+    """
+
+    _title: ClassVar[str]
+    estimators: tuple[str, ...]
+    uses_neighbours: npt.NDArray[np.bool_]
+    measures: Mapping[str, Interval[Array]]
+
+    def _rows(self) -> Iterator[tuple[dict[str, Any], Any]]:
+        """Yield what rows of a table begin with, and the place of their measures (estimator,)."""
+        raise NotImplementedError
+
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per pixel and channel: place, reference, mean, and all estimates."""
+        """Return a row for each estimator, with every measure.
+
+        The columns ``<measure>_se``, ``_low`` and ``_high`` are the standard error and the interval
+        over blocks; NaN where the reference cannot tell.
+        """
+        columns = columns_of(self.measures)
         return [
-            {
-                "y": int(y),
-                "x": int(x),
-                "channel": channel,
-                "reference": float(self.reference[k, c]),
-                "sample_mean": float(self.mean[k, c]),
-                **{name: float(self.estimates[e, k, c]) for e, name in enumerate(self.estimators)},
-            }
-            for k, (y, x) in enumerate(self.pixels)
-            for c, channel in enumerate(self.channels)
+            {**lead, "estimator": name, "uses_neighbours": bool(self.uses_neighbours[k])}
+            | {column: float(values[place][k]) for column, (values, _) in columns.items()}
+            for lead, place in self._rows()
+            for k, name in enumerate(self.estimators)
         ]
 
+    def _card(self) -> Card:
+        return Card(self._title, table=titled(self.table()))
 
-@dataclass(frozen=True, repr=False)
-class Breakdown(Shown):
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw the measures, as `chdstat.viz` does."""
+        return draw(self, width=width, fig=fig)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Breakdown(_Scores):
     """The measures by label, averaged over channels: which estimator suits which pattern.
 
     Attributes
     ----------
-    labels
-        Names of the labels that occur among the judging pixels.
     estimators, uses_neighbours
         As in a `Comparison`.
-    pixels
-        Number of judging pixels with each label, shape (label,).
     measures
         By the names of `MEASURES`: intervals over blocks, shape (label, estimator).
+    labels
+        Names of the labels that occur among the judging pixels.
+    pixels
+        Number of judging pixels with each label, shape (label,).
     """
 
-    _drawn: ClassVar[str] = "relMSE over that of the mean"
+    _title = "Breakdown by pattern"
+    _drawn = "relMSE over that of the mean"
     labels: tuple[str, ...]
-    estimators: tuple[str, ...]
-    uses_neighbours: npt.NDArray[np.bool_]
     pixels: npt.NDArray[np.int64]
-    measures: Mapping[str, Interval[Array]]
+
+    def _rows(self) -> Iterator[tuple[dict[str, Any], int]]:
+        for row, label in enumerate(self.labels):
+            yield {"label": label, "pixels": int(self.pixels[row])}, row
 
     def best(self, measure: str = "relmse", *, neighbours: bool = False) -> tuple[str, ...]:
         """Return the estimator with the smallest error for each label; '' if there is none.
@@ -155,29 +183,51 @@ class Breakdown(Shown):
             self.estimators[row.argmin()] if np.isfinite(row).any() else "" for row in errors
         )
 
-    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
-        """Draw the errors of each pattern, as `chdstat.viz.pattern_breakdown` does."""
-        return draw(self, width=width, fig=fig)
 
-    def _card(self) -> Card:
-        return Card("Breakdown by pattern", table=titled(self.table()))
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ErrorCurve(_Scores):
+    """Result of `error_curve`.
 
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return a `pandas.DataFrame` like that of a `Comparison`, by label and estimator."""
-        return data_frame_of(self.measures, label=self.labels, estimator=self.estimators)
+    Attributes
+    ----------
+    estimators, uses_neighbours, models, provenance
+        As in a `Comparison`.
+    measures
+        By the names of `MEASURES`: intervals over blocks, averaged over channels, shape (size,
+        estimator); NaN where an estimator does not take so many samples.
+    sizes
+        Samples per estimate, ascending.
+    batches
+        Number of estimates that count, over all test pixels, shape (size,).
+    test_pixels
+        Number of test pixels.
+    """
+
+    _title = "Error curve"
+    _drawn = "errors against the number of samples"
+    sizes: tuple[int, ...]
+    batches: npt.NDArray[np.int64]
+    test_pixels: int
+    models: Mapping[str, Model]
+    provenance: Mapping[str, Any]
+
+    def _rows(self) -> Iterator[tuple[dict[str, Any], int]]:
+        for row, size in enumerate(self.sizes):
+            yield {"n": size}, row
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per label and estimator: names, pixels and every measure."""
-        columns = columns_of(self.measures)
-        return [
-            {"label": label, "pixels": int(self.pixels[row]), **one}
-            for row, label in enumerate(self.labels)
-            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
-        ]
+        """Return one row per size and estimator that takes it, with every measure."""
+        return [row for row in super().table() if np.isfinite(row["mse"])]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the models, ready for JSON (NaN becomes None)."""
+        names = "sizes", "batches", "test_pixels", "provenance"
+        found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
+        return found | super().to_dict()
 
 
-@dataclass(frozen=True, repr=False)
-class Comparison(Shown):
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Comparison(_Scores):
     """Result of `compare`: all measures, estimates and trained models.
 
     Attributes
@@ -220,10 +270,8 @@ class Comparison(Shown):
         Scene, samples, seed and settings, ready for JSON.
     """
 
-    estimators: tuple[str, ...]
-    uses_neighbours: npt.NDArray[np.bool_]
+    _title = "Comparison of estimators"
     channels: tuple[str, ...]
-    measures: Mapping[str, Interval[Array]]
     estimates: npt.NDArray[np.float32]
     first_mean: npt.NDArray[np.float32]
     first_reference: Judge
@@ -259,14 +307,8 @@ class Comparison(Shown):
             if isinstance(getattr(model, "inputs", None), int)
         }
 
-    def table(self) -> list[dict[str, Any]]:
-        """Return one row per estimator: its name and all measures, averaged over channels.
-
-        The columns ``<measure>_se``, ``_low`` and ``_high`` are the standard error and the interval
-        over blocks; NaN where the reference cannot tell.
-        """
-        of_all = {name: measure[:, _ALL_CHANNELS] for name, measure in self.measures.items()}
-        return rows_of(columns_of(of_all), self.estimators, self.uses_neighbours)
+    def _rows(self) -> Iterator[tuple[dict[str, Any], Any]]:
+        yield {}, (slice(None), _ALL_CHANNELS)
 
     def _card(self) -> Card:
         pixels = f"{self.test_pixels.sum()} test pixels"
@@ -275,23 +317,7 @@ class Comparison(Shown):
         if len(self.channels) in (1, 3):
             images["reference: the mean of all samples"] = png(tonemap(self.reference))
         facts |= {name: text for name, text in self.notes.items() if name != "use neighbours"}
-        return Card("Comparison of estimators", facts, titled(self.table()), images)
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return the measures as a `pandas.DataFrame`, averaged over channels.
-
-        Rows are estimators; columns have two levels: the measure, and its ``value`` with the
-        ``low`` and ``high`` end of the 95 % interval over blocks of pixels.
-
-        Examples
-        --------
-        >>> import chdstat as chd
-        >>> rng = np.random.default_rng(0)
-        >>> found = chd.compare(rng.exponential(size=(8, 8, 3, 128)), ["mean", "median"])
-        >>> float(found.to_dataframe().loc["mean", ("mse_ratio", "value")])
-        1.0
-        """
-        return data_frame_of(self.measures, (slice(None), _ALL_CHANNELS), estimator=self.estimators)
+        return replace(super()._card(), facts=facts, images=images)
 
     def plot(
         self,
@@ -509,50 +535,114 @@ def compare(
     """
     samples, seed = samples_of(samples), seed_number(seed)
     n = whole("n", n, least=1)
-    if max_batches is not None:
-        max_batches = whole("max_batches", max_batches, least=1)
     chosen = choose(estimators, [n], samples=samples)
     check_judged(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
     codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)
-    found = trained_candidates(
-        chosen, samples, sizes=[n], seed=seed, model=model, progress=progress
-    )
-    found = found.with_denoised() if denoise else found
-    units = found.test_units(seed, codes)
-    errors = judge(found, units, n=n, limit=max_batches, progress=progress, client=client)
-    sums, judged = errors.by_unit, counts(errors.by_unit) > 0
-    blocks, block = np.unique(units.block, return_inverse=True)
-    by_block = np.zeros((len(blocks), *sums.shape[1:]))
-    np.add.at(by_block, block, sums)
-    test = np.zeros(samples.shape[:2], bool)
-    test[units.ys, units.xs] = True
+    how: Any = {"seed": seed, "max_batches": max_batches, "model": model, "progress": progress}
+    found = trained_candidates(chosen, samples, sizes=[n], denoise=denoise, **how)
+    units = found.test_units(codes)
+    errors = judge(found, units, n=n, progress=progress, client=client)
+    common: Any = {"estimators": tuple(found.entries), "uses_neighbours": found.uses_neighbours}
     breakdown = None
     if codes is not None:
-        pixels = np.where(judged, units.sum(np.ones(len(units.ys), np.int64)), 0)
-        seen = {code: units.label == code for code in np.unique(units.label[judged]).tolist()}
+        seen = errors.of_labels()
         breakdown = Breakdown(
             labels=tuple(names[code] for code in seen),
-            estimators=tuple(found.entries),
-            uses_neighbours=found.uses_neighbours,
-            pixels=np.array([pixels[of_label].sum() for of_label in seen.values()]),
-            measures=stacked([measures_of(sums[here], seed=seed) for here in seen.values()]),
+            pixels=np.array([part.pixels for part in seen.values()]),
+            measures=stacked([part.measures(seed=seed) for part in seen.values()]),
+            **common,
         )
     return Comparison(
-        estimators=tuple(found.entries),
-        uses_neighbours=found.uses_neighbours,
         channels=samples.channels,
-        measures=measures_of(by_block, seed=seed),
+        measures=errors.measures(seed=seed),
         estimates=errors.estimates,
         first_mean=errors.mean,
         first_reference=errors.reference,
         reference=found.totals.mean,
-        test_pixels=test,
+        test_pixels=units.image(samples.shape[:2]),
         n=n,
-        batches=int(counts(sums).sum()),
+        batches=errors.batches,
         excluded=errors.excluded,
         breakdown=breakdown,
         models=found.models,
-        provenance=found.provenance(seed, max_batches),
+        provenance=found.provenance,
+        **common,
+    )
+
+
+def error_curve(
+    samples: ImageLike | npt.ArrayLike,
+    estimators: Sequence[str | Entry] | None = None,
+    *,
+    sizes: Sequence[int] | None = None,
+    seed: Seed = 0,
+    max_batches: int | None = 16,
+    model: Models = None,
+    progress: bool | None = None,
+    client: Client | None = None,
+) -> ErrorCurve:
+    """Measure the error of estimators at many numbers of samples, N.
+
+    For every N, estimates from batches of N samples are compared with the other samples of the
+    pixel, as in `chdstat.compare`: errors are without the noise of the reference.
+
+    Parameters
+    ----------
+    samples
+        The image, as `compare` takes it, with at least twice as many samples per pixel as the
+        largest N.
+    estimators
+        As `compare` takes them. An estimator that does not take N samples has NaN there.
+    sizes
+        N, in any order; None doubles from 4 to an eighth of the samples. An estimator that takes
+        none of these numbers adds the fewest samples that it takes.
+    seed, max_batches, model, progress, client
+        As for `chdstat.compare`. Pixels that trained a model count for no N. Small batches are read
+        one by one, so `Samples.load` a store first.
+
+    Returns
+    -------
+    ErrorCurve
+
+    Raises
+    ------
+    InputError
+        If `sizes` are not different integers from 1, there are too few samples for them, an
+        estimator takes none of them, or no judging pixel is left.
+
+    Examples
+    --------
+    The bias of a median remains, so its error stops falling:
+
+    >>> import chdstat as chd
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> samples = chd.Samples.from_array(rng.exponential(size=(16, 16, 1, 1024)))
+    >>> curve = error_curve(samples, ["mean", "median"], sizes=[16, 128])
+    >>> curve.measures["mse_ratio"].value.round()
+    array([[ 1.,  2.],
+           [ 1., 13.]])
+    """
+    samples, seed = samples_of(samples), seed_number(seed)
+    numbers = curve_sizes(samples, estimators, sizes=sizes)
+    chosen = choose(estimators, numbers, samples=samples)
+    how: Any = {"seed": seed, "max_batches": max_batches, "model": model, "progress": progress}
+    found = trained_candidates(chosen, samples, sizes=numbers, **how)
+    units = found.test_units()
+    parts, judged = [], []
+    for n in numbers:
+        errors = judge(found, units, n=n, progress=progress, client=client)
+        parts.append(errors.measures(seed=seed))
+        judged.append(errors.batches)
+    return ErrorCurve(
+        estimators=tuple(found.entries),
+        uses_neighbours=found.uses_neighbours,
+        sizes=numbers,
+        measures=stacked(parts),
+        batches=np.array(judged),
+        test_pixels=len(units.ys),
+        models=found.models,
+        provenance=found.provenance,
     )

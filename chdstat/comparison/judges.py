@@ -21,7 +21,7 @@ little between the two may be extrapolated to no noise; what changes much is not
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -100,15 +100,6 @@ class Judge:
         terms *= (unit ** -np.arange(3.0))[:, np.newaxis, np.newaxis, np.newaxis]
         return cls(np.where(known, mean * unit, np.nan), error, _variance(apart) * unit**2, terms)
 
-    @classmethod
-    def stack(cls, found: Sequence[Self]) -> Self:
-        """Return the judges of several places, along a new first axis."""
-        mean, error, variance = (
-            np.stack([getattr(one, name) for one in found])
-            for name in ("mean", "error", "variance")
-        )
-        return cls(mean, error, variance, np.stack([one.relative_terms for one in found], axis=2))
-
     def __getitem__(self, pixels: Any) -> Self:
         """Return the judge of some pixels."""
         chosen = pixels if isinstance(pixels, tuple) else (pixels,)
@@ -167,12 +158,6 @@ class PartialSums:
         left_out.warn()
         return cls(total, count, square)
 
-    @classmethod
-    def of_array(cls, x: npt.ArrayLike) -> Self:
-        """Sum over samples of any pixels, shape (..., channel, sample)."""
-        kept, sums, number = _sums_of(np.asarray(x), 0)
-        return cls(sums, number, np.vecdot(kept, kept))
-
     @cached_property
     def mean(self) -> Floats:
         """Mean of the good samples, shape (y, x, channel); NaN where there is none."""
@@ -214,16 +199,6 @@ class PartialSums:
             Unknown (NaN) where the batch holds a bad sample, or a part has no sample.
         """
         return Judge.of_image(*self._parts(batch, first), self.scene_mean)
-
-    def of_pixel(self, batch: Array | None = None, *, first: int = 0) -> Judge:
-        """Return the judge of pixels that are no image, (..., channel).
-
-        Without an image around, relative errors are not known.
-        """
-        parts, error = self._parts(batch, first)
-        mean = parts.mean(axis=0)
-        terms = np.full((2, 3, *mean.shape), np.nan)
-        return Judge(mean, error, _variance(parts - mean), terms)
 
     def _parts(self, batch: Array | None, first: int) -> tuple[Floats, Floats]:
         """Return the means of the parts, and the standard error of their mean."""

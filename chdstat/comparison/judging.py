@@ -3,7 +3,8 @@
 `trained_candidates` trains the learned estimators, on pixels that do not judge. `Units` are the
 judging pixels. They depend only on the image and the seed, so no row of a table depends on the
 other estimators; if no estimator was trained on an image of this size, all pixels judge. `judge`
-sums the errors of every estimator over them.
+sums the errors of every estimator over them. These `Errors`, by unit, estimator and channel, are
+all that a comparison, its breakdown by label and a curve over n are computed from.
 
 Memory is bounded: one batch of the image, one estimate of it, and sums over blocks of pixels.
 """
@@ -18,7 +19,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, block_numbers, flag_attributes, flag_names
+from chdstat._core.arrays import Array, block_numbers, flag_attributes, flag_names, whole
+from chdstat._core.resampling import Interval
 from chdstat._core.work import in_order, track
 from chdstat.comparison.entries import (
     Chosen,
@@ -29,7 +31,7 @@ from chdstat.comparison.entries import (
     without_denoiser,
 )
 from chdstat.comparison.judges import Judge, PartialSums
-from chdstat.comparison.metrics import SUMS, counts, errors_of
+from chdstat.comparison.metrics import SUMS, counts, errors_of, measures_of
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.held_out import draw_pixels, judging_pixels
@@ -65,6 +67,8 @@ class Candidates:
         Trained models by name; entries that share a training share a model.
     left_out
         Default estimators that cannot be compared, with the reason.
+    seed, max_batches
+        Seed of the pixels, and most batches of a pixel; None for all.
     """
 
     samples: Samples
@@ -72,24 +76,15 @@ class Candidates:
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     left_out: Mapping[str, str]
+    seed: int
+    max_batches: int | None
 
     @property
     def uses_neighbours(self) -> npt.NDArray[np.bool_]:
         """Whether each uses the pixels around, shape (estimator,)."""
         return np.array([entry.uses_neighbours for entry in self.entries.values()], bool)
 
-    def with_denoised(self) -> Candidates:
-        """Append all denoised versions of the estimators that the image and the models allow."""
-        entries = dict(self.entries)
-        guided = (False, True) if "albedo" in self.samples.features else (False,)
-        for entry in self.entries.values():
-            if not isinstance(entry, Denoised):
-                for guides in guided:
-                    added = Denoised(entry, guides)
-                    entries.setdefault(added.name, added)
-        return replace(self, entries=entries)
-
-    def test_units(self, seed: int, labels: npt.NDArray[np.int64] | None = None) -> Units:
+    def test_units(self, labels: npt.NDArray[np.int64] | None = None) -> Units:
         """Return the judging pixels: all if no model was trained on an image of this shape.
 
         Raises
@@ -99,7 +94,9 @@ class Candidates:
         """
         shape = self.samples.shape[:2]
         seen = [_seen(model, shape) for model in self.models.values()]
-        test = judging_pixels(shape, seed=seed) if any(map(len, seen)) else np.ones(shape, bool)
+        test = (
+            judging_pixels(shape, seed=self.seed) if any(map(len, seen)) else np.ones(shape, bool)
+        )
         for pixels in seen:
             test[tuple(pixels.T)] = False
         if not test.any():
@@ -109,14 +106,15 @@ class Candidates:
             raise InputError(message)
         return Units.of(test, labels)
 
-    def provenance(self, seed: int, max_batches: int | None) -> dict[str, Any]:
-        """Return scene, samples and settings of a comparison, and the provenance of the models."""
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Scene, samples and settings of a comparison, and the provenance of the models."""
         return {
             "scene": self.samples.name,
             "samples": self.samples.attrs,
             "samples_shape": list(self.samples.shape),
-            "seed": seed,
-            "max_batches": max_batches,
+            "seed": self.seed,
+            "max_batches": self.max_batches,
             "left_out": self.left_out,
             "models": {n: getattr(model, "provenance", {}) for n, model in self.models.items()},
         }
@@ -128,10 +126,14 @@ def trained_candidates(
     *,
     sizes: Sequence[int],
     seed: int,
+    max_batches: int | None,
     model: Models,
     progress: bool | None,
+    denoise: bool = False,
 ) -> Candidates:
     """Train the learned estimators, except those with a given model.
+
+    With `denoise`, all denoised versions that the image allows are appended.
 
     Raises
     ------
@@ -139,6 +141,8 @@ def trained_candidates(
         If no sample is good, the denoiser is missing, a model belongs to no estimator, or an
         estimator needs features that the image lacks.
     """
+    if max_batches is not None:
+        max_batches = whole("max_batches", max_batches, least=1)
     entries, left_out = dict(chosen.entries), dict(chosen.left_out)
     totals = PartialSums.of(samples)
     if not totals.count.any():
@@ -174,7 +178,12 @@ def trained_candidates(
             del learned[name], entries[name]
             left_out[name] = str(error)
     models = {name: trained[entry.train] for name, entry in learned.items()}
-    return Candidates(samples, totals, entries, models, left_out)
+    if denoise:
+        guided = (False, True) if "albedo" in samples.features else (False,)
+        plain = [entry for entry in entries.values() if not isinstance(entry, Denoised)]
+        for added in (Denoised(entry, guides) for entry in plain for guides in guided):
+            entries.setdefault(added.name, added)
+    return Candidates(samples, totals, entries, models, left_out, seed, max_batches)
 
 
 def _given(model: Models, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:
@@ -245,6 +254,12 @@ class Units:
         """Add up values (pixel, ...) within each unit."""
         return np.asarray(np.add.reduceat(values, self.starts, axis=0))
 
+    def image(self, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
+        """Return where the pixels are, shape (y, x)."""
+        found = np.zeros(shape, bool)
+        found[self.ys, self.xs] = True
+        return found
+
 
 def labels_of(
     given: npt.ArrayLike | xr.DataArray | xr.Dataset | str,
@@ -295,14 +310,16 @@ def labels_of(
 
 
 @dataclass(frozen=True)
-class _BatchErrors:
-    """Summed errors of estimators on the same batches.
+class Errors:
+    """Summed errors of estimators on the same batches, from which all measures follow.
 
     Attributes
     ----------
-    by_unit
-        Sums for `measures_of`, over batches, one row per unit of pixels. NaN for estimators that do
-        not take so many samples.
+    sums
+        Sums over batches by the names of `SUMS`, shape (unit, sum, 1 + estimator, channel); the
+        sample mean is estimator 0. NaN for estimators that do not take so many samples.
+    label, block, area
+        Label, block and number of pixels of each unit, shape (unit,).
     excluded
         Number of batches of test pixels without a reference.
     estimates
@@ -314,11 +331,40 @@ class _BatchErrors:
         Of the first batch: of all other samples.
     """
 
-    by_unit: npt.NDArray[np.float64]
+    sums: npt.NDArray[np.float64]
+    label: npt.NDArray[np.int64]
+    block: npt.NDArray[np.int64]
+    area: npt.NDArray[np.int64]
     excluded: int
     estimates: npt.NDArray[np.float32]
     mean: npt.NDArray[np.float32]
     reference: Judge
+
+    @property
+    def batches(self) -> int:
+        """Number of estimates that count."""
+        return int(counts(self.sums).sum())
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels in the units in which an estimate counts."""
+        return int(self.area[counts(self.sums) > 0].sum())
+
+    def of_labels(self) -> dict[int, Errors]:
+        """Return the errors by the labels of which an estimate counts."""
+        seen = np.unique(self.label[counts(self.sums) > 0]).tolist()
+        return {code: self._units(self.label == code) for code in seen}
+
+    def _units(self, where: npt.NDArray[np.bool_]) -> Errors:
+        kept = {n: getattr(self, n)[where] for n in ("sums", "label", "block", "area")}
+        return replace(self, **kept)
+
+    def measures(self, *, seed: int) -> dict[str, Interval[Array]]:
+        """Return all measures, with intervals over blocks, whatever the labels of their pixels."""
+        blocks, block = np.unique(self.block, return_inverse=True)
+        by_block = np.zeros((len(blocks), *self.sums.shape[1:]))
+        np.add.at(by_block, block, self.sums)
+        return measures_of(by_block, seed=seed)
 
 
 def judge(
@@ -326,10 +372,9 @@ def judge(
     units: Units,
     *,
     n: int,
-    limit: int | None,
     progress: bool | None,
     client: Client | None,
-) -> _BatchErrors:
+) -> Errors:
     """Sum the errors of every estimator that takes n samples, on the same batches.
 
     The image is read with n samples at a time, and one estimator runs at a time; with a client,
@@ -343,7 +388,7 @@ def judge(
     """
     samples = candidates.samples
     height, width, channels, _ = samples.shape
-    rounds = min(samples.fewest // n, samples.spp if limit is None else limit)
+    rounds = min(samples.fewest // n, candidates.max_batches or samples.spp)
     sums = len(SUMS), 1 + len(candidates.entries), channels
     by_unit, excluded = np.zeros((len(units.starts), *sums)), 0
     parts = (samples.isel(sample=slice(k * n, (k + 1) * n)) for k in range(rounds))
@@ -364,7 +409,8 @@ def judge(
         )
         raise InputError(message)
     shown = np.stack(estimates), first_mean, cast("Judge", first_reference)
-    return _BatchErrors(by_unit, excluded, *shown)
+    area = units.sum(np.ones(len(units.ys), np.int64))
+    return Errors(by_unit, units.label, units.block, area, excluded, *shown)
 
 
 def _errors_of_batch(

@@ -4,8 +4,7 @@
 bootstrap over the units serves all of them: `errors_of` returns the summands, `measures_of` the
 measures from the sums. A unit is a block of pixels with all their batches. Errors of neighbouring
 pixels are correlated, so intervals are over blocks (Künsch 1989, doi:10.1214/aos/1176347265).
-`columns_of`, `rows_of` and `data_frame_of` make tables; `in_words` and `titled` write them for a
-reader.
+`columns_of` makes columns of them; `in_words` and `titled` write these for a reader.
 
 No measure contains the noise of the reference (`chdstat.comparison.judges`). What the reference
 cannot tell is NaN: a ratio whose denominator may be 0, a relative error that the noise of its
@@ -15,7 +14,7 @@ weights decides, a share of improved estimates if too many of them are as near a
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +26,6 @@ from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
 from chdstat.comparison.judges import Judge
 from chdstat.estimators.registry import LABELS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Measures = Mapping[str, Interval[Array]]
 """Intervals by the names of `MEASURES`."""
@@ -84,7 +80,7 @@ _TITLES = {
 _REPLICATES, _AT_ONCE = 1000, 64
 _TAIL = 0.95
 """Percentile of the replicates that intervals are stretched from."""
-UNDECIDED = 0.1
+_UNDECIDED = 0.1
 """Largest share of estimates of which it is not known whether they are improved."""
 _MOVED = 0.2
 """Share by which an error may depend on the noise of the reference."""
@@ -149,7 +145,7 @@ def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
                 for n, tail in ((name, 1 - _TAIL), (most, _TAIL))
             )
             apart = value[most] - value[name]
-            middle = np.where(apart > UNDECIDED, np.nan, value[name] + apart / 2)
+            middle = np.where(apart > _UNDECIDED, np.nan, value[name] + apart / 2)
             error = spread * replicates[name].std(axis=0, ddof=1)
             bounds = (-np.inf if name == "bias" else 0, 1 if "share" in about else np.inf)
             ends = [np.clip(x, *bounds) for x in (middle, low, high)]
@@ -271,32 +267,6 @@ def columns_of(measures: Measures) -> Columns:
 def described(long_name: str, units: str = "1") -> dict[str, str]:
     """Return the attributes of a variable."""
     return {"long_name": long_name, "units": units}
-
-
-def rows_of(
-    columns: Columns, estimators: Sequence[str], uses_neighbours: Array, *before: int
-) -> list[dict[str, Any]]:
-    """Return a flat row for each estimator, with the values of all columns at a place."""
-    return [
-        {"estimator": name, "uses_neighbours": bool(uses_neighbours[k])}
-        | {column: float(values[before][k]) for column, (values, _) in columns.items()}
-        for k, name in enumerate(estimators)
-    ]
-
-
-def data_frame_of(measures: Measures, where: Any = ..., **index: Sequence[Any]) -> pd.DataFrame:
-    """Return measures with their intervals as a data frame, with a row per place of the index."""
-    import pandas as pd
-
-    columns = {
-        (measure, part): getattr(interval, part)[where].reshape(-1)
-        for measure, interval in measures.items()
-        for part in ("value", "low", "high")
-    }
-    if len(index) == 1:
-        ((name, values),) = index.items()
-        return pd.DataFrame(columns, pd.Index(values, name=name))
-    return pd.DataFrame(columns, pd.MultiIndex.from_product([*index.values()], names=[*index]))
 
 
 def titled(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from chdstat._core.arrays import take_rows
 from chdstat._core.display import percent
 from chdstat._core.doors import draw
-from chdstat.comparison.comparisons import Breakdown, Comparison, PixelEstimates
-from chdstat.comparison.error_curves import ErrorCurve
+from chdstat.comparison.comparisons import Breakdown, Comparison, ErrorCurve, PixelEstimates
 from chdstat.fit.families import Fit
 from chdstat.fit.tail import Tail
 from chdstat.inference.contrasts import Contrast

@@ -482,7 +482,6 @@ def test_pixels_are_drawn_from_those_that_judge(found, model):
     assert drawn.mean == pytest.approx(x[..., :32].mean(axis=-1), rel=1e-5)
     assert drawn.reference == pytest.approx(x[..., 32:].mean(axis=-1), rel=1e-4)
     assert drawn.estimates[2] == pytest.approx(model.predict(x[..., :32]), rel=1e-4, abs=1e-5)
-    assert drawn.table()[4]["elek2019"] == drawn.estimates[2, 1, 1]
     assert (drawn.pixels == found.draw_pixels(25, seed=2).pixels).all()
     assert (drawn.pixels != found.draw_pixels(25, seed=3).pixels).any()
 
@@ -496,24 +495,15 @@ def test_no_more_pixels_are_drawn_than_have_a_reference():
         found.draw_pixels(0)
 
 
-def test_data_frames_hold_the_measures_with_their_intervals(found):
-    frame = found.to_dataframe()
-    assert (frame.index.name, tuple(frame.index)) == ("estimator", found.estimators)
-    for measure, interval in found.measures.items():
-        for part in ("value", "low", "high"):
-            expected = getattr(interval, part)[:, -1]
-            assert np.array_equal(frame[measure, part], expected, equal_nan=True)
-    samples, pair = image(), ["mean", "median"]
-    labels = np.where(np.arange(16) < 8, Label.BIMODAL, Label.LONG_TAIL) + np.zeros((20, 1), int)
-    parts = chd.compare(samples, pair, labels=labels).breakdown
-    curve = chd.comparison.error_curve(samples, pair, sizes=[4, 8])
-    for result, key in ((parts, "label"), (curve, "n")):
+def test_data_frames_have_the_columns_of_the_table(found, labelled):
+    pair = ["mean", "median"]
+    parts = chd.compare(image(), pair, labels=labelled).breakdown
+    curve = chd.comparison.error_curve(image(), pair, sizes=[4, 8])
+    for result in (found, parts, curve):
         frame, rows = result.to_dataframe(), result.table()
-        assert frame.index.tolist() == [(row[key], row["estimator"]) for row in rows]
-        for row in rows:
-            at = frame.loc[(row[key], row["estimator"])]
-            assert at["mse", "value"] == row["mse"]
-            assert at["relmse_ratio", "low"] == row["relmse_ratio_low"]
+        assert [*frame.columns] == [*rows[0]]
+        for row, again in zip(rows, frame.to_dict("records"), strict=True):
+            np.testing.assert_equal(again, row)
 
 
 def test_latex_has_a_line_for_each_estimator_and_escapes_what_it_must(found):
