@@ -40,7 +40,7 @@ class Row:
         Errors over the mean's, their standard errors and z, as of `ratios`, by grouping.
     held
         Share of 90 % intervals that hold the truth in each group, by grouping.
-    bias, doubt
+    bias, bias_error
         Of the sum of the image, and the standard error that the estimate says; relative.
     from_mean
         Sum of the image minus the mean's, in standard errors of the mean's.
@@ -58,7 +58,7 @@ class Row:
     by_noise: Mapping[str, np.ndarray]
     held: Mapping[str, np.ndarray]
     bias: float
-    doubt: float
+    bias_error: float
     from_mean: float
     energy: Mapping[str, np.ndarray]
     energy_of_mean: Mapping[str, np.ndarray]
@@ -103,7 +103,7 @@ class Row:
         thirds = " ".join(f"{x:.2f}" for x in self.held["third"])
         lines = [
             f"{name:24s}{self.n:4d}  {_shown(self.over['denoiser'])}  {started}  "
-            f"{_shown(self.over['mean'])}  {self.bias:+6.1%} ± {self.doubt:4.1%}  {thirds}  "
+            f"{_shown(self.over['mean'])}  {self.bias:+6.1%} ± {self.bias_error:4.1%}  {thirds}  "
             f"energy {self.from_mean:+.1f} of the mean's, {self.energy['image'][0]:+.1f}; "
             f"{self.exact} exact, {self.moved} moved, {self.outside} outside"
         ]

@@ -108,13 +108,13 @@ class Sums:
     lights: list[tuple[float, float]] = field(default_factory=list)
     noises: set[str] = field(default_factory=set)
 
-    def add(self, mask: np.ndarray, maps: np.ndarray, lights: np.ndarray, doubt: float) -> None:
+    def add(self, mask: np.ndarray, maps: np.ndarray, lights: np.ndarray, of_sum: float) -> None:
         """Add an image: `maps` (map, y, x, channel) and the `lights` of estimate, mean, truth."""
         y, x, c = mask.shape
         cut = (maps * mask).reshape(-1, y // CELL, CELL, x // CELL, CELL, c).sum(axis=(2, 4, 5))
         self.cells += [cell for cell in cut.reshape(len(maps), -1).T if cell[0]]
         estimate, mean, truth = lights[:, mask].sum(axis=-1)
-        self.apart.append((estimate - mean) / doubt if doubt else 0.0)
+        self.apart.append((estimate - mean) / of_sum if of_sum else 0.0)
         self.lights.append((estimate, truth))
 
     def row(self, name: tuple[str, str, int, str], relative_error: float) -> Row:
@@ -205,9 +205,9 @@ def rows(seeds: Sequence[Picture], numbers: Sequence[int]) -> Iterator[Row]:
             stop[n].append(found.relative_error)
             for name, mask in groups(picture):
                 m = mask.astype(float)
-                doubt = np.sqrt(np.einsum("yxc,yxcd,yxd->", m, of_channels, m, optimize=True) / n)
+                of_sum = np.sqrt(np.einsum("yxc,yxcd,yxd->", m, of_channels, m, optimize=True) / n)
                 of_group = sums.setdefault((n, name), Sums())
-                of_group.add(mask, maps, lights, doubt)
+                of_group.add(mask, maps, lights, of_sum)
                 of_noise = [k for k in NOISES if picture.groups.get(k, ~mask)[mask].all()]
                 of_group.noises.add(of_noise[0] if of_noise else "")
     for (n, name), found in sums.items():

@@ -91,7 +91,7 @@ def hold(low: npt.ArrayLike, high: npt.ArrayLike, true: xr.DataArray) -> Interva
     return _share(inside, known, true)
 
 
-def separation(doubt: npt.ArrayLike, coverage: xr.DataArray) -> Interval[float]:
+def separation(warning: npt.ArrayLike, coverage: xr.DataArray) -> Interval[float]:
     """Return how well a warning parts pixels whose error bars fail from those whose bars hold.
 
     It is the area under the curve of hits against false alarms: the probability that a pixel where
@@ -100,9 +100,9 @@ def separation(doubt: npt.ArrayLike, coverage: xr.DataArray) -> Interval[float]:
 
     Parameters
     ----------
-    doubt
+    warning
         Larger where error bars are more doubtful, with the shape of `coverage`; NaN counts as no
-        doubt.
+        warning.
     coverage
         Certified coverage over (pixel, ...) for the number of samples that the warning saw:
         ``truth.coverage.sel(size=n)``.
@@ -129,7 +129,7 @@ def separation(doubt: npt.ArrayLike, coverage: xr.DataArray) -> Interval[float]:
     >>> print(separation(-coverage, coverage))
     1.00
     """
-    values = _like(coverage, doubt=doubt)["doubt"]
+    values = _like(coverage, warning=warning)["warning"]
     values = np.where(np.isnan(values), -np.inf, values)
     held = coverage.to_numpy()
     fails, holds = held <= FAILS, held >= HOLDS
@@ -413,8 +413,8 @@ def _of_tails(x: Array, truth: xr.Dataset) -> _Found:
     ):
         yield words, _share(found.variance_suspect, which, coverage), which.sum()
     count = ((judged >= HOLDS) | (judged <= FAILS)).sum()
-    for words, doubt in (("coverage_own", -found.coverage_own), ("the tail index", found.xi)):
-        yield f"  {words} parts the two", separation(doubt, coverage), count
+    for words, warning in (("coverage_own", -found.coverage_own), ("the tail index", found.xi)):
+        yield f"  {words} parts the two", separation(warning, coverage), count
     ends = found.coverage_own_interval
     held = hold(ends[..., 0], ends[..., 1], coverage)
     known = np.isfinite(judged) & np.isfinite(ends[..., 0])

@@ -24,7 +24,7 @@ from chdstat._core.doors import draw
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
 from chdstat.comparison.entries import Entry, choose, curve_sizes, notes
-from chdstat.comparison.judges import Judge, check_judged
+from chdstat.comparison.judges import Judge, check_samples_for_judge
 from chdstat.comparison.judging import (
     Models,
     judge,
@@ -536,7 +536,7 @@ def compare(
     samples, seed = samples_of(samples), seed_number(seed)
     n = whole("n", n, least=1)
     chosen = choose(estimators, [n], samples=samples)
-    check_judged(samples, n)
+    check_samples_for_judge(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
     codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, whole
-from chdstat.comparison.judges import check_judged
+from chdstat.comparison.judges import check_samples_for_judge
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import through_denoiser
 from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
@@ -243,7 +243,7 @@ def curve_sizes(
     if not chosen or len(set(chosen)) < len(chosen):
         message = f"sizes must be one or more different numbers from 1, got {chosen}"
         raise InputError(message)
-    check_judged(samples, chosen[-1])
+    check_samples_for_judge(samples, chosen[-1])
     choose(estimators, chosen, samples=samples)
     return chosen
 

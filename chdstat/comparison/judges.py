@@ -212,7 +212,7 @@ class PartialSums:
         return np.moveaxis(_ratio(total, count), -1, 0), error
 
 
-def check_judged(samples: Samples, n: int) -> None:
+def check_samples_for_judge(samples: Samples, n: int) -> None:
     """Check that there are enough samples for estimates from n and their references.
 
     Raises

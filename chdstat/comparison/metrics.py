@@ -182,13 +182,13 @@ def errors_of(
     # An infinite estimate would give NaN in resamples that draw its pixel 0 times.
     p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
     mean = mean.astype(np.float64)
-    y, doubt = reference.mean, _SURE * reference.error
+    y, margin = reference.mean, _SURE * reference.error
     relative, noisier = reference.relative(p)
     unchanged = np.abs(p - mean) <= _SAME * np.abs(mean)
     ahead = np.sign(mean - p) * ((p + mean) / 2 - y)
-    undecided = ~unchanged & (np.abs(ahead) <= doubt) & (doubt > 0)
+    undecided = ~unchanged & (np.abs(ahead) <= margin) & (margin > 0)
     improved = ~unchanged & ~undecided & (ahead > 0)
-    most = y + doubt
+    most = y + margin
     firefly = p - most > _FIREFLY * np.sqrt(relative_scale(most, scene_mean))
     shares = [improved, undecided, unchanged, firefly, p - y, y, np.ones_like(p)]
     return np.stack([reference.squared(p), relative, noisier, *shares], axis=1)

@@ -640,5 +640,5 @@ def _bias(radiance: Reals, mean: Reals, error: Reals) -> tuple[float, float]:
         return np.nan, np.nan
     of_radiance = float(np.nansum(radiance, dtype=np.float64))
     # The channels of a sample vary together: add their errors, not their variances.
-    doubt = np.sqrt(np.square(error.sum(axis=-1)).sum())
-    return of_radiance / whole - 1, float(doubt) / abs(whole)
+    of_sum = np.sqrt(np.square(error.sum(axis=-1)).sum())
+    return of_radiance / whole - 1, float(of_sum) / abs(whole)

@@ -734,8 +734,8 @@ def _squared(
         return Interval(0.0, 0.0, 0.0), 0.0
     total = each.sum() ** 2
     chance = total / np.square(each).sum()
-    doubt = 2 * total / max(float(spread.sum()), 1e-12 * total)
-    low, high = value * stats.f.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], chance, doubt)
+    of_spread = 2 * total / max(float(spread.sum()), 1e-12 * total)
+    low, high = value * stats.f.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], chance, of_spread)
     surely = value * max(float(stats.chi2.ppf(_SURE, chance) / chance) / TOLERANCE**2, 1.0)
     return Interval(value, float(low), float(high)), surely
 

@@ -235,10 +235,10 @@ def error_of(
         found.add(estimate[rows], error[rows], band, mean)
     if not found.pixels:
         return ErrorOfEstimate(spp=float(np.mean(count)))
-    noise, doubt = found.noise()
+    noise, of_noise = found.noise()
     bias, variance = np.sum([_bias(*scale) for scale in found.scales()], axis=0)
     larger = found.larger(float(bias), noise)
-    spread = math.sqrt(variance + doubt + (_OTHERWISE * (bias + noise)) ** 2)
+    spread = math.sqrt(variance + of_noise + (_OTHERWISE * (bias + noise)) ** 2)
     of_mean = found.of_mean / found.pixels
     bias, noise, of_mean, spread = (larger * float(x) for x in (bias, noise, of_mean, spread))
     return ErrorOfEstimate(bias, noise, of_mean, spread, float(np.mean(count)))
@@ -307,8 +307,8 @@ class _Found:
         apart, of_means, both = self.products
         share = both / of_means if of_means > 0 else 0.0
         noise = max(apart - share**2 * of_means, 0.0) + share**2 * self.of_mean
-        doubt = sum(np.square(squared).sum() for squared, *_ in self.blocks)
-        return float(noise / self.pixels), float(doubt) / self.pixels**2
+        variance = sum(np.square(squared).sum() for squared, *_ in self.blocks)
+        return float(noise / self.pixels), float(variance) / self.pixels**2
 
     def scales(self) -> Iterator[tuple[float, float, float]]:
         """Yield the product of the halves at each scale, its standard error, and the noise there.

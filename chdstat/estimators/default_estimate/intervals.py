@@ -18,7 +18,7 @@ from scipy import stats
 from chdstat._core.arrays import Reals
 from chdstat.estimators.default_estimate.weights import Proposal
 
-_DOUBT = 0.5
+_MARGIN = 0.5
 """Standard errors within which what held-out halves show may be noise."""
 _KEPT = 0.95
 """Weight of the mean from which an estimate is the mean."""
@@ -83,9 +83,9 @@ def _shown_over_expected(
     counted = (weight < _KEPT) / unit**2
     bias = counted * (halves[0] - one.mean) * (halves[1] - other.mean)
     noise = counted * np.square(halves[0] - halves[1]) / 4
-    bias, doubt, noise, expected = grid.sums(bias, bias**2, noise, counted * error**2)
-    doubt = _DOUBT * np.sqrt(doubt)
-    least, most = np.maximum(bias - doubt, 0) + noise, np.maximum(bias, 0) + doubt + noise
+    bias, squares, noise, expected = grid.sums(bias, bias**2, noise, counted * error**2)
+    margin = _MARGIN * np.sqrt(squares)
+    least, most = np.maximum(bias - margin, 0) + noise, np.maximum(bias, 0) + margin + noise
     shown = np.clip(expected, least, most)
     found = np.divide(shown, expected, out=np.ones_like(shown), where=expected > 0)
     return np.asarray(np.where(weight < _KEPT, np.sqrt(grid.at(np.clip(found, *_RANGE))), 1))

@@ -114,8 +114,8 @@ def lost_light(
     # What a place lacks and nobody gets is missing somewhere in it.
     all_light = shares[0][2]
     lacked = groups[0].at(_shrunk(0.0, of_places[[0, 1, 4]], _OF_PLACE)) * all_light
-    doubt = groups[0].at(np.sqrt(of_places[1]) / np.maximum(of_places[4], 1e-30))
-    return given, np.hypot(doubt * all_light, lacked - given[0])
+    of_place = groups[0].at(np.sqrt(of_places[1]) / np.maximum(of_places[4], 1e-30))
+    return given, np.hypot(of_place * all_light, lacked - given[0])
 
 
 def _lacking(estimate: Reals, held_out: Proposal, light: Reals) -> tuple[Reals, Reals]:
@@ -141,8 +141,8 @@ def _shrunk(before: Reals | float, sums: Reals, variances: float) -> Reals:
     lacking, noise, share = sums
     share = np.maximum(share, 1e-30)
     apart = lacking / share - before
-    doubt = variances * noise / share**2
-    sure = 1 - np.divide(doubt, apart**2, out=np.ones_like(apart), where=apart**2 > doubt)
+    variance = variances * noise / share**2
+    sure = 1 - np.divide(variance, apart**2, out=np.ones_like(apart), where=apart**2 > variance)
     return np.asarray(before + sure * apart)
 
 
