@@ -8,7 +8,7 @@ others. What is refused beside a law of its own stands with that law.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,15 +41,8 @@ from tests.rendering.test_recipes import GOOD
 from tests.rendering.test_scene_settings import box, floor
 from tests.scenes.test_plugins import ESTIMATOR, INTEGRATOR
 
-Row = tuple[type[ChdstatError], Callable[[], Any], tuple[str, ...]]
-
-
-def each(error: type[ChdstatError], call: Callable[..., Any], *rows: Any) -> Iterator[Row]:
-    """Yield rows of one call: what it is given, as options if it is a dict, and what is named."""
-    for given, *named in rows:
-        options = given if isinstance(given, dict) else {}
-        given = () if isinstance(given, dict) else given if isinstance(given, tuple) else (given,)
-        yield error, partial(call, *given, **options), tuple(named)
+Table = dict[tuple[type[ChdstatError], Callable[..., Any]], list[tuple[Any, ...]]]
+"""By error and call: what is given, as options if it is a dict, and what the error names."""
 
 
 # --- rendering ----------------------------------------------------------------------------------
@@ -86,10 +79,8 @@ FILMS = [
     ({"crop_width": 40, "crop_offset_x": 20}, "40 x 32", "(20, 0)"),
     ({"crop_offset_y": -1}, "crop_offset_y", "got -1"),
 ]
-RENDERING = [
-    *each(
-        InputError,
-        render,
+RENDERING: Table = {
+    (InputError, render): [
         ({"spp": 0}, "spp", "got 0"),
         ({"seed": -1}, "seed", "got -1"),
         ({"seed": 2**31}, "seed", "2147483648"),
@@ -132,10 +123,8 @@ RENDERING = [
             "batch",
         ),
         ({"by_light": ["lihgt"]}, "did you mean 'light'"),
-    ),
-    *each(
-        InputError,
-        spread,
+    ],
+    (InputError, spread): [
         ({"sequence": 20}, "square", "20", "16 and 25"),
         ({"sampler": "multijitter", "sequence": 17}, "full grid", "17", "16 and 20"),
         ({"sampler": "orthogonal"}, "square of a prime", "16", "9 and 25"),
@@ -146,26 +135,20 @@ RENDERING = [
         ({"spp": 40}, "16", "40", "32 and 48"),
         ({"by_light": ["light"]}, "by_light", "'stratified'"),
         ({"direct": True}, "direct", "'stratified'"),
-    ),
-    *each(
-        InputError,
-        partial(render_batches, "cornell-box"),
+    ],
+    (InputError, partial(render_batches, "cornell-box")): [
         ({"batch": 0}, "batch", "got 0"),
         ({"size": (10**6, 10**6), "spp": 1, "backend": "scalar"}, "1000000 x 1000000"),
-    ),
-    *each(
-        InputError,
-        pixels,
+    ],
+    (InputError, pixels): [
         ([(8, 0)], "(y=8, x=0)", "8 x 8"),
         ([(0, 0), (0, -1)], "(y=0, x=-1)"),
         ([(0.5, 1.0)], "integers"),
         ([(1, 2, 3)], "(pixel, 2)", "(1, 3)"),
-    ),
-    *each(InputError, resolve, ("metal", "scalar, llvm, cuda", "'metal'")),
-    *each(InputError, probe, ("metal", "'metal'")),
-    *each(
-        SceneError,
-        render,
+    ],
+    (InputError, resolve): [("metal", "scalar, llvm, cuda", "'metal'")],
+    (InputError, probe): [("metal", "'metal'")],
+    (SceneError, render): [
         ({"scene": "nowhere/scene.xml"}, "'nowhere/scene.xml'"),
         ({"scene": {"shape": {"type": "sphere"}}}, "'type': 'scene'", "None"),
         ({"integrator": {"type": "path", "max_dpth": 3}}, "max_dpth"),
@@ -177,18 +160,14 @@ RENDERING = [
             for part in ("sensor", "floor", "sky", "integrator")
         ),
         *(({"scene": box(**film)}, *named) for film, *named in FILMS),
-    ),
-    *each(SceneError, lambda **film: scene_size(box(**film)), *FILMS),
-    *each(
-        SceneError,
-        xml,
+    ],
+    (SceneError, lambda **film: scene_size(box(**film))): [*FILMS],
+    (SceneError, xml): [
         ("", "'bad'", "sensor"),
         ({"inside": SENSOR, "glitter": 1}, "glitter"),
-    ),
-    *each(SceneError, partial(load_scene, "cornell-box"), ({"glitter": 1}, "glitter")),
-    *each(
-        RenderError,
-        render,
+    ],
+    (SceneError, partial(load_scene, "cornell-box")): [({"glitter": 1}, "glitter")],
+    (RenderError, render): [
         ({"integrator": "diffuse"}, "diffuse"),
         ({"integrator": "guided"}, "llvm and cuda"),
         ({"scene": {**box(), "sensor": {"type": "irradiancemeter"}}}, "'irradiancemeter'"),
@@ -196,11 +175,9 @@ RENDERING = [
         ({"scene": SKY | {"integrator": AOV}}, "'aov'", "got 0"),
         ({"scene": SKY | {"integrator": TWO}}, "'aov'", "got 2"),
         ({"scene": LIT, "color": "spectral", "by_light": ["lamp"]}, "'sky'"),
-    ),
-    *each(RenderError, xml, (MINE + SENSOR, "'mine'")),
-    *each(
-        InputError,
-        recipe,
+    ],
+    (RenderError, xml): [(MINE + SENSOR, "'mine'")],
+    (InputError, recipe): [
         (("schema = 1", "schema = 7"), "schema", "got 7"),
         (("spp = 64", ""), "spp", "None"),
         (("[128, 96]", "[128]"), "size"),
@@ -216,19 +193,17 @@ RENDERING = [
         (('name = "wall"', ""), "regions[0].name", "None"),
         (("[[regions]]", GOOD[GOOD.index("[[regions]]") :] + "[[regions]]"), "regions"),
         (('scene = "bathroom"', 'scene = "$ATTICS/a.xml"'), "'$ATTICS/a.xml'"),
-    ),
-    *each(InputError, load_recipe, ("none.toml", "none.toml")),
-    *each(
-        InputError,
-        lambda *rectangle: Region("wall", "diffuse", rectangle),
+    ],
+    (InputError, load_recipe): [("none.toml", "none.toml")],
+    (InputError, lambda *rectangle: Region("wall", "diffuse", rectangle)): [
         ((0, 0, 1, 1.5), "1.5"),
         ((0.5, 0, 0.5, 1), "0.5"),
         ((0, -0.1, 1, 1), "-0.1"),
         (("a", 0, 1, 1), "'a'"),
         ((0, 1), "(0, 1)"),
         ((np.nan, 0, 1, 1), "nan"),
-    ),
-]
+    ],
+}
 
 # --- files --------------------------------------------------------------------------------------
 
@@ -261,10 +236,8 @@ def window_of(data: Any, shown: Any = (0, 0, 13, 10)) -> Any:
     return read_exr(exr("x.exr", planes, **header))
 
 
-FILES = [
-    *each(
-        InputError,
-        written,
+FILES: Table = {
+    (InputError, written): [
         ({"image": np.ones((4, 4))}, "(y, x, channel)", "(4, 4)"),
         ({"image": np.ones((0, 4, 3))}, "(0, 4, 3)"),
         ({"image": np.ones((4, 4, 3), complex)}, "image", "complex"),
@@ -284,33 +257,28 @@ FILES = [
         ({"attributes": {"spp": 32}}, "'spp'", "int"),
         ({"image": np.full((4, 4, 3), 7e4), "pixel_type": "half"}, "65504"),
         ({"pixel_type": "double"}, "float, half", "'double'"),
-    ),
-    *each(
-        StoreError,
-        written,
-        *(({"path": path}, path) for path in ("none/x.exr", "x.txt/x.exr", "folder")),
-    ),
-    *each(StoreError, read_exr, ("x.exr", "x.exr"), ("folder", "no EXR file at folder")),
-    *each(
-        StoreError,
-        content,
+    ],
+    (StoreError, written): [
+        *(({"path": path}, path) for path in ("none/x.exr", "x.txt/x.exr", "folder"))
+    ],
+    (StoreError, read_exr): [
+        ("x.exr", "x.exr"),
+        ("folder", "no EXR file at folder"),
+    ],
+    (StoreError, content): [
         (lambda _: b"", "x.exr", "not an EXR file"),
         (lambda _: b"v/", "not an EXR file"),
         (lambda _: b"\x89PNG\r\n" + bytes(100), "not an EXR file"),
         *((lambda b, s=s: b[: max(4, int(s * len(b)))], "cut off") for s in (0.001, 0.3, 0.999)),
         (lambda b: b[: len(b) // 2] + bytes(64) + b[len(b) // 2 + 64 :], "damaged"),
         (claimed, "1.2e+13"),
-    ),
-    *each(
-        StoreError,
-        window_of,
+    ],
+    (StoreError, window_of): [
         (((14, 0, 27, 10),), "display window"),
         (((0, -20, 13, -1),), "display window"),
         (((0, 0, 13, 10), (0, 0, 2**20, 2**20)), "header claims"),
-    ),
-    *each(
-        InputError,
-        denoised,
+    ],
+    (InputError, denoised): [
         ({"estimate": np.ones((4, 4))}, "(4, 4)"),
         ({"estimate": np.ones((4, 4, 2))}, "1 or 3", "(4, 4, 2)"),
         ({"estimate": np.ones((0, 4, 3))}, "(0, 4, 3)"),
@@ -323,17 +291,15 @@ FILES = [
         ({"certainty": np.zeros((4, 3))}, "certainty", "shape"),
         ({"certainty": np.full((4, 4), 1.5)}, "certainty", "1"),
         ({"certainty": np.full((4, 4), np.nan)}, "certainty", "1"),
-    ),
-    *each(
-        ChdstatError,
-        lambda **images: run_network(images, hdr=True),
+    ],
+    (ChdstatError, lambda **images: run_network(images, hdr=True)): [
         (
             {"color": np.ones((32, 32, 3), np.float32), "albedo": np.ones((8, 8, 3), np.float32)},
             "(32, 32, 3)",
             "size",
-        ),
-    ),
-]
+        )
+    ],
+}
 
 # --- samples ------------------------------------------------------------------------------------
 
@@ -355,10 +321,8 @@ def opened(name: Any) -> Any:
     return chd.open(name)
 
 
-IN_ROOM = [
-    *each(
-        InputError,
-        array,
+IN_ROOM: Table = {
+    (InputError, array): [
         *(({"axes": axes}, "axes", "once") for axes in ("yxc", "yxss", "yxcz", "", "YXCS", 3)),
         ({"array": np.ones((4, 6, 3, 2))}, "'yxcs'"),
         ({"array": np.ones((4, 6, 31, 64))}, "'yxcs'"),
@@ -383,51 +347,35 @@ IN_ROOM = [
         ({"sequence": 2.5}, "sequence", "2.5"),
         ({"integrator": 5}, "integrator", "dict", "got 5"),
         ({"render_seconds": "long"}, "render_seconds", "float", "'long'"),
-    ),
-    *each(
-        InputError,
-        SAMPLES.isel,
+    ],
+    (InputError, SAMPLES.isel): [
         ({"y": slice(5, 5)}, "y", "forward"),
         ({"x": 6}, "x", "-6 to 5", "got 6"),
         ({"y": -6}, "y", "-5 to 4", "got -6"),
         ({"sample": slice(None, None, -1)}, "sample", "forward"),
-    ),
-    *each(
-        InputError,
-        SAMPLES.__getitem__,
+    ],
+    (InputError, SAMPLES.__getitem__): [
         (((5, 0),), "y", "-5 to 4", "got 5"),
         (((0, -7),), "x", "-6 to 5", "got -7"),
         *((index, "(y, x)") for index in (0, ((0, 1, 2),), ..., ((0.5, 1),))),
-    ),
-    *each(InputError, SAMPLES.pixel, ((6, 0), "y", "-5 to 4", "got 6")),
-    *each(
-        InputError,
-        SAMPLES.save,
-        ("out.exr", "out.zarr", "out.exr", "images"),
-    ),
-    *each(
-        InputError,
-        opened,
+    ],
+    (InputError, SAMPLES.pixel): [((6, 0), "y", "-5 to 4", "got 6")],
+    (InputError, SAMPLES.save): [("out.exr", "out.zarr", "out.exr", "images")],
+    (InputError, opened): [
         (None, "path", "None"),
         (5, "path", "5"),
         ((["a.zarr"],), "path", "['a.zarr']"),
         ("tape://box.zarr", "tape://box.zarr"),
-    ),
-    *each(
-        StoreError,
-        opened,
+    ],
+    (StoreError, opened): [
         ("nowhere", "nowhere", "chdstat render"),
         ("x.txt", "x.txt", "folder"),
         (".", "zarr.json"),
         ("maps.zarr", "maps.zarr", "--maps"),
         ("memory://nothing/here.zarr", "memory://nothing/here.zarr"),
-    ),
-    *each(
-        StoreError,
-        SAMPLES.save,
-        ("http://127.0.0.1:9/own.zarr", "http://127.0.0.1:9", "read"),
-    ),
-]
+    ],
+    (StoreError, SAMPLES.save): [("http://127.0.0.1:9/own.zarr", "http://127.0.0.1:9", "read")],
+}
 
 # --- scenes and plugins -------------------------------------------------------------------------
 
@@ -444,10 +392,8 @@ def plugin(code: str) -> Any:
 LOOP: dict[str, Any] = {"type": "scene"}
 LOOP["again"] = LOOP
 
-SCENES = [
-    *each(
-        InputError,
-        plugin,
+SCENES: Table = {
+    (InputError, plugin): [
         ("x = 1\ny = 1 / 0\n", "mine.py, line 2", "ZeroDivisionError"),
         ("x = 1\n\ndef f(:\n", "mine.py, line 3", "SyntaxError"),
         ("import no_such_module", "mine.py, line 1", "no_such_module"),
@@ -455,28 +401,20 @@ SCENES = [
         ("x = 1", "mine.py", "registers nothing"),
         (INTEGRATOR.replace('"constant_radiance"', '"path"'), "'path'"),
         (ESTIMATOR.replace("largest_of_mine", "mean"), "'mean'"),
-    ),
-    *each(
-        InputError,
-        load_plugin,
-        *((name, "plugin") for name in ("no_such.py", ".", "\0")),
-    ),
-    *each(InputError, load_scene, (5, "int")),
-    *each(
-        SceneError,
-        scene,
+    ],
+    (InputError, load_plugin): [*((name, "plugin") for name in ("no_such.py", ".", "\0"))],
+    (InputError, load_scene): [(5, "int")],
+    (SceneError, scene): [
         ({"ball": {"type": "sphere", "bsdf": {"type": "no-such-material"}}}, "no-such-material"),
         ({"ball": {"type": "sphere", "bsdf": None}}, "'bsdf'"),
         ({"m": {"type": "mesh", "vertices": np.zeros((3, 3))}}, "'m'", "faces"),
         ({"ball": {"type": "sphere", "bsdf": {"type": "difuse"}}}, "'ball.bsdf'", "'diffuse'"),
-    ),
-    *each(
-        SceneError,
-        lambda part: load_scene({"type": "scene", "ball": part}).hash,
-        (object(), "object"),
-    ),
-    *each(SceneError, render, ({"scene": LOOP}, "itself")),
-]
+    ],
+    (SceneError, lambda part: load_scene({"type": "scene", "ball": part}).hash): [
+        (object(), "object")
+    ],
+    (SceneError, render): [({"scene": LOOP}, "itself")],
+}
 
 # --- statistics ---------------------------------------------------------------------------------
 
@@ -502,28 +440,22 @@ def summary(*batches: Any, **options: Any) -> Summary:
     return found
 
 
-STATISTICS = [
-    *each(
-        InputError,
-        partial(chd.gaussianity, [1.0, 2.0]),
+STATISTICS: Table = {
+    (InputError, partial(chd.gaussianity, [1.0, 2.0])): [
         ({"transform": "cube"}, "transform", "log, linear, sqrt", "'cube'"),
         ({"test": "shapiro"}, "test", "'shapiro'"),
         ({"test": ("dagostino", "dagostino")}, "several different"),
         ({"transform": ()}, "several different"),
         ({"alpha": 5}, "alpha", "got 5"),
-    ),
-    *each(InputError, gaussianity_of_means, (np.ones(16), "spp")),
-    *each(
-        InputError,
-        MEANS,
+    ],
+    (InputError, gaussianity_of_means): [(np.ones(16), "spp")],
+    (InputError, MEANS): [
         ({"n_means": 4}, "n_means", "at least 8", "got 4"),
         ({"n_means": 8, "test": "dagostino"}, "n_means", "at least 20", "got 8"),
         ({"test": "shapiro"}, "test", "anderson-darling, shapiro-wilk", "'shapiro'"),
         ({"alpha": 0}, "alpha", "got 0"),
-    ),
-    *each(
-        InputError,
-        partial(chd.contrast, TIMED),
+    ],
+    (InputError, partial(chd.contrast, TIMED)): [
         (np.ones((6, 6, 3, 48)), "4 x 4", "6 x 6"),
         (np.ones((4, 4, 1, 48)), "channels"),
         ({"b": TIMED, "alpha": 1.5}, "alpha", "1.5"),
@@ -531,28 +463,22 @@ STATISTICS = [
         ({"b": TIMED, "seconds": 0.01}, "seconds"),
         ({"b": TIMED, "seconds": -1}, "seconds", "above 0"),
         ({"b": np.ones((4, 4, 3, 48)), "seconds": 1}, "B"),
-    ),
-    *each(
-        InputError,
-        Reference,
+    ],
+    (InputError, Reference): [
         (np.ones((4, 4)), "(y, x, channel)", "(4, 4)"),
         ((np.ones((4, 4, 3)), np.ones((4, 4, 1))), "shape", "(4, 4, 1)"),
         ({"mean": np.ones((4, 4, 3)), "spp": 0}, "spp", "got 0"),
         ({"mean": np.ones((4, 4, 3)), "precision": 1.0}, "precision", "1"),
-    ),
-    *each(
-        InputError,
-        difference,
+    ],
+    (InputError, difference): [
         ((SAMPLES, SAMPLES[:2, :]), "pixels"),
         ((SAMPLES, np.ones((5, 6, 3, 8))), "one of each"),
         ((np.ones((4, 3, 8)), np.ones((4, 1, 8))), "channels"),
         ({"a": np.ones((3, 8)), "b": np.ones((3, 5)), "paired": True}, "8 and 5"),
         ({"a": np.ones((3, 8)), "b": np.ones((3, 8)), "replicates": 0}, "replicates", "got 0"),
         ({"a": np.ones((3, 8)), "b": np.ones((3, 8)), "replicates": 9.5}, "replicates", "9.5"),
-    ),
-    *each(
-        InputError,
-        partial(chd.fit.goodness, np.ones(100)),
+    ],
+    (InputError, partial(chd.fit.goodness, np.ones(100))): [
         ("normal", "normal"),
         ({"family": "gamma", "tests": ("lilliefors",)}, "'lilliefors'"),
         ({"family": "gamma", "tests": "chi-square"}, "chi-square"),
@@ -560,38 +486,30 @@ STATISTICS = [
         ({"family": "gamma", "resamples": 9.5}, "resamples", "9.5"),
         ({"family": "gamma", "seed": -1}, "seed", "got -1"),
         ({"family": "gamma", "alpha": 2}, "alpha", "2"),
-    ),
-    *each(
-        InputError,
-        partial(chd.fit.mixture, UP),
+    ],
+    (InputError, partial(chd.fit.mixture, UP)): [
         ({"family": "weibull"}, "lognormal, gamma", "'weibull'"),
         ({"effort": "much"}, "effort", "'much'"),
         (0, "k", "1 to 8", "0"),
         (9, "k", "1 to 8", "9"),
         (2.5, "k", "1 to 8", "2.5"),
         ({"max_k": 0}, "max_k", "0"),
-    ),
-    *each(InputError, partial(chd.fit.fit, UP), ("cauchy", "gamma, lognormal", "'cauchy'")),
-    *each(InputError, partial(chd.fit.gamma, [1.0, 2.0]), ({"null": [True] * 3}, "broadcastable")),
-    *each(InputError, partial(chd.fit.gamma, chd.histogram(UP)), ({"null": [False]}, "null")),
-    *each(
-        InputError,
-        partial(chd.fit.select, [1.0, 2.0]),
+    ],
+    (InputError, partial(chd.fit.fit, UP)): [("cauchy", "gamma, lognormal", "'cauchy'")],
+    (InputError, partial(chd.fit.gamma, [1.0, 2.0])): [({"null": [True] * 3}, "broadcastable")],
+    (InputError, partial(chd.fit.gamma, chd.histogram(UP))): [({"null": [False]}, "null")],
+    (InputError, partial(chd.fit.select, [1.0, 2.0])): [
         ({"criterion": "r2"}, "criterion", "'r2'"),
         ({"families": "gamma"}, "families"),
-    ),
-    *each(InputError, partial(chd.fit.select, chd.histogram(UP)), ({"held_out": True}, "samples")),
-    *each(
-        InputError,
-        partial(chd.fit.tail_index, np.ones(300)),
+    ],
+    (InputError, partial(chd.fit.select, chd.histogram(UP))): [({"held_out": True}, "samples")],
+    (InputError, partial(chd.fit.tail_index, np.ones(300))): [
         ({"share": 1.5}, "share", "1.5"),
         ({"share": "all"}, "share", "'all'"),
         ({"tested": -1}, "tested", "-1"),
         ({"level": 1.0}, "level", "1"),
-    ),
-    *each(
-        InputError,
-        partial(chd.histogram, [[1.0, 2.0], [3.0, 4.0]]),
+    ],
+    (InputError, partial(chd.histogram, [[1.0, 2.0], [3.0, 4.0]])): [
         ({"scale": "sqrt"}, "scale", "'sqrt'"),
         ({"bins": 0}, "bins", "0"),
         ({"support": (2, 1)}, "low < high"),
@@ -600,54 +518,49 @@ STATISTICS = [
         ({"support": ([1, 2, 3], 4)}, "batch shape"),
         ({"null": np.array([True, False])}, "exactly 0"),
         ({"bad": np.array([True, False, False])}, "bad"),
-    ),
-    *each(InputError, partial(chd.histogram, SAMPLES), ({"null": np.zeros(8, bool)}, "null")),
-    *each(InputError, Histogram.of_dataset, (LINEAR, "log_counts")),
-    *each(InputError, chd.fit.gamma, (chd.histogram([1.0, 2.0], scale="linear"), "linear")),
-    *each(InputError, stream, (([1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]]), "batch shape")),
-    *each(
-        InputError, lambda made: made().read(), (StreamingHistogram, "update"), (Summary, "update")
-    ),
-    *each(
-        InputError,
-        summary,
+    ],
+    (InputError, partial(chd.histogram, SAMPLES)): [({"null": np.zeros(8, bool)}, "null")],
+    (InputError, Histogram.of_dataset): [(LINEAR, "log_counts")],
+    (InputError, chd.fit.gamma): [(chd.histogram([1.0, 2.0], scale="linear"), "linear")],
+    (InputError, stream): [(([1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]]), "batch shape")],
+    (InputError, lambda made: made().read()): [
+        (StreamingHistogram, "update"),
+        (Summary, "update"),
+    ],
+    (InputError, summary): [
         ({"batch_size": 0}, "batch_size", "0"),
         ({"max_batches": 7}, "max_batches", "7"),
         ([1.0, 2.0], "channel"),
         ((np.ones((3, 4)), np.ones((1, 4))), "shape"),
-    ),
-    *each(InputError, partial(chd.summarize, SAMPLES), ({"max_batches": 1}, "max_batches", "1")),
-    *each(
-        InputError,
-        partial(chd.atlas, SAMPLES),
+    ],
+    (InputError, partial(chd.summarize, SAMPLES)): [({"max_batches": 1}, "max_batches", "1")],
+    (InputError, partial(chd.atlas, SAMPLES)): [
         ({"clusters": 0}, "clusters", "got 0"),
         ({"max_clusters": 0}, "max_clusters", "got 0"),
         ({"min_share": 1.0}, "min_share", "1.0"),
-    ),
-    *each(InputError, partial(chd.atlas, FOUR), ({"clusters": 5}, "5 clusters", "got 4")),
-    *each(InputError, chd.atlas, (({},), "dict"), (LINEAR, "log_counts"), (TWO_CHANNELS, "1 or 3")),
-    *each(
-        InputError,
-        Thresholds,
+    ],
+    (InputError, partial(chd.atlas, FOUR)): [({"clusters": 5}, "5 clusters", "got 4")],
+    (InputError, chd.atlas): [
+        (({},), "dict"),
+        (LINEAR, "log_counts"),
+        (TWO_CHANNELS, "1 or 3"),
+    ],
+    (InputError, Thresholds): [
         ({"alpha": 2}, "alpha", "2"),
         ({"misfit": -1}, "misfit", "-1"),
-    ),
-    *each(
-        InputError,
-        chd.classify,
+    ],
+    (InputError, chd.classify): [
         (np.ones(30), "channel, sample"),
         (np.ones((2, 30)), "1 or 3 channels", "2"),
-    ),
-    *each(InputError, agreement, (np.zeros(4, int), "shape")),
-    *each(InputError, attribute, (np.ones((2, 2, 3, 8)), "--by-depth")),
-    *each(InputError, SAMPLES.regions, (({},), "at least one region")),
-    *each(
-        InputError,
-        partial(render, scene="bathroom"),
+    ],
+    (InputError, agreement): [(np.zeros(4, int), "shape")],
+    (InputError, attribute): [(np.ones((2, 2, 3, 8)), "--by-depth")],
+    (InputError, SAMPLES.regions): [(({},), "at least one region")],
+    (InputError, partial(render, scene="bathroom")): [
         ({"by_light": ["lamp"]}, "'lamp'", "sky, sun"),
         ({"by_light": ["s*", "sun"]}, "several groups"),
-    ),
-]
+    ],
+}
 
 # --- estimators and comparisons -----------------------------------------------------------------
 
@@ -664,10 +577,8 @@ def saved(about: Any) -> Any:
     return load_model(write_model(Path("model"), {"a": np.zeros(3)}, about) or "model")
 
 
-ESTIMATORS = [
-    *each(
-        InputError,
-        partial(chd.compare, PLAIN),
+ESTIMATORS: Table = {
+    (InputError, partial(chd.compare, PLAIN)): [
         (["mean", "mean"], "different names"),
         ([], "different names"),
         (["men"], "'men'"),
@@ -685,10 +596,8 @@ ESTIMATORS = [
         ({"estimators": ["mean"], "labels": np.zeros((12, 10))}, "integers"),
         ({"estimators": ["mean"], "labels": np.full((12, 10), 99)}, "[99]"),
         ({"estimators": ["mean"], "labels": LINEAR}, "'label'"),
-    ),
-    *each(
-        InputError,
-        partial(error_curve, PLAIN),
+    ],
+    (InputError, partial(error_curve, PLAIN)): [
         ("mean", "names", "'mean'"),
         ({"estimators": [np.mean], "sizes": [8]}, "names"),
         ({"estimators": ["mean"], "sizes": []}, "different numbers"),
@@ -700,10 +609,8 @@ ESTIMATORS = [
         ({"estimators": ["mean"], "max_batches": 0}, "max_batches", "0"),
         ({"estimators": ["median_of_means"], "sizes": [4, 8]}, "at least 11", "(4, 8)"),
         ({"estimators": ["elek2019"], "sizes": [4]}, "exactly 32", "n=4"),
-    ),
-    *each(
-        InputError,
-        benched,
+    ],
+    (InputError, benched): [
         ({"estimators": ["elek2019"], "spp": [32]}, "reference"),
         ({"estimators": ["nonsense"]}, "'nonsense'"),
         ({"baseline": "median"}, "baseline", "mean"),
@@ -712,91 +619,67 @@ ESTIMATORS = [
         ({"spp": [140]}, "too few"),
         ({"scenes": []}, "none"),
         ({"references": {"a": TRUTH["a"][:4]}}, "(4, 10, 3)"),
-    ),
-    *each(
-        InputError,
-        chd.estimate,
-        *((np.ones(shape), "1 or 3", "4") for shape in ((8, 8, 3, 3), (8, 8, 2, 16))),
-    ),
-    *each(
-        InputError, lambda shape: CombinationStream(shape).estimate(), (((4, 4, 3),), "at least 4")
-    ),
-    *each(InputError, chd.estimators.zirr2018_pixel, (np.ones((2, 8)), "1 or 3", "2")),
-    *each(InputError, chd.estimators.lookup, ("men", "'men'", "mean")),
-    *each(
-        InputError,
-        partial(chd.estimators.train_model, PLAIN),
+    ],
+    (InputError, chd.estimate): [
+        *((np.ones(shape), "1 or 3", "4") for shape in ((8, 8, 3, 3), (8, 8, 2, 16)))
+    ],
+    (InputError, lambda shape: CombinationStream(shape).estimate()): [(((4, 4, 3),), "at least 4")],
+    (InputError, chd.estimators.zirr2018_pixel): [(np.ones((2, 8)), "1 or 3", "2")],
+    (InputError, chd.estimators.lookup): [("men", "'men'", "mean")],
+    (InputError, partial(chd.estimators.train_model, PLAIN)): [
         ("mean", "mean", "elek2019"),
         ("nobody", "'nobody'"),
         *(({"spp": spp}, "1 to 160", str(spp)) for spp in (0, 161, -1)),
-    ),
-    *each(
-        InputError,
-        MLP.preset("elek2019").train,
+    ],
+    (InputError, MLP.preset("elek2019").train): [
         (PLAIN.isel(sample=slice(63)), "64", "63"),
         (chd.Samples.from_array(np.ones((1, 1, 3, 64))), "at least 2 batches"),
         ({"samples": PLAIN, "iterations": 0}, "iterations", "0"),
         ({"samples": PLAIN, "pixels": [[0.5, 0]]}, "integer"),
         ({"samples": PLAIN, "pixels": [[0, 24]]}, "10 x 12"),
         ({"samples": PLAIN, "pixels": [0, 1]}, "integer"),
-    ),
-    *each(InputError, MLP.preset("elek2019").predict, (np.ones(32), "train")),
-    *each(InputError, MLP.preset, ("elek", "elek2019", "'elek'")),
-    *each(
-        StoreError,
-        saved,
+    ],
+    (InputError, MLP.preset("elek2019").predict): [(np.ones(32), "train")],
+    (InputError, MLP.preset): [("elek", "elek2019", "'elek'")],
+    (StoreError, saved): [
         ({"about": {"kind": "other"}}, "'other'", "'mlp'"),
         ({"about": []}, "None", "'mlp'"),
         ({"about": {"kind": ["mlp"]}}, "['mlp']", "'mlp'"),
-    ),
-    *each(
-        InputError,
-        partial(write_estimates, "out.exr", PLAIN),
+    ],
+    (InputError, partial(write_estimates, "out.exr", PLAIN)): [
         ({"level": 1.0}, "level", "1"),
         ({"spp": 161}, "spp", "1 to 160", "161"),
         ({"spp": 2}, "at least 4"),
         ({"seconds": 1}, "rendering"),
-    ),
-    *each(
-        InputError,
-        partial(write_estimates, samples=PLAIN),
+    ],
+    (InputError, partial(write_estimates, samples=PLAIN)): [
         ("out.jpg", ".exr, .npy, .pfm, .png"),
         ("nowhere/out.exr", "nowhere"),
         ("folder", ".exr"),
-    ),
-    *each(
-        StoreError, partial(write_estimates, "out.exr", PLAIN), ("nowhere.safetensors", "nowhere")
-    ),
-]
+    ],
+    (StoreError, partial(write_estimates, "out.exr", PLAIN)): [("nowhere.safetensors", "nowhere")],
+}
 
 # --- figures and reports ------------------------------------------------------------------------
 
-REPORTS = [
-    *each(
-        InputError,
-        partial(chd.report, SAMPLES),
+REPORTS: Table = {
+    (InputError, partial(chd.report, SAMPLES)): [
         ("out.html", ".pdf"),
         ({"path": "out.pdf", "contents": "long"}, "short, full, claims", "'long'"),
         ("nowhere/out.pdf", "nowhere"),
-    ),
-    *each(
-        InputError,
-        partial(chd.study, folder=None),
+    ],
+    (InputError, partial(chd.study, folder=None)): [
         ([], "at least one scene"),
         (["cornell-box", "cornell-box"], "'cornell-box'"),
         ({"scenes": "cornell-box", "estimators": ["elek2020"]}, "'elek2020'"),
         ({"scenes": "cornell-box", "sampler": "sobol"}, "sampler", "'sobol'"),
         ({"scenes": PLAIN, "sampler": "multijitter", "estimators": ["mean"]}, "sampler"),
-    ),
-    *each(
-        SceneError, partial(chd.study, folder=None), ("cornel-box", "did you mean 'cornell-box'")
-    ),
-    *each(
-        StoreError,
-        partial(chd.study, "cornell-box", size=(4, 4), spp=64),
-        ({"folder": "x.txt"}, "x.txt"),
-    ),
-]
+    ],
+    (SceneError, partial(chd.study, folder=None)): [("cornel-box", "did you mean 'cornell-box'")],
+    (StoreError, partial(chd.study, "cornell-box", size=(4, 4), spp=64)): [
+        ({"folder": "x.txt"}, "x.txt")
+    ],
+}
 
 
 # --- the sentences ------------------------------------------------------------------------------
@@ -817,21 +700,24 @@ STATES = re.compile(
 
 
 @pytest.mark.parametrize(
-    ("error", "call", "named"),
+    ("error", "call", "given", "named"),
     [
-        pytest.param(*row, id=f"{table} {number}: {', '.join(row[2])[:40]}")
-        for table, rows in TABLES.items()
-        for number, row in enumerate(rows)
+        pytest.param(error, call, given, named, id=f"{table}: {', '.join(named)[:40]}")
+        for table, refused in TABLES.items()
+        for (error, call), rows in refused.items()
+        for given, *named in rows
     ],
 )
-def test_a_refusal_names_what_was_given(tmp_path, monkeypatch, error, call, named):
+def test_a_refusal_names_what_was_given(tmp_path, monkeypatch, error, call, given, named):
     """What was asked for and what was expected, in one sentence; and nothing is left behind."""
+    options = given if isinstance(given, dict) else {}
+    given = () if isinstance(given, dict) else given if isinstance(given, tuple) else (given,)
     (tmp_path / "x.txt").touch()
     (tmp_path / "folder").mkdir()
     (tmp_path / "maps.zarr").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error) as refused:
-        call()
+        call(*given, **options)
     said = str(refused.value)
     assert [word for word in named if word not in said] == [], said
     assert 12 < len(said) < 700
