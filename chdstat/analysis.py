@@ -214,7 +214,7 @@ def patterns_of(
 
 def _of_averages(samples: Samples) -> dict[str, Statistic[Any]]:
     """Return the stage of averages, if there are enough samples."""
-    averages = NormalityOfMeans.of(samples.spp)
+    averages = NormalityOfMeans.of_pixel(samples.spp)
     return {} if averages is None else {"averages": averages}
 
 

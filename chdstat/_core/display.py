@@ -189,6 +189,23 @@ def with_error(value: float, error: float) -> str:
     return f"{number(value)} ± {number(error)}" if math.isfinite(error) else number(value)
 
 
+def as_p(value: float) -> str:
+    """Return a p-value; below 0.001 as a power of ten.
+
+    Examples
+    --------
+    >>> as_p(0.25), as_p(0.0123), as_p(2e-5), as_p(float("nan"))
+    ('0.25', '0.012', '2e−5', '—')
+    """
+    if not math.isfinite(value):
+        return "—"
+    if value == 0:  # too small for a float
+        return "≈\N{NO-BREAK SPACE}0"
+    if value < 1e-3:
+        return f"{value:.0e}".replace("-", "−").replace("e−0", "e−")
+    return f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
+
+
 def in_unit(text: str, unit: str) -> str:
     """Return a number with its unit; alone if it has no unit, or is missing.
 

@@ -5,15 +5,25 @@ A statistic is declared once, in one file, as two frozen dataclasses. Its result
 dataset of an image, and says which p-values are corrected for the number of pixels. The statistic
 itself, a `Statistic`, has its options as fields, and computes a result in `Statistic.measure`.
 `chdstat.summary.runner.run` applies it to an array, a pixel, a histogram, or an image, tile by
-tile.
+tile. Where it declares a `Quantity`, tables of a pixel show it; where it declares a `MapKind`, maps
+do.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, dataclass_transform
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    Literal,
+    Self,
+    TypeVar,
+    dataclass_transform,
+)
 
 import numpy as np
 import numpy.typing as npt
@@ -88,6 +98,75 @@ class Result(Shown):
         return {about.name or f"{prefix}{name}": (name, about) for name, about in known.items()}
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """What tables of a pixel say of a result.
+
+    Attributes
+    ----------
+    title
+        What it is called there.
+    text
+        Returns the text, of a result and the number of a row of samples.
+    of_constant
+        Whether it means something for samples that are nearly equal.
+    brief
+        What it is called in the few lines in which a pixel shows itself; "" to leave it out there.
+    """
+
+    title: str
+    text: Callable[[Any, int], str]
+    of_constant: bool = False
+    brief: str = ""
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """What a map over the image shows of a result, for the luminance of each pixel.
+
+    Attributes
+    ----------
+    name, title
+        In an address, and for readers.
+    unit
+        Of the colour bar.
+    of
+        Returns the numbers, of a result; None where they need no computing.
+    names
+        Of codes, for a map of labels; empty for a map of numbers.
+    ordered
+        Whether codes have an order, which their colours then show.
+    log
+        Whether the numbers are shown as their log10.
+    ends
+        Ends of the colour bar; None for percentiles of what there is.
+    diverging
+        Whether 0 stands in the middle, between two colours.
+    decided
+        Name of the variable that `Statistic.finish` decides over the whole image, and that the map
+        shows in the end; "" if each pixel tells alone.
+    """
+
+    name: str
+    title: str
+    unit: str = ""
+    of: Callable[..., npt.ArrayLike] | None = None
+    names: Mapping[int, str] = field(default_factory=dict)
+    ordered: bool = False
+    log: bool = False
+    ends: tuple[float, float] | None = None
+    diverging: bool = False
+    decided: str = ""
+
+
+_SHOWN: list[type[Statistic[Any]]] = []
+
+
+def shown_statistics() -> list[type[Statistic[Any]]]:
+    """Return all statistics that tables or maps show, in the order of their modules."""
+    return sorted(_SHOWN, key=lambda kind: kind.__module__)
+
+
 class Statistic(Generic[Found]):
     """A statistic of rows of samples: a frozen dataclass of its options.
 
@@ -109,6 +188,8 @@ class Statistic(Generic[Found]):
     around
         Names of variables that `finish` decides by the pixels around, or takes away. All others are
         what the pixel has alone.
+    quantities
+        What tables of a pixel show of its results.
     """
 
     result: ClassVar[type[Result]]
@@ -118,6 +199,21 @@ class Statistic(Generic[Found]):
     logarithms: ClassVar[bool] = True
     prefix: ClassVar[str] = ""
     around: ClassVar[frozenset[str]] = frozenset()
+    quantities: ClassVar[tuple[Quantity, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if {"quantities", "maps"} & vars(cls).keys():
+            _SHOWN.append(cls)
+
+    @classmethod
+    def of_pixel(cls, spp: int) -> Self | None:  # noqa: ARG003 - some need enough samples
+        """Return the statistic as tables and maps show it; None with too few samples for it."""
+        return cls()
+
+    def maps(self) -> tuple[MapKind, ...]:
+        """Return what maps show of its results."""
+        return ()
 
     @property
     def subject(self) -> str:

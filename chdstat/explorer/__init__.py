@@ -2,15 +2,16 @@
 
 `explore` serves it. The modules, upstream first:
 
-- `view`: what a page shows, as a value that fits into an address;
-- `render_process`, `sources`: samples of a store or of a scene, and their image;
-- `estimators`, `place`, `tables`: what is computed of a pixel or a region, and its tables;
-- `maps`: the table of maps, one number or label per pixel over the image;
+- `address`: what a page shows, as a value that fits into an address;
+- `render_process`, `image_sources`: samples of a store or of a scene, and their image;
+- `batch_estimates`, `suggestions`: what estimators give of a pixel or a region, and pixels that are
+  worth a look;
+- `tables`: the numbers of pixels and regions as text;
+- `overlays`: the table of maps, one number or label per pixel over the image;
 - `panels`: the table of plots, what they draw of a selection, and their Bokeh figures;
-- `passes`: long work over the image, the latest request first;
-- `shared`: state that all pages have in common, with the threads;
+- `workspace`: what all pages have in common, with the threads, and the passes over the image;
 - `selection`, `export`: all that is shown of a selection, and its files;
-- `page`: the Bokeh document of a page;
+- `bokeh_document`: the Bokeh document of a page;
 - `session`: one page and its commands;
 - `server`: the server of all pages, and the notice until there is a page.
 """

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from chdstat import viz
 from chdstat._core.arrays import Image
-from chdstat._core.display import percent
 from chdstat._core.files import scratch
+from chdstat.explorer.address import Box, PixelIndex
 from chdstat.explorer.selection import SelectionPlots
 from chdstat.explorer.tables import columns_of, patterns_table, statistics_table
-from chdstat.explorer.view import Box, PixelIndex
 from chdstat.reporting.documents import Document, typeset
-from chdstat.viz.styling import called
+from chdstat.viz.results import panel_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +73,7 @@ def exported(
 def _compared(plots: SelectionPlots, images: Mapping[str, Image], exposure: float) -> Figure:
     names = list(images)
     shown, reference = plots.view.of_images(len(names))
-    samples = {names[i]: [p.samples for p in those] for i, those in plots.found.items()}
+    samples = {names[i]: [p.radiance for p in those] for i, those in plots.found.items()}
     return viz.renders_compared(
         images, samples, [_mark(key) for key in plots.keys], exposure=exposure,
         difference=(names[shown], names[reference]) if shown != reference else None,
@@ -88,7 +87,7 @@ def _csv(plots: SelectionPlots) -> str:
     for key, place in zip(plots.keys, plots.places, strict=True):
         y, x = key if len(key) == 2 else ("", "")
         part = {"y": y, "x": x, "sample": np.arange(min(most, place.spp))}
-        part |= dict(zip(place.channels, place.samples[:, :most], strict=True))
+        part |= dict(zip(place.channels, place.radiance[:, :most], strict=True))
         flags = {"null": place.null[:most], "bad": place.bad[:most]}
         parts.append(pd.DataFrame(part | {n: flag.astype(int) for n, flag in flags.items()}))
     return str(pd.concat(parts).to_csv(index=False, lineterminator="\n", na_rep="nan"))
@@ -96,15 +95,10 @@ def _csv(plots: SelectionPlots) -> str:
 
 def _figure(plots: SelectionPlots) -> Figure:
     family = plots.view.families[0] if plots.view.families else ""
-    drawn = []
-    for key, place in zip(plots.keys, plots.places, strict=True):
-        rows = range(len(place.channels))
-        fits = [place.positive(family, row) if family else None for row in rows]
-        named = dict.fromkeys(called(fit[0]) for fit in fits if fit is not None)
-        note = f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}"
-        densities = [None if fit is None else fit[1] for fit in fits]
-        about: Any = {"channels": place.channels, "fits": densities, "note": note}
-        drawn.append(viz.Panel.of(_mark(key).name, place.samples, **about))
+    drawn = [
+        panel_of(place, _mark(key).name, family=family)
+        for key, place in zip(plots.keys, plots.places, strict=True)
+    ]
     return viz.chd_grid(drawn, columns=1 if len(drawn) == 1 else 2)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import cycle
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,12 +24,14 @@ from bokeh import models
 from bokeh.plotting import figure
 
 from chdstat._core.arrays import Array
-from chdstat._core.display import number, percent
+from chdstat._core.display import as_p, number, percent
 from chdstat._core.resampling import Z_95
-from chdstat.explorer.place import PlaceStatistics
-from chdstat.explorer.tables import as_p
-from chdstat.explorer.view import View
+from chdstat.explorer.address import View, row_of
+from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES
+from chdstat.fit.tail import TailIndex
+from chdstat.inference.averages import NormalityOfMeans
+from chdstat.patterns import Pixel
 from chdstat.summary.histograms import Scale
 from chdstat.viz.styling import called
 
@@ -142,7 +144,7 @@ class _Series:
         Of its lines, but for those of fits.
     """
 
-    place: PlaceStatistics
+    place: Pixel
     row: int
     color: str
     name: str
@@ -157,16 +159,16 @@ class _Series:
         return float(self.place.moments.maximum[self.row])
 
 
-def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> list[_Series]:
+def series_of(view: View, places: Mapping[str, Sequence[Pixel]]) -> list[_Series]:
     """Return what the panels show of the selected places, by the name of the store or scene.
 
     One place of one store shows its channels; else each has one row: luminance or the channel of
     the view, in the colour of the pixel, or of the store where there are several.
     """
-    row = "luminance" if view.channel == "all" else view.channel
     (place, *others), several = next(iter(places.values())), len(places) > 1
     if not others and not several:
-        rows = range(len(place.channels)) if view.channel == "all" else [place.row(row)]
+        one = [row_of(view.channel, place.names)]
+        rows = [*range(len(place.channels))] if view.channel == "all" else one
         named = [(i, place.names[i]) for i in rows]
         return [_Series(place, i, CHANNEL_COLORS.get(name, BLENDED), name) for i, name in named]
     found = []
@@ -175,7 +177,7 @@ def series_of(view: View, places: Mapping[str, Sequence[PlaceStatistics]]) -> li
         for i, place in enumerate(those):
             pixel = i + 1 if len(those) > 1 else 0
             own = (color, name) if several else (PIXEL_COLORS[i], f"pixel {pixel}")
-            found.append(_Series(place, place.row(row), *own, pixel, dash))
+            found.append(_Series(place, row_of(view.channel, place.names), *own, pixel, dash))
     return found
 
 
@@ -211,7 +213,9 @@ class _SeriesCurve:
 
 
 def _densities(
-    series: Sequence[_Series], density: Callable[[_Series], _SeriesCurve], name: str
+    series: Sequence[_Series],
+    density: Callable[[_Series], _SeriesCurve],
+    name: Scale | Literal["averages"],
 ) -> PanelData:
     """Draw densities upon each other, or each pixel in a row of its own."""
     found = [(s, density(s)) for s in series]
@@ -281,11 +285,11 @@ def _in_row(lines: Sequence[Trace], base: int, ends: _Extent | None) -> list[Tra
     return found
 
 
-def _histograms(scale: str, view: View, series: Sequence[_Series]) -> PanelData:
+def _histograms(scale: Scale, view: View, series: Sequence[_Series]) -> PanelData:
     return _densities(series, partial(_histogram, view, scale), scale)
 
 
-def _histogram(view: View, scale: str, s: _Series) -> _SeriesCurve:
+def _histogram(view: View, scale: Scale, s: _Series) -> _SeriesCurve:
     if s.constant is not None:
         return _SeriesCurve(value=s.constant)
     counted = s.place.histograms[scale]
@@ -315,20 +319,23 @@ def _fits(view: View, s: _Series, scale: str, low: float, high: float, top: floa
     x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
     lines = []
     for family in view.families:
-        found = s.place.positive(family, s.row)
-        if found is None:
+        fit = s.place.fit(family, s.row)
+        if fit is None:
             continue
-        name, pdf, _ = found
         with np.errstate(all="ignore"):
-            y = pdf(x) * (x * np.log(10) if scale == "log" else 1)
+            y = fit.pdf(x) * (x * np.log(10) if scale == "log" else 1)
         # A density may be infinite at 0: the histogram sets the height.
         y = np.where(np.isfinite(y), np.minimum(y, top), np.nan)
         if np.isfinite(y).any():
-            lines.append(Trace(x, y, s.color, DASHES[name], 2.0))
+            lines.append(Trace(x, y, s.color, DASHES[_family(fit)], 2.0))
     return lines
 
 
-def _uncounted(series: Sequence[_Series], scale: str) -> list[str]:
+def _family(fit: Fit) -> str:
+    return "mixture" if isinstance(fit, Mixture) else fit.family
+
+
+def _uncounted(series: Sequence[_Series], scale: Scale) -> list[str]:
     """Return what is not in the bins: nulls, bad samples, those beyond the support."""
     if not series:
         return []
@@ -340,7 +347,7 @@ def _uncounted(series: Sequence[_Series], scale: str) -> list[str]:
     return [f"{_counts(place)} · {percent(outside)} outside the bins"]
 
 
-def _counts(place: PlaceStatistics) -> str:
+def _counts(place: Pixel) -> str:
     return f"{percent(place.null_share)} null · {int(place.bad.sum())} bad"
 
 
@@ -355,20 +362,20 @@ def _qq(view: View, series: Sequence[_Series]) -> PanelData:
     lines, ends = [], []
     families: dict[str, None] = {}
     for s in series:
-        found = s.place.positive(view.families[0] if view.families else "best", s.row)
+        fit = s.place.fit(view.families[0] if view.families else "best", s.row)
         part = s.place.part
         n = int(part.n[s.row])
-        if found is None or n < 2:
+        if fit is None or n < 2:
             continue
-        name, _, ppf = found
         levels = _QUANTILES if n >= 100 else (np.arange(n) + 0.5) / n
         with np.errstate(all="ignore"):
-            expected = np.asarray(ppf(levels), np.float64)
+            zero = np.float64(fit.zero_share)
+            expected = fit.ppf(zero + (1 - zero) * levels)
         ordered = part.sorted[s.row, :n].astype(np.float64)
         seen = ordered[np.minimum((levels * n).astype(int), n - 1)]
         keep = np.isfinite(expected) & (expected > 0) & (seen > 0)
         if keep.any():
-            families[name] = None
+            families[_family(fit)] = None
             lines.append(Trace(expected[keep], seen[keep], s.color, s.dash, 2.2))
             ends += [seen[keep].min(), seen[keep].max()]
     if not lines:
@@ -393,7 +400,7 @@ def _running(_: View, series: Sequence[_Series]) -> PanelData:
         around = np.concatenate([at, at[::-1]])
         lines.append(Trace(around, band, s.color, width=0.0, fill=True))
         lines.append(Trace(at, mean, s.color, s.dash, 1.6))
-        tails += [(s.name, s.place.tail, s.row)] if s.constant is None else []
+        tails += [(s.name, s.place.measured(TailIndex()), s.row)] if s.constant is None else []
     caution = ""
     heavy = [name for name, tail, row in tails if tail.variance_suspect[row]]
     if heavy:
@@ -424,8 +431,9 @@ def _averaged(n: int, s: _Series) -> _SeriesCurve:
     edges = np.linspace(low, end, bins + 1)
     heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
     outline = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
-    means, note = s.place.means, ""
-    if means is not None and n in means.sizes:
+    tests, note = NormalityOfMeans.of_pixel(s.place.fitted_spp), ""
+    if tests is not None and n in tests.sizes:
+        means = s.place.measured(tests)
         p = float(means.p_value[s.row, list(means.sizes).index(n)])
         note = f"{s.name} p = {as_p(p)}" if np.isfinite(p) else ""
     beyond = float((averages > end).mean())

@@ -9,21 +9,29 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from chdstat.comparison.entries import notes
-from chdstat.explorer import estimators, tables
-from chdstat.explorer.panels import PanelData, panels, series_of
-from chdstat.explorer.place import PlaceStatistics, goodness
-from chdstat.explorer.shared import Shared
-from chdstat.explorer.sources import (
+from chdstat.explorer import batch_estimates, tables
+from chdstat.explorer.address import Box, PixelIndex, View
+from chdstat.explorer.batch_estimates import BATCHES_AROUND, PlaceEstimates
+from chdstat.explorer.image_sources import (
+    MOST_POOLED,
     ImageSource,
     Sampled,
     SceneSource,
     StoreSource,
     drop_oldest,
 )
-from chdstat.explorer.tables import Table
-from chdstat.explorer.view import Box, PixelIndex, View
+from chdstat.explorer.panels import PanelData, panels, series_of
+from chdstat.explorer.tables import MOST_TESTED, RESAMPLES, Table
+from chdstat.explorer.workspace import Workspace
+from chdstat.fit import Goodness
+from chdstat.fit.families import FAMILIES
 from chdstat.inference.differences import Difference, difference
+from chdstat.patterns import Pixel
+from chdstat.samples.tiles import LightPart
 
 
 @dataclass(frozen=True)
@@ -37,7 +45,7 @@ class SelectionPlots:
     keys
         (y, x) of pixels, or (top, left, bottom, right) of a region; none where nothing is selected.
     found
-        Statistics of each by the index of a source that has samples.
+        What is known of each by the index of a source that has samples.
     index
         Which of these tables describe: the one that is shown, else the first.
     source, name
@@ -50,7 +58,7 @@ class SelectionPlots:
 
     view: View
     keys: Sequence[PixelIndex | Box]
-    found: Mapping[int, Sequence[PlaceStatistics]]
+    found: Mapping[int, Sequence[Pixel]]
     index: int
     source: Sampled
     name: str
@@ -58,8 +66,8 @@ class SelectionPlots:
     legend: Sequence[tuple[str, str]]
 
     @property
-    def places(self) -> Sequence[PlaceStatistics]:
-        """Statistics of the places that tables describe."""
+    def places(self) -> Sequence[Pixel]:
+        """The places that tables describe."""
         return self.found[self.index]
 
     @property
@@ -74,8 +82,8 @@ class SelectionPlots:
         return self.keys[self.view.active]
 
     @property
-    def place(self) -> PlaceStatistics:
-        """Statistics of the place that tables describe."""
+    def place(self) -> Pixel:
+        """The place that tables describe."""
         return self.places[self.view.active]
 
     @property
@@ -96,19 +104,19 @@ class SelectionPlots:
 
 
 class SelectionResults:
-    """Computes results and keeps the statistics of the latest places.
+    """Computes results and keeps the latest places.
 
     `plots` is for one thread at a time; the other methods only read what it returned.
 
     Parameters
     ----------
-    shared
+    workspace
         Has the sources, the first of which may grow.
     """
 
-    def __init__(self, shared: Shared) -> None:
-        self._shared = shared
-        self._places: dict[tuple[int, PixelIndex | Box], PlaceStatistics] = {}
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
+        self._places: dict[tuple[int, PixelIndex | Box], Pixel] = {}
 
     def plots(self, view: View) -> SelectionPlots | None:
         """Return what the panels of a view show; None where nothing is selected or has samples.
@@ -120,31 +128,29 @@ class SelectionResults:
         StoreError
             If a store is damaged or gone.
         """
-        shared = self._shared
+        workspace = self._workspace
         keys: list[PixelIndex | Box] = list(view.pixels) if view.region is None else [view.region]
         found = {
             i: [self._statistics(source, i, key) for key in keys]
-            for i, source in enumerate(shared.sources)
+            for i, source in enumerate(workspace.sources)
             if not isinstance(source, ImageSource) and keys
         }
         if not found:
             return None
-        shown, _ = view.of_images(len(shared.sources))
+        shown, _ = view.of_images(len(workspace.sources))
         index = shown if shown in found else next(iter(found))
         view = view.of_samples(min(place.spp for those in found.values() for place in those))
-        series = series_of(view, {shared.names[i]: those for i, those in found.items()})
+        series = series_of(view, {workspace.names[i]: those for i, those in found.items()})
         legend = list(dict.fromkeys((s.name, s.color) for s in series))
-        source: Any = shared.sources[index]
-        name = shared.names[index]
+        source: Any = workspace.sources[index]
+        name = workspace.names[index]
         return SelectionPlots(view, keys, found, index, source, name, panels(view, series), legend)
 
-    def describe(
-        self, plots: SelectionPlots
-    ) -> tuple[dict[str, Table], list[estimators.PlaceEstimates]]:
+    def describe(self, plots: SelectionPlots) -> tuple[dict[str, Table], list[PlaceEstimates]]:
         """Return the tables of the active place by name, and the estimates of quick estimators."""
-        source, shared = plots.source, self._shared
-        batches = estimators.batches_of(plots.place.samples, plots.n)
-        quick = estimators.estimates(batches) if len(batches) else []
+        source, workspace = plots.source, self._workspace
+        batches = batch_estimates.batches_of(plots.place.radiance, plots.n)
+        quick = batch_estimates.estimates(batches) if len(batches) else []
         around = quick and isinstance(source, StoreSource) and len(plots.key) == 2
         more = "estimators that use neighbouring pixels follow" if around else ""
         columns = tables.columns_of(plots.places, plots.view.channel)
@@ -153,15 +159,14 @@ class SelectionResults:
             "patterns": tables.patterns_table(columns),
             "estimates": self._estimates_table(plots, quick, more),
         }
-        if isinstance(source, StoreSource) and source.samples.parts and len(plots.key) == 2:
-            pixel = source.samples.pixel(*plots.key)
-            light = ("paths", "Light by length of path", pixel.light)
-            for name, title, rows in (light, ("lights", "Light by its source", pixel.lights)):
-                if rows:
-                    found[name] = self._of(plots, tables.light_table(title, rows))
-        _, reference = plots.view.of_images(len(shared.sources))
+        light = plots.place.light, plots.place.lights
+        titles = {"paths": "Light by length of path", "lights": "Light by its source"}
+        for (name, title), rows in zip(titles.items(), light, strict=True):
+            if rows:
+                found[name] = self._of(plots, tables.light_table(title, rows))
+        _, reference = plots.view.of_images(len(workspace.sources))
         if reference in plots.found and reference != plots.index:
-            names = shared.names[reference], plots.name
+            names = workspace.names[reference], plots.name
             table = tables.compared_table(
                 self._difference(plots, reference), plots.place.channels, names
             )
@@ -171,7 +176,7 @@ class SelectionResults:
     def slow_estimates(
         self,
         plots: SelectionPlots,
-        quick: Sequence[estimators.PlaceEstimates],
+        quick: Sequence[PlaceEstimates],
         step: Callable[[], None],
     ) -> Table:
         """Return the table of estimates with the slow ones, and those that look around.
@@ -179,18 +184,18 @@ class SelectionResults:
         `step` is called before each of them; whatever it raises ends the computation.
         """
         key, source = plots.key, plots.source
-        batches = estimators.batches_of(plots.place.samples, plots.n)
+        batches = batch_estimates.batches_of(plots.place.radiance, plots.n)
         if not len(batches):
             return self._estimates_table(plots, quick)
         found = [*quick]
-        for name, model in self._shared.models:
+        for name, model in self._workspace.models:
             step()
-            found += estimators.estimates_of_model(name, model, batches)
+            found += batch_estimates.estimates_of_model(name, model, batches)
         if not isinstance(source, StoreSource) or len(key) != 2:
             return self._estimates_table(plots, found)
-        around = estimators.estimates_around(source, key, plots.n, step=step)
+        around = batch_estimates.estimates_around(source, key, plots.n, step=step)
         about = notes([estimate.name for estimate in around])
-        more = f"{len(around)} look at the pixels around, in {estimators.BATCHES_AROUND} batches"
+        more = f"{len(around)} look at the pixels around, in {BATCHES_AROUND} batches"
         more += "".join(
             f". {name.capitalize()}, {text.rstrip('.')}" for name, text in about.items()
         )
@@ -198,23 +203,33 @@ class SelectionResults:
 
     def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> Table:
         """Return the goodness of fit of every family; `step` is called with the share done."""
-        return self._of(plots, tables.goodness_table(plots.place, goodness(plots.place, step)))
+        found: dict[str, Goodness] = {}
+        step(0)
+        for family, test in plots.place.goodness(resamples=RESAMPLES, most=MOST_TESTED):
+            found[family] = test
+            step(len(found) / len(FAMILIES))
+        return self._of(plots, tables.goodness_table(plots.place, found))
 
-    def _statistics(self, source: Sampled, which: int, key: PixelIndex | Box) -> PlaceStatistics:
+    def _statistics(self, source: Sampled, which: int, key: PixelIndex | Box) -> Pixel:
+        earlier = self._places.pop((which, key), None)
         x = source.pixel(*key) if len(key) == 2 else source.region(key)
-        found = self._places.pop((which, key), None)
-        if found is None or found.spp != x.shape[1]:
-            earlier, found = found, PlaceStatistics(x, source.channels)
-            if earlier is not None:
-                found.take_over(earlier)
+        if earlier is not None and earlier.spp == x.shape[1]:
+            found = earlier
+        elif earlier is not None:
+            found = earlier.grown(x)
+        else:
+            parts: dict[LightPart, npt.NDArray[np.float32]] = {}
+            if isinstance(source, StoreSource) and len(key) == 2:
+                parts = {name: part[key] for name, part in source.samples.parts.items()}
+            found = Pixel(*key[:2], x, source.channels, source.name, parts, most_fitted=MOST_POOLED)
         self._places[which, key] = found
         drop_oldest(self._places, lambda place: place.rows.nbytes)
         return found
 
     def _difference(self, plots: SelectionPlots, reference: int) -> Difference:
         """Compare a place with that of the reference, in pairs if these share random numbers."""
-        source, other, key = plots.source, self._shared.sources[reference], plots.key
-        one, two = plots.found[reference][plots.view.active].samples, plots.place.samples
+        source, other, key = plots.source, self._workspace.sources[reference], plots.key
+        one, two = plots.found[reference][plots.view.active].radiance, plots.place.radiance
         if not isinstance(source, StoreSource) or not isinstance(other, StoreSource):
             return difference(one, two)
         paired = source.samples.shares_numbers_with(other.samples)
@@ -227,9 +242,9 @@ class SelectionResults:
         return difference(one, two, paired=paired)
 
     def _estimates_table(
-        self, plots: SelectionPlots, found: Sequence[estimators.PlaceEstimates], more: str = ""
+        self, plots: SelectionPlots, found: Sequence[PlaceEstimates], more: str = ""
     ) -> Table:
-        given = [name for name, _ in self._shared.models]
+        given = [name for name, _ in self._workspace.models]
         table = tables.estimates_table(found, plots.place.channels, plots.n, more, given=given)
         return self._of(plots, table)
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from tornado.httputil import HTTPServerRequest
 
     from chdstat.estimators.training import TrainedModel
-    from chdstat.explorer.shared import Shared
+    from chdstat.explorer.workspace import Workspace
 
 DEFAULT_PORT = 5006
 """Default port of the command line, so that the address stays the same."""
@@ -70,7 +70,8 @@ class Startup:
     text
         What is being done.
     image
-        The finished part of the coarse image, as a PNG file in base64; empty for nothing. shared
+        The finished part of the coarse image, as a PNG file in base64; empty for nothing.
+    workspace
         State that all pages share; None until the source is open.
     done
         Whether pages can be served.
@@ -84,7 +85,7 @@ class Startup:
     def __init__(self, name: str) -> None:
         self.name, self.text, self.image = name, f"loading {name}", ""
         self.done = False
-        self.shared: Shared | None = None
+        self.workspace: Workspace | None = None
 
     def draw(self, render: RenderProcess) -> npt.NDArray[np.float32]:
         """Draw the coarse image of a scene, shape (y, x, channel), and tell how far it is.
@@ -132,10 +133,10 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
         self.port = int(self._server.port)
         self.url = f"http://{_ADDRESS}:{self.port}/"
 
-    def _show(self, shared: Shared) -> None:
+    def _show(self, workspace: Workspace) -> None:
         """Serve pages in the place of the notice."""
-        self._startup.shared = shared
-        shared.start()
+        self._startup.workspace = workspace
+        workspace.start()
         self._startup.done = True
 
     def stop(self) -> None:
@@ -143,8 +144,8 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
         if self._thread.is_alive():
             self._loop.add_callback(self._end)
             self._thread.join(timeout=10)
-        if self._startup.shared is not None:
-            self._startup.shared.stop()
+        if self._startup.workspace is not None:
+            self._startup.workspace.stop()
 
     def wait(self) -> None:
         """Serve until Ctrl-C or SIGTERM; call it in the main thread."""
@@ -265,7 +266,7 @@ def explore(
     if isinstance(source, Sequence) and not isinstance(source, str):
         sources = list(source)
     if len(sources) != 1:  # a scene alone is drawn while all else is imported
-        from chdstat.explorer.view import check_sources
+        from chdstat.explorer.address import check_sources
 
         check_sources(sources)
     render = explorer = coarse = None
@@ -285,8 +286,8 @@ def explore(
         if render is not None:
             coarse = drawing.submit(explorer._startup.draw, render)
         # It takes seconds, in which the scene is loaded and its first image drawn.
-        from chdstat.explorer.shared import opened
-        from chdstat.explorer.sources import SceneSource
+        from chdstat.explorer.image_sources import SceneSource
+        from chdstat.explorer.workspace import opened
 
         if render is not None and coarse is not None:
             sources[0] = SceneSource(render, coarse.result())
@@ -342,7 +343,7 @@ def _pages(startup: Startup) -> Handler:
 
         async def on_session_created(self, session_context: Any) -> None:
             async with self._turn:
-                await asyncio.to_thread(_open, session_context._document, startup.shared)
+                await asyncio.to_thread(_open, session_context._document, startup.workspace)
 
         def modify_document(self, doc: Document) -> None:
             """Do nothing: it is filled by now."""
@@ -407,12 +408,12 @@ def _check_port(port: int) -> None:
             raise InputError(message) from error
 
 
-def _open(document: Document, shared: Shared | None) -> None:
+def _open(document: Document, workspace: Workspace | None) -> None:
     """Fill the document of a new page."""
+    from chdstat.explorer.image_sources import StoreSource
     from chdstat.explorer.session import Session
-    from chdstat.explorer.sources import StoreSource
 
-    assert shared is not None, "no page is opened before there is something to show"
+    assert workspace is not None, "no page is opened before there is something to show"
     # What Bokeh hands out has more than its type says.
     context: Any = document.session_context
     request = context.request if context else None
@@ -421,6 +422,6 @@ def _open(document: Document, shared: Shared | None) -> None:
         for name, values in (request.arguments if request else {}).items()
         if not name.startswith("bokeh")
     }
-    Session(document, shared, arguments)
-    if any(isinstance(one, StoreSource) and not one.complete for one in shared.sources):
-        document.add_periodic_callback(shared.refresh, _EVERY)
+    Session(document, workspace, arguments)
+    if any(isinstance(one, StoreSource) and not one.complete for one in workspace.sources):
+        document.add_periodic_callback(workspace.refresh, _EVERY)

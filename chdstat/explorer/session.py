@@ -23,17 +23,17 @@ import numpy as np
 from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
-from chdstat.explorer.estimators import PlaceEstimates
+from chdstat.explorer.address import BATCHES, View, box_between, check_pixel, parse_view
+from chdstat.explorer.batch_estimates import PlaceEstimates
+from chdstat.explorer.bokeh_document import Page, coarse_png, colorbar, isolated, rgba
 from chdstat.explorer.export import EXPORTS, exported
-from chdstat.explorer.maps import map_kind
-from chdstat.explorer.page import Page, coarse_png, colorbar, isolated, rgba
+from chdstat.explorer.image_sources import MOST_SPP, ImageSource, SceneSource, StoreSource
+from chdstat.explorer.overlays import map_kind
 from chdstat.explorer.panels import PIXEL_COLORS, encode_panels
-from chdstat.explorer.place import first_pixel
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
-from chdstat.explorer.shared import Shared
-from chdstat.explorer.sources import MOST_SPP, ImageSource, SceneSource, StoreSource
+from chdstat.explorer.suggestions import first_pixel
 from chdstat.explorer.tables import Table, headline, why
-from chdstat.explorer.view import BATCHES, View, box_between, check_pixel, parse_view
+from chdstat.explorer.workspace import Workspace
 
 _log = logging.getLogger("chdstat")
 
@@ -63,18 +63,18 @@ class Session:
     ----------
     document
         The Bokeh document of the page.
-    shared
+    workspace
         State that all pages share.
     arguments
         The query of its address: values by name.
     """
 
     def __init__(
-        self, document: Document, shared: Shared, arguments: Mapping[str, list[str]]
+        self, document: Document, workspace: Workspace, arguments: Mapping[str, list[str]]
     ) -> None:
-        self._shared = shared
-        self._size = shared.sources[0].size
-        self._results = SelectionResults(shared)
+        self._workspace = workspace
+        self._size = workspace.sources[0].size
+        self._results = SelectionResults(workspace)
         self._shown: SelectionPlots | None = None
         self._is_new = True
         self._generation = 0
@@ -84,16 +84,18 @@ class Session:
         self._seq, self._refused = _OWN_ACCORD, ""
         self.view, self._notes = parse_view(arguments, *self._size)
         if not self.view.pixels and self.view.region is None:
-            self.view = self.view.pick(*first_pixel(shared.overalls[0]))
+            self.view = self.view.pick(*first_pixel(workspace.overalls[0]))
         # A map or a part of the image has another look: then there is nothing to be seen at first.
         coarse = [] if self.view.map != "image" or "z" in arguments else self._coarse()
-        self._page = Page(document, shared.sources, shared.names, shared.given, coarse, self._gone)
+        self._page = Page(
+            document, workspace.sources, workspace.names, workspace.given, coarse, self._gone
+        )
         self._page.inbox.on_change("value", self._received)
-        self._end = shared.listen(lambda what: self._page.next(partial(self._heard, what)))
+        self._end = workspace.listen(lambda what: self._page.next(partial(self._heard, what)))
 
     def _gone(self) -> None:
         self._generation += 1  # drops what is being worked on
-        self._shared.passes.leave(self)
+        self._workspace.passes.leave(self)
         self._end()
 
     # --- commands: the page sends the name of a method, without its `_on_`, and its arguments ---
@@ -118,7 +120,7 @@ class Session:
         self._show_image()
         notes = list(self._notes)
         try:
-            self._shared.want(self, self.view)
+            self._workspace.want(self, self.view)
         except InputError as error:
             notes.append(str(error))
             self.view = self.view.changed("map", "image")
@@ -151,7 +153,7 @@ class Session:
         view = self.view.changed(str(option), value)
         if option == "map":
             view = view.changed("limits", None)
-            self._shared.want(self, view)
+            self._workspace.want(self, view)
         if option in _LOOKS:
             self.view = view
             self._show_view()
@@ -168,7 +170,7 @@ class Session:
         """Request the map of the view, or say why there is none."""
         self._refused = ""
         try:
-            self._shared.want(self, self.view if self._visible else View())
+            self._workspace.want(self, self.view if self._visible else View())
         except InputError as error:
             self._refused = str(error)
         self._show_map()
@@ -181,9 +183,9 @@ class Session:
             message = "nothing is selected: click a pixel before exporting"
             raise InputError(message)
         self._page.send({"kind": "working", "text": f"exporting {format}"})
-        images = dict(zip(self._shared.names, self._means, strict=True))
+        images = dict(zip(self._workspace.names, self._means, strict=True))
         work = partial(exported, format, self._shown, images, self._exposure)
-        self._page.run(self._shared.exports, work, self._exported)
+        self._page.run(self._workspace.exports, work, self._exported)
 
     def _on_pause(self) -> None:
         """Stop drawing more samples of the selected pixel, or go on."""
@@ -217,10 +219,10 @@ class Session:
 
     def _on_near(self, *, y: int, x: int) -> None:
         """Read the pixels around the pointer, before one of them is clicked."""
-        for source in self._shared.sources:
+        for source in self._workspace.sources:
             if isinstance(source, StoreSource):
                 with suppress(RuntimeError):  # the explorer is closing
-                    self._shared.exports.submit(source.pixel, int(y), int(x))
+                    self._workspace.exports.submit(source.pixel, int(y), int(x))
 
     # --- what they change -----------------------------------------------------------------------
 
@@ -233,11 +235,11 @@ class Session:
     def _heard(self, what: str) -> None:
         """Show news of the passes over the image, or of the source."""
         if what == "working":
-            self._page.send({"kind": "working", "text": self._shared.passes.working})
-        elif what == "start" and (failed := self._shared.passes.failures.get(what)):
+            self._page.send({"kind": "working", "text": self._workspace.passes.working})
+        elif what == "start" and (failed := self._workspace.passes.failures.get(what)):
             self._page.alert(failed)
         elif what == "suggested":
-            self._page.send({"kind": "suggested", "pixels": self._shared.suggested})
+            self._page.send({"kind": "suggested", "pixels": self._workspace.suggested})
         elif what == "image":
             self._show_image()
             self._show_view()
@@ -247,29 +249,29 @@ class Session:
             self._describe()
             self._show_view()
             self._compute()
-        elif what == self._shared.key(self.view):
+        elif what == self._workspace.key(self.view):
             self._show_map()
 
     def _describe(self) -> None:
-        texts = [source.describe() for source in self._shared.sources]
-        sampled = any(not isinstance(source, ImageSource) for source in self._shared.sources)
+        texts = [source.describe() for source in self._workspace.sources]
+        sampled = any(not isinstance(source, ImageSource) for source in self._workspace.sources)
         self._page.send({"kind": "described", "texts": texts, "samples": sampled})
 
     def _show_view(self) -> None:
         view = {"view": asdict(self.view), "query": self.view.query(), "exposure": self._exposure}
-        view["images"] = self.view.of_images(len(self._shared.sources))
+        view["images"] = self.view.of_images(len(self._workspace.sources))
         self._page.send({"kind": "view", **view, "colors": PIXEL_COLORS})
 
     @property
     def _exposure(self) -> float:
         """Exposure of the image, in stops."""
         exposure = self.view.exposure
-        return self._shared.overalls[0].exposure if exposure is None else exposure
+        return self._workspace.overalls[0].exposure if exposure is None else exposure
 
     @property
     def _means(self) -> list[Any]:
         """Mean radiance of the images, shape (y, x, channel)."""
-        means = [overall.mean for overall in self._shared.overalls]
+        means = [overall.mean for overall in self._workspace.overalls]
         # Parts without samples yet have no error.
         return [m if np.isfinite(m).any() else np.zeros_like(m) for m in means]
 
@@ -290,7 +292,7 @@ class Session:
         def work() -> list[tuple[Any, Any]]:
             return [(rgba(isolated(mean, channel), *look), mean) for mean in means]
 
-        self._page.run(self._shared.images, work, self._made_image)
+        self._page.run(self._workspace.images, work, self._made_image)
 
     def _made_image(self, future: Future[list[tuple[Any, Any]]]) -> None:
         for i, (packed, mean) in enumerate(future.result()):
@@ -302,15 +304,15 @@ class Session:
     def _show_map(self) -> None:
         """Show the finished part of the map and its progress, or remove the map."""
         said = self._refused
-        found = None if said or self.view.map == "image" else self._shared.map(self.view)
+        found = None if said or self.view.map == "image" else self._workspace.map(self.view)
         if self.view.map != "image" and not said and (found is None or found.done < 1):
-            passes, key = self._shared.passes, self._shared.key(self.view)
+            passes, key = self._workspace.passes, self._workspace.key(self.view)
             share = passes.shares.get(key)
             done = "being computed" if share is None else f"{100 * share:.0f} %"
             said = f"{map_kind(self.view.map).title}: {passes.failures.get(key, done)}"
         if found is not None and self.view.limits:
             found = replace(found, ends=self.view.limits)
-        self._page.show_map(found, self.view.of_images(len(self._shared.sources))[0])
+        self._page.show_map(found, self.view.of_images(len(self._workspace.sources))[0])
         self._page.send({"kind": "colorbar", "bar": colorbar(found), "said": said})
 
     def _exported(self, future: Future[tuple[str, bytes]]) -> None:
@@ -329,16 +331,16 @@ class Session:
         """Compute the results of the view; `seq` is the number of the command."""
         self._generation += 1
         self._is_new = True
-        self._shared.urgent(1)
+        self._workspace.urgent(1)
         view = self.view
 
         def work(check: Check) -> Found:
             try:
                 return self._found(view, check)
             finally:
-                self._shared.urgent(-1)
+                self._workspace.urgent(-1)
 
-        self._start(self._shared.clicks, work, partial(self._finished, seq, time.perf_counter()))
+        self._start(self._workspace.clicks, work, partial(self._finished, seq, time.perf_counter()))
 
     def _found(self, view: View, check: Check) -> Found:
         """Compute results in the thread of clicks; send the panels before there are tables."""
@@ -349,7 +351,7 @@ class Session:
         notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
         drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
         spp = min(place.spp for place in plots.places)
-        drawn["names"] = self._shared.names
+        drawn["names"] = self._workspace.names
         drawn |= {"title": plots.title, "batch": plots.view.batch, "most": spp // BATCHES}
         self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
         return plots, *self._results.describe(plots)
@@ -412,7 +414,7 @@ class Session:
             else:
                 self._page.send({"kind": "tables", "tables": {name: future.result()}})
 
-        self._start(self._shared.additions, work, add)
+        self._start(self._workspace.additions, work, add)
 
     def _draw_more(self) -> None:
         """Draw more samples of the active pixel, unless paused, hidden, or done."""
@@ -423,7 +425,7 @@ class Session:
         self._live_spp = None  # until the plots are here
         finish = partial(self._finished, _OWN_ACCORD, time.perf_counter())
         work = partial(self._found_with_more, plots.source, self.view)
-        self._start(self._shared.clicks, work, finish)
+        self._start(self._workspace.clicks, work, finish)
 
     def _tell_live(self) -> None:
         if self._shown is None or self._shown.live_spp is None:

@@ -7,60 +7,55 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat import inference
-from chdstat._core.arrays import Floats
-from chdstat._core.display import number, percent, reasons, with_error, with_interval
+from chdstat._core.display import as_p, number, percent, reasons, with_error, with_interval
 from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
-from chdstat.explorer.estimators import PlaceEstimates
-from chdstat.explorer.place import (
-    HOLDS,
-    MOST_TESTED,
-    RESAMPLES,
-    PlaceStatistics,
-    error_bar,
-)
+from chdstat.explorer.address import row_of
+from chdstat.explorer.batch_estimates import PlaceEstimates
+from chdstat.fit import Goodness
+from chdstat.fit.tail import TailIndex
 from chdstat.inference.differences import Difference
-from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
+from chdstat.inference.modes import Modes
+from chdstat.patterns import PATTERNS, Label, Pattern, Pixel, Thresholds
 from chdstat.viz.styling import called, estimator_name
 
 _ERROR = 0.01
 """Relative error of the mean that the headline counts the samples for."""
 _UNKNOWN = np.full(2, np.nan)
 """Ends of an interval that is not known."""
+RESAMPLES, MOST_TESTED = 199, 4096
+"""Replicates of the tests of fits, and most samples that are tested: more would take minutes."""
 _FIRST = 7
 """Rows of the table of estimates that are shown at once: the default ones and some others."""
 
-_Column = tuple[str, PlaceStatistics, int]
+_Column = tuple[str, Pixel, int]
 """Title, place and row of a column."""
 Table = dict[str, Any]
 """``columns``: titles; ``rows``: cells of text, and one more where a row has a tooltip; ``title``;
 ``note``: a line below; ``first``: how many rows are shown at once, where not all are."""
 
 
-def columns_of(places: Sequence[PlaceStatistics], channel: str) -> list[_Column]:
+def columns_of(places: Sequence[Pixel], channel: str) -> list[_Column]:
     """Return the rows of one place, or one row of each of several."""
     if len(places) == 1:
         return [(name, places[0], i) for i, name in enumerate(places[0].names)]
-    row = "luminance" if channel == "all" else channel
-    return [(f"pixel {i + 1}", place, place.row(row)) for i, place in enumerate(places)]
+    return [(f"pixel {i + 1}", one, row_of(channel, one.names)) for i, one in enumerate(places)]
 
 
-def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
+def headline(place: Pixel) -> list[tuple[str, str, str]]:
     """Return title, value and detail of the five numbers that matter most, of luminance."""
-    moments, tail, modes = place.moments, place.tail, place.modes
+    moments, tail, modes = place.moments, place.measured(TailIndex()), place.measured(Modes())
     mean, error = (float(values[-1]) for values in (moments.mean, moments.standard_error))
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.divide(error, mean) if mean > 0 else np.nan
     needed = float(place.spp * (share / _ERROR) ** 2)
-    constant, holds = bool(place.constant[-1]), _error_bar(place, -1)
+    constant, holds = bool(place.constant[-1]), tail.holds_in_words(-1)
     told = f"error bar of {place.fitted_spp} spp: {holds}"
     if constant or holds == "—":
         told = "constant samples" if constant else "too few samples"
@@ -81,18 +76,16 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     ]
 
 
-def why(place: PlaceStatistics) -> tuple[str, str]:
+def why(place: Pixel) -> tuple[str, str]:
     """Return the first pattern of a place, and what causes it."""
     label = Label(int(place.patterns.label))
     return called(label.name.lower()), label.meaning
 
 
 def statistics_table(columns: Sequence[_Column]) -> Table:
-    """Return moments, parameters, tail, dip and tests."""
-    rows = [
-        [title, *("—" if fitted and p.constant[i] else text(p, i) for _, p, i in columns)]
-        for title, text, fitted in _STATISTICS
-    ]
+    """Return moments, and what the statistics say."""
+    told = [{**_moments(place, row), **place.told(row)} for _, place, row in columns]
+    rows = [[title, *(of_column[title] for of_column in told)] for title in told[0]]
     place = max((place for _, place, _ in columns), key=lambda p: p.spp)
     cut = place.fitted_spp < place.spp
     note = f"fits and tests: the first {place.fitted_spp} of {place.spp} samples" if cut else ""
@@ -121,12 +114,12 @@ def patterns_table(columns: Sequence[_Column]) -> Table:
     else:
         titles, label = [title for title, _, _ in columns], "Patterns"
     note = "of luminance; ● is set, ○ is not, each at the 5 % level of one pixel"
-    if any(place.is_firefly for place in places):
+    if any(place.patterns.flags["firefly_dominated"] for place in places):
         note += "; tails, modes and families without the largest sample where it dominates"
     return {**_table(label, ["pattern", *titles, "threshold"], rows, note), "words": True}
 
 
-def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> str:
+def _pattern_value(pattern: Pattern, place: Pixel, *, alone: bool) -> str:
     found, text = place.patterns, percent if "%" in pattern.limit else number
     value = float(found.statistics[pattern.name])
     interval = found.intervals.get(pattern.name, _UNKNOWN) if alone else _UNKNOWN
@@ -176,16 +169,17 @@ def _rank(given: Sequence[str], estimates: PlaceEstimates) -> int:
     return order.index(name) if name in order else len(order)
 
 
-def goodness_table(
-    place: PlaceStatistics, found: Mapping[str, tuple[Floats, Floats, npt.NDArray[np.int8]]]
-) -> Table:
-    """Return the p-value and the misfit of every family, one column for each row of the place."""
+def goodness_table(place: Pixel, found: Mapping[str, Goodness]) -> Table:
+    """Return the p-value and the misfit of every family, one column for each row of the place.
+
+    `found` are tests by Anderson and Darling's A² and by Kolmogorov's D, the largest gap of the
+    distribution functions.
+    """
     rows = []
-    for family, (p_value, distance, reason) in found.items():
-        reason = np.where(place.constant, Reason.CONSTANT, reason)
-        p_value = np.where(place.constant, np.nan, p_value)
-        cells = map(_goodness, p_value, distance, reason)
-        rows.append([called(family), *cells])
+    for family, test in found.items():
+        reason = np.where(place.constant, Reason.CONSTANT, test.reason[:, 0])
+        p_value = np.where(place.constant, np.nan, test.p_value[:, 0])
+        rows.append([called(family), *map(_goodness, p_value, test.effect[:, 1], reason)])
     note = (
         f"p-values of A² from {RESAMPLES} replicates, fitted as the samples were, and the "
         f"largest gap D; the first {min(place.spp, MOST_TESTED)} samples"
@@ -234,41 +228,6 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], no
     return {"title": title, "columns": columns, "rows": rows, "note": note}
 
 
-def _family(place: PlaceStatistics, row: int) -> str:
-    if place.constant[row]:
-        return "constant"
-    if place.fit("best", row) is None:
-        return reasons(place.selection.reason[row] or Reason.TOO_FEW)
-    return called(str(place.selection.names[row]))
-
-
-def _parameters(place: PlaceStatistics, row: int) -> str:
-    fit = place.fit("best", row)
-    if fit is None:
-        return "—"
-    return "\n".join(f"{name} {number(float(v))}" for name, v in fit.parameters.items())
-
-
-def _error_bar(place: PlaceStatistics, row: int) -> str:
-    code = float(error_bar(place.tail)[row])
-    return HOLDS[int(code)] if np.isfinite(code) else "—"
-
-
-def _coverage(place: PlaceStatistics, row: int) -> str:
-    tail = place.tail
-    low, high = tail.coverage_own_interval[row]
-    return with_interval(tail.coverage_own[row], low, high, percent)
-
-
-def _needed(place: PlaceStatistics, row: int) -> str:
-    means = place.means
-    if means is None:
-        return "—"
-    needed = int(means.n_needed[row])
-    beyond = {inference.MORE_THAN_TESTED: f"> {int(means.sizes[-1])}", 0: "—"}
-    return beyond.get(needed, str(needed))
-
-
 def _count(value: float) -> str:
     """Return a number of samples with two digits."""
     if not np.isfinite(value):
@@ -277,51 +236,15 @@ def _count(value: float) -> str:
     return f"{rounded:,.0f}".replace(",", "\u2009") if rounded < 1e7 else f"{rounded:.1e}"
 
 
-def as_p(value: float) -> str:
-    """Return a p-value; below 0.001 as a power of ten."""
-    if not np.isfinite(value):
-        return "—"
-    if value == 0:  # too small for a float
-        return "≈\u00a00"
-    if value < 1e-3:
-        return f"{value:.0e}".replace("-", "−").replace("e−0", "e−")
-    return f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
-
-
-_STATISTICS: tuple[tuple[str, Callable[[PlaceStatistics, int], str], bool], ...] = (
-    ("mean", lambda p, i: number(p.moments.seen(p.moments.mean)[i]), False),
-    ("standard error", lambda p, i: number(p.moments.standard_error[i]), False),
-    ("standard deviation", lambda p, i: number(np.sqrt(p.moments.variance[i])), False),
-    ("skewness", lambda p, i: number(p.moments.skewness[i]), False),
-    ("excess kurtosis", lambda p, i: number(p.moments.kurtosis[i]), False),
-    ("largest", lambda p, i: number(p.moments.seen(p.moments.maximum)[i]), False),
-    ("null samples", lambda p, _: percent(p.null_share), False),
-    ("bad samples", lambda p, _: str(int(p.bad.sum())), False),
-    ("best family by BIC", _family, False),
-    ("parameters", _parameters, False),
-    ("BIC margin", lambda p, i: number(p.selection.margin[i]), True),
-    (
-        "tail index ξ of all samples",
-        lambda p, i: with_interval(p.tail.xi[i], *p.tail.interval[i]),
-        True,
-    ),
-    ("p of a gamma tail", lambda p, i: as_p(p.tail.p_exponential[i]), True),
-    ("error bar of so many spp", _error_bar, True),
-    ("such 95 % error bars that hold", _coverage, True),
-    ("modes", lambda p, i: str(p.modes.modes[i] or "—"), True),
-    ("dip of log radiance", lambda p, i: number(p.modes.dip[i]), True),
-    ("p of one mode (dip test)", lambda p, i: as_p(p.modes.dip_p_value[i]), True),
-    (
-        "p of log-normal (Anderson–Darling)",
-        lambda p, i: as_p(p.gaussianity.p_value[i, 0, 0]),
-        True,
-    ),
-    ("p of normal (Anderson–Darling)", lambda p, i: as_p(p.gaussianity.p_value[i, 1, 0]), True),
-    (
-        "p of gamma against log-normal (Vuong)",
-        lambda p, i: as_p(p.selection.vuong_p_value[i]),
-        True,
-    ),
-    ("N for Gaussian averages", _needed, False),
-)
-"""Title and text of each statistic of a row of a place, and whether constant samples have none."""
+def _moments(place: Pixel, row: int) -> dict[str, str]:
+    moments = place.moments
+    numbers = {
+        "mean": moments.seen(moments.mean),
+        "standard error": moments.standard_error,
+        "standard deviation": np.sqrt(moments.variance),
+        "skewness": moments.skewness,
+        "excess kurtosis": moments.kurtosis,
+        "largest": moments.seen(moments.maximum),
+    }
+    nulls = {"null samples": percent(place.null_share), "bad samples": str(int(place.bad.sum()))}
+    return {title: number(values[row]) for title, values in numbers.items()} | nulls

@@ -24,10 +24,11 @@ from chdstat._core.arrays import (
     Mask,
     chunks,
     place_attributes,
+    take_rows,
 )
-from chdstat._core.display import Card, reasons
+from chdstat._core.display import Card, as_p, number, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
-from chdstat._core.statistic import Result, Statistic, result, variable
+from chdstat._core.statistic import MapKind, Quantity, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.families import (
     FAMILIES,
@@ -129,6 +130,13 @@ class Selection(Result):
         first = self.fits[self.families[0]].reason
         return np.asarray(np.where(self.best >= 0, np.int8(Reason.OK), first))
 
+    def best_fit(self, row: int) -> Fit | None:
+        """Return the best fit of a row of samples; None without one, or of too few samples."""
+        fit = self.fits.get(str(self.names[row]))
+        if fit is None or fit.n[row] < FEWEST_SHOWN:
+            return None
+        return take_rows(fit, row, axis=0)
+
     def _card(self) -> Card:
         criterion = _NAMES[self.criterion]
         facts = {
@@ -181,6 +189,19 @@ class _HeldOutLikelihood(Statistic[HeldOut]):
         return dataset
 
 
+def _family_in_words(found: Selection, row: int) -> str:
+    fit = found.best_fit(row)
+    if fit is None:
+        return reasons(found.reason[row] or Reason.TOO_FEW)
+    return FAMILIES[fit.family].label
+
+
+def _parameters_in_words(found: Selection, row: int) -> str:
+    fit = found.best_fit(row)
+    named = {} if fit is None else fit.parameters
+    return "\n".join(f"{name} {number(float(v))}" for name, v in named.items()) or "—"
+
+
 @dataclass(frozen=True)
 class FamilySelection(Statistic[Selection]):
     """Families compared on the same samples; options as in `select`."""
@@ -189,9 +210,28 @@ class FamilySelection(Statistic[Selection]):
     description: ClassVar = "selecting families"
     binned: ClassVar = True
 
+    quantities: ClassVar = (
+        Quantity("best family by BIC", _family_in_words, brief="best family"),
+        Quantity("parameters", _parameters_in_words),
+        Quantity("BIC margin", lambda found, i: number(found.margin[i])),
+        Quantity(
+            "p of gamma against log-normal (Vuong)", lambda found, i: as_p(found.vuong_p_value[i])
+        ),
+    )
+
     families: tuple[Family, ...] = tuple(FAMILIES.values())
     criterion: Criterion = "bic"
     held_out: bool = False
+
+    def maps(self) -> tuple[MapKind, ...]:
+        """Return the best family."""
+        names = {i: family.name for i, family in enumerate(self.families)}
+        return (
+            MapKind(
+                "best_family", "Best family", "by BIC, luminance",
+                lambda found: np.where(found.best < 0, np.nan, found.best), names,
+            ),
+        )  # fmt: skip
 
     @property
     def subject(self) -> str:

@@ -31,10 +31,21 @@ import numpy.typing as npt
 from scipy import interpolate, special
 
 from chdstat._core.arrays import Counts, Floats, Mapped, Mask, rows_by_count, spans
-from chdstat._core.display import Card, Width, each, in_unit, reasons, with_interval, written
+from chdstat._core.display import (
+    Card,
+    Width,
+    as_p,
+    each,
+    in_unit,
+    number,
+    percent,
+    reasons,
+    with_interval,
+    written,
+)
 from chdstat._core.doors import draw
 from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
+from chdstat._core.statistic import RADIANCE, MapKind, Quantity, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.error_bars import (
@@ -93,6 +104,9 @@ _GAMMA_INDEX = interpolate.RegularGridInterpolator((_LOG_VARIANCES, _LOG_SHARES)
 ])  # fmt: skip
 """The index of a generalised Pareto fit to the top `share` of gamma distributions, as 4000 evenly
 spaced quantiles. The variances of log x are those of the shapes 1 to 0.1."""
+
+
+_HOLDS = {0: "fails", 1: "cannot tell", 2: "holds"}
 
 
 @result
@@ -171,6 +185,16 @@ class Tail(Result):
     error_bars: ErrorBars
     _drawn: ClassVar[str] = "share of the positive samples above it; dotted: an exponential tail"
 
+    @property
+    def holds(self) -> Floats:
+        """Whether the error bar of so many samples holds: 0, 1 if it cannot tell, 2; else NaN."""
+        verdicts = self.variance_suspect, self.variance_unidentified, self.variance_trusted
+        return np.asarray(np.select(verdicts, [0.0, 1.0, 2.0], np.nan))
+
+    def holds_in_words(self, row: int) -> str:
+        """Return whether the error bar of a row of samples holds, in words."""
+        return _HOLDS.get(self.holds[row], "—")
+
     def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
         """Draw the tail, as `chdstat.viz.tail_curve`.
 
@@ -203,6 +227,11 @@ class Tail(Result):
         return Card("Tail", facts)
 
 
+def _coverage_in_words(tail: Tail, row: int) -> str:
+    low, high = tail.coverage_own_interval[row]
+    return with_interval(tail.coverage_own[row], low, high, percent)
+
+
 @dataclass(frozen=True)
 class TailIndex(Statistic[Tail]):
     """The tail index; options as in `tail_index`."""
@@ -214,6 +243,19 @@ class TailIndex(Statistic[Tail]):
         *(f"tail_variance_{verdict}" for verdict in ("suspect", "trusted", "unidentified")),
         *("tail_shape", "tail_shape_samples"),
     })  # fmt: skip
+    quantities: ClassVar = (
+        Quantity(
+            "tail index ξ of all samples",
+            lambda tail, i: with_interval(tail.xi[i], *tail.interval[i]),
+            brief="tail index",
+        ),
+        Quantity(
+            "tail begins above", lambda tail, i: number(tail.threshold[i]), brief="tail above"
+        ),
+        Quantity("p of a gamma tail", lambda tail, i: as_p(tail.p_exponential[i])),
+        Quantity("error bar of so many spp", lambda tail, i: tail.holds_in_words(i)),
+        Quantity("such 95 % error bars that hold", _coverage_in_words),
+    )
 
     share: _TailShare = "auto"
     tested: float = 0.25
@@ -221,6 +263,17 @@ class TailIndex(Statistic[Tail]):
 
     def __post_init__(self) -> None:
         _check(self.share, self.tested, self.level)
+
+    def maps(self) -> tuple[MapKind, ...]:
+        """Return the tail index, and whether error bars hold."""
+        about, xi = "by the luminance of each pixel alone", "generalised Pareto ξ, luminance"
+        return (
+            MapKind("tail_index", "Tail index", xi, lambda tail: tail.xi, ends=(-0.5, 1)),
+            MapKind(
+                "error_bar", "Does the error bar hold?", about, lambda tail: tail.holds, _HOLDS,
+                ordered=True,
+            ),
+        )  # fmt: skip
 
     def measure(self, part: PositivePart) -> Tail:
         """Estimate the tail index of each row."""

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from chdstat._core.arrays import Counts, Floats, Mask, as_samples, chunks, first
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, PositivePart
 from chdstat._core.resampling import Z_95
-from chdstat._core.statistic import Result, Statistic, result, variable
+from chdstat._core.statistic import MapKind, Quantity, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.fit.tail import Tail, TailIndex
 from chdstat.inference.normality import TESTS, NormalityTest, TestName, run_tests
@@ -127,6 +127,17 @@ class GaussianityOfMeans(Result):
     reason: npt.NDArray[np.int8] = variable("why there is no test", "size")
 
 
+def _n_in_words(found: GaussianityOfMeans, row: int) -> str:
+    n = int(found.n_needed[row])
+    return {MORE_THAN_TESTED: f"> {found.sizes[-1]}", UNTESTED: "—"}.get(n, str(n))
+
+
+def _n_among(found: GaussianityOfMeans) -> Floats:
+    needed, sizes = found.n_needed, found.sizes
+    place = np.where(needed == UNTESTED, np.nan, np.searchsorted(sizes, needed))
+    return np.where(needed == MORE_THAN_TESTED, len(sizes), place)
+
+
 @dataclass(frozen=True)
 class NormalityOfMeans(Statistic[GaussianityOfMeans]):
     """Tests of averages of N samples; options as in `gaussianity_of_means`, all N in `sizes`."""
@@ -134,14 +145,22 @@ class NormalityOfMeans(Statistic[GaussianityOfMeans]):
     result: ClassVar = GaussianityOfMeans
     description: ClassVar = "testing normality of means"
     logarithms: ClassVar = False
+    quantities: ClassVar = (Quantity("N for Gaussian averages", _n_in_words, of_constant=True),)
 
     sizes: tuple[int, ...]
     n_means: int = N_MEANS
     test: TestName = "shapiro-wilk"
     alpha: float = 0.05
 
+    def maps(self) -> tuple[MapKind, ...]:
+        """Return the N needed, as its place among those tested; one more where it is larger."""
+        names = {i: f"N = {n}" for i, n in enumerate(self.sizes)}
+        names[len(names)] = f"N > {self.sizes[-1]}"
+        title = "N needed for Gaussian averages"
+        return (MapKind("n_needed", title, "samples, luminance", _n_among, names, ordered=True),)
+
     @classmethod
-    def of(cls, spp: int) -> NormalityOfMeans | None:
+    def of_pixel(cls, spp: int) -> Self | None:
         """Return the tests of all N that so many samples allow; None where they allow none."""
         return cls(tuple(sizes_of_means(spp).tolist())) if spp >= N_MEANS else None
 

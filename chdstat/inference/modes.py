@@ -32,10 +32,10 @@ import numpy.typing as npt
 from diptest import dipstat
 
 from chdstat._core.arrays import Counts, Floats, Mask, chunks
-from chdstat._core.display import Card, Width, each, reasons, with_error, written
+from chdstat._core.display import Card, Width, as_p, each, number, reasons, with_error, written
 from chdstat._core.doors import draw
 from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
+from chdstat._core.statistic import RADIANCE, Quantity, Result, Statistic, result, variable
 from chdstat.errors import Reason
 from chdstat.fit.atoms import before_clamps, clamped, distinct_values, split, with_rows
 from chdstat.fit.em import Solution
@@ -209,6 +209,11 @@ class Modes(Statistic[Modality]):
 
     result: ClassVar = Modality
     description: ClassVar = "counting modes"
+    quantities: ClassVar = (
+        Quantity("modes", lambda found, i: str(found.modes[i] or "—"), brief="modes"),
+        Quantity("dip of log radiance", lambda found, i: number(found.dip[i])),
+        Quantity("p of one mode (dip test)", lambda found, i: as_p(found.dip_p_value[i])),
+    )
 
     def measure(
         self,

@@ -32,15 +32,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Counts, Floats, Mask, rows_by_count, spans
+from chdstat._core.display import as_p
 from chdstat._core.positive import PositivePart
-from chdstat._core.statistic import Result, Statistic, result, variable
+from chdstat._core.statistic import Quantity, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.summary.runner import Source, of_source, run
 
@@ -347,10 +348,21 @@ class Normality(Statistic[Gaussianity]):
 
     result: ClassVar = Gaussianity
     description: ClassVar = "testing normality"
+    quantities: ClassVar = (
+        Quantity(
+            "p of log-normal (Anderson–Darling)", lambda found, i: as_p(found.p_value[i, 0, 0])
+        ),
+        Quantity("p of normal (Anderson–Darling)", lambda found, i: as_p(found.p_value[i, 1, 0])),
+    )
 
     transform: Transform | tuple[Transform, ...] = "log"
     test: TestName | tuple[TestName, ...] = "anderson-darling"
     alpha: float = 0.05
+
+    @classmethod
+    def of_pixel(cls, spp: int) -> Self:  # noqa: ARG003 - any number will do
+        """Return the tests of the logarithms and of the samples."""
+        return cls(("log", "linear"), ("anderson-darling",))
 
     def __post_init__(self) -> None:
         tables: dict[str, Iterable[str]] = {"transform": TRANSFORMS, "test": TESTS}

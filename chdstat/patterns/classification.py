@@ -31,7 +31,7 @@ from chdstat._core.arrays import (
 from chdstat._core.display import Card, Shown, number, percent, with_interval
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
-from chdstat._core.statistic import Result, Statistic, result, variable
+from chdstat._core.statistic import MapKind, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
 from chdstat.fit.error_bars import (
     HOLDS,
@@ -195,6 +195,12 @@ class Classification(Statistic[Patterns]):
     rows: ClassVar = "luminance"
 
     thresholds: Thresholds = _DEFAULT
+
+    def maps(self) -> tuple[MapKind, ...]:
+        """Return the label, which is decided with p-values that the size of the image corrects."""
+        names = {int(label): label.name.lower() for label in Label}
+        of = lambda found: found.label  # noqa: E731 - as in other maps
+        return (MapKind("pattern", "Pattern", "primary label", of, names, decided="label"),)
 
     def measure(self, part: PositivePart) -> Patterns:
         """Classify each row, with tests of its own."""

@@ -7,35 +7,53 @@ the scenes of their case study.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import is_bad, is_null, luminance
+from chdstat._core.arrays import Floats, is_bad, is_null, luminance, take_rows
 from chdstat._core.display import Card, Shown, Width, number, percent, with_interval
 from chdstat._core.doors import draw, pixel_of, regions_of
+from chdstat._core.moments import Moments
+from chdstat._core.positive import PositivePart
+from chdstat._core.statistic import Statistic, shown_statistics
 from chdstat.errors import InputError
-from chdstat.fit.families import FAMILIES, Fit
+from chdstat.fit.families import FAMILIES, FamilyFit, Fit
+from chdstat.fit.goodness_of_fit import FitTest, Goodness, GoodnessOfFit
 from chdstat.fit.mixtures import mixture
-from chdstat.fit.selection import FEWEST_SHOWN, Selection, select
-from chdstat.fit.tail import Tail, tail_index
-from chdstat.inference.modes import Modality, modality
+from chdstat.fit.selection import FEWEST_SHOWN, FamilySelection, Selection
+from chdstat.fit.tail import Tail, TailIndex, tail_index
+from chdstat.inference.modes import Modality, ModalMixture, Modes, modality
 from chdstat.patterns.attribution import By, by_part, groups_of, part_names, shares
-from chdstat.patterns.classification import Label, Patterns, choose_regions, classify
-from chdstat.patterns.definitions import PATTERNS
+from chdstat.patterns.classification import (
+    Classification,
+    Label,
+    Patterns,
+    choose_regions,
+    classify,
+)
+from chdstat.patterns.definitions import PATTERNS, Thresholds
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import LightPart
-from chdstat.summary.histograms import Histogram, Scale, histogram
+from chdstat.summary.histograms import Histogram, Scale, histogram, log_support
+from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+Found = TypeVar("Found")
+
+_POINTS = 96
+"""Numbers of samples at which the running mean is known."""
+_OF_FITTED = ("part", "patterns", "constant")
+"""What depends on the fitted samples alone, and with `part` all that was measured of it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,6 +75,8 @@ class Pixel(Shown):
         with ``by_depth=``, by names of lights if with ``by_light=``.
     sequence
         Number of samples that depend on each other; 1 if they are independent.
+    most_fitted
+        Most samples that fits, tests and modes look at; None for all.
 
     Examples
     --------
@@ -76,6 +96,7 @@ class Pixel(Shown):
     scene: str
     parts: Mapping[LightPart, npt.NDArray[np.float32]] = field(default_factory=dict)
     sequence: int = 1
+    most_fitted: int | None = None
     _drawn: ClassVar[str] = "histograms, best fits and means"
 
     @classmethod
@@ -95,11 +116,29 @@ class Pixel(Shown):
         return int(self.radiance.shape[-1])
 
     @property
+    def fitted_spp(self) -> int:
+        """Samples that fits, tests and modes look at."""
+        return self.spp if self.most_fitted is None else min(self.spp, self.most_fitted)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the rows: the channels, and luminance if there are three of them."""
+        return (*self.channels, "luminance") if len(self.channels) == 3 else self.channels
+
+    @cached_property
+    def rows(self) -> npt.NDArray[np.float32]:
+        """Radiance of the channels, and luminance if there are three, shape (row, sample)."""
+        if len(self.channels) != 3:
+            return self.radiance
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.concatenate([self.radiance, luminance(self.radiance)[np.newaxis]])
+
+    @cached_property
     def null(self) -> npt.NDArray[np.bool_]:
         """Null samples: paths that found no light, shape (sample,)."""
         return is_null(self.radiance)
 
-    @property
+    @cached_property
     def bad(self) -> npt.NDArray[np.bool_]:
         """Samples with a channel that is NaN or infinite, shape (sample,)."""
         return np.asarray(is_bad(self.radiance).any(axis=0))
@@ -117,14 +156,42 @@ class Pixel(Shown):
         dataset = summarize(image, progress=False)
         return dataset.assign_coords(channel=np.array(self.channels, object)).isel(y=0, x=0)
 
+    @cached_property
+    def moments(self) -> Moments:
+        """Moments of the good samples of each row."""
+        return Moments.of(self.rows, ~self.bad)
+
     def histogram(self, scale: Scale = "log") -> Histogram:
         """Return the histogram of each channel, see `chdstat.histogram`."""
         return histogram(self.radiance, scale=scale, null=self.null, bad=self.bad)
 
     @cached_property
+    def histograms(self) -> dict[Scale, Histogram]:
+        """Linear and log10 histogram of each row, with bins where there are samples."""
+        null, bad = (np.broadcast_to(mask, self.rows.shape) for mask in (self.null, self.bad))
+        linear = histogram(self.rows, scale="linear", null=null, bad=bad)
+        log = histogram(self.rows, support=log_support(self.rows), null=null, bad=bad)
+        return {"linear": linear, "log": log}
+
+    # --- what is measured of each row, once for all users ---------------------------------------
+
+    @cached_property
+    def part(self) -> PositivePart:
+        """The positive samples of each row, of the samples that are fitted."""
+        x = self.radiance[:, : self.fitted_spp]
+        return PositivePart.of_pixels(x, rows="both" if self.has_luminance else "channels")
+
+    def measured(self, statistic: Statistic[Found]) -> Found:
+        """Return a statistic of each row, or of luminance if it is one of luminance."""
+        if statistic == Modes():
+            measured(self.part, ModalMixture())  # which finds the modes on its way
+        part = self.part if statistic.rows == "channels" else self.part.rows(-1)
+        return measured(part, statistic)
+
+    @cached_property
     def selection(self) -> Selection:
         """Families fitted to each channel, and the best one by BIC."""
-        return select(self._good, null=self.null)
+        return self._of_channels(self.measured(FamilySelection()))
 
     @property
     def families(self) -> dict[str, str]:
@@ -134,22 +201,22 @@ class Pixel(Shown):
     @cached_property
     def tail(self) -> Tail:
         """Tail index of each channel, and whether the variance can be trusted."""
-        return tail_index(self._good, null=self.null)
+        return self._of_channels(self.measured(TailIndex()))
 
     @cached_property
     def modality(self) -> Modality:
         """Modes of each channel in log radiance."""
-        return modality(self._good, null=self.null)
+        return self._of_channels(self.measured(Modes()))
 
     @cached_property
     def patterns(self) -> Patterns:
         """Patterns of the luminance, tested for this pixel, not for an image; 1 or 3 channels."""
-        return classify(self.radiance)
+        return self.measured(Classification())
 
     @property
     def label(self) -> str:
         """Label in words; "" if there are neither 1 nor 3 channels."""
-        return Label(int(self.patterns.label)).words if len(self.channels) in (1, 3) else ""
+        return Label(int(self.patterns.label)).words if self.has_luminance else ""
 
     @property
     def best_families(self) -> str:
@@ -161,6 +228,111 @@ class Pixel(Shown):
     def patterns_shown(self) -> tuple[str, ...]:
         """Names of the patterns that the pixel shows."""
         return tuple(p.name for p in PATTERNS if bool(self.patterns.flags[p.name]))
+
+    @cached_property
+    def constant(self) -> npt.NDArray[np.bool_]:
+        """Whether the positive samples of each row are equal, but for what rounding leaves."""
+        spread = self.part.log_statistics
+        return np.asarray(spread.log_variance <= Thresholds().constant ** 2) & (spread.n > 1)
+
+    def fit(self, family: str, row: int) -> Fit | None:
+        """Return the fit of a family to a row, or "best" or "mixture".
+
+        None where samples are constant, as families then describe rounding, or too few.
+        """
+        if not family or self.constant[row] or self.part.n[row] < FEWEST_SHOWN:
+            return None
+        if family == "best":
+            return self.measured(FamilySelection()).best_fit(row)
+        kind = ModalMixture() if family == "mixture" else FamilyFit(FAMILIES[family])
+        return take_rows(self.measured(kind), row, axis=0)
+
+    @cached_property
+    def curve(self) -> Fit | None:
+        """What describes its luminance best: a mixture where this has several modes, else a family.
+
+        None where too few samples are positive, or there are neither 1 nor 3 channels.
+        """
+        if not self.has_luminance or self.part.n[-1] < FEWEST_SHOWN:
+            return None
+        if Label(int(self.patterns.label)) in (Label.BIMODAL, Label.MULTIMODAL):
+            return mixture(np.where(self.bad, np.nan, self.rows[-1].astype(np.float64)))
+        return self.measured(FamilySelection()).best_fit(-1)
+
+    def averages(self, n: int) -> Floats:
+        """Return the averages of consecutive good samples, n each, shape (row, average)."""
+        good = self.rows if not self.bad.any() else self.rows[:, ~self.bad]
+        count = good.shape[1] // n
+        cut = good[:, : count * n].reshape(len(good), count, n)
+        return np.asarray(cut.mean(axis=-1, dtype=np.float64))
+
+    @cached_property
+    def running(self) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+        """Spp, running means and their standard errors, shapes (point,) and (row, point)."""
+        good = np.flatnonzero(~self.bad)
+        if good.size < 2:
+            return np.empty(0, np.int64), *np.empty((2, len(self.rows), 0))
+        at = np.unique(np.geomspace(2, good.size, min(_POINTS, good.size)).astype(np.int64))
+        x = self.rows[:, good].astype(np.float64)
+        # Deviations from the mean of all keep the sum of squares from cancelling.
+        center = x.mean(axis=-1, keepdims=True)
+        x -= center
+        with np.errstate(over="ignore", invalid="ignore"):
+            total, squares = np.cumsum(x, axis=-1)[:, at - 1], np.cumsum(x * x, axis=-1)[:, at - 1]
+            mean = total / at
+            variance = np.maximum(squares / at - mean**2, 0) * at / (at - 1)
+        return at, mean + center, np.sqrt(variance / at)
+
+    def told(self, row: int, *, brief: bool = False) -> dict[str, str]:
+        """Return what statistics say of a row, by their titles; with `brief`, the most important.
+
+        A statistic is in it if it declares a `chdstat._core.statistic.Quantity`.
+        """
+        found = {}
+        for kind in shown_statistics():
+            statistic = kind.of_pixel(self.fitted_spp)
+            for quantity in kind.quantities:
+                title = quantity.brief if brief else quantity.title
+                if title:
+                    found[title] = "—"
+                if title and statistic and (quantity.of_constant or not self.constant[row]):
+                    found[title] = quantity.text(self.measured(statistic), row)
+        return found
+
+    def grown(self, radiance: npt.NDArray[np.float32]) -> Self:
+        """Return the pixel with further samples after its own.
+
+        What is known of the fitted ones stays known where these are the same.
+        """
+        found = replace(self, radiance=radiance)
+        if found.fitted_spp == self.fitted_spp:
+            vars(found).update({name: v for name, v in vars(self).items() if name in _OF_FITTED})
+        return found
+
+    def goodness(
+        self, *, resamples: int, most: int | None = None
+    ) -> Iterator[tuple[str, Goodness]]:
+        """Test by the bootstrap whether each family describes each row; yield its name and test.
+
+        Parameters
+        ----------
+        resamples
+            Replicates B, as in `chdstat.fit.goodness`.
+        most
+            Most samples to test, the first ones; None for all.
+        """
+        part = replace(self, most_fitted=most).part
+        tests: tuple[FitTest, ...] = ("anderson-darling", "kolmogorov-smirnov")
+        for i, name in enumerate(FAMILIES):
+            yield name, measured(part, GoodnessOfFit(FAMILIES[name], tests, resamples, i))
+
+    @property
+    def has_luminance(self) -> bool:
+        """Whether there are 1 or 3 channels, which have luminance."""
+        return len(self.channels) in (1, 3)
+
+    def _of_channels(self, found: Found) -> Found:
+        return take_rows(found, slice(len(self.channels)), axis=0)
 
     @cached_property
     def light(self) -> list[dict[str, str | float]]:
@@ -199,27 +371,6 @@ class Pixel(Shown):
             found.append({"of": of, "share of the samples": share, **named})
         return found
 
-    @property
-    def _good(self) -> npt.NDArray[np.float32]:
-        """The samples; a bad sample is NaN in all channels."""
-        return np.where(self.bad, np.float32(np.nan), self.radiance)
-
-    @cached_property
-    def curve(self) -> Fit | None:
-        """What describes its luminance best: a mixture where this has several modes, else a family.
-
-        None where too few samples are positive, or there are neither 1 nor 3 channels.
-        """
-        if len(self.channels) not in (1, 3):
-            return None
-        light = np.asarray(luminance(self._good.astype(np.float64)))
-        if (light > 0).sum() < FEWEST_SHOWN:
-            return None
-        if Label(int(self.patterns.label)) in (Label.BIMODAL, Label.MULTIMODAL):
-            return mixture(light)
-        found = select(light)
-        return found.fits.get(str(found.names))
-
     def plot(
         self,
         *,
@@ -252,15 +403,9 @@ class Pixel(Shown):
     def _card(self) -> Card:
         mean, error = (self.statistics[name].values for name in ("mean", "standard_error"))
         rows = [
-            {
-                "channel": channel,
-                "mean": f"{number(mean[i])} ± {number(error[i])}",
-                "best family": FAMILIES[family].label if family else "—",
-                "tail index": with_interval(self.tail.xi[i], *self.tail.interval[i]),
-                "tail above": number(self.tail.threshold[i]),
-                "modes": str(self.modality.modes[i]),
-            }
-            for i, (channel, family) in enumerate(self.families.items())
+            {"channel": channel, "mean": f"{number(mean[i])} ± {number(error[i])}"}
+            | self.told(i, brief=True)
+            for i, channel in enumerate(self.channels)
         ]
         facts = {"samples": f"{self.spp}, {percent(self.null_share)} null, {self.bad.sum()} bad"}
         if self.sequence > 1:

@@ -10,6 +10,7 @@ they are underflow.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
@@ -41,7 +42,7 @@ Scale: TypeAlias = Literal["linear", "log"]
 SCALES: tuple[Scale, ...] = ("linear", "log")
 _FIRST_DRAWS = 50
 """Draws whose span sets the linear support."""
-LOG_SUPPORT = (1e-5, 1e5)
+_LOG_SUPPORT = (1e-5, 1e5)
 """Support of log histograms, in radiance."""
 _OF_LOG = ("counts", "low", "high", "underflow", "overflow", "negative")
 LOG_VARIABLES = (*(f"log_{name}" for name in _OF_LOG), "null_count", "bad_count")
@@ -118,6 +119,25 @@ def linear_support(
         np.where(nothing, np.nan, high + padding),
         reason.astype(np.int8),
     )
+
+
+def log_support(x: npt.ArrayLike) -> tuple[float, float]:
+    """Return the support of log histograms that are drawn: [1e-5, 1e5], or as wide elsewhere.
+
+    It is moved by whole decades, to the median of the positive samples, where this lies beyond.
+
+    Examples
+    --------
+    >>> log_support([0.0, 0.5, 1e-20]), log_support([2e-7, 3e-6, 4.0])
+    ((1e-05, 100000.0), (1e-11, 0.1))
+    """
+    array, (low, high) = np.asarray(x), _LOG_SUPPORT
+    seen = array[(array > 0) & (array < np.inf)]
+    middle = float(np.median(seen)) if seen.size else 1.0
+    if low <= middle < high:
+        return _LOG_SUPPORT
+    decade = math.floor(math.log10(middle) + 0.5)
+    return float(f"1e{decade - 5}"), float(f"1e{decade + 5}")
 
 
 def tile_support(tile: Samples) -> Support:
@@ -449,7 +469,7 @@ class StreamingHistogram:
             raise InputError(message)
         self.scale: Scale = scale
         self.bins = bins
-        self._given = LOG_SUPPORT if support is None and scale == "log" else support
+        self._given = _LOG_SUPPORT if support is None and scale == "log" else support
         self._support: Support | None = None
 
     def _begin(self, support: GivenSupport, shape: tuple[int, ...]) -> Support:

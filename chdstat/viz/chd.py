@@ -27,7 +27,8 @@ from chdstat._core.display import Width, channel_names, number, percent
 from chdstat.errors import InputError, check_option
 from chdstat.fit import Fit, Mixture, Tail
 from chdstat.inference.modes import Modality
-from chdstat.summary.histograms import LOG_SUPPORT, Histogram, Scale, histogram
+from chdstat.patterns.pixel import Pixel
+from chdstat.summary.histograms import Histogram, Scale, histogram, log_support
 from chdstat.viz.styling import (
     CHANNELS,
     NAMES,
@@ -193,25 +194,6 @@ def scales_of(scales: Scale | Sequence[Scale]) -> list[Scale]:
         message = "expected at least one scale, 'linear' or 'log', got none"
         raise InputError(message)
     return [*wanted]
-
-
-def log_support(x: npt.ArrayLike) -> tuple[float, float]:
-    """Return the support of log histograms that are drawn: [1e-5, 1e5], or as wide elsewhere.
-
-    It is moved by whole decades, to the median of the positive samples, where this lies beyond.
-
-    Examples
-    --------
-    >>> log_support([0.0, 0.5, 1e-20]), log_support([2e-7, 3e-6, 4.0])
-    ((1e-05, 100000.0), (1e-11, 0.1))
-    """
-    array, (low, high) = np.asarray(x), LOG_SUPPORT
-    seen = array[(array > 0) & (array < np.inf)]
-    middle = float(np.median(seen)) if seen.size else 1.0
-    if low <= middle < high:
-        return LOG_SUPPORT
-    decade = math.floor(math.log10(middle) + 0.5)
-    return float(f"1e{decade - 5}"), float(f"1e{decade + 5}")
 
 
 def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[str, Histogram]:
@@ -385,16 +367,19 @@ class Panel:
         '25 % nulls'
         """
         samples = np.asarray(x)
-        null, bad = is_null(samples), np.asarray(is_bad(samples).any(axis=0))
-        note = f"{per_cent(null.mean())} nulls" if note is None else note
-        if len(samples) == 3:
-            light = luminance(np.where(bad, 0.0, samples))
-            samples = np.concatenate([samples, light[np.newaxis]])
-            channels = [*(channels or "RGB"), _LUMINANCE]
-        linear = histogram(samples, scale="linear", null=null, bad=bad)
-        log = histogram(samples, support=log_support(samples), null=null, bad=bad)
-        mean = samples[:, ~bad].astype(np.float64).mean(axis=-1).tolist() if not bad.all() else ()
-        return cls(name, linear, log, channels, fits, mean, note)
+        names = tuple(channels or channel_names(len(samples)))
+        pixel = Pixel(0, 0, samples, names, "")
+        note = f"{per_cent(pixel.null_share)} nulls" if note is None else note
+        return cls.of_pixel(name, pixel, fits=fits, note=note)
+
+    @classmethod
+    def of_pixel(
+        cls, name: str, pixel: Pixel, *, fits: Sequence[Density | None] = (), note: str = ""
+    ) -> Panel:
+        """Return the CHD of a pixel; parameters as above."""
+        linear, log = pixel.histograms.values()
+        mean = () if pixel.bad.all() else pixel.moments.mean.tolist()
+        return cls(name, linear, log, pixel.names, fits, mean, note)
 
     def histograms(self, scale: Scale) -> dict[str, Histogram]:
         """Return the histogram of each channel on a scale, by the name of the channel."""

@@ -9,7 +9,6 @@ from typing import Any, cast
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from chdstat._core.arrays import take_rows
 from chdstat._core.display import percent
 from chdstat._core.doors import draw
 from chdstat.comparison.comparisons import Breakdown, Comparison, ErrorCurve, PixelEstimates
@@ -33,18 +32,15 @@ _AROUND = 2
 """Pixels around that of a region that are marked with it."""
 
 
-def panel_of(pixel: Pixel, title: str) -> Panel:
-    """Return a pixel as `chdstat.viz.chd_grid` draws it: histograms, best fits and means."""
-    if len(pixel.channels) == 1:
-        fits = [pixel.curve]
-    else:
-        best = enumerate(pixel.families.values())
-        fits = [take_rows(pixel.selection.fits[n], i, axis=0) if n else None for i, n in best]
-        fits.append(pixel.curve)  # of the luminance that a panel adds
+def panel_of(pixel: Pixel, title: str, *, family: str = "best") -> Panel:
+    """Return a pixel as `chdstat.viz.chd_grid` draws it: histograms, fits of a family and means."""
+    fits = [pixel.fit(family, row) for row in range(len(pixel.names))]
+    if family == "best" and pixel.has_luminance:
+        fits[-1] = pixel.curve
     named = [called(fit.name) for fit in fits[: len(pixel.channels)] if fit is not None]
     note = f"{percent(pixel.null_share)} null, {' / '.join(dict.fromkeys(named)) or 'no fit'}"
     densities = [None if fit is None else fit.pdf for fit in fits]
-    return Panel.of(title, pixel.radiance, channels=pixel.channels, fits=densities, note=note)
+    return Panel.of_pixel(title, pixel, fits=densities, note=note)
 
 
 def _pixel(pixel: Pixel, **options: Any) -> Figure:

@@ -12,13 +12,13 @@ from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.entries import DEFAULT_ESTIMATE, choose, entry_of
 from chdstat.errors import InputError
 from chdstat.estimators import lookup, registry
-from chdstat.explorer.estimators import (
+from chdstat.explorer.batch_estimates import (
     batches_of,
     estimates,
     estimates_around,
     estimates_of_model,
 )
-from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.image_sources import StoreSource
 from chdstat.explorer.tables import estimates_table
 from chdstat.viz.styling import called, estimator_name
 
@@ -59,7 +59,7 @@ def by_explorer(samples):
     model = lookup("elek2019").train(samples, progress=False)
     found = [*estimates_of_model(model.name, model, batches), *estimates(batches)]
     found += estimates_around(source, place, N)
-    rows = estimates_table(found, samples.channels, N, "")["rows"]
+    rows = estimates_table(found, samples.channels, N)["rows"]
     shown = {estimator_name(name): name for name in DEFAULT_ESTIMATORS}
     names = [row[0].partition(", ")[0] for row in rows]  # "Elek et al. 2019, 93 % certain"
     return [shown.get(name, name) for name in names][: len(DEFAULT_ESTIMATORS)]

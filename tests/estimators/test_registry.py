@@ -7,7 +7,7 @@ import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import registry
-from chdstat.explorer.estimators import batches_of, estimates
+from chdstat.explorer.batch_estimates import batches_of, estimates
 from chdstat.viz.styling import NAMES
 
 

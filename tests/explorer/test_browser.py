@@ -16,8 +16,8 @@ import pytest
 import chdstat as chd
 from chdstat.analysis import save
 from chdstat.explorer import Explorer, selection
-from chdstat.explorer.maps import IMAGES
-from chdstat.explorer.place import goodness
+from chdstat.explorer.overlays import IMAGES
+from chdstat.explorer.suggestions import goodness
 from chdstat.io import write_exr
 from chdstat.patterns import Label
 from chdstat.samples.store import Store

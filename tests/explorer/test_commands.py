@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from bokeh.document import Document
 
+from chdstat.explorer.address import View
 from chdstat.explorer.session import Session
-from chdstat.explorer.shared import opened
-from chdstat.explorer.view import View
+from chdstat.explorer.workspace import opened
 
 ODD = [
     None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import chdstat as chd
-from chdstat.explorer.estimators import batches_of, estimates_of_model
+from chdstat.explorer.batch_estimates import batches_of, estimates_of_model
 
 
 def test_a_model_estimates_from_batches_of_its_number_of_samples():

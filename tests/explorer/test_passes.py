@@ -9,8 +9,8 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import StoreError
-from chdstat.explorer.shared import Passes, opened
-from chdstat.explorer.view import View
+from chdstat.explorer.address import View
+from chdstat.explorer.workspace import Passes, opened
 
 
 class Stepped:
@@ -122,7 +122,7 @@ def test_a_contrast_is_computed_once_for_all_its_maps(monkeypatch, stepped):
         yield from stepped.work(key)
         return chd.contrast(a, b)
 
-    monkeypatch.setattr("chdstat.explorer.shared.contrasting", contrasting)
+    monkeypatch.setattr("chdstat.explorer.workspace.contrasting", contrasting)
     shared.want("page", one)
     shared.want("page", other)
     stepped.ends(key)

@@ -14,9 +14,9 @@ from matplotlib.image import imread
 
 import chdstat as chd
 from chdstat.errors import RenderError, SceneError
+from chdstat.explorer.image_sources import SceneSource
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.server import Startup
-from chdstat.explorer.sources import SceneSource
 from chdstat.rendering.backend import activate
 from chdstat.rendering.jobs import Job
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
@@ -80,7 +80,7 @@ def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
     assert coarse.shape == (85, 128, 3)
     assert texts == [f"drawing box: {share} % of the coarse image" for share in (0, 25, 50, 75)]
     image = imread(io.BytesIO(base64.b64decode(startup.image)))
-    assert image.shape == (85, 128, 4)
+    assert image.shape == (85, 128, 3)
     for image in (seen, better):
         assert image.shape == (200, 300, 3)
         assert np.isfinite(image).all()

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat.explorer.address import View
 from chdstat.explorer.selection import SelectionResults
-from chdstat.explorer.shared import opened
-from chdstat.explorer.view import View
+from chdstat.explorer.workspace import opened
 
 EDGE = 8
 

@@ -172,7 +172,7 @@ def test_the_page_has_a_coarse_image_before_its_socket(explored):
     coarse = page(url).split("url(data:image/png;base64,")
     assert len(coarse) == 2
     image = imread(io.BytesIO(base64.b64decode(coarse[1].split(")")[0])))
-    assert image.shape == (50, 100, 4)
+    assert image.shape == (50, 100, 3)
     assert image[:, :50, :3].max() == 0
     assert image[:, 50:].min() > 0.8
     for query in ("?z=0,0,10,10", "?map=null_share"):

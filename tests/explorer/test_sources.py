@@ -14,11 +14,9 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, SceneError, StoreError
-from chdstat.explorer import shared
-from chdstat.explorer.maps import IMAGES, MAPS, map_kind, walk
-from chdstat.explorer.page import rgba
-from chdstat.explorer.render_process import RenderProcess
-from chdstat.explorer.sources import (
+from chdstat.explorer import workspace
+from chdstat.explorer.bokeh_document import rgba
+from chdstat.explorer.image_sources import (
     FIRST_SPP,
     ImageAccumulator,
     Overall,
@@ -27,6 +25,8 @@ from chdstat.explorer.sources import (
     pooled,
     stream,
 )
+from chdstat.explorer.overlays import IMAGES, MAPS, map_kind, walk
+from chdstat.explorer.render_process import RenderProcess
 from chdstat.patterns import classify
 from chdstat.rendering import render_pixels
 from chdstat.rendering.jobs import Job
@@ -175,9 +175,9 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
         yield 1.0, {"v": np.arange(3)}
 
     def asked(samples, name):
-        return ended(shared.kept(samples, name, ARRAYS, compute()))
+        return ended(workspace.kept(samples, name, ARRAYS, compute()))
 
-    next(shared.kept(samples, "x", ARRAYS, compute()))  # what is not ended is not kept
+    next(workspace.kept(samples, "x", ARRAYS, compute()))  # what is not ended is not kept
     for _ in range(2):
         np.testing.assert_array_equal(asked(samples, "x")["v"], np.arange(3))
     assert len(calls) == 2

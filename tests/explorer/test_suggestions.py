@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.place import first_pixel, suggest
-from chdstat.explorer.sources import StoreSource, stream
+from chdstat.explorer.image_sources import StoreSource, stream
+from chdstat.explorer.suggestions import first_pixel, suggest
 
 
 def ended(work):

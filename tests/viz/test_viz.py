@@ -137,7 +137,7 @@ def test_labels_of_a_dataset_bring_their_names():
 def test_a_panel_of_samples_counts_nulls_and_leaves_bad_samples_out():
     x = np.array([[0.0, 1.0, 3.0, np.nan], [0.0, 2.0, 2.0, 9.0]])
     panel = viz.Panel.of("wall", x, channels="ab")
-    assert panel.note == "25 % nulls"
+    assert panel.note == "33 % nulls"
     assert panel.mean == pytest.approx([4 / 3, 4 / 3])
     for found in (panel.linear, panel.log):
         assert found.null_count.tolist() == [1, 1]

@@ -28,12 +28,12 @@ from bokeh.plotting import figure
 from chdstat._core.arrays import Image, luminance
 from chdstat._core.display import png
 from chdstat._core.image_scales import tonemap
+from chdstat.explorer.address import BATCH_SIZES, FITS
 from chdstat.explorer.export import EXPORTS
-from chdstat.explorer.maps import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
+from chdstat.explorer.image_sources import AnySource, StoreSource
+from chdstat.explorer.overlays import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
-from chdstat.explorer.sources import AnySource, StoreSource
-from chdstat.explorer.view import BATCH_SIZES, FITS
 from chdstat.patterns import Label
 from chdstat.viz.styling import called
 

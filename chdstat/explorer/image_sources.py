@@ -16,8 +16,8 @@ from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance, se
 from chdstat._core.image_scales import display_stops
 from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
+from chdstat.explorer.address import Box, PixelIndex, check_pixel
 from chdstat.explorer.render_process import COARSE, RenderProcess
-from chdstat.explorer.view import Box, PixelIndex, check_pixel
 from chdstat.io.exr import read_exr
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store

@@ -212,6 +212,20 @@ class View:
         return urlencode(pairs)
 
 
+def row_of(channel: str, names: Sequence[str]) -> int:
+    """Return the row of a pixel, of these names, that a channel of a view stands for.
+
+    That is luminance for "all" of several pixels.
+
+    Examples
+    --------
+    >>> [row_of(channel, ("R", "G", "B", "luminance")) for channel in ("all", "luminance", "1")]
+    [3, 3, 1]
+    """
+    last = len(names) - 1
+    return last if channel in ("all", "luminance") else min(int(channel), max(0, last - 1))
+
+
 def box_between(
     one: tuple[float, float], other: tuple[float, float], height: int, width: int
 ) -> Box:

@@ -21,8 +21,8 @@ from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.entries import choose, estimate_by, takes
 from chdstat.estimators import registry
 from chdstat.estimators.training import TrainedModel
-from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.view import PixelIndex
+from chdstat.explorer.address import PixelIndex
+from chdstat.explorer.image_sources import StoreSource
 
 _MOST_BATCHES = 32
 """Batches that estimators estimate from."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,15 +13,20 @@ import chdstat as chd
 from chdstat.errors import Reason
 from chdstat.estimators import registry
 from chdstat.explorer import tables
-from chdstat.explorer.estimators import batches_of, estimates, estimates_around
+from chdstat.explorer.address import FITS, View
+from chdstat.explorer.batch_estimates import batches_of, estimates, estimates_around
+from chdstat.explorer.image_sources import MOST_POOLED, StoreSource
 from chdstat.explorer.panels import PanelData, Trace, encode_panels, extent, panels, series_of
-from chdstat.explorer.place import PlaceStatistics, goodness
-from chdstat.explorer.sources import MOST_POOLED, StoreSource
-from chdstat.explorer.view import FITS, View
 from chdstat.fit.families import FAMILIES
+from chdstat.fit.tail import TailIndex
 from chdstat.inference.differences import difference
+from chdstat.patterns import Pixel
 
 RGB = ("R", "G", "B")
+
+
+def pixel(x):
+    return Pixel(0, 0, x, RGB, "noise", most_fitted=MOST_POOLED)
 
 
 def gamma(spp=512, seed=1, null=0.3):
@@ -57,7 +63,7 @@ def hard():
 @pytest.mark.parametrize("name", hard())
 @pytest.mark.parametrize("channel", ["all", "1"])
 def test_no_sample_breaks_panels_or_tables(name, channel):
-    place = PlaceStatistics(hard()[name], RGB)
+    place = pixel(hard()[name])
     view = View(families=FITS, batch=4, channel=channel)
     drawn = panels(view, series_of(view, {"a": [place, place]}))
     for panel in [
@@ -72,8 +78,8 @@ def test_no_sample_breaks_panels_or_tables(name, channel):
     for places in ([place], [place, place]):
         columns = tables.columns_of(places, channel)
         shown += [tables.statistics_table(columns), tables.patterns_table(columns)]
-    shown.append(tables.estimates_table(estimates(batches_of(place.samples, 8)), RGB, 8))
-    found = difference(place.samples, place.samples)
+    shown.append(tables.estimates_table(estimates(batches_of(place.radiance, 8)), RGB, 8))
+    found = difference(place.radiance, place.radiance)
     shown.append(tables.compared_table(found, RGB, ("a", "b")))
     for table in shown:
         assert all(isinstance(cell, str) for row in table["rows"] for cell in row)
@@ -84,7 +90,7 @@ def test_nulls_and_bad_samples_are_apart():
     x = gamma(null=0.0)
     x[:, :128] = 0
     x[1, 128:192] = np.nan
-    place = PlaceStatistics(x, RGB)
+    place = pixel(x)
     assert place.null_share == pytest.approx(128 / 448)
     assert int(place.bad.sum()) == 64
     assert int(place.histograms["log"].counts.sum(axis=-1)[0]) == 512 - 128 - 64
@@ -95,7 +101,7 @@ def test_nulls_and_bad_samples_are_apart():
 def test_nearly_constant_samples_are_a_spike_without_fits():
     rng = np.random.default_rng(1)
     x = (2.5 * (1 + 1e-6 * rng.normal(size=(3, 512)))).astype(np.float32)
-    place = PlaceStatistics(x, RGB)
+    place = pixel(x)
     view = View(families=FITS)
     drawn = panels(view, series_of(view, {"a": [place]}))
     assert place.constant.all()
@@ -105,15 +111,15 @@ def test_nearly_constant_samples_are_a_spike_without_fits():
     assert drawn["qq"].notes == ["constant samples"]
     columns = tables.columns_of([place], "all")
     table = {row[0]: row[1] for row in tables.statistics_table(columns)["rows"]}
-    assert table["best family by BIC"] == "constant"
+    assert table["best family by BIC"] == "—"
     assert table["tail index ξ of all samples"] == "—"
     assert tables.patterns_table(columns)["title"] == "Patterns: constant"
-    spread = PlaceStatistics((x - 2.5) * 1e4 + 2.5, RGB)  # the control: 1 % of the mean
+    spread = pixel((x - 2.5) * 1e4 + 2.5)  # the control: 1 % of the mean
     assert not spread.constant.any()
 
 
 def test_rows_of_several_pixels_stay_apart_and_keep_their_shape():
-    places = [PlaceStatistics(k * gamma(seed=i), RGB) for i, k in enumerate((1, 1e3))]
+    places = [pixel(k * gamma(seed=i)) for i, k in enumerate((1, 1e3))]
     drawn = panels(View(), series_of(View(), {"a": places}))
     for name in ("linear", "log", "averages"):
         assert drawn[name].rows == 2
@@ -127,7 +133,7 @@ def test_rows_of_several_pixels_stay_apart_and_keep_their_shape():
 
 def test_the_same_pixel_of_several_stores_stands_in_one_plot():
     """A row of luminance for each store, in its colour; of several pixels, the rows stay apart."""
-    one, two = (PlaceStatistics(k * gamma(seed=k), RGB) for k in (1, 2))
+    one, two = (pixel(k * gamma(seed=k)) for k in (1, 2))
     found = series_of(View(), {"a": [one], "b": [two]})
     assert [(s.name, s.place.names[s.row]) for s in found] == [
         ("a", "luminance"),
@@ -138,7 +144,7 @@ def test_the_same_pixel_of_several_stores_stands_in_one_plot():
     assert len({s.color for s in found}) == 2
     drawn = panels(View(), series_of(View(), {"a": [one, two], "b": [two, one]}))["linear"]
     assert drawn.rows == 2
-    dark = PlaceStatistics(gamma(null=0.6), RGB)
+    dark = pixel(gamma(null=0.6))
     texts = panels(View(), series_of(View(), {"a": [one, two], "b": [dark, one]}))["log"].texts
     nulls = [f"{100 * p.null_share:.0f}\N{NO-BREAK SPACE}%" for p in (one, dark, two)]
     assert texts[1][2] == f"{nulls[0]} / {nulls[1]} null"  # of both stores, in their order
@@ -148,16 +154,16 @@ def test_the_same_pixel_of_several_stores_stands_in_one_plot():
 
 def test_the_place_says_what_the_library_says():
     x = gamma()
-    place = PlaceStatistics(x, RGB)
+    place = pixel(x)
     null = np.broadcast_to((x == 0).all(axis=0), x.shape)
-    assert place.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
-    np.testing.assert_allclose(place.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
+    assert place.selection.best.tolist() == chd.fit.select(x, null=null).best.tolist()
+    np.testing.assert_allclose(place.tail.xi, chd.fit.tail_index(x, null=null).xi)
     np.testing.assert_allclose(place.moments.mean[:3], x.mean(axis=-1), rtol=1e-6)
     assert int(place.patterns.label) == int(chd.classify(x).label)
 
 
 def test_the_running_mean_ends_at_the_mean_and_its_error():
-    place = PlaceStatistics(gamma(), RGB)
+    place = pixel(gamma())
     at, means, errors = place.running
     assert at[-1] == 512
     np.testing.assert_allclose(means[:, -1], place.moments.mean, rtol=1e-9)
@@ -167,38 +173,38 @@ def test_the_running_mean_ends_at_the_mean_and_its_error():
 def test_averages_leave_bad_samples_out():
     x = gamma(64)
     x[0, 3] = np.inf
-    averages = PlaceStatistics(x, RGB).averages(9)
+    averages = pixel(x).averages(9)
     assert averages.shape == (4, 7)
     np.testing.assert_allclose(averages[1, 0], np.delete(x[1], 3)[:9].mean(), rtol=1e-6)
 
 
 def test_later_samples_keep_what_was_found_of_the_first():
     x = gamma(MOST_POOLED + 64)
-    first, second = PlaceStatistics(x[:, :-32], RGB), PlaceStatistics(x, RGB)
-    selection = first.selection
-    second.take_over(first)
-    assert second.selection is selection
+    first = pixel(x[:, :-32])
+    patterns = first.patterns
+    second = first.grown(x)
+    assert second.patterns is patterns
     assert second.moments.count[0] == x.shape[1]
-    grown = PlaceStatistics(x[:, :100], RGB)
-    grown.take_over(first)
-    assert grown.selection is not selection
+    few = pixel(x[:, :100])
+    assert few.grown(x).fitted_spp > few.fitted_spp
+    assert few.patterns is not few.grown(x).patterns
 
 
 def test_quantiles_of_the_true_family_lie_on_the_diagonal():
     """Quantiles of 4096 gamma samples; 20 % is beyond 6 standard errors away from the ends."""
-    place = PlaceStatistics(gamma(4096, null=0.4), RGB)
+    place = pixel(gamma(4096, null=0.4))
     view = View(families=("gamma",))
     _, *lines = panels(view, series_of(view, {"a": [place]}))["qq"].lines
     for line in lines:
         middle = slice(20, 80)
         np.testing.assert_allclose(line.y[middle], line.x[middle], rtol=0.2)
-    few = PlaceStatistics(gamma(60, null=0), RGB)
+    few = pixel(gamma(60, null=0))
     _, *lines = panels(view, series_of(view, {"a": [few]}))["qq"].lines
     assert [len(line.y) for line in lines] == [60, 60, 60]
 
 
 def test_the_curve_over_the_averages_is_the_gaussian_of_their_moments():
-    place, view = PlaceStatistics(gamma(), RGB), View(batch=8)
+    place, view = pixel(gamma()), View(batch=8)
     drawn = panels(view, series_of(view, {"a": [place]}))["averages"]
     curves = [line for line in drawn.lines if line.dash == "dotted"]
     for line, averages in zip(curves, place.averages(8)[:3], strict=True):
@@ -210,9 +216,7 @@ def test_the_curve_over_the_averages_is_the_gaussian_of_their_moments():
 def test_few_fireflies_among_the_averages_squeeze_nothing():
     x = np.random.default_rng(0).gamma(2.0, size=(3, 32 * 500)).astype(np.float32)
     x[:, 7] = 1e5
-    drawn = panels(View(batch=32), series_of(View(batch=32), {"a": [PlaceStatistics(x, RGB)]}))[
-        "averages"
-    ]
+    drawn = panels(View(batch=32), series_of(View(batch=32), {"a": [pixel(x)]}))["averages"]
     assert drawn.notes[-1] == "0.2\u00a0% beyond"
     for area in (t for t in drawn.lines if t.fill):
         assert area.x.max() < 10
@@ -221,31 +225,32 @@ def test_few_fireflies_among_the_averages_squeeze_nothing():
 
 def test_a_p_value_below_all_floats_is_said_to_be():
     p = np.array([0.0, 2e-5, 0.02, 0.5, np.nan])
-    place = PlaceStatistics(gamma(), RGB)
+    place = pixel(gamma())
     reasons = np.array([0, 0, 0, 0, Reason.TIED])
-    found = {"gamma": (p[1:], np.ones(4), reasons[1:])}
+
+    def test_of(p, reason):
+        p_value, effect = (np.stack([v, v], axis=-1) for v in (p, np.ones(4)))
+        about = {"statistic": effect, "resamples": 199, "reason": reason[:, np.newaxis]}
+        return {"gamma": SimpleNamespace(p_value=p_value, effect=effect, **about)}
+
+    found = test_of(p[1:], reasons[1:])
     (row,) = tables.goodness_table(place, found)["rows"]
     cells = [cell.partition(" (D")[0] for cell in row[1:]]
     assert cells == ["2e−5", "0.020", "0.50", "tied"]
-    found = {"gamma": (p[:4], np.ones(4), reasons[:4])}
+    found = test_of(p[:4], reasons[:4])
     (row,) = tables.goodness_table(place, found)["rows"]
     assert row[1].startswith("≈\u00a00")
 
 
 def test_p_values_of_the_true_family_are_not_small():
     """Gamma samples; the least p that 40 replicates can give happens to 1 of 10 seeds: not here."""
-    told = []
-    place = PlaceStatistics(gamma(256), RGB)
-    found = goodness(place, told.append, resamples=40)
-    assert (found["gamma"][0] > 1.5 / 41).all()
-    assert found["lognormal"][0].min() == pytest.approx(1 / 41)  # the control
-    assert told == sorted(told)
-    assert told[0] == 0
-    assert max(told) < 1
+    found = dict(pixel(gamma(256)).goodness(resamples=40))
+    assert (found["gamma"].p_value[:, 0] > 1.5 / 41).all()
+    assert found["lognormal"].p_value[:, 0].min() == pytest.approx(1 / 41)  # the control
 
 
 def test_extents_hold_all_that_is_drawn():
-    place = PlaceStatistics(gamma(), RGB)
+    place = pixel(gamma())
     for name, panel in panels(View(), series_of(View(), {"a": [place]})).items():
         (left, right), (bottom, top) = extent(name, panel)
         for trace in panel.lines:
@@ -304,7 +309,7 @@ def test_a_pixel_has_one_answer_about_its_error_bar():
     x = gamma()
     x[:, int(np.argmax(x[0]))] = x.sum()
     for values, holds in ((x, False), (gamma(), True)):
-        place = PlaceStatistics(values, RGB)
+        place = pixel(values)
         assert place.patterns.flags["long_tail"] == (not holds)
         told = tables.headline(place)[2][2]
         assert told.startswith(f"error bar of {place.spp} spp")
@@ -315,14 +320,14 @@ def test_a_pixel_has_one_answer_about_its_error_bar():
         }
         assert (rows["error bar of so many spp"][-1] == "fails") == (not holds)
         misses = float(place.patterns.statistics["long_tail"])
-        assert misses == pytest.approx(1 - float(place.tail.coverage_own[-1]))
+        assert misses == pytest.approx(1 - float(place.measured(TailIndex()).coverage_own[-1]))
 
 
 @pytest.mark.parametrize("name", ["null", "bad", "constant", "one", "few", "huge", "subnormal"])
 def test_no_sample_breaks_the_test_of_fits(name):
-    place = PlaceStatistics(hard()[name], RGB)
-    found = goodness(place, lambda _: None, resamples=2)
-    p_values = np.stack([p for p, _, _ in found.values()])
+    place = pixel(hard()[name])
+    found = dict(place.goodness(resamples=2))
+    p_values = np.stack([test.p_value[:, 0] for test in found.values()])
     assert p_values.shape == (len(FAMILIES), 4)
     known = p_values[np.isfinite(p_values)]
     assert ((known > 0) & (known <= 1)).all()

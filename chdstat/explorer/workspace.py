@@ -1,4 +1,4 @@
-"""State that all pages of one explorer share: sources, the image, maps and threads.
+"""Workspace: what all pages of one explorer share, its sources, images, maps and threads.
 
 Clicks are worked on in one thread, passes over the image in another (`Passes`): the latest
 request first; a pass stands still while a click is being worked on, and where nobody waits for it.
@@ -25,7 +25,16 @@ from chdstat._core.arrays import luminance
 from chdstat._core.files import Cache, is_exr, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.training import TrainedModel, load_model
-from chdstat.explorer.maps import (
+from chdstat.explorer.address import PixelIndex, View
+from chdstat.explorer.image_sources import (
+    AnySource,
+    ImageSource,
+    Overall,
+    SceneSource,
+    StoreSource,
+    stream,
+)
+from chdstat.explorer.overlays import (
     CONTRASTS,
     DIFFERENCES,
     IMAGES,
@@ -35,16 +44,7 @@ from chdstat.explorer.maps import (
     read_maps,
     walk,
 )
-from chdstat.explorer.place import suggest
-from chdstat.explorer.sources import (
-    AnySource,
-    ImageSource,
-    Overall,
-    SceneSource,
-    StoreSource,
-    stream,
-)
-from chdstat.explorer.view import PixelIndex, View
+from chdstat.explorer.suggestions import suggest
 from chdstat.inference.contrasts import contrasting
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
@@ -218,7 +218,7 @@ def opened(
     models: Sequence[TrainedModel[Any] | str | Path] = (),
     *,
     maps: str | Path | None = None,
-) -> Shared:
+) -> Workspace:
     """Open what `chdstat.explore` is given; of a scene, what it made of it.
 
     Raises
@@ -245,7 +245,7 @@ def opened(
             )
             raise InputError(message)
     given = {} if maps is None else read_maps(maps, found[0].size)
-    return Shared(found, trained, given)
+    return Workspace(found, trained, given)
 
 
 def _opened(source: str | Path | Samples) -> StoreSource | ImageSource:
@@ -263,7 +263,7 @@ def _store(source: str | Path | Samples) -> StoreSource:
     return StoreSource(samples)
 
 
-class Shared:
+class Workspace:
     """State of one explorer.
 
     Parameters

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chdstat.errors import InputError
-from chdstat.explorer.view import (
+from chdstat.explorer.address import (
     BATCH_SIZES,
     FITS,
     MOST_PIXELS,

@@ -7,7 +7,7 @@ Names and units of what an analysis wrote to a file come from its attributes (`r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
@@ -19,19 +19,13 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from chdstat import inference
-from chdstat._core.arrays import Array, Image, Mapped, spans
+from chdstat._core.arrays import Array, Image, spans
 from chdstat._core.positive import PositivePart
+from chdstat._core.statistic import MapKind, Statistic, shown_statistics
 from chdstat.errors import InputError
-from chdstat.explorer.place import HOLDS, error_bar
-from chdstat.explorer.sources import StoreSource
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import FamilySelection
-from chdstat.fit.tail import TailIndex
-from chdstat.inference.averages import NormalityOfMeans
+from chdstat.explorer.image_sources import MOST_POOLED, StoreSource
 from chdstat.inference.contrasts import Contrast
 from chdstat.io.writing import open_maps
-from chdstat.patterns.classification import Classification, Label
 from chdstat.samples.tiles import assemble
 from chdstat.summary.runner import measured
 from chdstat.viz.maps import LABEL_COLORS, names_of
@@ -60,27 +54,11 @@ def ramp(name: str = "viridis") -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Map:
+class Map(MapKind):
     """A map over the image.
 
     Attributes
     ----------
-    name, title
-        In the address, and for readers.
-    unit
-        Of the colour bar.
-    of
-        Returns the numbers (y, x), of what its table says; None where they need no computing.
-    names
-        Of codes, for a map of labels; empty for a map of numbers.
-    ordered
-        Whether codes have an order, which their colours then show.
-    log
-        Whether the numbers are shown as their log10.
-    ends
-        Ends of the colour bar; None for percentiles of what there is.
-    diverging
-        Whether 0 stands in the middle, between two colours.
     values
         Shape (y, x), float32; NaN where there is nothing to say. Empty in tables.
     done
@@ -89,15 +67,6 @@ class Map:
         What is said of it below the colour bar.
     """
 
-    name: str
-    title: str
-    unit: str = ""
-    of: Callable[..., npt.ArrayLike] | None = None
-    names: Mapping[int, str] = field(default_factory=dict)
-    ordered: bool = False
-    log: bool = False
-    ends: tuple[float, float] | None = None
-    diverging: bool = False
     values: Image = field(default_factory=lambda: _NONE)
     done: float = 1.0
     note: str = ""
@@ -152,23 +121,17 @@ def _against_reference(found: Contrast) -> Array:
     return np.asarray(100 * sign * maps["difference"].to_numpy()[..., 0] / np.abs(base))
 
 
-def _best_family(part: PositivePart) -> Array:
-    best = measured(part, FamilySelection()).best
-    return np.where(best < 0, np.nan, best)
+def _of_statistics(spp: int) -> dict[str, tuple[Map, Statistic[Any]]]:
+    """Return the maps of all statistics for so many samples, each with its statistic, by name."""
+    known = (kind.of_pixel(spp) for kind in shown_statistics())
+    found = {}
+    for statistic in filter(None, known):
+        for kind in statistic.maps():
+            names = {code: called(name) for code, name in kind.names.items()}
+            found[kind.name] = Map(**{**vars(kind), "names": names}), statistic
+    return found
 
 
-def _n_needed(part: PositivePart) -> Array:
-    """Return the place of the N needed among those tested; one more where it is larger."""
-    tests = NormalityOfMeans.of(part.x.shape[-1])
-    if tests is None:
-        return np.full(part.n.shape, np.nan)
-    needed = measured(part, tests).n_needed
-    place = np.where(needed > 0, np.searchsorted(tests.sizes, needed), np.nan)
-    return np.where(needed == inference.MORE_THAN_TESTED, len(tests.sizes), place)
-
-
-_FAMILIES = dict(enumerate(map(called, FAMILIES)))
-_PATTERNS = {int(label): called(label.name.lower()) for label in Label}
 IMAGES = _table(
     Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),
     Map("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
@@ -177,17 +140,9 @@ IMAGES = _table(
     Map("relative_error", "Standard error over mean", _OVER_MEAN, log=True, ends=(-3, 0)),
     Map("bad_count", "Bad samples", "samples"),
 )
-"""Maps that come with the image, a scene's too, as `chdstat.explorer.sources.Overall` has them."""
-MAPS = IMAGES | _table(
-    Map("tail_index", "Tail index", "generalised Pareto ξ, luminance",
-        lambda part: measured(part, TailIndex()).xi, ends=(-0.5, 1)),
-    Map("error_bar", "Does the error bar hold?", "by the luminance of each pixel alone",
-        lambda part: error_bar(measured(part, TailIndex())), HOLDS, ordered=True),
-    Map("best_family", "Best family", "by BIC, luminance", _best_family, _FAMILIES),
-    Map("pattern", "Pattern", "primary label", names=_PATTERNS),
-    Map("n_needed", "N needed for Gaussian averages", "samples, luminance", _n_needed),
-)  # fmt: skip
-"""Those, and maps for which samples are read: of the luminance of pixels, for `walk`."""
+"""Maps that come with the image, a scene's too; attributes of an `Overall`."""
+MAPS = IMAGES | {name: shown for name, (shown, _) in _of_statistics(MOST_POOLED).items()}
+"""Those, and maps for which samples are read: statistics of the luminance, for `walk`."""
 DIFFERENCES = _table(
     Map("diff:signed", "Difference", "shown minus reference, luminance", lambda a, b: b - a,
         diverging=True),
@@ -227,18 +182,15 @@ def map_of(name: str, *found: Any, note: str = "") -> Map:
 def map_kind(name: str, spp: int = 0) -> Map:
     """Return the map of that name without values.
 
-    The codes of N needed have names if there are enough samples per pixel to test averages.
+    With `spp`, a map of a statistic is as of so many samples.
 
     Raises
     ------
     InputError
         If there is no such map.
     """
-    if name == "n_needed" and (tests := NormalityOfMeans.of(spp)) is not None:
-        sizes = tests.sizes
-        names = {i: f"N = {n}" for i, n in enumerate(sizes)} | {len(sizes): f"N > {sizes[-1]}"}
-        return replace(MAPS[name], names=names, ordered=True)
-    known = {**MAPS, **DIFFERENCES, **CONTRASTS}
+    of_spp = {name: shown for name, (shown, _) in _of_statistics(spp).items()} if spp else {}
+    known = {**MAPS, **DIFFERENCES, **CONTRASTS, **of_spp}
     if name in known:
         return known[name]
     message = f"no map is called {name!r}; there are {', '.join(MAPS)}"
@@ -295,30 +247,24 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
         One of `MAPS`.
     """
     values = np.full(source.size, np.nan, np.float32)
+    if name not in (known := _of_statistics(source.samples.spp)):  # too few samples for it
+        yield 1.0, values
+        return
+    shown, statistic = known[name]
     places = list(product(*(spans(length, _TILE) for length in source.size)))
-
     # Coarsely first, a pixel for each cell, which takes little more than reading.
     for step, before, share in ((_CELL, 0, _COARSE_SHARE), (1, _COARSE_SHARE, 1 - _COARSE_SHARE)):
         parts = []
         for i, (ys, xs) in enumerate(places):
             yield before + share * i / len(places), values
             block = np.ascontiguousarray(source.read(ys, xs)[::step, ::step])
-            cells, variables = _of_tile(name, block)
+            found = measured(PositivePart.of_pixels(block, rows="luminance"), statistic)
+            cells = shown.filled(shown.of(found)).values if shown.of else values[ys, xs]
             height, width = values[ys, xs].shape
             values[ys, xs] = cells.repeat(step, 0).repeat(step, 1)[:height, :width]
-            parts.append((ys, xs, variables))
-    if name == "pattern":
-        # Over the image, flags are decided with p-values corrected for its size.
+            parts.append((ys, xs, statistic.variables(found) if shown.decided else {}))
+    if shown.decided:
+        # Over the image, labels are decided with p-values corrected for its size.
         whole = assemble(source.samples, iter(parts), progress=False)
-        values = Classification().finish(whole)["label"].to_numpy().astype(np.float32)
+        values = statistic.finish(whole)[shown.decided].to_numpy().astype(np.float32)
     yield 1.0, values
-
-
-def _of_tile(name: str, block: Image) -> tuple[Array, Mapped]:
-    """Return the values of a tile (y, x, channel, sample), and what labels are decided by."""
-    if name == "pattern":
-        patterns = Classification()
-        found = measured(PositivePart.of_pixels(block, rows="luminance"), patterns)
-        variables = patterns.variables(found)
-        return np.asarray(variables["label"][1]), variables
-    return map_of(name, PositivePart.of_pixels(block, rows="luminance")).values, {}
