@@ -7,7 +7,7 @@ differences in the two halves has the true squared distance as its expectation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Counts, Floats, Mask, generator, spans
 from chdstat._core.resampling import Interval
 from chdstat.inference.findings import ClaimTest, PlotData
+from chdstat.patterns.atlases import WIDTH as ATLAS_WIDTH
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -52,9 +53,12 @@ class LogChds:
     halves
         Share of the samples of each half that are at most each edge, shape (..., 2, edge); NaN if
         there are too few.
+    width
+        Distance of the edges, decades.
     """
 
     halves: npt.NDArray[np.floating[Any]]
+    width: float = WIDTH
 
     @property
     def whole(self) -> Floats:
@@ -69,11 +73,11 @@ class LogChds:
     @property
     def flat(self) -> LogChds:
         """Return the functions of an image (y, x) as (pixel,), in reading order."""
-        return LogChds(self.halves.reshape(-1, *self.halves.shape[2:]))
+        return replace(self, halves=self.halves.reshape(-1, *self.halves.shape[2:]))
 
     def __getitem__(self, index: Any) -> LogChds:
         """Return some of the functions."""
-        return LogChds(self.halves[index])
+        return replace(self, halves=self.halves[index])
 
 
 def aligned(x: npt.NDArray[np.floating[Any]]) -> LogChds:
@@ -121,7 +125,7 @@ def of_histograms(dataset: xr.Dataset) -> LogChds:
         n = both.sum(axis=-1, keepdims=True)
         shares = np.cumsum(both[..., :-1], axis=-1) / np.maximum(n, 1)
         halves[ys] = np.where(n >= LEAST, shares, np.nan)
-    return LogChds(halves)
+    return LogChds(halves, ATLAS_WIDTH)
 
 
 def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
@@ -133,7 +137,7 @@ def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
     return np.where(seen, x, 0).astype(np.float64)
 
 
-def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Floats:
+def squared_distance(one: LogChds, two: LogChds) -> Floats:
     """Return unbiased squared Cramér distances, in decades; noise may make them negative.
 
     ``sum((F1 - G1) (F2 - G2)) width``, with the functions F and G of both halves.
@@ -153,12 +157,18 @@ def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Flo
     """
     difference = one.halves - two.halves
     product = difference[..., 0, :] * difference[..., 1, :]
-    return np.asarray(product.sum(axis=-1, dtype=np.float64) * width)
+    return np.asarray(product.sum(axis=-1, dtype=np.float64) * one.width)
 
 
 def same_shape(name: str, distance: Interval[float]) -> ClaimTest:
     """Return the test whether a Cramér distance is small enough for the same shape."""
     return ClaimTest(name, distance, most=SAME_SHAPE, unit="decade^1/2")
+
+
+def mean_shapes(chds: Mapping[str, LogChds]) -> PlotData:
+    """Return curves of the means of shapes (pixel,), by name, where there are any."""
+    known = {name: of_name[of_name.known].whole for name, of_name in chds.items()}
+    return shape_plot({name: whole.mean(axis=0) for name, whole in known.items() if len(whole)})
 
 
 def shape_plot(shapes: Mapping[str, Floats]) -> PlotData:

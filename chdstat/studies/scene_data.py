@@ -38,9 +38,19 @@ _GUIDED_NEEDS = 64
 """Fewest samples of a pixel for tails and skewness."""
 
 
-def largest_interval(intervals: Sequence[Interval[float]], *, level: float) -> Interval[float]:
-    """Return the largest of several intervals; its ends are the largest of simultaneous ends."""
-    value, low, high = (max(getattr(i, end) for i in intervals) for end in ("value", "low", "high"))
+def largest_interval(
+    intervals: Sequence[Interval[float]], needed: str, *, level: float
+) -> Interval[float]:
+    """Return the largest of the known intervals; its ends are the largest of simultaneous ends.
+
+    Raises
+    ------
+    MissingDataError
+        If none is known.
+    """
+    known = [interval for interval in intervals if math.isfinite(interval.value)]
+    require(known, needed)
+    value, low, high = (max(getattr(i, end) for i in known) for end in ("value", "low", "high"))
     return Interval(value, low, high, level)
 
 

@@ -257,8 +257,8 @@ def _equally_many(datasets: Sequence[xr.Dataset], rng: np.random.Generator) -> I
 
 def _squared(renders: Sequence[Image]) -> Floats:
     """Return squared distances (pixel,) of two renders, each given as halves (y, x, half, edge)."""
-    one, two = (LogChds(halves.astype(np.float64)) for halves in renders)
-    return squared_distance(one, two, width=ATLAS_WIDTH).ravel()
+    one, two = (LogChds(halves.astype(np.float64), ATLAS_WIDTH) for halves in renders)
+    return squared_distance(one, two).ravel()
 
 
 def permuted(squared: Sequence[Floats]) -> float:

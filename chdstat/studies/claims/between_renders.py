@@ -235,9 +235,8 @@ def integrators(data: SceneData) -> Finding:
             room = math.log10(_TIMING)
             low, high = log.low + by - room, log.high + by + room
             sooner[name] = Interval(log.value + by, low, high, log.level)
-    known = [distance for distance in distances if np.isfinite(distance.value)]
-    require(known, "positive samples enough for shapes")
-    largest = largest_interval(known, level=whole.level)
+    needed = "positive samples enough for shapes"
+    largest = largest_interval(distances, needed, level=whole.level)
     name = "largest distance between the shapes of two integrators"
     tests, missing = [ClaimTest(name, largest, least=_DIFFERENT, unit="decade^1/2")], list[str]()
     if BSDF_SAMPLING not in pairs:

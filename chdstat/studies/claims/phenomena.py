@@ -25,7 +25,14 @@ from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, r
 from chdstat.patterns import Thresholds
 from chdstat.studies.claim import Claim, claim
 from chdstat.studies.claims.assumptions import growing, with_room
-from chdstat.studies.log_chds import aligned, counts_by_row, same_shape, shape_plot, visible
+from chdstat.studies.log_chds import (
+    aligned,
+    counts_by_row,
+    mean_shapes,
+    same_shape,
+    shape_plot,
+    visible,
+)
 from chdstat.studies.scene_data import (
     QUANTILES_NEED,
     PixelSet,
@@ -271,7 +278,6 @@ def glossy(data: SceneData) -> Finding:
     blocks = [patch.blocks for patch in patches.values()]
     distance = pooled_distance(list(shapes.values()), blocks, level=glossy.level)
     slope = _spread_slope(x, glossy)
-    known = {name: chds[chds.known].whole for name, chds in shapes.items() if chds.known.any()}
     return Finding(
         (
             same_shape("distance between glossy and diffuse shapes", distance),
@@ -280,7 +286,7 @@ def glossy(data: SceneData) -> Finding:
             # radiance.
             ClaimTest("slope of log deviation on log mean over channels", slope, least=0.5),
         ),
-        plot_data=shape_plot({name: shape.mean(axis=0) for name, shape in known.items()}),
+        plot_data=mean_shapes(shapes),
     )
 
 
@@ -752,24 +758,15 @@ def similarity(data: SceneData) -> Finding:
         pooled_distance([shapes[p] for p in pair], [indirect.blocks[p] for p in pair], level=each)
         for pair in combinations(parts, 2)
     ]
-    known = [distance for distance in distances if math.isfinite(distance.value)]
-    require(known, "shapes of two regions of indirect light")
+    largest = largest_interval(distances, "shapes of two regions of indirect light", level=level)
     noise = _difference([_noise(x), _noise(data.light(direct))], [indirect, direct])
     name = "log relative deviation, indirect less direct"
-    means = {
-        name: shapes.whole[part & shapes.known].mean(axis=0)
-        for name, part in zip(indirect.names, parts, strict=True)
-        if (part & shapes.known).any()
-    }
     return Finding(
         (
-            same_shape(
-                "largest distance between the shapes of two regions",
-                largest_interval(known, level=level),
-            ),
+            same_shape("largest distance between the shapes of two regions", largest),
             ClaimTest(name, noise, least=0.0, unit="decade"),
         ),
-        plot_data=shape_plot(means),
+        plot_data=mean_shapes({n: shapes[p] for n, p in zip(indirect.names, parts, strict=True)}),
     )
 
 

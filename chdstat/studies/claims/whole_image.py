@@ -15,10 +15,6 @@ from chdstat.studies.claim import claim
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
 from chdstat.studies.scene_data import PixelSet, SceneData, means_by_region
 
-_BIN = 0.1
-"""Width in decades of a bin of the histograms of `chdstat.summarize`."""
-
-
 # --- fireflies ------------------------------------------------------------------------------------
 
 _BRIGHTER = 4.0
@@ -49,7 +45,7 @@ def fireflies(data: SceneData) -> Finding:
     require(count >= _LEAST, f"{_LEAST} fireflies, there are {count}")
     found = data.whole(tests=2)[fireflies]
     chds = data.chds.flat
-    square = squared_distance(chds, chds[partner], width=_BIN)
+    square = squared_distance(chds, chds[partner])
     above, below = (found.blocks.sums(pairs[name][fireflies]) for name in ("own", "beside"))
     ratio = found.interval(lambda w: (w @ above) / (w @ below))
     # Samples that did not occur again in the others may be too rare for as many. The upper end
@@ -62,7 +58,7 @@ def fireflies(data: SceneData) -> Finding:
         ratio = replace(ratio, high=max(ratio.high, float(1 + unseen / below.sum())))
     known = np.where(fireflies, square, np.nan)
     place = int(np.argsort(known, kind="stable")[np.isfinite(known).sum() // 2])
-    edges = -5 + _BIN * np.arange(chds.halves.shape[-1])
+    edges = -5 + chds.width * np.arange(chds.halves.shape[-1])
     shown = {"firefly": place, "neighbour": int(partner[place])}
     curves = {name: (edges, chds[pixel].whole) for name, pixel in shown.items()}
     name = "mean radiance of a firefly over its neighbour's, in other samples"
@@ -166,7 +162,7 @@ def neighbours(data: SceneData) -> Finding:
     near = _near(chds)
     # Distances to a pixel drawn at random.
     other = generator(0).permutation(near.size)
-    far = squared_distance(chds.flat, chds.flat[other], width=_BIN)
+    far = squared_distance(chds.flat, chds.flat[other])
     name = "squared distance of neighbours over that of any two pixels"
     # From a quarter on, neighbours are not half as far apart. It is Geary's c of the CHDs, 1
     # without any order in space.
@@ -188,8 +184,8 @@ def neighbours(data: SceneData) -> Finding:
 def _near(chds: LogChds) -> Floats:
     """Return mean squared distances to the pixels below and to the right, shape (y, x)."""
     squares = np.full((2, *chds.halves.shape[:2]), np.nan)
-    squares[0, :-1] = squared_distance(chds[:-1], chds[1:], width=_BIN)
-    squares[1, :, :-1] = squared_distance(chds[:, :-1], chds[:, 1:], width=_BIN)
+    squares[0, :-1] = squared_distance(chds[:-1], chds[1:])
+    squares[1, :, :-1] = squared_distance(chds[:, :-1], chds[:, 1:])
     known = np.isfinite(squares)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(known, squares, 0).sum(axis=0) / known.sum(axis=0))
@@ -209,14 +205,14 @@ def _edges(chds: LogChds) -> tuple[Floats, Floats, Counts]:
         (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
         (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
     ):
-        edge = squared_distance(chds[before], chds[after], width=_BIN) >= (3 * SAME_SHAPE) ** 2
+        edge = squared_distance(chds[before], chds[after]) >= (3 * SAME_SHAPE) ** 2
         g, f, h = (chds[place].halves[edge] for place in (before, here, after))
-        step, rise = h - g, f - g
+        at, step, rise = replace(chds, halves=f), h - g, f - g
         weights = (rise * step).sum(axis=-1) / (step * step).sum(axis=-1)
         mixed = (weights.mean(axis=-1) > _MIXED[0]) & (weights.mean(axis=-1) < _MIXED[1])
         rest = rise - weights[..., np.newaxis] * step
-        left = (rest[:, 0] * rest[:, 1]).sum(axis=-1) * _BIN
-        sides = (squared_distance(LogChds(f), LogChds(side), width=_BIN) for side in (g, h))
+        left = (rest[:, 0] * rest[:, 1]).sum(axis=-1) * chds.width
+        sides = (squared_distance(at, replace(at, halves=side)) for side in (g, h))
         edges.append((left[mixed], np.minimum(*sides)[mixed], number[here][edge][mixed]))
     left, nearest, pixels = (np.concatenate(v) for v in zip(*edges, strict=True))
     return left, nearest, pixels
@@ -254,7 +250,7 @@ def symmetry(data: SceneData) -> Finding:
         "a view whose halves mirror each other in depth and albedo in at least "
         f"{100 * _HALVES:.0f} % of the pixels, here {100 * share:.0f} %",
     )
-    square = squared_distance(data.chds[left], data.chds[right], width=_BIN)
+    square = squared_distance(data.chds[left], data.chds[right])
     square = np.where(same, square, np.nan)
     down, across = _CELLS
     cells = [
