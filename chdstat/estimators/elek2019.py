@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 import numpy.typing as npt
 
+from chdstat import __version__
 from chdstat._core.arrays import (
     Array,
     Floats,
@@ -276,16 +277,19 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         x, target = batches.reshape(-1, config.inputs)[held_out], references.reshape(-1)[held_out]
         mean = x.mean(axis=1, dtype=np.float64)
         certainty, residuals = _validated(mean, evaluate(weights, x), target)
-        provenance = training.provenance_of(
-            samples,
-            seed=seed,
-            pixels_wanted=config.pixels if pixels is None else len(chosen),
-            pixels_used=len(chosen),
-            batches_used=len(batches),
-            batches_excluded=len(chosen) * (samples.fewest // config.inputs) - len(batches),
-            iterations=int(history[-1, 0]) if len(history) else 0,
+        provenance = {
+            "scene": samples.name,
+            "samples": samples.attrs,
+            "samples_shape": list(samples.shape),
+            "seed": seed,
+            "pixels_wanted": config.pixels if pixels is None else len(chosen),
+            "pixels_used": len(chosen),
+            "batches_used": len(batches),
+            "batches_excluded": len(chosen) * (samples.fewest // config.inputs) - len(batches),
+            "iterations": int(history[-1, 0]) if len(history) else 0,
             **({} if patience is None else {"patience": patience}),
-        )
+            "chdstat": __version__,
+        }
         self._trained = _TrainedMLP(
             weights=weights,
             scale=scale,
@@ -501,6 +505,9 @@ def _fit(
     """
     import torch
 
+    # `torch.optim.Adam` is a class around this function that also imports the compiler of torch.
+    from torch.optim.adam import adam
+
     count, channels, n = batches.shape
     order = rng.permutation(count)
     held_out = max(1, round(count * preset.validation_share))
@@ -526,16 +533,20 @@ def _fit(
 
     weights = initial_weights(preset.sizes, rng)
     parameters = [torch.tensor(w, requires_grad=True) for w in weights]
-    history, smallest, best = [], np.inf, 0
+    first, second = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
+    steps = [torch.zeros(()) for _ in parameters]
+    usual: Any = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8, "weight_decay": 0.0}
+    usual |= {"fused": True, "amsgrad": False, "maximize": False, "lr": preset.learning_rate}
+    history, smallest, best, seen = [], np.inf, 0, []
     with training.threads(1), track("training", iterations, unit="it", show=progress) as advance:
-        for iteration, seen in training.descend(
-            parameters,
-            losses(),
-            iterations=iterations,
-            every=RECORD_EVERY,
-            learning_rate=preset.learning_rate,
-            advance=advance,
-        ):
+        for iteration, (error, drawn) in enumerate(losses(), 1):
+            gradients = list(torch.autograd.grad(error, parameters))
+            with torch.no_grad():
+                adam(parameters, gradients, first, second, [], steps, **usual)
+            seen.append((error.detach(), drawn))
+            advance(1)
+            if iteration % RECORD_EVERY and iteration != iterations:
+                continue
             current = [p.detach().numpy().copy() for p in parameters]
             if not all(np.isfinite(w).all() for w in current):
                 break
@@ -544,6 +555,7 @@ def _fit(
             if patience is None or held_out_loss < smallest:
                 weights, smallest, best = current, held_out_loss, iteration
             minibatch_losses, rows = zip(*seen, strict=True)
+            seen = []
             fit, baseline = torch.stack(minibatch_losses).mean(), of_mean[np.stack(rows)].mean()
             history.append((iteration, fit, held_out_loss, baseline, of_mean[validation].mean()))
             if patience is not None and iteration - best >= patience:

@@ -615,7 +615,7 @@ def combination(
     >>> combination(image).shape
     (16, 16, 3)
     """
-    samples = reordered(as_pixels(x, minimum=_LEAST, image=True))[0]
+    samples = reordered(as_pixels(x, minimum=_LEAST, image=True))
     image = Samples.from_array(np.asarray(samples, np.float32))
     return _combined(image, features or {}, EstimateOptions()).radiance
 

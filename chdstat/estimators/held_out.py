@@ -229,32 +229,23 @@ def training_batches(
     return np.concatenate(found), np.concatenate(references)
 
 
-def reordered(
-    x: npt.NDArray[np.floating[Any]], *beside: npt.NDArray[np.floating[Any]]
-) -> list[npt.NDArray[np.floating[Any]]]:
+def reordered(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
     """Return samples (..., channel, sample) in a random order that does not depend on theirs.
 
     A function that splits samples by their position then gets the same parts for any order and
     unit. The samples are sorted, then shuffled in each pixel; without the shuffle, some parts would
     hold the bright samples and others the dark ones.
 
-    Parameters
-    ----------
-    x, beside
-        Arrays of the same shape; all are brought into the same order.
-
     Examples
     --------
-    >>> one, two = (reordered(np.array([[3.0, 1.0, 2.0][::step]]))[0] for step in (1, -1))
+    >>> one, two = (reordered(np.array([[3.0, 1.0, 2.0][::step]])) for step in (1, -1))
     >>> bool((one == two).all())
     True
     """
-    arrays = [array.reshape(-1, *array.shape[-2:]) for array in (x, *beside)]
-    ordered, rng = [np.empty_like(array) for array in arrays], generator(0)
-    for part in spans(len(arrays[0]), max(1, _REORDERED // x.shape[-1])):
-        keys = np.concatenate([array[part] for array in arrays], axis=1)
-        rank = np.lexsort(np.moveaxis(keys, 1, 0), axis=-1)
+    rows, rng = x.reshape(-1, *x.shape[-2:]), generator(0)
+    ordered = np.empty_like(rows)
+    for part in spans(len(rows), max(1, _REORDERED // x.shape[-1])):
+        rank = np.lexsort(np.moveaxis(rows[part], 1, 0), axis=-1)
         places = np.take_along_axis(rank, rng.random(rank.shape).argsort(axis=-1), axis=-1)
-        for array, own in zip(arrays, ordered, strict=True):
-            own[part] = np.take_along_axis(array[part], places[:, np.newaxis], axis=-1)
-    return [own.reshape(array.shape) for own, array in zip(ordered, (x, *beside), strict=True)]
+        ordered[part] = np.take_along_axis(rows[part], places[:, np.newaxis], axis=-1)
+    return ordered.reshape(x.shape)

@@ -418,7 +418,7 @@ def rousselle2012(
     """
     check_positive(damping=damping)
     radius, patch = whole("radius", radius, least=0), whole("patch", patch, least=0)
-    samples = reordered(as_pixels(x, minimum=4, image=True))[0]
+    samples = reordered(as_pixels(x, minimum=4, image=True))
     _, exponent = np.frexp(np.abs(samples[np.isfinite(samples)]).max(initial=0))
     unit = np.ldexp(1.0, int(exponent))  # a power of two changes no digit
     halves = [_mean_and_error(samples[..., i::2] / unit) for i in (0, 1)]

@@ -1,4 +1,4 @@
-"""Training of networks: by name, the training loop, its result, and model files.
+"""Training of networks: by name, its result, and model files.
 
 >>> from chdstat.estimators import load_model, train_model
 >>> # train_model(samples, "elek2019").save("scene.safetensors"); load_model("scene.safetensors")
@@ -12,26 +12,22 @@ from __future__ import annotations
 import contextlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, cast
+from typing import Any, ClassVar, Generic, Self, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-import chdstat
 from chdstat._core.arrays import Seed, seed_number
 from chdstat._core.display import Card, Shown, number
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators.registry import LearnedEstimator, lookup, names
 from chdstat.samples import ImageLike, Samples, samples_of
-
-if TYPE_CHECKING:
-    import torch
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -221,71 +217,6 @@ class TrainedModel(Shown, ABC, Generic[State]):
             message = f"{self.name} is not trained yet; {known}"
             raise InputError(message)
         return self._trained
-
-
-def provenance_of(samples: Samples, **facts: Any) -> dict[str, Any]:
-    """Return the provenance of a network that was trained on an image, ready for JSON."""
-    image = {"scene": samples.name, "samples": samples.attrs, "samples_shape": list(samples.shape)}
-    return image | facts | {"chdstat": chdstat.__version__}
-
-
-_Losses = tuple[Any, ...]
-
-
-def descend(
-    parameters: Sequence[torch.Tensor],
-    losses: Iterator[_Losses],
-    *,
-    iterations: int,
-    every: int,
-    learning_rate: float,
-    advance: Callable[[float], None],
-) -> Iterator[tuple[int, list[_Losses]]]:
-    """Minimise a loss with Adam, and yield whenever a row of the history is due.
-
-    Parameters
-    ----------
-    parameters
-        Tensors to train, in place.
-    losses
-        Yields the loss of each minibatch, and values for the record. The next one is drawn after
-        the parameters have changed.
-    iterations
-        Number of iterations.
-    every
-        Iterations between two records; the last iteration makes one, too.
-    learning_rate
-        Step size.
-    advance
-        Called after every iteration, with 1.
-
-    Yields
-    ------
-    iteration : int
-        Iterations done.
-    seen : list
-        What `losses` yielded since the previous record, with losses detached.
-    """
-    import torch
-
-    # `torch.optim.Adam` is a class around this function that also imports the compiler of torch.
-    from torch.optim.adam import adam
-
-    trained = list(parameters)
-    first, second = ([torch.zeros_like(parameter) for parameter in trained] for _ in range(2))
-    steps = [torch.zeros((), device=parameter.device) for parameter in trained]
-    usual: Any = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8, "weight_decay": 0.0}
-    usual |= {"fused": True, "amsgrad": False, "maximize": False}
-    seen: list[_Losses] = []
-    for iteration, (loss, *others) in enumerate(losses, 1):
-        gradients = list(torch.autograd.grad(loss, trained))
-        with torch.no_grad():
-            adam(trained, gradients, first, second, [], steps, lr=learning_rate, **usual)
-        seen.append((loss.detach(), *others))
-        if iteration % every == 0 or iteration == iterations:
-            yield iteration, seen
-            seen = []
-        advance(1)
 
 
 @contextlib.contextmanager

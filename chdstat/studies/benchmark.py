@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -40,9 +40,6 @@ from chdstat.io import read_exr
 from chdstat.rendering import render, render_batches
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
-
-if TYPE_CHECKING:
-    pass
 
 Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
@@ -74,42 +71,42 @@ class Case:
     ----------
     scene, spp
         Name of the scene, and number of samples.
+    estimators
+        Names of the estimators that take so many samples.
     blocks
         Blocks of its pixels.
     sums
-        Sums of `chdstat.comparison.metrics.SUMS` over each block, by estimator, shape (block, sum,
+        Sums of `chdstat.comparison.metrics.SUMS` over each block, shape (block, sum, estimator,
         channel).
     flips
-        Sums of FLIP over each block, by estimator, against the reference and against each half of
-        its samples, shape (block, 3); empty without `flip-evaluator`.
+        Sums of FLIP over each block, against the reference and against each half of its samples,
+        shape (block, 3, estimator); NaN without `flip-evaluator`.
     exposures
         Least and largest exposure of FLIP, in stops.
     seconds
-        Time of each estimate, by estimator; NaN for finished images.
+        Time of each estimate, shape (estimator,); NaN for finished images.
     render_seconds
         Time to render the samples; NaN if unknown.
     """
 
     scene: str
     spp: int
+    estimators: tuple[str, ...]
     blocks: Blocks
-    sums: Mapping[str, Array]
-    flips: Mapping[str, Array]
+    sums: Array
+    flips: Array
     exposures: tuple[float, float]
-    seconds: Mapping[str, float]
+    seconds: Array
     render_seconds: float
 
     @staticmethod
     def average(cases: Sequence[Case]) -> Case:
         """Average the cases of several renders of a scene."""
-
-        def mean(field: str) -> Any:
-            values = [getattr(case, field) for case in cases]
-            return {name: np.mean([value[name] for value in values], axis=0) for name in values[0]}
-
-        fields = {field: mean(field) for field in ("sums", "flips", "seconds")}
-        render_seconds = float(np.mean([case.render_seconds for case in cases]))
-        return replace(cases[0], **fields, render_seconds=render_seconds)
+        averaged: dict[str, Any] = {
+            name: np.mean([getattr(case, name) for case in cases], axis=0)
+            for name in ("sums", "flips", "seconds", "render_seconds")
+        }
+        return replace(cases[0], **averaged)
 
     def ratios(self, name: str, baseline: str, measure: str, weights: Array) -> Array:
         """Return the ratio of the errors of two estimators, for weighted blocks."""
@@ -120,30 +117,31 @@ class Case:
 
     def _errors(self, name: str, measure: str) -> Array:
         """Return the sums of an error over each block, shape (block,)."""
+        k = self.estimators.index(name)
         if measure == "flip":
-            return np.asarray(self.flips[name][:, 0])
+            return np.asarray(self.flips[:, 0, k])
         column = {"mse": "squared", "relmse": "relative"}[measure]
-        return np.asarray(self.sums[name][:, SUMS.index(column)].mean(axis=-1))
+        return np.asarray(self.sums[:, SUMS.index(column), k].mean(axis=-1))
 
     def measures(self, baseline: str) -> dict[str, dict[str, float]]:
         """Return all measures by estimator, with their intervals, as columns of a table.
 
         Those of `chdstat.compare`, with the baseline in place of the sample mean, and FLIP.
         """
-        names = [*self.sums]
-        stacked = np.stack([self.sums[n] for n in (baseline, *names)], axis=2)
-        found = {n: of[:, -1] for n, of in measures_of(stacked, seed=0).items()}
-        rows = {
+        base = self.estimators.index(baseline)
+        sums = np.concatenate([self.sums[:, :, [base]], self.sums], axis=2)
+        found = {n: of[:, -1] for n, of in measures_of(sums, seed=0).items()}
+        return {
             name: {column: float(values[k]) for column, (values, _) in columns_of(found).items()}
-            for k, name in enumerate(names)
+            | (self._flip(name, baseline) if HAS_FLIP else {})
+            for k, name in enumerate(self.estimators)
         }
-        for name in self.flips:
-            rows[name] |= self._flip(name, baseline)
-        return rows
 
     def _flip(self, name: str, baseline: str) -> dict[str, float]:
         """Return FLIP and its ratio to that of the baseline; NaN if the reference decides it."""
-        own, others = self.flips[name].sum(axis=0), self.flips[baseline].sum(axis=0)
+        own, others = (
+            self.flips[:, :, self.estimators.index(n)].sum(axis=0) for n in (name, baseline)
+        )
         found = Interval.unknown()
         with np.errstate(divide="ignore", invalid="ignore"):
             if not moved(own[1:] / others[1:], own[0] / others[0]).any():
@@ -189,12 +187,10 @@ class Bench(Tabled):
         found = []
         for case in self.cases:
             measures, rows = case.measures(self.baseline), {}
-            for name in (n for n in self.estimators if n in case.sums):
+            for name, seconds in zip(case.estimators, case.seconds.tolist(), strict=True):
                 row: dict[str, Any] = {"scene": case.scene, "spp": case.spp, "estimator": name}
-                seconds = case.seconds[name]
                 # The error of a mean is inversely proportional to the time.
-                longer = 1 + seconds / case.render_seconds
-                equal_time = measures[name]["mse_ratio"] * longer
+                equal_time = measures[name]["mse_ratio"] * (1 + seconds / case.render_seconds)
                 own = {"mse_equal_time": equal_time, "seconds": seconds}
                 rows[name] = row | measures[name] | own
             found.append(rows)
@@ -249,7 +245,7 @@ class Bench(Tabled):
 
         def rank(case: Case, weights: Array) -> Array:
             own = weights @ case._errors(name, measure)
-            others = [weights @ case._errors(n, measure) for n in case.sums if n != name]
+            others = [weights @ case._errors(n, measure) for n in case.estimators if n != name]
             return sum((own > other for other in others), np.ones(len(weights)))
 
         return self._average(self.told(name, measure), rank, (1, len(self.estimators)))
@@ -282,7 +278,9 @@ class Bench(Tabled):
     @property
     def notes(self) -> dict[str, str]:
         """Notes for a reader of the table, as in a `Comparison`; what cannot be told; exposures."""
-        own = {name: sum(name in case.sums for case in self.cases) for name in self.estimators}
+        own = {
+            name: sum(name in case.estimators for case in self.cases) for name in self.estimators
+        }
         every = len(self.cases)
         absent = {name: f"in {every - n} of {every} cases" for name, n in own.items() if n < every}
         found = notes(self.estimators, left_out={**self.left_out, **absent})
@@ -608,18 +606,26 @@ def _measured(
             for name, (image, _) in found.items()
         }
         base = shown[baseline][known]
-        sums = {
-            name: blocks.sums(errors_of(image[known], base, at, scene_mean=scene_mean))
-            for name, image in shown.items()
-        }
-        flips = {}
+        sums = [
+            blocks.sums(errors_of(image[known], base, at, scene_mean=scene_mean))
+            for image in shown.values()
+        ]
+        flips = [np.full((len(blocks), len(shown_truths)), np.nan) for _ in shown]
         if HAS_FLIP:
-            for name, image in shown.items():
-                each = [flip(image, of, stops=stops) for of in shown_truths]
-                flips[name] = blocks.sums(np.stack(each, axis=-1)[known])
-        seconds = {name: taken for name, (_, taken) in found.items()}
-        render_seconds = float(few.attrs.get("render_seconds") or np.nan)
-        cases.append(Case(scene, n, blocks, sums, flips, stops, seconds, render_seconds))
+            each = ([flip(image, y, stops=stops) for y in shown_truths] for image in shown.values())
+            flips = [blocks.sums(np.stack(of, axis=-1)[known]) for of in each]
+        case = Case(
+            scene,
+            n,
+            estimators=tuple(found),
+            blocks=blocks,
+            sums=np.stack(sums, axis=2),
+            flips=np.stack(flips, axis=2),
+            exposures=stops,
+            seconds=np.array([taken for _, taken in found.values()]),
+            render_seconds=float(few.attrs.get("render_seconds") or np.nan),
+        )
+        cases.append(case)
     return cases
 
 
