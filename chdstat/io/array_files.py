@@ -153,8 +153,8 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
             raise InputError(message)
         array, features = arrays[name], features_of(path, arrays, options)
         for used in (name, *options.features.values()):
-            for doubt in held.doubts.get(used, tuple)():
-                warn_caller(f"{path}: {doubt}")
+            for caveat in held.caveats.get(used, tuple)():
+                warn_caller(f"{path}: {caveat}")
         letters = "".join(_LETTERS.get(dim, "") for dim in array.dims)
         named = letters if len(letters) == len(array.shape) else None
         axes = axes_of(array, path.name, options.axes or named)
@@ -369,14 +369,14 @@ class _Held:
         Attributes of the groups.
     failed
         Errors of arrays that cannot be opened.
-    doubts
+    caveats
         Functions that tell what of an array may not be read as it was meant.
     """
 
     arrays: dict[str, _Stored] = field(default_factory=dict)
     attrs: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     failed: dict[str, BaseException] = field(default_factory=dict)
-    doubts: dict[str, Callable[[], Iterable[str]]] = field(default_factory=dict)
+    caveats: dict[str, Callable[[], Iterable[str]]] = field(default_factory=dict)
 
     def readable(self, path: Path, wanted: str | None) -> Mapping[str, _Stored]:
         """Return the arrays, unless one that failed is wanted or may hold the samples."""
@@ -451,7 +451,7 @@ def _of_hdf5(path: Path) -> _Held:
                     (a[0].name.rpartition("/")[2] if len(a) else a.label for a in node.dims),
                     _attrs_of_hdf5(node),
                 )
-                held.doubts[name] = partial(_unwritten_of_hdf5, path, place)
+                held.caveats[name] = partial(_unwritten_of_hdf5, path, place)
             except DAMAGED as error:
                 held.failed[name] = error
 
@@ -524,7 +524,7 @@ def _of_zarr(path: Path) -> _Held:
                 held.attrs[name] = dict(node.attrs)
                 continue
             name = name or "array"
-            held.arrays[name], held.doubts[name] = _of_zarr_array(node, name, Path(place))
+            held.arrays[name], held.caveats[name] = _of_zarr_array(node, name, Path(place))
         except DAMAGED as error:
             held.failed[name or "array"] = error
         folders.clear()
@@ -534,7 +534,7 @@ def _of_zarr(path: Path) -> _Held:
 def _of_zarr_array(
     array: Any, name: str, folder: Path
 ) -> tuple[_Stored, Callable[[], Iterable[str]]]:
-    """Return an array, and a function that tells what of it is in doubt."""
+    """Return an array, and a function that tells what of it is uncertain."""
     attrs, fill = dict(array.attrs), array.fill_value
     dims = attrs.pop("_ARRAY_DIMENSIONS", None) or getattr(array.metadata, "dimension_names", None)
     if isinstance(attrs.get("_FillValue"), str) and array.dtype.kind == "f":
@@ -544,7 +544,7 @@ def _of_zarr_array(
     if by_fill and (fill or attrs.get("add_offset")):
         attrs.setdefault("_FillValue", fill)
 
-    def doubts() -> Iterator[str]:
+    def caveats() -> Iterator[str]:
         edges = array.shards or array.chunks
         grid = [range(-(-n // edge)) for n, edge in zip(array.shape, edges, strict=True)]
         places = [folder / array.metadata.encode_chunk_key(at) for at in product(*grid)]
@@ -555,4 +555,4 @@ def _of_zarr_array(
                 f"is {fill} reads as NaN; if these are samples, write it with fill_value=None"
             )
 
-    return _Stored(array, array.__getitem__, (dim or "" for dim in dims or ()), attrs), doubts
+    return _Stored(array, array.__getitem__, (dim or "" for dim in dims or ()), attrs), caveats
