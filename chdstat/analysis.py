@@ -49,7 +49,9 @@ from chdstat.inference.normality import TESTS, Normality
 from chdstat.patterns.classification import Classification
 from chdstat.patterns.definitions import PATTERNS, Thresholds
 from chdstat.samples import ImageLike, checkpoint_key, samples_of
-from chdstat.samples.tiles import SampleStream, Work, assemble, tiles
+from chdstat.samples.assembly import assemble
+from chdstat.samples.samples import SampleStream
+from chdstat.samples.tiles import Work, tiles
 from chdstat.summary.histograms import Histogram
 from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize

@@ -57,7 +57,7 @@ def analyze(
     if out is not None:
         asked.target(out)  # refused before the work, not after
     thresholds, samples = _thresholds_of(threshold), chdstat.open(store)
-    check_distribution(samples)
+    check_distribution(samples.spp)
     with asked.client() as client, kept_until_written(out) as checkpoint:
         dataset = chdstat.analyze(
             samples,

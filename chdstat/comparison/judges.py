@@ -220,7 +220,7 @@ def check_samples_for_judge(samples: Samples, n: int) -> None:
     InputError
         If some pixel has fewer than 2 n or n + 7 samples, or samples depend on each other.
     """
-    check_independent(samples)
+    check_independent(samples.attrs)
     # The parts of n + 7 samples without n consecutive ones have one sample at least.
     least = max(2 * n, n + 2 * PARTS - 1)
     if samples.fewest < least:

@@ -53,7 +53,7 @@ from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.training import TrainedModel, first_samples, load_model
 from chdstat.samples import ImageLike, Samples, checkpoint_key
 from chdstat.samples.dependence import check_independent
-from chdstat.samples.tiles import SampleStream
+from chdstat.samples.samples import SampleStream
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -235,7 +235,7 @@ def _by_model(model: AnyModel, x: Image, level: float) -> Estimates:
 
 def _check_rendering(rendering: Any, model: AnyModel | None, options: EstimateOptions) -> None:
     """Check before the rendering whatever would fail after it."""
-    check_independent(rendering)
+    check_independent(rendering.attrs)
     message = None
     if model is not None:
         message = (

@@ -121,7 +121,7 @@ def check_spp(samples: Samples, n: int) -> None:
     InputError
         If some pixel has fewer than 2 n samples.
     """
-    check_independent(samples)
+    check_independent(samples.attrs)
     if samples.fewest < 2 * n:
         message = (
             f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "

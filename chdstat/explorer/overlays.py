@@ -26,7 +26,7 @@ from chdstat.errors import InputError
 from chdstat.explorer.image_sources import MOST_POOLED, StoreSource
 from chdstat.inference.contrasts import Contrast
 from chdstat.io.writing import open_maps
-from chdstat.samples.tiles import assemble
+from chdstat.samples.assembly import assemble
 from chdstat.summary.runner import measured
 from chdstat.viz.maps import LABEL_COLORS, names_of
 from chdstat.viz.styling import called

@@ -24,7 +24,7 @@ from chdstat.estimators.estimates import (
 from chdstat.estimators.registry import check_positive
 from chdstat.io.writing import IMAGES, write_image
 from chdstat.samples import ImageLike
-from chdstat.samples.tiles import SampleStream
+from chdstat.samples.samples import SampleStream
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -17,7 +17,8 @@ from chdstat._core.arrays import first_of, is_bad, label_variables, luminance
 from chdstat._core.resampling import Blocks, Interval, mean_of
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.samples import ImageLike, Mapped, Samples, samples_of
-from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, over_tiles, tiles
+from chdstat.samples.assembly import over_tiles
+from chdstat.samples.tiles import DIRECT_DEPTH, LightPart, tiles
 
 if TYPE_CHECKING:
     import xarray as xr

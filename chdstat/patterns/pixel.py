@@ -104,7 +104,7 @@ class Pixel(Shown):
         """Return a pixel of an image; negative places count from the end."""
         height, width = samples.shape[:2]
         radiance = samples[y, x]
-        check_sequences(samples)
+        check_sequences(samples.attrs, samples.part[2])
         parts = {which: part[y, x] for which, part in samples.parts.items()}
         length = sequence_of(samples.attrs)
         place = y % height, x % width

@@ -155,7 +155,7 @@ def report(
         if as_published:
             store = store or target.with_suffix(".zarr")
         samples = render(scene, **given, out=store, progress=progress)
-    check_distribution(samples)
+    check_distribution(samples.spp)
     samples = at_hand(samples)
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
     report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)

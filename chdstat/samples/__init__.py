@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from chdstat._core.arrays import Mapped
+from chdstat.samples.assembly import reduce_tiles
 from chdstat.samples.layout import is_store
 from chdstat.samples.samples import ImageLike, Samples
 from chdstat.samples.store import (
@@ -13,7 +14,7 @@ from chdstat.samples.store import (
     opened,
     samples_of,
 )
-from chdstat.samples.tiles import Region, SampleBlocks, reduce_tiles
+from chdstat.samples.tiles import Region, SampleBlocks
 
 __all__ = [
     "ImageLike",

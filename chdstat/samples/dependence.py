@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,6 @@ import numpy.typing as npt
 from chdstat._core.arrays import Image, spans, warn_caller
 from chdstat.errors import InputError
 from chdstat.samples.tiles import TILE
-
-if TYPE_CHECKING:
-    from chdstat.samples.samples import Samples
 
 
 def sequence_of(attrs: Mapping[str, Any]) -> int:
@@ -40,9 +37,9 @@ def sequence_of(attrs: Mapping[str, Any]) -> int:
     return int(attrs.get("sequence") or 1)
 
 
-def check_single(samples: Samples) -> None:
+def check_single(attrs: Mapping[str, Any]) -> None:
     """Raise InputError if these are averages of batches where single samples are needed."""
-    averaged = int(samples.attrs.get("averaged", 1))
+    averaged = int(attrs.get("averaged", 1))
     if averaged > 1:
         message = (
             f"expected single samples, got averages of {averaged}, which have another "
@@ -51,20 +48,19 @@ def check_single(samples: Samples) -> None:
         raise InputError(message)
 
 
-def check_distribution(samples: Samples) -> None:
+def check_distribution(spp: int) -> None:
     """Raise InputError if no pixel has two samples, which is the least that can differ."""
-    if samples.spp < 2:
+    if spp < 2:
         message = (
-            f"expected at least 2 samples per pixel, got {samples.spp}: one sample tells nothing "
+            f"expected at least 2 samples per pixel, got {spp}: one sample tells nothing "
             "about a distribution; render more, or import the single samples of a pixel, such as "
             "one file for each pass"
         )
         raise InputError(message)
 
 
-def check_independent(samples: Samples) -> None:
+def check_independent(attrs: Mapping[str, Any]) -> None:
     """Raise InputError if samples depend on each other; the message says how to go on."""
-    attrs = samples.attrs
     length = sequence_of(attrs)
     if length > 1:
         named = f"the {attrs['sampler']} sampler" if "sampler" in attrs else "a sampler"
@@ -77,9 +73,9 @@ def check_independent(samples: Samples) -> None:
         raise InputError(message)
 
 
-def check_sequences(samples: Samples) -> None:
+def check_sequences(attrs: Mapping[str, Any], places: range) -> None:
     """Raise InputError if dependent samples begin within a sequence, or some are left out."""
-    length, places = sequence_of(samples.attrs), samples.part[2]
+    length = sequence_of(attrs)
     if length > 1 and (places.start % length or places.step != 1):
         message = (
             f"expected whole sequences of {length} samples, got each {places.step} from number "

@@ -7,6 +7,7 @@ them whole.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import importlib
 import itertools
@@ -17,7 +18,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, TypeAlias, Unpack, overload
+from typing import TYPE_CHECKING, Any, Protocol, SupportsIndex, TypeAlias, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +42,7 @@ from chdstat._core.moments import Moments
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError
 from chdstat.samples import tiles
+from chdstat.samples.assembly import labelled, over_tiles
 from chdstat.samples.dependence import (
     check_independent,
     check_sequences,
@@ -49,7 +51,7 @@ from chdstat.samples.dependence import (
     warn_of_repeats,
 )
 from chdstat.samples.ledger import PixelCounts
-from chdstat.samples.tiles import ALL, DIRECT_DEPTH, LightPart, SampleSource, Work
+from chdstat.samples.tiles import ALL, DIRECT_DEPTH, Chunk, LightPart, SampleSource, Work
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -549,7 +551,7 @@ class Samples:
                 "independent ones, which need no averages"
             )
             raise InputError(message)
-        check_sequences(self)
+        check_sequences(self.attrs, self.part[2])
         advice = "take some rows of the image, with isel"
         check_memory(4 * height * width * channels * count, "averages of these sequences", advice)
         means = np.empty((height, width, channels, count), np.float32)
@@ -605,9 +607,9 @@ class Samples:
             Label of the progress bar; ``progress`` to show it, None for a terminal only; ``client``
             for a Dask client, whose workers then compute the tiles.
         """
-        check_single(self)
+        check_single(self.attrs)
         if not dependent:
-            check_independent(self)
+            check_independent(self.attrs)
 
         def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
             block = part.read()
@@ -615,7 +617,7 @@ class Samples:
             return tiles.by_pixels(function, block)
 
         places, shown = tiles.tiles(self.shape), {"description": description}
-        return tiles.over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)
+        return over_tiles(self, of_tile, places, logarithms=logarithms, **shown, **work)
 
     def absent(self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL) -> int:
         """Return how many samples are missing in a part because pixels have fewer than others."""
@@ -633,7 +635,7 @@ class Samples:
         radiance: Any = self._held if self.source is None else self._lazily()
         about = {"long_name": "linear radiance", "units": self._attrs.get("unit", "W sr-1 m-2")}
         variables["radiance"] = (("y", "x", "channel", "sample"), radiance, about)
-        return tiles.labelled(self, variables)
+        return labelled(self, variables)
 
     def _lazily(self) -> Any:
         """Return the samples as a dask array that reads its chunks when needed."""
@@ -650,6 +652,41 @@ class Samples:
 
 ImageLike: TypeAlias = Samples | str | Path
 """An image: its samples, or the path of the store that holds them."""
+
+
+class SampleStream(Protocol):
+    """Samples that are drawn and not kept, as `chdstat.rendering.render_batches` makes them."""
+
+    batch: int
+    """Samples per pixel that are drawn together."""
+    spp: int
+    """Total samples per pixel."""
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(y, x, channel, sample)."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Provenance, as `Samples.attrs`."""
+
+    @property
+    def features(self) -> dict[str, Image]:
+        """First-hit features by name."""
+
+    def passes(self) -> Iterator[Iterator[tuple[Chunk, Image]]]:
+        """Yield passes over the image, each as chunks and their samples."""
+
+    def on_demand(self) -> contextlib.AbstractContextManager[tuple[Samples, int]]:
+        """Return samples that are drawn when they are read, and how many may read at once."""
 
 
 def different_counts(attrs: Mapping[str, Any], numbers: str) -> str:

@@ -719,9 +719,9 @@ def opened(
     found = open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
     if isinstance(found, Samples):
         if not averages:
-            check_single(found)
+            check_single(found.attrs)
         if not dependent:
-            check_independent(found)
+            check_independent(found.attrs)
     return found
 
 
@@ -786,7 +786,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
 
 def _described(samples: Samples) -> dict[str, Any]:
     """Return the attributes that a store keeps of samples: their origin and identity."""
-    check_sequences(samples)
+    check_sequences(samples.attrs, samples.part[2])
     attrs = {k: v for k, v in samples.attrs.items() if k not in _OF_A_STORE}
     height, width, _, spp = samples.shape
     moved = any(r.start or r.step != 1 for r in samples.part)

@@ -1,34 +1,28 @@
 """Tiles and other parts of an image: how it is cut for drawing, keeping and computing.
 
-`over_tiles` gives a function each tile with all its samples; `reduce_tiles` gives it batch by
-batch, in constant memory. A `Region` is a part of the image that shows something.
+A `Chunk` is what is drawn, kept and read at once. A `Region` is a part of the image that shows
+something. `chdstat.samples.assembly` computes tile by tile.
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
 import itertools
 import math
 import reprlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack
+from typing import TYPE_CHECKING, Protocol, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Array, Image, LeftOut, Mapped, plain_attributes, spans
-from chdstat._core.files import Cache, release, room
-from chdstat._core.work import in_order, track
+from chdstat._core.arrays import Image, Mapped, spans
+from chdstat._core.files import Cache
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
-    import xarray as xr
     from distributed import Client
-
-    from chdstat.samples.samples import Samples
 
 TILE, BATCH = 64, 64
 """Edge in pixels and number of samples of a chunk, the unit of drawing, keeping and reading."""
@@ -40,8 +34,6 @@ _MOST_BYTES = 8 * 2**20
 """Largest size of a tile with all its samples, unless that of a single pixel is larger."""
 _AT_ONCE = 3 * 2**20
 """Most bytes of samples that statistics take at once, as their work holds many times as much."""
-_OF_BAD = ("bad_count", "nan_count", "n_bad")
-"""Counts of bad samples; samples that a pixel lacks read as NaN and are subtracted from them."""
 ALL = slice(None)
 
 LightPart = int | str
@@ -78,41 +70,6 @@ class SampleSource(Protocol):
 
     def read_features(self) -> dict[str, Image]:
         """Return the first-hit features by name."""
-
-
-class SampleStream(Protocol):
-    """Samples that are drawn and not kept, as `chdstat.rendering.render_batches` makes them."""
-
-    batch: int
-    """Samples per pixel that are drawn together."""
-    spp: int
-    """Total samples per pixel."""
-
-    @property
-    def name(self) -> str:
-        """Name of the scene."""
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """(y, x, channel, sample)."""
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels."""
-
-    @property
-    def attrs(self) -> dict[str, Any]:
-        """Provenance, as `Samples.attrs`."""
-
-    @property
-    def features(self) -> dict[str, Image]:
-        """First-hit features by name."""
-
-    def passes(self) -> Iterator[Iterator[tuple[Chunk, Image]]]:
-        """Yield passes over the image, each as chunks and their samples."""
-
-    def on_demand(self) -> contextlib.AbstractContextManager[tuple[Samples, int]]:
-        """Return samples that are drawn when they are read, and how many may read at once."""
 
 
 @dataclass(frozen=True)
@@ -291,148 +248,3 @@ def by_pixels(function: Callable[[Image], Mapped], block: Image) -> Mapped:
         values = np.concatenate([part[name][1] for part in parts], axis=1)
         found[name] = dims, values.reshape(*size, *values.shape[2:])
     return found
-
-
-def over_tiles(
-    image: Samples,
-    function: Callable[[Samples, LeftOut], Mapped],
-    places: Iterable[tuple[slice, slice]],
-    *,
-    logarithms: bool = False,
-    description: str = "analysing",
-    **work: Unpack[Work],
-) -> xr.Dataset:
-    """Compute variables tile by tile and assemble the image.
-
-    Parameters
-    ----------
-    image
-        The samples.
-    function
-        Takes the samples of a tile, and an object that counts left-out samples; returns variables.
-    places
-        Rows and columns of each tile.
-    logarithms
-        As for `Samples.map`.
-    description, progress
-        Label of the progress bar, and whether to show it; None for a terminal only.
-    workers
-        Tiles at a time; None for one per core.
-    client
-        A Dask client, whose workers compute tiles instead of threads. They read a store from its
-        path, which they must see; other samples are sent to them.
-    checkpoint
-        Keeps tiles as soon as they are computed, and has earlier ones. The dataset is in its files.
-    """
-    left_out, client = LeftOut(logarithms=logarithms), work.get("client")
-    checkpoint, workers = work.get("checkpoint"), work.get("workers")
-    task = functools.partial(_of_tile, function, logarithms, description, checkpoint)
-    sent = client is not None and image.source is not None and image.source.frames
-
-    def items() -> Iterator[tuple[slice, slice, Samples]]:
-        for ys, xs in places:
-            part = image.isel(y=ys, x=xs)
-            yield ys, xs, part.load() if sent else part
-
-    def parts() -> Iterator[tuple[slice, slice, Mapped]]:
-        for ys, xs, found, counts in in_order(task, items(), workers=workers, client=client):
-            left_out.add(counts)
-            yield ys, xs, found
-
-    about: Any = {"progress": work.get("progress"), "folder": checkpoint and checkpoint.folder}
-    dataset = assemble(image, parts(), description=description, **about)
-    left_out.warn()
-    return dataset
-
-
-_Variables = dict[str, tuple[tuple[str, ...], Array]]
-
-
-def _of_tile(
-    function: Callable[[Samples, LeftOut], Mapped],
-    logarithms: bool,
-    description: str,
-    checkpoint: Cache | None,
-    item: tuple[slice, slice, Samples],
-) -> tuple[slice, slice, Mapped, tuple[int, ...]]:
-    """Return the variables of a tile, and the number of its samples that were left out."""
-    ys, xs, part = item
-
-    def compute() -> tuple[_Variables, tuple[int, ...]]:
-        left_out = LeftOut(logarithms=logarithms)
-        return dict(function(part, left_out)), left_out.counts
-
-    if checkpoint is None:
-        return ys, xs, *compute()
-    name = f"{description}-{ys.start}-{ys.stop}-{xs.start}-{xs.stop}"
-    return ys, xs, *checkpoint.record(name, tuple[_Variables, tuple[int, ...]], compute)
-
-
-def reduce_tiles(
-    samples: Samples,
-    function: Callable[[Samples, SampleBlocks], Mapped],
-    *,
-    description: str,
-    **work: Unpack[Work],
-) -> xr.Dataset:
-    """Reduce the sample blocks of every tile and assemble the image.
-
-    `function` takes the samples of a tile and its blocks in stored order, and returns variables.
-    The other parameters are those of `over_tiles`.
-    """
-
-    def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
-        def blocks() -> SampleBlocks:
-            for *place, block in part.blocks():
-                left_out.see(block, channel_axis=-2, absent=part.absent(*place))
-                yield block
-
-        return function(part, blocks())
-
-    places = tiles(samples.shape, streamed=True)
-    return over_tiles(samples, of_tile, places, description=description, **work)
-
-
-def assemble(
-    image: Samples,
-    parts: Iterable[tuple[slice, slice, Mapped]],
-    *,
-    description: str = "analysing",
-    progress: bool | None = None,
-    folder: Path | None = None,
-) -> xr.Dataset:
-    """Return the dataset of an image from variables that were computed tile by tile.
-
-    `parts` are rows, columns and variables of each tile; they are consumed one by one. With a
-    folder, variables lie in files there and need not fit into memory.
-    """
-    height, width = image.shape[:2]
-    results: dict[str, tuple[tuple[str, ...], Array]] = {}
-    with track(description, height * width, unit="px", show=progress) as advance:
-        for ys, xs, variables in parts:
-            for name, (dims, part) in variables.items():
-                if name not in results:
-                    whole = room((height, width, *part.shape[2:]), part.dtype, folder)
-                    results[name] = (("y", "x", *dims), whole)
-                results[name][1][ys, xs] = part
-                release(results[name][1])
-            advance((ys.stop - ys.start) * (xs.stop - xs.start))
-    if image.unequal:
-        absent = image.shape[3] - image.counts
-        for name, (_, found) in results.items():
-            if name.rpartition("/")[2] in _OF_BAD:
-                found -= absent.reshape(absent.shape + (1,) * (found.ndim - 2)).astype(found.dtype)
-    return labelled(image, results)
-
-
-def labelled(image: Samples, variables: Mapping[str, Any]) -> xr.Dataset:
-    """Return variables of an image as a dataset with its coordinates and attributes."""
-    import xarray as xr
-
-    coords = {"y": np.arange(image.shape[0]), "x": np.arange(image.shape[1])}
-    known = {name: value for name, value in image.attrs.items() if value is not None}
-    dataset = xr.Dataset(dict(variables), coords, plain_attributes(known))
-    if "channel" in dataset.dims:
-        # Strings have variable length: zarr v3 has no stable type for fixed length.
-        dataset = dataset.assign_coords(channel=np.array(image.channels, dtype=object))
-    return dataset

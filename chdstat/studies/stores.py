@@ -124,7 +124,7 @@ def _scene(source: StudySource, settings: Mapping[str, Any]) -> StudyScene:
         source = open_samples(source)
     if isinstance(source, Samples):
         source = first_samples(source, settings.get("spp"))
-        check_independent(source)
+        check_independent(source.attrs)
         return StudyScene(source.name, source, None, recipes.regions_of(source))
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() == ".toml":
         recipe = recipes.load_recipe(source)

@@ -253,7 +253,7 @@ def summarize(
     (('y', 'x', 'channel'), (2, 3, 3, 2))
     """
     image = samples_of(samples, averages=True, dependent=True)
-    check_sequences(image)
+    check_sequences(image.attrs, image.part[2])
     length = sequence_of(image.attrs)
     batch_size = -(-batch_size // length) * length
 
