@@ -110,7 +110,7 @@ def test_maps_are_kept_and_never_overwritten(found, tmp_path):
         assert set(back.data_vars) == set(found.data_vars)
         np.testing.assert_array_equal(back["mean"], found["mean"])
         assert back["label"].attrs["flag_meanings"] == found["label"].attrs["flag_meanings"]
-    with pytest.raises(StoreError, match="nothing was overwritten"):
+    with pytest.raises(StoreError, match="overwritten"):
         save(found, path)
 
 

@@ -104,10 +104,10 @@ def test_workers_write_their_own_chunks(client, store, tmp_path, monkeypatch):
 
 def test_a_worker_refuses_another_store(store, tmp_path):
     path, identity, complete, shape = store.source.place
-    with pytest.raises(StoreError, match="a worker cannot read .*, which all workers must see"):
+    with pytest.raises(StoreError, match=r"none\.zarr"):
         reopened(tmp_path / "none.zarr", identity, complete, shape)
     for other in (("0" * 16, complete), (identity, complete + 1)):
-        with pytest.raises(StoreError, match="a worker sees another store at"):
+        with pytest.raises(StoreError, match="another store"):
             reopened(path, *other, shape)
 
 
@@ -162,7 +162,7 @@ def test_a_closed_client_is_told(store):
     quiet = {"dashboard_address": ":0", "processes": False}
     with LocalCluster(n_workers=1, **quiet) as cluster, Client(cluster) as gone:
         pass
-    with pytest.raises(ClusterError, match="cluster was lost"):
+    with pytest.raises(ClusterError, match="lost"):
         chd.analyze(store, client=gone, progress=False)
 
 
@@ -196,7 +196,7 @@ def test_checkpoints_remove_nothing_of_others_and_need_a_folder(store, tmp_path)
     own.write_text("years of work")
     estimate(store, checkpoint=tmp_path)
     assert list(tmp_path.iterdir()) == [own]
-    with pytest.raises(StoreError, match=r"cannot keep checkpoints in .*; give another folder"):
+    with pytest.raises(StoreError, match="another folder"):
         estimate(store, checkpoint=own)
     assert own.exists()
 
@@ -262,9 +262,9 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path):
 def test_options_that_a_rendering_or_a_summary_cannot_take_are_refused(client, store):
     rendering = render_batches("cornell-box", spp=64, **SETTINGS)
     for summarised in (rendering, chd.summarize(store)):
-        with pytest.raises(InputError, match="thresholds and held_out are for patterns"):
+        with pytest.raises(InputError, match="thresholds"):
             chd.analyze(summarised, held_out=False, progress=False)
-    with pytest.raises(InputError, match="a rendering draws in one process"):
+    with pytest.raises(InputError, match="one process"):
         chd.estimate(rendering, client=client)
 
 

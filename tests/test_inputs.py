@@ -78,10 +78,10 @@ def test_samples_of_one_channel_have_axes_too(x):
 
 def test_few_samples_and_many_channels_are_taken_when_the_axes_are_said(x):
     for shape in ((4, 6, 3, 2), (4, 6, 31, 64)):
-        with pytest.raises(InputError, match="or 'yxcs' if this is right"):
+        with pytest.raises(InputError, match="'yxcs'"):
             Samples.from_array(np.ones(shape))
         assert Samples.from_array(np.ones(shape), axes="yxcs").shape == shape
-    with pytest.raises(InputError, match="looks like an image"):
+    with pytest.raises(InputError, match="image"):
         Samples.from_array(x[..., 0])
     assert Samples.from_array(x[..., 0], axes="yxs").shape == (4, 6, 1, 3)
 
@@ -162,7 +162,7 @@ def test_masked_samples_are_bad(x, name):
 @pytest.mark.parametrize("name", TAKING)
 def test_unsigned_integers_are_images_for_a_display(x, name):
     for dtype in (np.uint8, np.uint16):
-        with pytest.raises(InputError, match="unsigned integers, .* as images for a display do"):
+        with pytest.raises(InputError, match="unsigned integers"):
             TAKING[name]((20 * x).astype(dtype))
 
 
@@ -201,7 +201,7 @@ def test_images_are_samples_arrays_or_stores(x, stored, name):
 
 @pytest.mark.parametrize("name", OF_IMAGES)
 def test_a_path_without_a_store_and_what_is_no_image_are_refused_in_words(name):
-    with pytest.raises(StoreError, match="no store at nowhere.zarr"):
+    with pytest.raises(StoreError, match="nowhere.zarr"):
         OF_IMAGES[name]("nowhere.zarr")
     with pytest.raises(InputError):
         OF_IMAGES[name]({})

@@ -135,7 +135,7 @@ def test_samples_that_certify_are_drawn_again_by_seed_and_backend(box):
 
 def test_another_scene_of_that_name_is_refused(box):
     changed = box.assign(scene_hash=box["scene_hash"].copy(data=["0" * 64] * 4))
-    with pytest.raises(SceneError, match="is not the one whose pixels were certified"):
+    with pytest.raises(SceneError, match="certified"):
         draw(changed, 16, progress=False)
 
 
@@ -144,7 +144,7 @@ def test_scenes_of_a_folder_are_certified_once(box, tmp_path, monkeypatch):
     asked = {"spp": 8192, "size": (8, 8), "folder": tmp_path, "progress": False}
     assert of_scenes(["cornell-box"], **asked).sizes["pixel"] == 4
     assert of_scenes(["fog", str(tmp_path / "cornell-box.npz")]).sizes["pixel"] == 68
-    with pytest.raises(InputError, match="has pixels of another scene, size or number of samples"):
+    with pytest.raises(InputError, match="another scene"):
         of_scenes(["cornell-box"], **asked | {"spp": 16384})
 
 
@@ -152,12 +152,12 @@ def test_scenes_of_a_folder_are_certified_once(box, tmp_path, monkeypatch):
 def test_other_files_are_refused(tmp_path, content):
     path = tmp_path / "a.npz"
     path.write_bytes(content)
-    with pytest.raises(StoreError, match="holds no certified pixels"):
+    with pytest.raises(StoreError, match="certified pixels"):
         certified(path)
     np.savez(path, a=np.ones(3))
-    with pytest.raises(StoreError, match="holds no certified pixels"):
+    with pytest.raises(StoreError, match="certified pixels"):
         certified(path)
-    with pytest.raises(StoreError, match="no file of certified pixels"):
+    with pytest.raises(StoreError, match="certified pixels"):
         certified(tmp_path / "none.npz")
     np.savez(path, attrs=np.array(json.dumps({"schema_version": 99})))
     with pytest.raises(StoreError, match="schema 99"):
@@ -176,7 +176,7 @@ def test_each_block_gives_a_pixel_and_rare_kinds_are_as_frequent():
     assert choice.weight.sum() <= 32 * 32
     again = chosen(chd.Samples.from_array(x), blocks=4)
     np.testing.assert_array_equal(again.pixels, choice.pixels)
-    with pytest.raises(InputError, match="at least 40 x 40 pixels"):
+    with pytest.raises(InputError, match="40 x 40"):
         chosen(chd.Samples.from_array(x), blocks=40)
 
 
@@ -193,7 +193,7 @@ def test_intervals_that_hold_are_counted_where_both_are_known(truth):
     expected = (known & (truth["x"] % 2 == 0)).sum() / known.sum()
     assert share.value == pytest.approx(float(expected))
     assert share.low < share.value < share.high
-    with pytest.raises(InputError, match=r"low must have the shape of the certified numbers"):
+    with pytest.raises(InputError, match="low"):
         hold(np.zeros(3), np.zeros(3), true)
 
 
@@ -224,7 +224,7 @@ def test_the_bench_judges_and_writes_its_table(truth, tmp_path):
     assert kept["pixels"] == few.sizes["pixel"]
     assert len(kept["scores"]) == len(rows)
     assert "n = 64" not in repr(found)
-    with pytest.raises(InputError, match="n must be among 32, 64, .* got 48"):
+    with pytest.raises(InputError, match="32, 64, .* got 48"):
         chd.certification.bench(few, n=[48])
 
 

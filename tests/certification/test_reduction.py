@@ -193,7 +193,7 @@ def test_pixels_without_answers_have_reasons():
 
 def test_the_shape_of_samples_is_checked():
     for shape in ((3, LEAST), (1, 2, LEAST), (1, 3, LEAST - 1)):
-        with pytest.raises(InputError, match=r"at least 8192 samples, got shape"):
+        with pytest.raises(InputError, match="8192"):
             reduce(np.zeros(shape))
 
 

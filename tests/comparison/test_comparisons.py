@@ -176,7 +176,7 @@ def test_where_counts_differ_batches_are_those_that_all_have_and_references_all_
         errors.append(expected_measures(pixels, 32, chd.estimators.mean, batches=2)["mse"])
     assert found.batches == 2 * 320
     assert found.table()[0]["mse"] == pytest.approx(np.mean(errors))
-    with pytest.raises(InputError, match="at least 80 spp, got 64"):
+    with pytest.raises(InputError, match="80 spp, got 64"):
         chd.compare(chd.Samples.from_array(x, counts=counts), ["mean"], n=40)
 
 
@@ -269,7 +269,7 @@ def test_estimators_of_ones_own_are_measured_and_spoil_no_other():
     assert np.isnan([none["mse"], none["mse_high"], none["bias"]]).all()
     assert mean["mse_ratio"] == 1
     wrong = own("wrong", lambda x: x[..., 0, 0])
-    with pytest.raises(InputError, match=r"wrong must return .* \(20, 16, 3\), got \(20, 16\)"):
+    with pytest.raises(InputError, match=r"wrong .*\(20, 16\)"):
         chd.compare(image(), [wrong])
 
 
@@ -379,7 +379,7 @@ def test_models_come_by_the_name_of_the_estimator_that_they_are(monkeypatch):
     found = chd.compare(image(), ["half"], n=16, model={"half": model})
     assert found.models == {"half": model}
     assert found.reusable_models == {}
-    with pytest.raises(InputError, match="'elek2019', which is not among"):
+    with pytest.raises(InputError, match="'elek2019'"):
         chd.compare(image(), ["half"], n=16, model={"elek2019": model})
 
 
@@ -448,7 +448,7 @@ def test_the_best_of_a_label_has_the_smallest_error(labelled):
     found = chd.compare(image(), ["mean", "median", oracle], labels=labelled)
     assert found.breakdown.best() == ("mean",) * 3
     assert found.breakdown.best("mse", neighbours=True) == ("oracle",) * 3
-    with pytest.raises(InputError, match="one of mse, relmse, got 'bias'"):
+    with pytest.raises(InputError, match="mse, relmse, got 'bias'"):
         found.breakdown.best("bias")
 
 
@@ -491,7 +491,7 @@ def test_no_more_pixels_are_drawn_than_have_a_reference():
     x[0, 0, 0, 3] = np.nan
     found = chd.compare(chd.Samples.from_array(x), ["mean"])
     assert len(found.draw_pixels().pixels) == 5
-    with pytest.raises(InputError, match="at least 1, got 0"):
+    with pytest.raises(InputError, match="got 0"):
         found.draw_pixels(0)
 
 

@@ -33,7 +33,7 @@ def test_default_sizes_hold_one_that_each_estimator_takes():
     names = ["mean", "median_of_means", "elek2019"]
     assert curve_sizes(image(spp=64), names) == (4, 8, 11, 32)
     assert curve_sizes(image(spp=1024), names) == (4, 8, 16, 32, 64, 128)
-    with pytest.raises(InputError, match=r"elek2019 takes exactly 32 samples, got sizes \(4, 11"):
+    with pytest.raises(InputError, match=r"32 samples.*\(4, 11"):
         curve_sizes(image(spp=48), names)
 
 

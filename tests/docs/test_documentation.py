@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import inspect
 import pydoc
@@ -58,19 +57,6 @@ def test_ci_runs_the_test_command_of_the_readme() -> None:
     assert "pip install" not in script  # else the two could drift apart
     after_marker = README.split("<!-- ci: test -->")[1]
     assert code_blocks(after_marker, "sh")[0] == code_blocks(README, "sh")[1]
-
-
-def test_python_in_the_readme_is_python_and_its_names_exist() -> None:
-    block = "\n".join(code_blocks(README, "python"))
-    used = [
-        node.attr
-        for node in ast.walk(ast.parse(block))
-        if isinstance(node, ast.Attribute)
-        and isinstance(node.value, ast.Name)
-        and node.value.id == "chd"
-    ]
-    assert used
-    assert set(used) <= set(chd.__all__)
 
 
 def commands() -> set[str]:

@@ -469,7 +469,7 @@ def test_a_stream_is_what_all_its_samples_are_and_merges(samples, found):
     stream, other = (CombinationStream(x.shape[:3]) for _ in range(2))
     left, right = slice(0, 21), slice(21, None)
     stream.update(x[:, left, :, :3], columns=left)
-    with pytest.raises(InputError, match="pixels that have as many"):
+    with pytest.raises(InputError, match="as many"):
         stream.update(x[..., :3])
     stream.update(x[:, right, :, :3], columns=right)
     for batch in np.split(x[..., 3:], (13, 30), axis=-1):
@@ -484,7 +484,7 @@ def test_a_stream_is_what_all_its_samples_are_and_merges(samples, found):
     assert one.spp == 64
     merged = one.estimate(features=samples.features)
     assert np.allclose(merged.radiance, found.radiance, rtol=1e-3, atol=1e-4)
-    with pytest.raises(InputError, match=r"expected samples of shape \(64, 64, 3"):
+    with pytest.raises(InputError, match=r"\(64, 64, 3"):
         one.update(x[:5])
 
 

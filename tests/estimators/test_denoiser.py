@@ -107,7 +107,7 @@ def test_a_black_image_stays_black(calls):
 
 def test_without_the_denoiser_the_error_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyoidn", None)
-    with pytest.raises(InputError, match="pip install --force-reinstall pyoidn"):
+    with pytest.raises(InputError, match="pip install .*pyoidn"):
         denoise(noisy())
 
 

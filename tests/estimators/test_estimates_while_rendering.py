@@ -47,7 +47,7 @@ def test_a_black_scene_is_black():
 def test_a_model_needs_samples(model, monkeypatch):
     asked = rendering()
     monkeypatch.setattr(type(asked), "passes", None)
-    with pytest.raises(InputError, match="needs the samples, of which none are kept"):
+    with pytest.raises(InputError, match="none are kept"):
         estimate(asked, model)
 
 
@@ -68,7 +68,7 @@ def test_what_cannot_be_estimated_is_refused_before_it_renders(monkeypatch, opti
 def test_too_few_samples_are_refused_before_they_are_rendered(monkeypatch):
     asked = rendering(spp=3)
     monkeypatch.setattr(type(asked), "passes", None)
-    with pytest.raises(InputError, match=r"at least 4 .* got"):
+    with pytest.raises(InputError, match="at least 4"):
         estimate(asked)
 
 
@@ -106,9 +106,9 @@ def test_a_smaller_number_of_samples_than_the_error_takes_is_said(tmp_path, capl
 
 
 def test_what_is_there_already_is_not_stopped(tmp_path, box):
-    with pytest.raises(InputError, match="stop a rendering"):
+    with pytest.raises(InputError, match="rendering"):
         write_estimates(tmp_path / "a.exr", box, seconds=1)
-    with pytest.raises(InputError, match="seconds must be larger than 0"):
+    with pytest.raises(InputError, match="seconds .*0"):
         next(CombinationStream.passes(rendering(), seconds=0))
-    with pytest.raises(InputError, match="error must be larger than 0"):
+    with pytest.raises(InputError, match="error .*0"):
         next(CombinationStream.passes(rendering(), error=0))

@@ -79,5 +79,5 @@ def test_the_published_number_of_pixels_trains_where_a_quarter_can_still_judge(s
 
 def test_too_few_samples_are_refused_with_what_is_needed(samples):
     check_spp(samples, 37)
-    with pytest.raises(InputError, match="at least 76 spp, got 75"):
+    with pytest.raises(InputError, match="76 spp, got 75"):
         check_spp(samples, 38)

@@ -86,10 +86,10 @@ def test_only_pages_of_the_server_may_talk_to_it(served):
 
 def test_a_port_that_cannot_be_had_says_so(served, store_path):
     port = served.port
-    with pytest.raises(InputError, match=f"port {port} is taken.*--port"):
+    with pytest.raises(InputError, match=f"{port}.*--port"):
         explore(store_path, port=port)
     for out_of_range in (-1, 65536):
-        with pytest.raises(InputError, match="between 0 and 65535"):
+        with pytest.raises(InputError, match="0 and 65535"):
             explore(store_path, port=out_of_range)
 
 
@@ -205,9 +205,9 @@ def test_it_stops_and_frees_its_port_and_threads(store_path):
 
 def test_stores_that_do_not_fit_are_refused(store_path):
     other = chd.Samples.from_array(np.ones((4, 4, 3, 8)))
-    with pytest.raises(InputError, match="expected 32 x 32 pixels.*got 4 x 4"):
+    with pytest.raises(InputError, match="32 x 32.*4 x 4"):
         explore([store_path, other])
-    with pytest.raises(InputError, match="1 or 3 channels, got 2"):
+    with pytest.raises(InputError, match="1 or 3 .*2"):
         explore(chd.Samples.from_array(np.ones((4, 4, 2, 8))))
     with pytest.raises(InputError, match="from 1 to 9"):
         explore([store_path] * 10)

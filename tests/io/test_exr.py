@@ -109,7 +109,7 @@ def test_half_keeps_eleven_bits(tmp_path):
 def test_channels_of_lower_resolution_are_refused(tmp_path):
     x = image()[:4, :6, 0].copy()
     path = exr(tmp_path / "x.exr", {"Y": x, "Q": OpenEXR.Channel("Q", x, 2, 2)})
-    with pytest.raises(StoreError, match=r"'Q' is of a resolution of its own.*\(4, 6\)"):
+    with pytest.raises(StoreError, match=r"'Q'.*\(4, 6\)"):
         read_exr(path, channels=["Q"])
     with pytest.warns(InputWarning, match="'Q' is left out, for it is of a resolution of its own"):
         np.testing.assert_array_equal(read_exr(path).image[..., 0], x)
@@ -287,7 +287,7 @@ def test_alpha_of_a_layer_is_left_out(tmp_path, names):
     other = planes_of(IMAGE + 1, prefix="direct.")
     planes = planes_of(IMAGE, names) | other | {f"{layer}.A": np.ones_like(IMAGE[..., 0])}
     path = exr(tmp_path / "x.exr", planes)
-    with pytest.raises(InputError, match=f"as variable, one of .*{layer}"):
+    with pytest.raises(InputError, match=layer):
         chd.io.read(path)
     np.testing.assert_array_equal(chd.io.read(path, variable=layer).read()[..., 0], IMAGE)
     np.testing.assert_array_equal(read_exr(path, channels=[layer]).image, IMAGE)
@@ -361,7 +361,7 @@ def test_deep_and_small_channels_do_not_stop_others(tmp_path):
     found, said = told(tmp_path / "x.exr")
     np.testing.assert_array_equal(found.image, IMAGE)
     assert "'deep.Z' is left out, for it is deep" in said
-    with pytest.raises(StoreError, match=r"'deep\.Z' is deep"):
+    with pytest.raises(StoreError, match=r"'deep\.Z'"):
         chd.io.read(tmp_path / "x.exr", features={"depth": "deep"})
 
 

@@ -333,13 +333,13 @@ def test_an_array_in_a_group_is_named_by_its_path(tmp_path, suffix):
             file["frames/beauty"], file["frames/glossy"] = X, X / 2
             file["frames"].attrs["renderer"] = np.bytes_("mine 1.2")
     path = tmp_path / f"x{suffix}"
-    with pytest.raises(InputError, match="as variable: frames/beauty, frames/glossy"):
+    with pytest.raises(InputError, match="frames/beauty, frames/glossy"):
         chd.io.read(path)
     for variable in ("frames/glossy", "/frames/glossy"):
         found = chd.io.read(path, variable=variable)
         assert np.array_equal(found.read(), X / 2)
         assert found.attrs["renderer"] == "mine 1.2"
-    with pytest.raises(InputError, match="no array 'glossy', but frames/"):
+    with pytest.raises(InputError, match="'glossy'.*frames/"):
         chd.io.read(path, variable="glossy")
 
 
@@ -349,7 +349,7 @@ def test_an_array_that_cannot_be_opened_does_not_hide_behind_another(tmp_path):
     about = path / "radiance" / "zarr.json"
     about.write_text(about.read_text().replace("float32", "bfloat16"))
     zarr.open_group(path).create_array("variance", data=X)
-    with pytest.raises(StoreError, match="'radiance' .*bfloat16.*as variable: .*variance"):
+    with pytest.raises(StoreError, match="'radiance'.*bfloat16.*variance"):
         chd.io.read(path)
     assert np.array_equal(chd.io.read(path, variable="variance").read(), X)
 

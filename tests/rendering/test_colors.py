@@ -89,11 +89,11 @@ def test_null_samples_are_zero_and_negative_ones_stay(backend, color):
 
 
 def test_colors_that_cannot_be_rendered_are_told(monkeypatch):
-    with pytest.raises(InputError, match="color must be one of rgb, spectral, mono, got 'grey'"):
+    with pytest.raises(InputError, match="rgb, spectral, mono, got 'grey'"):
         chd.render(SCENE, color="grey", backend="scalar")
-    with pytest.raises(InputError, match="no scalar variant in mono; use the llvm"):
+    with pytest.raises(InputError, match="mono.*llvm"):
         chd.render(SCENE, color="mono", backend="scalar")
     scalar = {"scalar": True, "llvm": False, "cuda": False}
     monkeypatch.setattr(backends, "probe", lambda name: TriedBackend(name, scalar[name], "a test"))
-    with pytest.raises(RenderError, match="color='mono' needs the llvm or cuda backend"):
+    with pytest.raises(RenderError, match="'mono'.*llvm or cuda"):
         chd.render(SCENE, color="mono")

@@ -45,7 +45,7 @@ def test_it_is_what_paths_of_two_segments_carry():
     assert samples.direct.attrs["integrator"]["max_depth"] == 2
     assert render(direct=False).direct is None
     x = np.ones((4, 5, 3, 8))
-    with pytest.raises(InputError, match=r"shape of the samples, \(4, 5, 3, 8\)"):
+    with pytest.raises(InputError, match=r"\(4, 5, 3, 8\)"):
         chd.Samples.from_array(x, direct=x[..., :4])
 
 
@@ -101,5 +101,5 @@ def test_that_of_other_samples_is_refused(tmp_path, change, named):
     render(out=out, direct=False)
     render(**{"out": out / DIRECT, "max_depth": 2, "direct": False} | change)
     for again in (lambda: chd.open(out), lambda: inspect(out), lambda: render(out=out, spp=8)):
-        with pytest.raises(StoreError, match=f"not of the same samples as .*{named}"):
+        with pytest.raises(StoreError, match=named):
             again()

@@ -159,7 +159,7 @@ def test_a_class_of_one_s_own_in_a_built_scene_is_known_again(mi, tmp_path):
     assert [name.split(".")[-1] for name in samples.attrs["scene_code"]] == ["Constant"]
     assert (samples.read() == 2).all()
     assert chd.render(built(own(mi, 2.0)), **{**view, "spp": 6}, out=out).spp == 6
-    with pytest.raises(StoreError, match="changed code of plugins: .*Constant"):
+    with pytest.raises(StoreError, match="Constant"):
         chd.render(built(own(mi, 3.0)), **{**view, "spp": 8}, out=out)
 
 
@@ -167,7 +167,7 @@ def test_a_built_scene_renders_in_the_wavefront_of_its_variant(wavefront):
     with activate(probe(wavefront)) as mi:
         scene = built(own(mi, mi.Float(2.0)))
         samples = chd.render(scene, **{**VIEW, "backend": "auto"})
-        with pytest.raises(InputError, match=r"_ad_rgb, which cannot render with the scalar"):
+        with pytest.raises(InputError, match="_ad_rgb.*scalar"):
             chd.render(scene, **VIEW)
     assert samples.attrs["backend"] == wavefront
     assert (samples.read() == 2).all()
@@ -190,9 +190,9 @@ def test_an_integrator_that_a_wavefront_knows_alone_takes_its_place_in_a_scene(w
 
 def test_what_the_integrator_of_a_built_scene_cannot_do_is_told(mi):
     path = mi.load_dict({"type": "path"})
-    with pytest.raises(InputError, match="max_depth=3 cannot be given to a PathIntegrator"):
+    with pytest.raises(InputError, match="max_depth=3.*PathIntegrator"):
         chd.render(built(path), **VIEW, max_depth=3)
-    with pytest.raises(RenderError, match="no max_depth that can be set"):
+    with pytest.raises(RenderError, match="max_depth"):
         chd.render(built(path), **VIEW, by_depth=3)
     for kind in ({"type": "ptracer"}, {"type": "moment", "within": {"type": "path"}}):
         with pytest.raises(RenderError, match="does not sample pixel by pixel"):

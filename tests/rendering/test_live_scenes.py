@@ -103,7 +103,7 @@ def test_a_store_goes_on_with_it_until_it_is_changed(mi, tmp_path):
     parameters = mi.traverse(again)
     parameters["white.reflectance.value"] = [0.1, 0.1, 0.1]
     parameters.update()
-    with pytest.raises(StoreError, match="holds other samples"):
+    with pytest.raises(StoreError, match="other samples"):
         chd.render(again, **{**VIEW, "spp": 8}, out=out)
     assert chd.open(out).spp == 6
 
@@ -172,21 +172,21 @@ def test_the_spectral_response_of_a_sensor_is_kept_and_belongs_to_the_hash():
         for mean, exact in zip(means, expected, strict=True):
             np.testing.assert_allclose(mean, exact, rtol=0.2, atol=0.05 * exact.max())
         assert np.ptp(means[2]) < np.ptp(means[0])
-        with pytest.raises(RenderError, match="shows 1 x 1 pixels only"):
+        with pytest.raises(RenderError, match="1 x 1"):
             chd.render(narrow, **view, size=(4, 4))
         assert chd.render(plain, **view, size=(4, 4)).shape[:2] == (4, 4)
 
 
 def test_what_it_cannot_do_is_told(mi):
     built = mi.load_dict(mi.cornell_box())
-    with pytest.raises(InputError, match="of the variant scalar_rgb, which cannot render with"):
+    with pytest.raises(InputError, match="scalar_rgb"):
         chd.render(built, **VIEW, color="spectral")
-    with pytest.raises(InputError, match="would change the scene"):
+    with pytest.raises(InputError, match="change the scene"):
         chd.render(built, **VIEW, by_light=["light"])
-    with pytest.raises(InputError, match="can only be rendered in this process"):
+    with pytest.raises(InputError, match="this process"):
         chd.render(built, **VIEW, integrator=PATH, client=object())
     spot = mi.load_dict({"type": "scene", "sensor": METER})
-    with pytest.raises(RenderError, match="the RadianceMeter of .* shows 1 x 1 pixels only"):
+    with pytest.raises(RenderError, match="RadianceMeter.*1 x 1"):
         chd.render(spot, **VIEW, integrator=PATH)
     with pytest.raises(InputError, match="got a mitsuba"):
         chd.render(built.sensors()[0], **VIEW)

@@ -69,7 +69,7 @@ def test_a_scene_in_a_folder_that_the_environment_names(tmp_path, monkeypatch):
     recipe = load_recipe(write(tmp_path, named))
     assert (recipe.scene, recipe.name) == ("/scenes/a.xml", "attic")
     monkeypatch.delenv("ATTICS")
-    with pytest.raises(InputError, match=r"is not set, got '\$ATTICS/a.xml'; set it to the folder"):
+    with pytest.raises(InputError, match=r"'\$ATTICS/a.xml'"):
         load_recipe(write(tmp_path, named))
 
 

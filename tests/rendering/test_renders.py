@@ -315,7 +315,7 @@ def test_other_samples_are_not_mixed_in(tmp_path, change, named, caplog):
     path = tmp_path / "s.zarr"
     render(out=path, spp=32)
     before = contents(path)
-    with pytest.raises(StoreError, match=f"holds other samples .*{named}.*Nothing was changed"):
+    with pytest.raises(StoreError, match=named):
         render(out=path, spp=128, **change)
     with pytest.raises(StoreError), caplog.at_level(logging.WARNING, logger="chdstat"):
         render(out=path, spp=16, **change)
@@ -388,7 +388,7 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(renders, "free_disk", lambda _: 10**9)
         patch.setattr("chdstat._core.work.memory", lambda: 10**9)
-        with pytest.raises(InputError, match=f"take 48.3 GB{place}"):
+        with pytest.raises(InputError, match=f"48.3 GB{place}"):
             chd.render(**job, out=path)
     assert list(tmp_path.iterdir()) == []
 

@@ -124,7 +124,7 @@ def test_the_sensor_that_is_asked_for_sees_the_image(tmp_path, caplog):
     assert abs(errors(narrow, by_mitsuba(boxed, 64, sensor=1))).max() > 5
     with pytest.raises(StoreError, match="sensor: stored 1, asked for 0"):
         render(two_sensors(), out=out, spp=300)
-    with pytest.raises(InputError, match="sensor must be below 2, those of 'scene', got 2"):
+    with pytest.raises(InputError, match="below 2.*got 2"):
         render(two_sensors(), sensor=2)
 
 
@@ -216,7 +216,7 @@ def test_sensors_that_show_all_of_what_they_measure_in_any_crop(tmp_path):
     out = tmp_path / "s.zarr"
     render(scene, spp=70, out=out)
     assert np.array_equal(render(scene, spp=80, out=out).read(), render(scene, spp=80).read())
-    with pytest.raises(InputError, match="a batch sensor cannot be cropped"):
+    with pytest.raises(InputError, match="batch"):
         render(scene, crop=(0, 0, 8, 2))
     meter = {"type": "irradiancemeter", "film": PLAIN_FILM}
     lit = {"type": "rectangle", "to_world": translate(0, 0, 1), "sensor": meter}

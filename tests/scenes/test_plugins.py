@@ -120,7 +120,7 @@ def test_a_store_goes_on_with_the_same_code_only(write, tmp_path):
     load_plugin(write(INTEGRATOR))
     assert chd.render("cornell-box", **{**SCALAR, "spp": 6}, out=out).spp == 6
     load_plugin(write(INTEGRATOR.replace("2.0", "3.0")))
-    with pytest.raises(StoreError, match=r"changed plugins: mine\.py\)\. Nothing was changed"):
+    with pytest.raises(StoreError, match=r"mine\.py"):
         chd.render("cornell-box", **{**SCALAR, "spp": 8}, out=out)
     assert (chd.render("cornell-box", **SCALAR).read() == 3).all()
 
@@ -170,18 +170,18 @@ def test_an_estimator_of_a_plugin_is_found_by_name(write):
     assert registry.lookup("largest_of_mine")(x) == 5
     load_plugin(write(ESTIMATOR.replace("max", "min")))
     assert registry.lookup("largest_of_mine")(x) == 1
-    with pytest.raises(InputError, match="registered already"):
+    with pytest.raises(InputError, match="largest_of_mine"):
         load_plugin(write(ESTIMATOR, "other.py"))
-    with pytest.raises(InputError, match="registered already"):
+    with pytest.raises(InputError, match="largest_of_mine"):
         registry.register("largest_of_mine", source="not a plugin")(np.max)
 
 
 def test_two_plugins_have_names_of_their_own(write, tmp_path):
     load_plugin(write(INTEGRATOR))
-    with pytest.raises(InputError, match=r"other\.py registers .* is mine\.py's own"):
+    with pytest.raises(InputError, match=r"other\.py.*mine\.py"):
         load_plugin(write(INTEGRATOR, "other.py"))
     (tmp_path / "below").mkdir()
-    with pytest.raises(InputError, match="rename one of them"):
+    with pytest.raises(InputError, match="rename"):
         load_plugin(write(INTEGRATOR.replace("constant", "same"), "below/mine.py"))
 
 

@@ -71,11 +71,11 @@ def test_what_is_refused_is_said_in_words(tmp_path, part, words):
 
 def test_names_that_are_nearly_right_are_suggested(tmp_path):
     path = written(tmp_path, "")
-    with pytest.raises(SceneError, match="did you mean 'room.xml'?"):
+    with pytest.raises(SceneError, match="'room.xml'"):
         chd.load_scene(path.with_name("rom.xml"))
-    with pytest.raises(SceneError, match="there is no folder"):
+    with pytest.raises(SceneError, match="no folder"):
         chd.load_scene(tmp_path / "nowhere" / "room.xml")
-    with pytest.raises(SceneError, match="has no parameter depht"):
+    with pytest.raises(SceneError, match="depht"):
         chd.load_scene(path, depht=3).load()
 
 
