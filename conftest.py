@@ -1,4 +1,4 @@
-"""What several tests share: renders and models that are made once for each test process.
+"""What several tests share: renders are made once for all test processes, models once for each.
 
 `cornell`
     16 x 16 pixels of the Cornell box at 64 spp, `Samples` in memory.
@@ -29,6 +29,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 # One thread for each of several test processes, before a library that would start more is loaded.
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -36,6 +37,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
         os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import pytest
+from filelock import FileLock
 
 import chdstat as chd
 from chdstat.rendering.backend import probe
@@ -92,15 +94,17 @@ def run(
 
 
 @pytest.fixture(scope="session")
-def cornell() -> chd.Samples:
+def cornell(stored: Callable[..., Path]) -> chd.Samples:
     """Return 16 x 16 pixels of the Cornell box at 64 spp, in memory."""
-    return chd.render("cornell-box", spp=64, size=(16, 16), backend="scalar")
+    return chd.open(stored(size=(16, 16))).load()
 
 
 @pytest.fixture(scope="session")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return what renders stores, each once: ``stored(scene, spp=, size=, **settings)``."""
-    folder = tmp_path_factory.mktemp("stored")
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "stored"
+    folder.mkdir(exist_ok=True)
 
     @functools.cache
     def render(
@@ -110,9 +114,11 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         size: tuple[int, int] = (24, 16),
         **settings: Any,
     ) -> Path:
-        path = folder / f"{len(list(folder.iterdir()))}-{scene}.zarr"
-        settings = {"backend": "scalar", "progress": False, **settings}
-        chd.render(scene, spp=spp, size=size, out=path, **settings)
+        settings = {"spp": spp, "size": size, "backend": "scalar", **settings}
+        path = folder / f"{crc32(repr((scene, *sorted(settings.items()))).encode()):08x}.zarr"
+        with FileLock(f"{path}.lock"):
+            if not path.exists():
+                chd.render(scene, out=path, progress=False, **settings)
         return path
 
     return render

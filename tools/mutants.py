@@ -3,13 +3,14 @@ r"""Change the package in random places, one at a time, and count the changes th
     pip install coverage pytest-cov
     pytest --cov=chdstat --cov-context=test --cov-report= \
         --junitxml=times.xml -o junit_family=xunit1
-    python tools/mutants.py --count 300 --seed 1
+    python tools/mutants.py --count 300 --seed 1 chdstat/fit chdstat/analysis.py
 
 The first run of the tests writes which of them executes which line (`.coverage`), and how long each
 takes (`times.xml`). A mutant then runs only tests that execute its line, the quickest first, until
 one fails or their time is spent; a line that runs when its module is imported has the tests of the
-whole module. Tests of the package's own text (`tests/test_package.py`) are left out, since they
-would notice any change. All of it happens in a copy of the checkout.
+whole module. Without names of files or folders, all of the package is changed. Tests of the
+package's own text (`tests/test_package.py`) are left out, since they would notice any change. All
+of it happens in a copy of the checkout.
 
 cosmic-ray and mutmut draw no sample, and run one command for all mutants of a file.
 
@@ -198,6 +199,7 @@ def fate(mutant: Mutant, tests: list[str], folder: Path, longest: float) -> str:
 def main() -> None:
     """Draw mutants, run their tests, print what became of each, and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=[PACKAGE], help="files or folders to change")
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--root", type=Path, default=Path(__file__).parents[1])
@@ -206,7 +208,10 @@ def main() -> None:
     parser.add_argument("--longest", type=float, default=60, help="seconds of tests of a mutant")
     options = parser.parse_args()
     tests = Tests(options.coverage, options.times)
-    paths = sorted((options.root / PACKAGE).rglob("*.py"))
+    given = [options.root / name for name in options.names]
+    paths = sorted(
+        {p for path in given for p in ([path] if path.is_file() else path.rglob("*.py"))}
+    )
     every = [m for p in paths for m in Source(p).mutated(p.relative_to(options.root).as_posix())]
     drawn = random.Random(options.seed).sample(every, options.count)  # noqa: S311
     same = replace(drawn[0], new=drawn[0].old)

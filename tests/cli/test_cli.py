@@ -25,10 +25,8 @@ ROOT = Path(chd.__file__).parent
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    path = tmp_path_factory.mktemp("cli") / "box.zarr"
-    chd.render("cornell-box", spp=16, size=(12, 10), out=path, backend="scalar")
-    return path
+def store(stored):
+    return stored(spp=16, size=(12, 10))
 
 
 COMMANDS = get_command(program.app).commands

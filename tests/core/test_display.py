@@ -125,7 +125,6 @@ def results(samples, stored, model):
     gamma = chd.fit.gamma(x, null=null)
     compared = chd.compare(samples, ["mean", "median"], n=8, labels="classify", progress=False)
     study = chd.study(samples, estimators=["mean"], progress=False)
-    trained = model
     found = {
         "samples": samples,
         "pixel": samples.pixel(2, 3),
@@ -148,9 +147,9 @@ def results(samples, stored, model):
         "curve": chd.comparison.error_curve(samples, ["mean"], sizes=[4, 8], progress=False),
         "pixels of a comparison": compared.draw_pixels(4),
         "untrained": chd.estimators.MLP.preset("elek2019"),
-        "model": trained,
-        "history": trained.history,
-        "estimates": trained.estimate(chd.open(stored()).first(32)),
+        "model": model,
+        "history": model.history,
+        "estimates": model.estimate(chd.open(stored()).first(32)),
         "estimator": chd.estimators.lookup("mean"),
         "learned estimator": chd.estimators.lookup("elek2019"),
         "study": study,

@@ -92,15 +92,12 @@ def lines() -> list[tuple[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def stores(tmp_path_factory) -> dict[str, Path]:
+def stores(stored, tmp_path_factory) -> dict[str, Path]:
     """Return samples of a built-in scene and of one in a file, by the name of the scene."""
-    folder = tmp_path_factory.mktemp("stores")
-    (folder / "scene.xml").write_text(SCENE)
-    scenes = {"cornell-box": "cornell-box", "attic": folder / "scene.xml"}
-    for name, scene in scenes.items():
-        out = folder / f"{name}.zarr"
-        chd.render(scene, spp=64, size=(12, 12), out=out, backend="scalar", progress=False)
-    return {name: folder / f"{name}.zarr" for name in scenes}
+    attic = tmp_path_factory.mktemp("attic") / "scene.xml"
+    attic.write_text(SCENE)
+    scenes = {"cornell-box": "cornell-box", "attic": attic}
+    return {name: stored(scene, size=(12, 12)) for name, scene in scenes.items()}
 
 
 @pytest.fixture

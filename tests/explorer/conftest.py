@@ -9,18 +9,16 @@ from typing import Any
 
 import pytest
 
-import chdstat as chd
 from chdstat.explorer import Explorer, explore
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture(scope="session")
-def store_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def store_path(stored: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """32 x 32 pixels of the Cornell box at 64 spp, on disk; no test may change it."""
     path = tmp_path_factory.mktemp("stores") / "box.zarr"
-    chd.render("cornell-box", spp=64, size=(32, 32), out=path, backend="scalar", progress=False)
-    return path
+    return Path(shutil.copytree(stored(size=(32, 32)), path))
 
 
 @pytest.fixture
