@@ -3,6 +3,7 @@
 - `display_stops` and `tonemap` show an image.
 - `exposure_unit` is the radiance that a usual exposure shows as 1.
 - `relative_error` is the relative error of an image, and `relative_scale` its denominator.
+- `worst_parts` are where an image is furthest above a better one.
 - `layer_weights` splits samples between layers of brightness.
 """
 
@@ -28,6 +29,8 @@ _KEY = 0.09
 _MOST_STOPS = 3.0
 _LIMIT = 32.0
 _MIDDLE_GREY = 0.18
+_PARTS, _OF_EDGE = 2, 6
+"""Number of the worst parts; their edge is this fraction of the image's shorter edge."""
 
 
 def relative_scale(value: Array, of_scene: npt.ArrayLike | None = None) -> Array:
@@ -140,6 +143,32 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
     value = np.clip(np.where(finite[..., None], linear, 0) * 2.0**stops, 0, 1)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
+
+
+def worst_parts(image: npt.ArrayLike, better: npt.ArrayLike) -> list[tuple[slice, slice]]:
+    """Return the two parts of an image, rows and columns, that exceed a better image most.
+
+    Examples
+    --------
+    >>> image = np.ones((32, 32, 3))
+    >>> image[20, 8] = 9.0
+    >>> worst_parts(image, np.ones((32, 32, 3)))
+    [(slice(16, 24, None), slice(4, 12, None))]
+    """
+    seen, truth = (np.asarray(i, np.float64).mean(axis=-1) for i in (image, better))
+    level = float(np.nanmean(truth)) or 1.0  # of excess that is seen, not only in the dark
+    excess = np.nan_to_num((seen - truth) / (np.abs(truth) + level))
+    height, width = excess.shape
+    edge = min(height, width, max(8, min(height, width) // _OF_EDGE))
+    parts: list[tuple[slice, slice]] = []
+    while len(parts) < _PARTS and excess.max() > 0:
+        y, x = np.unravel_index(excess.argmax(), excess.shape)
+        top = int(np.clip(y - edge // 2, 0, height - edge))
+        left = int(np.clip(x - edge // 2, 0, width - edge))
+        parts.append((slice(top, top + edge), slice(left, left + edge)))
+        excess[max(0, top - edge // 2) : top + 3 * edge // 2,
+               max(0, left - edge // 2) : left + 3 * edge // 2] = 0  # fmt: skip
+    return parts
 
 
 def exposure_unit(pixels: Reals, unit: float | None = None) -> float:

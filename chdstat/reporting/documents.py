@@ -19,7 +19,7 @@ from chdstat._core.files import scratch, writing
 from chdstat.errors import ChdstatError
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.content import atlas_content, claim_content, remake_note
-from chdstat.reporting.figures import claim_figures, depth_of, region_figure, scene_figures
+from chdstat.reporting.figures import claim_figures, depth_of, scene_figures
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import CLAIMS
 from chdstat.studies.stores import ROULETTE
@@ -137,10 +137,7 @@ def study_document(study: Study) -> Document:
             why = row["reason"], *row["scenes"]
             untested.setdefault(why, []).append(f"{claim.number} {claim.name}")
     for i, scene in enumerate(study.scenes):
-        shown = scene_figures(scene.data, atlas=scene.atlas)
-        if scene.data.regions:
-            shown["regions"] = region_figure(scene.data)
-        drawn |= {f"scene{i}-{name}": figure for name, figure in shown.items()}
+        drawn |= {f"scene{i}-{name}": figure for name, figure in scene_figures(scene).items()}
     words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
     content = {
         "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],

@@ -1,16 +1,17 @@
 """Figures of a scene and of a comparison, drawn by `chdstat.viz`.
 
-`region_figure` and `scene_figures` follow the case study of Elek et al. 2019: regions with their
-CHDs, batches and their means, the brightest firefly, shorter paths, and shapes. `save_comparison`
-writes a comparison to a folder, as numbers, maps and figures.
+`FIGURES` is the table of the figures of a report on a scene. Most follow the case study of Elek et
+al. 2019: regions with their CHDs, batches and their means, the brightest firefly, shorter paths,
+and shapes. `save_comparison` writes a comparison to a folder, as numbers, maps and figures.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,14 +20,14 @@ from chdstat import viz
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.display import number, percent
 from chdstat._core.files import replacing, unused, writing
-from chdstat.analysis import Overview, save
+from chdstat._core.image_scales import worst_parts
+from chdstat.analysis import save
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.comparison.entries import DEFAULT_ESTIMATE
 from chdstat.errors import StoreError
 from chdstat.estimators.registry import Estimates
 from chdstat.estimators.training import TrainedModel
 from chdstat.inference import MORE_THAN_TESTED
-from chdstat.patterns import Atlas
 from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, with_others
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
@@ -36,7 +37,6 @@ from chdstat.viz.results import panel_of
 from chdstat.viz.styling import NAMES, called, estimator_name, spelt, upright
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.figure import Figure
 
 _BATCH, _BATCHES = 32, 64
@@ -49,56 +49,107 @@ _PAIR = 5.2
 """Width of a figure of two images, in inches."""
 _TITLE = 46
 """Most letters above the distribution of a region."""
-_INSETS, _INSET = 2, 6
-"""Number of magnified parts; their edge is this fraction of the image's shorter edge."""
 
 
-# --- one scene ----------------------------------------------------------------------------------
+# --- what figures show ----------------------------------------------------------------------------
 
 
-def report_figures(
-    found: SceneStudy, estimate: Estimates | None, curve: ErrorCurve | None, *, full: bool
-) -> dict[str, Figure]:
-    """Draw the figures of a report that the scene has data for, by name.
+@dataclass(frozen=True)
+class ReportData:
+    """What the figures of a report show; of a comparison alone, there is no study.
 
-    Parameters
+    Attributes
     ----------
-    found
+    study
         The scene.
+    comparison
+        Estimators compared on it.
     estimate
         The default estimate from all samples, shown without a comparison.
     curve
         Errors against the number of samples.
     full
-        Whether to draw all figures.
+        Whether the report is a full one.
     """
-    data = found.data
-    drawn: dict[str, Figure] = {}
-    height, width, _, spp = data.samples.shape
-    small, image = height * width < FEW_PIXELS, data.summary["mean"].values
-    if spp >= FEW_SAMPLES and small:
-        panels = [panel_of(data.samples.pixel(*mark.pixel), mark.name) for mark in _marks(data)]
-        alone = len(panels) == 1
-        drawn["alone"] = viz.chd_pair(panels[0]) if alone else viz.chd_grid(panels, columns=2)
-    elif spp >= FEW_SAMPLES and (image > 0).any():
-        drawn["regions"] = region_figure(data)
-    if small or not found.noise:
-        return drawn
-    if spp >= FEW_SAMPLES:
-        drawn["noise"] = _noise_maps(data.analysis)
-    if full:
-        drawn |= scene_figures(data, atlas=found.atlas)
-        drawn |= _analysis_figures(data.analysis, found.overview)
-    if found.comparison is not None:
-        if full:
-            drawn |= _of_comparison(found.comparison, curve)
-        else:
-            drawn["estimates"] = _estimates_of(found.comparison, found.comparison.estimators[:2])
-    elif estimate is not None:
-        images = {f"mean of {data.samples.spp_range}": image, "default estimate": estimate.radiance}
-        parts = _noisy_parts(*images.values())
-        drawn["estimates"] = viz.side_by_side(images, insets=parts, width=_PAIR)
-    return drawn
+
+    study: SceneStudy | None = None
+    comparison: Comparison | None = None
+    estimate: Estimates | None = None
+    curve: ErrorCurve | None = None
+    full: bool = True
+
+    @property
+    def data(self) -> SceneData:
+        """Samples, regions and analysis of the scene."""
+        assert self.study is not None, "figures of a scene need one"
+        return self.study.data
+
+    @property
+    def small(self) -> bool:
+        """Whether there are too few pixels for maps."""
+        height, width = self.data.samples.shape[:2]
+        return height * width < FEW_PIXELS
+
+    @property
+    def noisy(self) -> bool:
+        """Whether there is noise to be mapped."""
+        return not self.small and bool(self.study and self.study.noise)
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are enough samples for distributions."""
+        return self.data.samples.spp >= FEW_SAMPLES
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A row of `FIGURES`.
+
+    Attributes
+    ----------
+    name, part
+        Of the figure, which the text refers to by it, and of the part of the report where it is.
+    draw
+        Returns the figure; None if there is nothing to show.
+    caption
+        In the markup of Typst, where ``data`` has the entries of the report, and ``has`` tells
+        whether there is a figure.
+    full
+        Whether only a full report has it.
+    """
+
+    name: str
+    part: str
+    draw: Callable[[ReportData], Figure | None]
+    caption: str
+    full: bool = False
+
+
+def drawn(shown: ReportData, figures: Iterable[ReportFigure]) -> dict[str, Figure]:
+    """Draw figures that there is something to show of, by name."""
+    found = {figure.name: figure.draw(shown) for figure in figures}
+    return {name: figure for name, figure in found.items() if figure is not None}
+
+
+def report_figures(shown: ReportData) -> tuple[dict[str, Figure], list[dict[str, str]]]:
+    """Draw the figures of a report; return them, and where they go with which caption."""
+    parts = [figure for figure in FIGURES if shown.noisy or figure.part == "regions"]
+    figures = drawn(shown, [figure for figure in parts if shown.full or not figure.full])
+    placed = [
+        {"name": figure.name, "part": figure.part, "caption": figure.caption}
+        for figure in FIGURES
+        if figure.name in figures
+    ]
+    return figures, placed
+
+
+def scene_figures(study: SceneStudy) -> dict[str, Figure]:
+    """Draw the figures of a scene of a study that it has data for, by name."""
+    of_scene = ("regions", "case study", "shapes")
+    return drawn(ReportData(study), [figure for figure in FIGURES if figure.part in of_scene])
+
+
+# --- one scene ------------------------------------------------------------------------------------
 
 
 def _marks(data: SceneData) -> list[viz.Mark]:
@@ -109,8 +160,21 @@ def _marks(data: SceneData) -> list[viz.Mark]:
     ]
 
 
-def region_figure(data: SceneData) -> Figure:
+def _alone(shown: ReportData) -> Figure | None:
+    """Draw the few pixels of a small image."""
+    if not (shown.small and shown.enough):
+        return None
+    data = shown.data
+    panels = [panel_of(data.samples.pixel(*mark.pixel), mark.name) for mark in _marks(data)]
+    return viz.chd_pair(panels[0]) if len(panels) == 1 else viz.chd_grid(panels, columns=2)
+
+
+def _regions(shown: ReportData) -> Figure | None:
     """Draw the regions of a scene, each with the CHD of its central pixel."""
+    data = shown.data
+    image = data.summary["mean"].values
+    if shown.small or not shown.enough or not data.regions or not (image > 0).any():
+        return None
     marks, notes = _marks(data), []
     pixels = [data.samples.pixel(*mark.pixel) for mark in marks]
     for mark, pixel in zip(marks, pixels, strict=True):
@@ -120,11 +184,14 @@ def region_figure(data: SceneData) -> Figure:
         room = len(mark.name) + len(note) + len(words) < _TITLE
         notes.append(note + f", {words}" * (bool(words) and room))
     panels = [panel_of(pixel, mark.name) for mark, pixel in zip(marks, pixels, strict=True)]
-    return viz.region_study(data.summary["mean"].values, marks, panels, notes=notes)
+    return viz.region_study(image, marks, panels, notes=notes)
 
 
-def _noise_maps(found: xr.Dataset) -> Figure:
+def _noise_maps(shown: ReportData) -> Figure | None:
     """Draw the noise and the primary pattern of each pixel."""
+    if not shown.enough:
+        return None
+    found = shown.data.analysis
     aspect = upright(found.sizes["y"], found.sizes["x"])
     figure = viz.map_grid(2, columns=2, aspect=aspect)
     figure.set_figheight(0.43 * figure.get_figwidth() * aspect + 0.3)  # there is no legend
@@ -136,74 +203,46 @@ def _noise_maps(found: xr.Dataset) -> Figure:
     return figure
 
 
-def _estimates_of(found: Comparison, names: Sequence[str] | None = None) -> Figure:
+def _estimates(shown: ReportData) -> Figure | None:
     """Draw estimates from the first samples, with magnified parts where the mean is far off.
 
-    `names` None takes all estimators; the mean comes first, the default estimate second.
+    The mean comes first, the default estimate second; others follow in a full report. Without a
+    comparison, these two are from all samples.
     """
+    found = shown.comparison
+    if found is None:
+        if shown.estimate is None:
+            return None
+        image, spp = shown.data.summary["mean"].values, shown.data.samples.spp_range
+        both = {f"mean of {spp}": image, "default estimate": shown.estimate.radiance}
+        parts = worst_parts(*both.values())
+        return viz.side_by_side(both, insets=parts, width=_PAIR)
+    names = found.estimators[: None if shown.full else 2]
     images = dict(zip(found.estimators, found.estimates, strict=True))
     order = ["mean", DEFAULT_ESTIMATE, *images]
-    chosen = [n for n in dict.fromkeys(order) if n in images and (names is None or n in names)]
+    chosen = [n for n in dict.fromkeys(order) if n in names]
     notes = {
         estimator_name(row["estimator"]): f"relMSE {number(row['relmse'])}, "
         f"{number(row['relmse_ratio'])} × the mean's"
         for row in found.table()
         if np.isfinite(row["relmse_ratio"])
     }
-    shown: dict[str, npt.ArrayLike] = {estimator_name(name): images[name] for name in chosen}
+    named: dict[str, npt.ArrayLike] = {estimator_name(name): images[name] for name in chosen}
     return viz.side_by_side(
-        shown | {"reference": found.reference},
-        insets=_noisy_parts(found.first_mean, found.reference),
+        named | {"reference": found.reference},
+        insets=worst_parts(found.first_mean, found.reference),
         notes=notes | {"reference": "mean of all samples"},
         columns=3,
     )
 
 
-def _noisy_parts(image: npt.ArrayLike, better: npt.ArrayLike) -> list[tuple[slice, slice]]:
-    """Return the parts of an image that exceed a better image most."""
-    seen, truth = (np.asarray(i, np.float64).mean(axis=-1) for i in (image, better))
-    level = float(np.nanmean(truth)) or 1.0  # of excess that is seen, not only in the dark
-    excess = np.nan_to_num((seen - truth) / (np.abs(truth) + level))
-    height, width = excess.shape
-    edge = min(height, width, max(8, min(height, width) // _INSET))
-    parts: list[tuple[slice, slice]] = []
-    while len(parts) < _INSETS and excess.max() > 0:
-        y, x = np.unravel_index(excess.argmax(), excess.shape)
-        top = int(np.clip(y - edge // 2, 0, height - edge))
-        left = int(np.clip(x - edge // 2, 0, width - edge))
-        parts.append((slice(top, top + edge), slice(left, left + edge)))
-        excess[max(0, top - edge // 2) : top + 3 * edge // 2,
-               max(0, left - edge // 2) : left + 3 * edge // 2] = 0  # fmt: skip
-    return parts
-
-
-def scene_figures(data: SceneData, *, atlas: Atlas | None = None) -> dict[str, Figure]:
-    """Draw the figures of a scene that it has data for, by name.
-
-    Parameters
-    ----------
-    data
-        The scene.
-    atlas
-        Shapes that recur.
-    """
-    marks = _marks(data)
-    drawn: dict[str, Figure] = {}
+def _batch_histograms(shown: ReportData) -> Figure:
+    data = shown.data
     height, width = data.samples.shape[:2]
-    pixels = {mark.name: mark.pixel for mark in marks[:_PIXELS]} or {
+    pixels = {mark.name: mark.pixel for mark in _marks(data)[:_PIXELS]} or {
         "middle of the image": (height // 2, width // 2)
     }
-    drawn["batches"] = viz.batch_histograms(
-        {name: _batches(data.samples[pixel]) for name, pixel in pixels.items()}
-    )
-    firefly = _firefly(data)
-    if firefly is not None:
-        drawn["firefly"] = firefly
-    if data.shorter is not None and data.shorter_summary is not None:
-        drawn["paths"] = _paths(data, data.shorter, data.shorter_summary)
-    if atlas is not None:
-        drawn["atlas"] = viz.atlas(atlas)
-    return drawn
+    return viz.batch_histograms({n: _batches(data.samples[pixel]) for n, pixel in pixels.items()})
 
 
 def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
@@ -214,8 +253,9 @@ def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     return light[: size * count].reshape(count, size)
 
 
-def _firefly(data: SceneData) -> Figure | None:
+def _firefly(shown: ReportData) -> Figure | None:
     """Draw the brightest firefly and the pixel above it, which shows about the same."""
+    data = shown.data
     means, batches = data.summary["batch_means"].values, data.batch_light
     found = brightest_firefly(batches)
     if found is None:
@@ -230,8 +270,12 @@ def _firefly(data: SceneData) -> Figure | None:
     return viz.firefly_pair(means[..., batch], pixels, samples)
 
 
-def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
+def _paths(shown: ReportData) -> Figure | None:
     """Draw the view with shorter and with all paths, and regions with all samples pooled."""
+    data = shown.data
+    shorter, summary = data.shorter, data.shorter_summary
+    if shorter is None or summary is None:
+        return None
     renders = {f"up to {depth_of(s)} segments": s for s in (data.samples, shorter)}
     means = (data.summary["mean"].values, summary["mean"].values)
     marks = _marks(data)[:_COMPARED]
@@ -240,6 +284,15 @@ def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
         for name, samples in renders.items()
     }
     return viz.renders_compared(dict(zip(renders, means, strict=True)), pooled, marks)
+
+
+def _atlas(shown: ReportData) -> Figure | None:
+    found = None if shown.study is None else shown.study.atlas
+    return None if found is None else viz.atlas(found)
+
+
+def _curve(shown: ReportData) -> Figure | None:
+    return None if shown.curve is None else viz.error_curves(shown.curve)
 
 
 def depth_of(samples: Samples) -> str:
@@ -269,27 +322,24 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
     return drawn
 
 
-# --- the analysis of an image -------------------------------------------------------------------
+def _averages(shown: ReportData) -> Figure | None:
+    """Draw how averages become Gaussian, if there are enough samples."""
+    if shown.study is None or not shown.study.overview.averages:
+        return None
+    found, scene = shown.data.analysis, shown.study.overview
+    shares = found["averages_rejected_share"]
+    return viz.averages(
+        list(scene.averages),
+        {str(name): shares.sel(channel=name).values for name in found["channel"].values},
+        scene.skewness,
+        scene.predicted_skewness,
+        alpha=float(found.attrs["false_discovery_rate"]),
+    )
 
 
-def _analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
-    """Draw the maps of the image, and how averages become Gaussian if there are enough samples."""
-    drawn = {"maps": _maps(found)}
-    if scene.averages:
-        shares = found["averages_rejected_share"]
-        names = found["channel"].values
-        drawn["averages"] = viz.averages(
-            list(scene.averages),
-            {str(name): shares.sel(channel=name).values for name in names},
-            scene.skewness,
-            scene.predicted_skewness,
-            alpha=float(found.attrs["false_discovery_rate"]),
-        )
-    return drawn
-
-
-def _maps(found: xr.Dataset) -> Figure:
+def _maps(shown: ReportData) -> Figure:
     """Draw nulls, error bars and families, and the samples that an average needs to be Gaussian."""
+    found = shown.data.analysis
     averaged = "averages_n_needed" in found
     figure = viz.map_grid(3 + averaged, columns=2, aspect=found.sizes["y"] / found.sizes["x"])
     nulls, tails, families, *needed = figure.axes
@@ -309,23 +359,96 @@ def _maps(found: xr.Dataset) -> Figure:
     return figure
 
 
-# --- a comparison -------------------------------------------------------------------------------
+# --- a comparison ---------------------------------------------------------------------------------
 
 
-def _of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
-    """Draw all figures of a comparison, by name."""
-    drawn: dict[str, Any] = {
-        "estimates": _estimates_of(found),
-        "pixels": viz.pixel_estimates(found.draw_pixels()).figure,
-    }
-    if found.breakdown is not None:
-        drawn["breakdown"] = viz.pattern_breakdown(found.breakdown).figure
-    if curve is not None:
-        drawn["curve"] = viz.error_curves(curve)
-    for model in found.models.values():
-        if isinstance(model, TrainedModel):
-            drawn["training"] = viz.training(model.history).figure
-    return drawn
+def _pixel_estimates(shown: ReportData) -> Figure | None:
+    if shown.comparison is None:
+        return None
+    return cast("Figure", viz.pixel_estimates(shown.comparison.draw_pixels()).figure)
+
+
+def _breakdown(shown: ReportData) -> Figure | None:
+    found = None if shown.comparison is None else shown.comparison.breakdown
+    return None if found is None else cast("Figure", viz.pattern_breakdown(found).figure)
+
+
+def _training(shown: ReportData) -> Figure | None:
+    models = [] if shown.comparison is None else shown.comparison.models.values()
+    trained = [model for model in models if isinstance(model, TrainedModel)]
+    return cast("Figure", viz.training(trained[-1].history).figure) if trained else None
+
+
+# --- the table ------------------------------------------------------------------------------------
+
+FIGURES = (
+    ReportFigure("regions", "regions", _regions, """
+*Regions of the image, and what is averaged there.* Beside each region the luminance of all samples
+of its framed pixel. #if data.regions_chosen [The library chose the regions: a pixel of each
+pattern, those that hold most of the noise first.] A mean far to the right of the hump rests on rare
+bright samples and needs many of them; two humps are two kinds of paths. Null samples, whose
+channels are all 0, are counted in the title; SD/mean is the standard deviation of all samples over
+their mean."""),
+    ReportFigure("alone", "regions", _alone, """
+*The samples*, channel by channel, on a linear (left) and a logarithmic scale, without nulls. Curves
+are the best of the fitted families, dashed lines the means."""),
+    ReportFigure("noise", "noise", _noise_maps, """
+*Noise and patterns.* Left: standard deviation of the samples over their mean, of luminance; the
+scale covers 98 % of the pixels. Right: the first pattern of each pixel, in the colours of
+@patterns, found at a false-discovery rate of #data.alpha over the image."""),
+    ReportFigure("estimates", "estimates", _estimates, """
+*The image from #if "estimators" in data [#data.estimators.n samples, by estimators, beside the
+reference] else [#data.spp samples: their mean, and the default estimate]*, under one exposure. The
+frames mark where the mean is furthest #if "estimators" in data [too bright] else [above the
+estimate]: compare which fireflies are gone there, and how much light with them."""),
+    ReportFigure("batches", "case study", _batch_histograms, """
+*Pixels: batches and their means*, after the first figure of @elek2019: luminance of single samples
+in superimposed batches (black: their average; the axis ends where 1 % of the samples are brighter),
+and of the batch means. Dashed: the mean of all batches.""", full=True),
+    ReportFigure("firefly", "case study", _firefly, """
+*Fireflies: the brightest firefly and its neighbour.* Left: the estimate from 32 samples in which it
+is seen; right: the distributions of all samples of both pixels, in the middle channel. The numbers
+are luminances in that estimate.""", full=True),
+    ReportFigure("paths", "case study", _paths, """
+*Path lengths.* The view with all and with shorter paths under one exposure, and the log histograms
+of the luminance of regions.""", full=True),
+    ReportFigure("maps", "maps", _maps, """
+*What else varies over the image.* Share of null samples; share of 95 % error bars of so many
+samples that miss, by the pixel and those around it (above #data.thresholds.misses the tail is
+long); family of luminance with the smallest BIC#if has("averages") [; and the least N at which
+normality of averages is not rejected, in the channel that needs most]. Grey pixels have too few
+usable samples.""", full=True),
+    ReportFigure("atlas", "shapes", _atlas, """
+*Atlas of shapes*: histograms of log luminance, aligned by the mean of log10 radiance so that
+brightness does not count, and grouped by k-means in Cramér's distance @cramer1928. Left: the shape
+of each pixel; numbers mark the most typical one. Right: density of each shape with the quartiles
+over its pixels. Shapes are learned from one half of the samples and tested on the other:
+#data.atlas.repeatable of the variation between pixels repeats; labels from the two halves agree
+with an adjusted Rand index of #data.atlas.stability. Where this is well below 1, the shapes are
+landmarks in a continuum.""", full=True),
+    ReportFigure("averages", "averages", _averages, """
+*Averages of N samples against the central limit theorem.* Left: share of the pixels, by channel,
+for whose averages normality is rejected; the dotted line is the false-discovery rate. Right:
+skewness of the averages (median and quartiles over the pixels) and the $gamma_1 \\/ sqrt(N)$ that
+the theorem predicts (dashed). The fewer averages there are, the more their measured skewness is
+biased towards 0.""", full=True),
+    ReportFigure("breakdown", "estimators", _breakdown, """
+*Which estimator for which pattern.* Relative squared error over that of the mean, for the pixels of
+each first pattern; the smallest of those that look at one pixel is framed, and pale numbers cannot
+be distinguished from the mean. Labels come from the same samples: where one batch made a pixel
+firefly-dominated, any robust estimator gains.""", full=True),
+    ReportFigure("curve", "estimators", _curve, """
+*Error against the number of samples*, with 95 % intervals over blocks of pixels.""", full=True),
+    ReportFigure("pixels", "estimators", _pixel_estimates, """
+*Pixels one by one*, after @elek2019: the reference as a bar, the mean as a ring, and the estimates.
+An estimate improves where it ends up closer to the bar.""", full=True),
+    ReportFigure("training", "estimators", _training, """
+*Training* of the network of the paper: loss on the training and validation batches against the
+error of the sample mean on the same batches (dashed). Below its line the network beats the mean; a
+validation curve that turns upwards is overfitting.""", full=True),
+)  # fmt: skip
+"""Figures of a report on a scene. A further one is a row here, and a function in `chdstat.viz`."""
+_OF_COMPARISON = ("estimates", "estimators")
 
 
 def save_comparison(
@@ -364,8 +487,9 @@ def save_comparison(
             (partial / "comparison.json").write_text(text, encoding="utf-8")
             save(found.to_dataset(), partial / "comparison.zarr")
             with spelt():
-                measures = {"measures": viz.estimator_measures(found)}
-                for name, figure in (measures | _of_comparison(found, curve)).items():
+                compared = [figure for figure in FIGURES if figure.part in _OF_COMPARISON]
+                figures = drawn(ReportData(comparison=found, curve=curve), compared)
+                for name, figure in ({"measures": viz.estimator_measures(found)} | figures).items():
                     figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
             for name, model in found.models.items():
                 if isinstance(model, TrainedModel):

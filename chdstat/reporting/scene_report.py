@@ -230,11 +230,12 @@ class _Report:
         )
         estimated = self.estimated() if noise and self.contents != "claims" else None
         entries = content.report_content(found, self.contents, estimated)
-        entries |= {"verdicts": VERDICTS, "no_estimators": why_not}
+        entries |= {"verdicts": VERDICTS, "no_estimators": why_not, "drawn": []}
         drawn: Mapping[str, Figure] = {}
         if self.contents != "claims":
             curve = self.curve(comparison) if full and comparison is not None else None
-            drawn = figures.report_figures(found, estimated, curve, full=full)
+            of_report = figures.ReportData(found, comparison, estimated, curve, full=full)
+            drawn, entries["drawn"] = figures.report_figures(of_report)
         return Document("scene_report.typ", entries, drawn)
 
     def compared(self, dataset: xr.Dataset, noise: Noise) -> tuple[Comparison | None, str]:

@@ -21,7 +21,7 @@ from chdstat.errors import ChdstatError, LeftOutWarning, StoreError
 from chdstat.reporting import scene_report
 from chdstat.reporting.content import claim_content, finding_content, remake_note, with_others
 from chdstat.reporting.documents import Document, pages_of, typeset
-from chdstat.reporting.figures import claim_figures, save_comparison
+from chdstat.reporting.figures import FIGURES, claim_figures, save_comparison
 from chdstat.studies.claims import CLAIMS, ClaimTest, Finding, PlotData
 from tests.pdf import text_of
 
@@ -97,7 +97,10 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
     templates = resources.files("chdstat.reporting") / "templates"
     for document in documents:
         read = "".join((templates / name).read_text() for name in (document.template, "parts.typ"))
-        assert not [name for name in document.figures if f'"{name}"' not in read]
+        drawn = document.content["drawn"]
+        read += "".join(figure["caption"] for figure in FIGURES)
+        assert {figure["name"] for figure in drawn} == {*document.figures}
+        assert not [f["part"] for f in drawn if f'figures-of("{f["part"]}")' not in read]
         assert not [entry for entry in document.content if f"data.{entry}" not in read]
     for part in ("The case study", "The whole image", "Are averages Gaussian?", "References"):
         assert part in text
