@@ -11,11 +11,10 @@
 from __future__ import annotations
 
 from chdstat.estimators.denoiser import denoise
-from chdstat.io.estimate_files import write_estimates
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.reading import read
 from chdstat.io.stream import get_include
-from chdstat.io.writing import write_image, write_maps, write_netcdf
+from chdstat.io.writing import write_estimates, write_image, write_maps, write_netcdf
 
 __all__ = [
     "ExrImage",
