@@ -456,14 +456,13 @@ class Lock:
         self._path = path
         self._held = _made(path)
         if self._held is None and _fcntl is not None:
-            with contextlib.suppress(OSError):
+            holder = ""
+            with contextlib.suppress(OSError):  # it may have ended just now
                 holder = path.read_text(encoding="utf-8", errors="replace")
-                message = (
-                    f"{what} is being written by {holder or 'another process'}; "
-                    "wait until that has ended, or give another path"
-                )
-                raise StoreError(message)
-            message = f"{what} is being written by another process; run the command again"
+            message = (
+                f"{what} is being written by {holder or 'another process'}; "
+                "wait until that has ended, or give another path"
+            )
             raise StoreError(message)
         path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
 

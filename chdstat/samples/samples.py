@@ -268,7 +268,6 @@ class Samples:
 
         That is so for renders with equal seed and size by one kind of backend, whatever their
         scenes. Comparisons then use pairs. Samples without a known seed count as independent.
-        what compares them compares pairs. Samples that do not say their seed are independent.
 
         Examples
         --------

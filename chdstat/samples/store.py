@@ -1,7 +1,8 @@
 """Store: the samples of an image in a folder, a zarr v3 group that many processes may read.
 
-`chdstat.samples.layout` describes the files of a store. `open` returns the samples of a store,
-`inspect` its content, and `save` writes samples to one.
+`chdstat.samples.layout` describes the files of a store, and `chdstat.samples.ledger` which of its
+samples there should be and are. `open` returns the samples of a store, `inspect` its content, and
+`save` writes samples to one.
 
 **Many writers.** A chunk and its label are one file, which is replaced in one step without reading
 anything else. Any process may therefore write chunks, such as the workers of a cluster, which

@@ -179,15 +179,21 @@ def shape_plot(shapes: Mapping[str, Floats]) -> PlotData:
 
 def _cumulative(rows: Floats) -> Floats:
     """Return shares of positive samples at most at each edge around their mean, (row, edge)."""
-    positive = rows > 0
-    log = np.log10(np.where(positive, rows, 1))
+    log, positive = centred_logs(rows)
     n = positive.sum(axis=1)
-    middle = log.sum(axis=1) / np.maximum(n, 1)
     # Rounding could put equal values on both sides of an edge.
-    place = np.ceil(np.round((log - middle[:, np.newaxis] - EDGES[0]) / WIDTH, 6))
+    place = np.ceil(np.round((log - EDGES[0]) / WIDTH, 6))
     bins = np.clip(place, 0, len(EDGES)).astype(np.intp)
     below = np.cumsum(counts_by_row(bins, positive, len(EDGES) + 1)[:, :-1], axis=1)
     return np.where((n >= LEAST)[:, np.newaxis], below / np.maximum(n, 1)[:, np.newaxis], np.nan)
+
+
+def centred_logs(rows: Floats) -> tuple[Floats, Mask]:
+    """Return log10 of positive radiance (row, sample) less its mean, and which is positive."""
+    positive = rows > 0
+    log = np.log10(np.where(positive, rows, 1))
+    middle = log.sum(axis=1, keepdims=True) / np.maximum(positive.sum(axis=1, keepdims=True), 1)
+    return log - middle, positive
 
 
 def counts_by_row(bins: npt.NDArray[np.integer[Any]], counted: Mask, size: int) -> Counts:

@@ -160,7 +160,7 @@ def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
     x = radiance(4, 4, 70)
     with create(path, x) as store:
         for second in (lambda: Store.open(path, writable=True), lambda: create(path, x)):
-            with pytest.raises(StoreError, match=f"process {os.getpid()} on|run the command again"):
+            with pytest.raises(StoreError, match=f"process {os.getpid()} on|another process"):
                 second()
         fill(store, x, at_most=1)
         assert chd.open(path).spp == BATCH  # who reads is not kept out
