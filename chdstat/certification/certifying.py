@@ -1,22 +1,30 @@
-"""Certifying pixels of a scene, and drawing samples of certified pixels again."""
+"""Certifying pixels of a scene, and drawing samples of certified pixels again.
+
+Pixels are chosen from all over an image, of every pattern, quiet and noisy ones. The image is cut
+into blocks, 8 x 8 by default, and each block gives one pixel. It is of the kind that was chosen
+least often so far. A kind is a pattern of `chdstat.classify` in one fourth of the image's pixels by
+relative noise, so that rare patterns and extreme noise are as frequent as common ones. The weight
+of a pixel undoes that, for figures of the whole image.
+"""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 import chdstat
-from chdstat._core.arrays import Image, luminance, spans, whole
+from chdstat._core.arrays import Array, Counts, Floats, Image, flag_names, luminance, spans, whole
 from chdstat._core.work import track
-from chdstat.certification.choice import BLOCKS, chosen
 from chdstat.certification.datasets import SUFFIX, certified, dataset_of, save
 from chdstat.certification.reduction import LEAST, Numbers, reduce
 from chdstat.errors import InputError, SceneError
+from chdstat.patterns import classify
 from chdstat.rendering import render, render_pixels
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, load_scene
@@ -37,6 +45,12 @@ _FIRST = 4096
 """Samples whose mean and checksum are kept, so that others can check that they draw the same."""
 _TOGETHER = 2**25
 """Values drawn at once."""
+BLOCKS = 8
+"""Blocks along each side of the image; each gives one pixel."""
+_FOURTHS = 4
+_STRIDE = 37
+"""Blocks are visited in this step, which is coprime to any power of two: neighbours are far apart
+in the order, so that no region of the image gets first choice of the rare kinds."""
 
 
 def certify(
@@ -52,9 +66,9 @@ def certify(
     """Certify pixels of a scene: draw about a million samples of each, and reduce them to numbers.
 
     One pixel is chosen from each of `blocks` x `blocks` blocks of the image, so that all patterns
-    and all degrees of noise are there, from a render of 512 spp with seed 0
-    (`chdstat.certification.choice`). The samples that certify share no random numbers with it. A
-    million samples of 64 pixels take 1 to 5 minutes with the llvm backend on two cores.
+    and all degrees of noise are there, from a render of 512 spp with seed 0. The samples that
+    certify share no random numbers with it. A million samples of 64 pixels take 1 to 5 minutes with
+    the llvm backend on two cores.
 
     Parameters
     ----------
@@ -296,3 +310,95 @@ def draw(
             drawn[rows] = render_pixels(scene, places[rows], spp=n, **view)
             advance(len(rows))
     return drawn
+
+
+# --- which pixels -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """Pixels of an image; all arrays over the pixels, in the order of their blocks.
+
+    Attributes
+    ----------
+    pixels
+        (y, x) of each pixel, shape (pixel, 2).
+    pattern
+        Name of each pixel's pattern at the number of samples that were looked at.
+    noise
+        Standard deviation of luminance over its mean, of the same samples; 0 where all are null.
+    weight
+        Pixels of the image that each stands for: those of its kind over the chosen ones of it.
+    """
+
+    pixels: Counts
+    pattern: npt.NDArray[np.str_]
+    noise: Floats
+    weight: Floats
+
+
+def chosen(samples: Samples, blocks: int = BLOCKS) -> _Choice:
+    """Choose one pixel from each of `blocks` x `blocks` blocks of an image.
+
+    The choice depends on nothing but the samples.
+
+    Raises
+    ------
+    InputError
+        If the image has fewer rows or columns than blocks.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> samples = chd.simulate("gamma", shape=(16, 16), spp=64)
+    >>> chosen(samples, blocks=4).pixels[:3].tolist()
+    [[0, 0], [0, 6], [0, 8]]
+    """
+    height, width = samples.shape[:2]
+    if min(height, width) < blocks:
+        message = (
+            f"an image needs at least {blocks} x {blocks} pixels to choose one from each block, "
+            f"got {width} x {height}; render it larger"
+        )
+        raise InputError(message)
+    noise = _noise(samples)
+    labels = classify(samples)["label"]
+    kinds = _kinds(labels.to_numpy(), noise)
+    places = _places(kinds, blocks)
+    at = tuple(places.T)
+    names = flag_names(labels.attrs)
+    pattern = np.array([names[label] for label in labels.to_numpy()[at].tolist()])
+    image = np.bincount(kinds.ravel())
+    weight = image[kinds[at]] / np.bincount(kinds[at], minlength=len(image))[kinds[at]]
+    return _Choice(places, pattern, noise[at], weight)
+
+
+def _noise(samples: Samples) -> Floats:
+    """Return the relative standard deviation of luminance, shape (y, x)."""
+    values = luminance(samples.read()).astype(np.float64)
+    mean = values.mean(axis=-1)
+    spread = values.std(axis=-1)
+    noise: Floats = np.divide(spread, np.abs(mean), out=np.zeros_like(mean), where=mean != 0)
+    return noise
+
+
+def _kinds(labels: Array, noise: Floats) -> Counts:
+    """Return a number for each pixel's pattern and its fourth of the noise, shape (y, x)."""
+    ends = np.quantile(noise, np.arange(1, _FOURTHS) / _FOURTHS)
+    return np.asarray(labels * _FOURTHS + np.searchsorted(ends, noise), np.int64)
+
+
+def _places(kinds: Counts, blocks: int) -> Counts:
+    """Return (y, x) of one pixel of each block, of the kind chosen least often so far."""
+    rows, columns = (np.linspace(0, n, blocks + 1).astype(int) for n in kinds.shape)
+    taken = np.zeros(kinds.max() + 1, np.int64)
+    places = np.empty((blocks**2, 2), np.int64)
+    for turn in range(blocks**2):
+        block = turn * _STRIDE % blocks**2
+        i, j = divmod(block, blocks)
+        inside = kinds[rows[i] : rows[i + 1], columns[j] : columns[j + 1]]
+        candidates = np.argwhere(taken[inside] == taken[inside].min())
+        y, x = candidates[turn * _STRIDE % len(candidates)]
+        taken[inside[y, x]] += 1
+        places[block] = rows[i] + y, columns[j] + x
+    return places

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 import os
 import shlex
 import shutil
@@ -28,7 +27,9 @@ _WIDE = 200
 
 def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
     """Describe samples, how large their error is, and what to do with them."""
-    path, counts, errors = samples.path, samples.counts, _errors_of(samples)
+    from chdstat.rendering.adaptive import errors_told
+
+    path, counts, errors = samples.path, samples.counts, errors_told(samples.attrs)
     if as_json:
         told = {name: error.to_dict() for name, error in errors.items()}
         mean = float(counts.mean()) if samples.unequal else samples.spp
@@ -42,21 +43,6 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
         for name, error in errors.items():
             typer.echo(f"{name.replace('_', ' ')}: {error}")
     say_next(quiet, *after_render(samples.attrs, path))
-
-
-def _errors_of(samples: Samples) -> Mapping[str, Any]:
-    """Return the predicted and the estimated error of an adaptive render, by name."""
-    from chdstat._core.resampling import Interval
-    from chdstat.rendering.adaptive import expected_error
-
-    found, expected = samples.attrs.get("error"), expected_error(samples.attrs)
-    if found is None or expected is None:
-        return {}
-    about = "relative_error"
-    if (percentile := found.get("percentile")) is not None:
-        about += f"_of_{percentile:g}_%_of_pixels"
-    estimated = Interval(*(found.get(name, math.nan) for name in ("value", "low", "high")))
-    return {f"predicted_{about}": expected, f"estimated_{about}": estimated}
 
 
 def after_render(attrs: Mapping[str, Any], path: Path | None) -> Iterator[tuple[object, ...]]:

@@ -413,15 +413,6 @@ class CombinationStream:
             half.part(rows, columns).update(x[..., i::2])
         drawn += x.shape[-1]
 
-    def merge(self, other: CombinationStream) -> None:
-        """Add the samples of another stream, for example of another worker."""
-        if self.shape != other.shape:
-            message = f"expected a stream of an image of shape {self.shape}, got {other.shape}"
-            raise InputError(message)
-        pairs = zip(self._halves, other._halves, strict=True)
-        self._halves = [one.merged(two) for one, two in pairs]
-        self._drawn += other._drawn
-
     def estimate(
         self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
     ) -> Combination:

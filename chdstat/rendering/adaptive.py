@@ -756,6 +756,26 @@ def expected_error(attrs: Mapping[str, Any]) -> Interval[float] | None:
     return Interval(*ends).root()
 
 
+def errors_told(attrs: Mapping[str, Any]) -> dict[str, Interval[float]]:
+    """Return the predicted and the estimated error of an adaptive render, by name.
+
+    Parameters
+    ----------
+    attrs
+        Attributes of its samples; nothing is told of another render.
+    """
+    from chdstat._core.resampling import Interval
+
+    found, expected = attrs.get("error"), expected_error(attrs)
+    if found is None or expected is None:
+        return {}
+    about = "relative_error"
+    if (percentile := found.get("percentile")) is not None:
+        about += f"_of_{percentile:g}_%_of_pixels"
+    estimated = Interval(*(found.get(name, math.nan) for name in ("value", "low", "high")))
+    return {f"predicted_{about}": expected, f"estimated_{about}": estimated}
+
+
 def error_of(
     samples: Samples | Look,
     measure: str = "relMSE",

@@ -7,7 +7,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.certification import certified, certify, draw, hold, of_scenes, save, separation
-from chdstat.certification.choice import chosen
+from chdstat.certification.certifying import chosen
 from chdstat.certification.datasets import SCHEMA
 from chdstat.certification.reduction import Numbers
 from chdstat.errors import InputError, Reason, SceneError, StoreError
