@@ -126,8 +126,7 @@ class GoodnessOfFit(Statistic[Goodness]):
             few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
             reason[few] = Reason.TOO_FEW
             usable = rows & (reason == Reason.OK)
-            options = self.tests, self.resamples, self.seed
-            found = _bootstrap(part, usable, family, parameters, *options)
+            found = self._bootstrap(part, usable, family, parameters)
             values[:, usable] = found.reshape(values.shape)[:, usable]
         statistic, p_value, fitted = values
         effect = np.sqrt(np.maximum(statistic, 0) / np.maximum(part.n, 1)[..., np.newaxis])
@@ -163,6 +162,58 @@ class GoodnessOfFit(Statistic[Goodness]):
         ]
         return best.reason.copy(), cases
 
+    def _bootstrap(
+        self, part: Part, usable: Mask, family: Family, parameters: Parameters
+    ) -> Floats:
+        """Return statistics, p-values and replicates that could be fitted, shape (3, row, test).
+
+        Rows are those of the flattened batch; rows that are not usable are NaN. P-values are NaN
+        where fewer than half of the replicates could be fitted.
+        """
+        table = np.full((3, part.n.size, len(self.tests)), np.nan)
+        statistic, p_value, fitted = table
+        rows = np.flatnonzero(usable)
+        # Rows with similar numbers of samples go together: a block is as wide as its rows need.
+        rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
+        for block in chunks(len(rows), width_of(part) * max(1, self.resamples)):
+            here = rows[block]
+            some = take_part(part, here)
+            known = take(parameters, here)
+            statistic[here] = _distances(some, family, known, self.tests)
+            if not self.resamples:
+                continue
+            more, count = self._replicates(some, family, known, statistic[here])
+            fitted[here] = count
+            # Davison and Hinkley (1997), equation 4.11.
+            known_enough = (count > 0) & (2 * count >= self.resamples)
+            p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
+        return table
+
+    def _replicates(
+        self, part: Part, family: Family, parameters: Parameters, statistic: Floats
+    ) -> tuple[Floats, Floats]:
+        """Count the replicates that are as far from their fit as the samples, and those fitted."""
+        if isinstance(part, PositiveHistogram):
+            held = list(part.counts)
+        else:
+            held = [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
+        # The generator depends on the seed and on the row's samples, in any order. The seed alone
+        # would not do: the samples may have been drawn with it.
+        streams = [np.random.default_rng([self.seed, zlib.crc32(row.tobytes())]) for row in held]
+        more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
+        least = statistic[:, np.newaxis] * (1 - _EQUAL)
+        for piece in chunks(self.resamples, width_of(part) * len(part.n)):
+            times = piece.stop - piece.start
+            repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
+            # If the sum of the samples is close to overflow, a replicate may overflow: no fit.
+            drawn = _draw(part, family, parameters, times, streams)
+            estimate, _ = estimate_part(drawn, family, repeated)
+            found = _distances(drawn, family, estimate.parameters, self.tests)
+            found = found.reshape(len(part.n), times, len(self.tests))
+            more += np.count_nonzero(found >= least, axis=1)
+            count += np.count_nonzero(np.isfinite(found) & np.isfinite(least), axis=1)
+        return more, count
+
     def finish(self, dataset: xr.Dataset) -> xr.Dataset:
         """Add names, and q-values; without replicates, there are no p-values."""
         if not self.resamples:
@@ -172,6 +223,8 @@ class GoodnessOfFit(Statistic[Goodness]):
 
 
 _MINIMUM = 8
+_EQUAL = 1e-9
+"""Relative difference below which two statistics differ by rounding only."""
 
 
 @of_source
@@ -252,76 +305,6 @@ def goodness(
     count, root = whole("resamples", resamples, least=0), seed_number(seed)
     statistic = GoodnessOfFit(get_family(family), names, count, root, alpha)
     return run(statistic, x, null=null, progress=progress)
-
-
-_EQUAL = 1e-9
-"""Relative difference below which two statistics differ by rounding only."""
-
-
-def _bootstrap(
-    part: Part,
-    usable: Mask,
-    family: Family,
-    parameters: Parameters,
-    tests: Sequence[FitTest],
-    resamples: int,
-    seed: int,
-) -> Floats:
-    """Return statistics, p-values and replicates that could be fitted, shape (3, row, test).
-
-    Rows are those of the flattened batch; rows that are not usable are NaN. P-values are NaN where
-    fewer than half of the replicates could be fitted.
-    """
-    table = np.full((3, part.n.size, len(tests)), np.nan)
-    statistic, p_value, fitted = table
-    rows = np.flatnonzero(usable)
-    # Rows with similar numbers of samples go together: a block is as wide as its rows need.
-    rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
-    for block in chunks(len(rows), width_of(part) * max(1, resamples)):
-        here = rows[block]
-        some = take_part(part, here)
-        known = take(parameters, here)
-        statistic[here] = _distances(some, family, known, tests)
-        if not resamples:
-            continue
-        more, count = _replicates(some, family, known, statistic[here], tests, resamples, seed)
-        fitted[here] = count
-        # Davison and Hinkley (1997), equation 4.11.
-        known_enough = (count > 0) & (2 * count >= resamples)
-        p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
-    return table
-
-
-def _replicates(
-    part: Part,
-    family: Family,
-    parameters: Parameters,
-    statistic: Floats,
-    tests: Sequence[FitTest],
-    resamples: int,
-    seed: int,
-) -> tuple[Floats, Floats]:
-    """Count the replicates at least as far from their fit as the samples, and those with a fit."""
-    if isinstance(part, PositiveHistogram):
-        held = list(part.counts)
-    else:
-        held = [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
-    # The generator depends on the seed and on the row's samples, in any order. The seed alone would
-    # not do: the samples may have been drawn with it.
-    streams = [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
-    more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
-    least = statistic[:, np.newaxis] * (1 - _EQUAL)
-    for piece in chunks(resamples, width_of(part) * len(part.n)):
-        times = piece.stop - piece.start
-        repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
-        # If the sum of the samples is close to overflow, a replicate may overflow: it has no fit.
-        drawn = _draw(part, family, parameters, times, streams)
-        estimate, _ = estimate_part(drawn, family, repeated)
-        found = _distances(drawn, family, estimate.parameters, tests)
-        found = found.reshape(len(part.n), times, len(tests))
-        more += np.count_nonzero(found >= least, axis=1)
-        count += np.count_nonzero(np.isfinite(found) & np.isfinite(least), axis=1)
-    return more, count
 
 
 def _draw(
