@@ -294,7 +294,7 @@ def list_names(
 
     formats = {f.name: f"{f.title}: {' '.join(f.suffixes)}." for f in FORMATS}
     families = {
-        name: (family.documentation or "").partition("\n")[0] for name, family in FAMILIES.items()
+        name: (family.__doc__ or "").partition("\n")[0] for name, family in FAMILIES.items()
     }
     found: dict[str, dict[str, str]] = {
         "scenes": BUILTIN,

@@ -32,7 +32,7 @@ import numpy as np
 from scipy import special
 
 from chdstat._core.arrays import Floats, Mask
-from chdstat.fit._gamma import gap_of_shape
+from chdstat.fit.distributions import gap_of_shape
 from chdstat.fit.groups import SPREAD_FLOOR, RowsLast, SampleGroups, take_last
 
 MixtureFamily = Literal["lognormal", "gamma"]

@@ -1,9 +1,8 @@
 """Families: the distributions that can be fitted to the positive part of a CHD, and their fits.
 
-`FAMILIES` is the table; a family is a row of it. The row says how to estimate the parameters from
-the positive part, gives the log-likelihood, uses SciPy's distribution for everything else, and
-holds what documentation, reports and tests need. Families share the sums over the positive part.
-Each family has a module of its own.
+`FAMILIES` lists them; each is a class of `chdstat.fit.distributions`, which says how to estimate
+the parameters from the positive part, gives the log-likelihood, and uses SciPy's distribution for
+everything else. Families share the sums over the positive part.
 
 `fit` fits any family by maximum likelihood to the samples of a pixel, a batch or an image, or to a
 log histogram. `family_fit` makes functions that fit one family, such as `chdstat.fit.gamma`.
@@ -11,6 +10,7 @@ log histogram. `family_fit` makes functions that fit one family, such as `chdsta
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -36,10 +36,7 @@ from chdstat._core.positive import Part
 from chdstat._core.resampling import wilson
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import Reason, check_option
-from chdstat.fit._burr import BURR
-from chdstat.fit._gamma import GAMMA
-from chdstat.fit._lognormal import LOGNORMAL
-from chdstat.fit._weibull import WEIBULL
+from chdstat.fit.distributions import Burr, Gamma, LogNormal, Weibull
 from chdstat.fit.family import TIGHT, Estimate, Family, Parameters
 from chdstat.summary.runner import OfSource, Source, of_source, run
 
@@ -49,7 +46,7 @@ if TYPE_CHECKING:
 
 
 FAMILIES: Mapping[str, Family] = {
-    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR)
+    family.name: family for family in (Gamma(), LogNormal(), Weibull(), Burr())
 }
 """Families by name."""
 
@@ -172,10 +169,8 @@ class Fit(Result):
         It is infinite where the family has no expectation (a tail index of 1 or more), and where a
         very wide log-normal distribution has one that is too large for double precision.
         """
-        own = get_family(self.family).mean
         with np.errstate(all="ignore"):
-            mean = self._distribution(0).mean() if own is None else own(self.parameters)
-            return np.asarray((1 - self.zero_share) * mean)
+            return np.asarray((1 - self.zero_share) * self._mean())
 
     def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
         """Draw the density, as `chdstat.viz.fit_curve`.
@@ -200,6 +195,10 @@ class Fit(Result):
         facts |= {"n": written(self.n), "BIC": written(self.bic)}
         facts["not fitted"] = reasons(self.reason)
         return Card(f"{type(self).__name__} {self.name}", facts)
+
+    def _mean(self) -> Floats:
+        """Return the expectation of the positive part, shape (...)."""
+        return get_family(self.family).mean(self.parameters)
 
     def _distribution(self, trailing: int) -> Any:
         """Return the distribution of the positive part, with `trailing` axes after the batch's."""
@@ -406,7 +405,7 @@ def family_fit(name: str) -> OfSource[..., Fit]:
         return fit(x, family, null=null, progress=progress)
 
     names = ", ".join(f"``{name}`` ({unit})" for name, unit in family.units.items())
-    text = (family.documentation or "").partition(": ")[2]
+    text = (inspect.getdoc(family) or "").partition(": ")[2]
     text = text.replace("References\n", _SECTIONS.format(parameters=names), 1)
     function.__doc__ = f"Fit a zero-inflated {family.label} distribution: {text}"
     function.__name__ = function.__qualname__ = name

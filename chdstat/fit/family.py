@@ -1,4 +1,4 @@
-"""Family: a row of the table of families, and the samples that a family is fitted to.
+"""Family: what a family of distributions has, and the samples that it is fitted to.
 
 A family that is fitted from sums over the samples only sees `WeightedSamples`: samples with weight
 1, or bins of a log histogram with their counts. Rows are sorted by their number of samples, so that
@@ -8,9 +8,9 @@ a block is as wide as its rows need and pixels with many nulls cost little.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
 
 Parameters = Mapping[str, Floats]
-_LogDensity = Callable[["WeightedSamples", Parameters], Floats]
 
 TIGHT = 3e-5
 """Newton step at which a search ends; the remaining error is of the order of its square."""
@@ -46,9 +45,10 @@ class Estimate:
     log_likelihood: Floats | None = None
 
 
-@dataclass(frozen=True, eq=False)
 class Family:
     """A parametric family on the positive numbers.
+
+    A family documents itself as "Name: what it is for.", formula, references and an example.
 
     Attributes
     ----------
@@ -56,24 +56,8 @@ class Family:
         What users call it.
     label
         Its name in running text.
-    documentation
-        ``__doc__`` of its module: "Name: what it is for.", the formula, references and an example.
     units
         Names of its parameters, with their units.
-    estimate
-        Maximum likelihood. A search may begin at given parameters; it then leaves out rows where
-        they are NaN. It ends when a Newton step is below the last argument. Rows that cannot be
-        fitted may hold anything but must not warn.
-    log_likelihood
-        Sum over the positive samples of the log density in linear radiance, at given parameters.
-    log_density
-        Log density of log x at the points of some rows, shape (row, point), given the parameters of
-        these rows, shape (row,). The log density of x is smaller by log x. A row without a fit has
-        NaN parameters, which must not warn.
-    distribution
-        SciPy's frozen distribution with the given parameters, which may be arrays.
-    mean
-        Expectation at given parameters; None to use SciPy's.
     errors_from
         Positive samples, by parameter, from which 1.96 standard errors hold the truth in nine of
         ten cases, where that takes more samples than the fit. Simulated.
@@ -82,19 +66,13 @@ class Family:
         standard errors as reStructuredText.
     """
 
-    name: str
-    label: str
-    documentation: str | None
-    units: Mapping[str, str]
-    estimate: Callable[[Part, Parameters | None, float], Estimate]
-    log_likelihood: Callable[[Part, Parameters], Floats]
-    log_density: _LogDensity
-    distribution: Callable[[Parameters], Any]
-    mean: Callable[[Parameters], Floats] | None = None
-    errors_from: Mapping[str, int] = field(default_factory=dict)
-    density: str = ""
-    tail_index: str = ""
-    error_formula: str = ""
+    name: ClassVar[str]
+    label: ClassVar[str]
+    units: ClassVar[Mapping[str, str]]
+    errors_from: ClassVar[Mapping[str, int]] = {}
+    density: ClassVar[str] = ""
+    tail_index: ClassVar[str] = ""
+    error_formula: ClassVar[str] = ""
 
     def __eq__(self, other: object) -> bool:
         """Compare by name: a family that was sent to a worker of a cluster stays the same."""
@@ -108,25 +86,47 @@ class Family:
         """Positive samples that a fit needs: as many as there are parameters."""
         return len(self.units)
 
+    def estimate(
+        self, part: Part, near: Parameters | None = None, tolerance: float = TIGHT, /
+    ) -> Estimate:
+        """Return the maximum of the likelihood.
 
-def take(parameters: Parameters, rows: npt.NDArray[Any]) -> dict[str, Floats]:
-    """Select the parameters of some rows of the flattened batch."""
-    return {name: value.reshape(-1)[rows] for name, value in parameters.items()}
+        A search may begin at the parameters `near`; it then leaves out rows where they are NaN. It
+        ends when a Newton step is below the tolerance. Rows that cannot be fitted may hold anything
+        but must not warn.
+        """
+        raise NotImplementedError
 
+    def log_density(self, points: WeightedSamples, parameters: Parameters) -> Floats:
+        """Return the log density of log x at the points of some rows, shape (row, point).
 
-def summed(log_density: _LogDensity) -> Callable[[Part, Parameters], Floats]:
-    """Return a log-likelihood that adds up log densities, for families without sufficient sums."""
+        The parameters are those of these rows, shape (row,). The log density of x is smaller by
+        log x. A row without a fit has NaN parameters, which must not warn.
+        """
+        raise NotImplementedError
 
-    def log_likelihood(part: Part, parameters: Parameters) -> Floats:
+    def distribution(self, parameters: Parameters) -> Any:
+        """Return SciPy's frozen distribution with the given parameters, which may be arrays."""
+        raise NotImplementedError
+
+    def mean(self, parameters: Parameters) -> Floats:
+        """Return the expectation."""
+        return np.asarray(self.distribution(parameters).mean())
+
+    def log_likelihood(self, part: Part, parameters: Parameters) -> Floats:
+        """Return the sum of the log densities of the positive samples in linear radiance, (...)."""
         known = np.isfinite(np.stack(list(parameters.values()))).all(axis=0)
         total = np.full(part.n.size, np.nan)
         for points in blocks(part, known.ravel() & (part.n.ravel() > 0)):
-            density = log_density(points, take(parameters, points.rows))
+            density = self.log_density(points, take(parameters, points.rows))
             density -= points.log_mean[:, np.newaxis]
             total[points.rows] = np.vecdot(points.weight, density)
         return total.reshape(part.n.shape)
 
-    return log_likelihood
+
+def take(parameters: Parameters, rows: npt.NDArray[Any]) -> dict[str, Floats]:
+    """Select the parameters of some rows of the flattened batch."""
+    return {name: value.reshape(-1)[rows] for name, value in parameters.items()}
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,9 @@ class Mixture(Fit):
         """Share of the components among the positive samples, shape (...)."""
         return np.asarray(1 - self.atom_weights.sum(axis=-1))
 
+    def _mean(self) -> Floats:
+        return self._distribution(0).mean()
+
     def _distribution(self, trailing: int) -> MixtureDistribution:
         def first(values: Floats) -> Floats:
             return expand(np.moveaxis(values, -1, 0), trailing)

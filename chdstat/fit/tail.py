@@ -47,7 +47,7 @@ from chdstat._core.doors import draw
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import RADIANCE, MapKind, Quantity, Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason
-from chdstat.fit._gamma import gamma_shape
+from chdstat.fit.distributions import gamma_shape
 from chdstat.fit.error_bars import (
     Bar,
     ErrorBars,

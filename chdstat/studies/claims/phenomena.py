@@ -19,7 +19,7 @@ from scipy import ndimage, special, stats
 from chdstat._core.arrays import Counts, Floats, Mask, luminance
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Interval, interval_of
-from chdstat.fit._gamma import gamma_shape
+from chdstat.fit.distributions import gamma_shape
 from chdstat.inference import modality
 from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.patterns import Thresholds
