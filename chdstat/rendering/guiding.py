@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import math
 from dataclasses import InitVar, dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -41,6 +42,10 @@ from chdstat.samples.layout import GUIDE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from chdstat.rendering.jobs import Job
+    from chdstat.rendering.seeds import Streams
+    from chdstat.samples.store import Store
 
 dr: Any = drjit
 Codes = npt.NDArray[np.uint64]
@@ -70,7 +75,7 @@ _EVERYWHERE = 0.1
 """Share of a guide that is uniform, so that no direction is left out."""
 _PER_CELL = 8
 """A cell is halved if it has more vertices than this times the root of the number of all."""
-PASSES = 3
+_PASSES = 3
 """Passes of a training."""
 _ROOM = 15, 12
 """Steps of searches during a training: one kernel serves all passes."""
@@ -524,6 +529,26 @@ def _material(mi: Any, _variant: str) -> type:
             return f"Guided[{self.nested}]"
 
     return Guided
+
+
+def kept_guide(store: Store, asked: str) -> Guide | None:
+    """Return the guide of a store's samples; None if it is to be trained again."""
+    if (kept := store.guide()) is not None:
+        return Guide.of_arrays(kept)
+    unguided = asked == "auto" and store.attrs.get("guide") is None  # it goes on as it was begun
+    return NOTHING if unguided else None
+
+
+def put_to_use(job: Job, mi: Any, scene: Any, sensor: Any, streams: Streams) -> Guide:
+    """Let a scene draw directions by the guide of a job, or by one that is trained now."""
+    if job.backend.name == "scalar":  # which cannot be guided, and need not be
+        return NOTHING
+    if job.guide is not None:
+        into_scene(mi, scene, job.guide)
+        return job.guide
+    seeds = [streams.of_training(i) for i in range(_PASSES)]
+    samples = math.prod(streams.size) * job.options["spp"] if job.guided == "auto" else None
+    return trained(mi, scene, sensor, streams.size, seeds, samples=samples)
 
 
 def into_scene(mi: Any, scene: Any, guide: Guide) -> None:

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -42,9 +42,6 @@ from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import check_variant
-
-if TYPE_CHECKING:
-    from chdstat.rendering.guiding import Guide
 
 _log = logging.getLogger("chdstat")
 _LIBRARIES = tuple(str(Path(file).parent) for file in (chdstat.__file__, np.__file__))
@@ -115,25 +112,14 @@ class MitsubaRenderer:
                 raise SceneError(message)
             sensor = self._sensor((0, 0), self.size)  # Mitsuba refuses what a sensor cannot be
             if job.guided:
+                from chdstat.rendering.guiding import put_to_use
+
                 with self._telling():
-                    self.job = replace(job, guide=self._guide(sensor))
+                    guide = put_to_use(job, mi, self._scene, sensor, self._streams)
+                self.job = replace(job, guide=guide)
             if self._scalar:  # one sample costs nothing: what cannot be drawn is refused at once
                 with self._telling():
                     self._pixel_scalar(0, 0, 0, 1)
-
-    def _guide(self, sensor: Any) -> Guide:
-        """Let the scene draw directions by the guide of the job, or by one that is trained now."""
-        from chdstat.rendering import guiding
-
-        if self._scalar:  # which cannot be guided, and need not be
-            return guiding.NOTHING
-        if self.job.guide is not None:
-            guiding.into_scene(self._mi, self._scene, self.job.guide)
-            return self.job.guide
-        seeds = [self._streams.of_training(i) for i in range(guiding.PASSES)]
-        width, height = self.size
-        samples = width * height * self.job.options["spp"] if self.job.guided == "auto" else None
-        return guiding.trained(self._mi, self._scene, sensor, self.size, seeds, samples=samples)
 
     @property
     def identity(self) -> dict[str, Any]:

@@ -195,12 +195,9 @@ def render(
         raise InputError(message)
     job = Job.of(loaded, **settings)
     if job.guided and existing is not None:
-        from chdstat.rendering.guiding import NOTHING, Guide
+        from chdstat.rendering.guiding import kept_guide
 
-        if (kept := existing.guide()) is not None:
-            job = replace(job, guide=Guide.of_arrays(kept))
-        elif job.guided == "auto" and existing.attrs.get("guide") is None:
-            job = replace(job, guide=NOTHING)  # "auto" goes on as the store was begun
+        job = replace(job, guide=kept_guide(existing, job.guided))
     if client is not None:
         _check_portable(job)
     work: Work = {"client": client, "progress": progress}
