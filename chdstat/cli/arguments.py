@@ -6,11 +6,11 @@ of the function, as ``name : METAVAR, default TEXT`` and its sentences: numpydoc
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import reprlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, field
 from inspect import Parameter, cleandoc, signature
@@ -211,13 +211,11 @@ class CommonOptions:
             remove(folder)
         return folder
 
-    @contextlib.contextmanager
-    def client(self) -> Iterator[Client | None]:
+    def client(self) -> AbstractContextManager[Client | None]:
         """Yield a client of the requested workers, None for threads."""
         from chdstat._core.work import client_of
 
-        with client_of(self.scheduler, self.workers) as client:
-            yield client
+        return client_of(self.scheduler, self.workers)
 
 
 # --- how arguments are declared -----------------------------------------------------------------

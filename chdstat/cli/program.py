@@ -11,7 +11,6 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from inspect import Signature, signature
-from pathlib import Path
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -21,6 +20,7 @@ from chdstat import __version__
 from chdstat._core.files import place_of
 from chdstat.cli.arguments import SHARED, SHARED_TEXTS, CommonOptions, described, parameter
 from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
+from chdstat.scenes import load_plugin
 
 _INTERRUPTED = 130
 _TO_MEND = 2
@@ -83,7 +83,8 @@ def command(
         @functools.wraps(function)
         def run(**given: Any) -> None:
             asked = CommonOptions.of({key: given.pop(key) for key in shared})
-            _load_plugins(asked.plugin)
+            for file in asked.plugin or ():  # scenes and options may name what they register
+                load_plugin(file)
             function(**given, asked=asked)
 
         about, texts = described(function)
@@ -93,14 +94,6 @@ def command(
         return app.command(name, help=about, epilog=f"Example: chdstat {example}")(run)
 
     return enter
-
-
-def _load_plugins(files: list[Path] | None) -> None:
-    """Load plugins, so that scenes and options may name what they register."""
-    from chdstat.scenes import load_plugin
-
-    for file in files or ():
-        load_plugin(file)
 
 
 def _say_version(wanted: bool) -> None:

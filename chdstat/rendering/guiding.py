@@ -436,19 +436,13 @@ class Lookup:
     def _leaf(self, leaf: Any, end: Any) -> tuple[Any, Any, Any, Any]:
         """Return the probability below a leaf, its own probability, its start, and its size."""
         mi, goes_on = self.mi, leaf + 1 != end
-        below, begin = (
-            dr.gather(mi.Float, self.below, leaf),
-            dr.gather(mi.UInt32, self.leaves, leaf),
-        )
+        below = dr.gather(mi.Float, self.below, leaf)
+        begin = dr.gather(mi.UInt32, self.leaves, leaf)
         next_below = dr.gather(mi.Float, self.below, leaf + 1, goes_on)
         next_begin = dr.gather(mi.UInt32, self.leaves, leaf + 1, goes_on)
         probability = dr.select(goes_on, next_below, 1) - below
-        return (
-            below,
-            probability,
-            begin,
-            mi.Float(dr.select(goes_on, next_begin, _DIRECTIONS) - begin),
-        )
+        size = mi.Float(dr.select(goes_on, next_begin, _DIRECTIONS) - begin)
+        return below, probability, begin, size
 
     def _last(self, values: Any, wanted: Any, first: Any, count: Any, steps: int) -> Any:
         """Return the last of `count` places from `first` whose value is at most the wanted one."""

@@ -15,8 +15,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import hashlib
-import importlib.abc
-import importlib.util
 import re
 import sys
 import sysconfig
@@ -33,6 +31,8 @@ from chdstat.errors import ChdstatError, InputError
 
 _PREFIX = "chdstat_plugin_"
 """Prefix of the names of their modules, so that no other module is hidden."""
+_CODE = "__chdstat_code__"
+"""Name under which their modules hold their code."""
 
 
 @dataclass(frozen=True)
@@ -218,30 +218,12 @@ def failure(plugins: Iterable[Plugin], error: BaseException) -> BaseException:
     return InputError(f"plugin {where[-1]}: {told}; correct it there")
 
 
-class _Loader(importlib.abc.SourceLoader):
-    """Gives the code that a plugin travels with, wherever its file is."""
-
-    def __init__(self, plugin: Plugin) -> None:
-        self._plugin = plugin
-
-    def get_filename(self, fullname: str) -> str:
-        del fullname
-        return str(self._plugin.path)
-
-    def get_data(self, path: str | bytes) -> bytes:
-        if str(path) != str(self._plugin.path):  # compiled code is kept nowhere
-            raise FileNotFoundError(path)
-        return self._plugin.code
-
-
 def _run(plugin: Plugin, variant: str) -> _Registration:
-    """Run the code of a plugin, and return what it has registered."""
+    """Run the code that a plugin travels with, and return what it has registered."""
     from chdstat.estimators.registry import registered_by
 
-    registration, loader = _Registration(plugin), _Loader(plugin)
-    spec = importlib.util.spec_from_loader(plugin.module, loader)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
+    registration, module = _Registration(plugin), types.ModuleType(plugin.module)
+    module.__file__, vars(module)[_CODE] = str(plugin.path), plugin.code
     previous = sys.modules.get(plugin.module)
     sys.modules[plugin.module] = module
     try:
@@ -250,7 +232,7 @@ def _run(plugin: Plugin, variant: str) -> _Registration:
             registered_by(plugin.name) as registration.estimators,
             _beside(plugin),
         ):
-            loader.exec_module(module)
+            exec(compile(plugin.code, plugin.path, "exec"), vars(module))  # noqa: S102
     except (Exception, SystemExit) as error:
         sys.modules.pop(plugin.module)
         if previous is not None:
@@ -380,10 +362,8 @@ class _Content:
         module = sys.modules.get(kind.__module__)
         file = getattr(module, "__file__", None)
         if file and kind.__module__ != "__main__":
-            loader: Any = getattr(module, "__loader__", None)
-            with contextlib.suppress(OSError):
-                known = hasattr(loader, "get_data")  # there, though its file may not be
-                self._hash.update(loader.get_data(file) if known else Path(file).read_bytes())
+            with contextlib.suppress(OSError):  # that of a plugin need not be there
+                self._hash.update(vars(module).get(_CODE) or Path(file).read_bytes())
 
     def add(self, value: Any) -> None:
         """Add a value and everything that it leads to."""
