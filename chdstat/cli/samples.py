@@ -292,19 +292,20 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
     files = "all there; --verify reads them, too"
     if "damaged" in found:
         files = "damaged: " + ", ".join(found["damaged"]) if found["damaged"] else "sound, all read"
-    also = [", ".join(found["features"]) + " of the first hit"] if found["features"] else []
-    if found["direct_spp"]:
-        also.append(f"direct light of {found['direct_spp']} samples")
-    if len(found["depths"]) > bool(found["direct_spp"]):
-        also.append(f"light by length of path, up to {max(map(int, found['depths']))} segments")
-    if found["lights"]:
-        also.append(f"light from {', '.join(found['lights'])} alone")
+    has_depths = len(found["depths"]) > bool(found["direct_spp"])
+    also = {
+        "{} of the first hit": ", ".join(found["features"]),
+        "direct light of {} samples": found["direct_spp"],
+        "light by length of path, up to {} segments": has_depths and max(map(int, found["depths"])),
+        "light from {} alone": ", ".join(found["lights"]),
+    }
+    stored = [text.format(value) for text, value in also.items() if value]
     numbers = {}
     if found["counts"]:
         numbers["Samples"] = different_counts(found, "{} to {}".format(*found["counts"]))
     return {
         **numbers,
-        "Also stored": ", ".join(also) or "nothing",
+        "Also stored": ", ".join(stored) or "nothing",
         "State": state,
         "Files": files,
         "On disk": byte_size(found["bytes"]),

@@ -134,27 +134,25 @@ class MitsubaRenderer:
     @property
     def provenance(self) -> dict[str, Any]:
         """Origin of the samples, ready for JSON."""
-        job, options = self.job, self.job.options
+        job, sequences = self.job, self._sequences
+        # The integrator has the longest path.
+        options = {n: v for n, v in job.options.items() if n not in ("max_depth", "sequence")}
         return {
             "scene": job.scene.name,
             **self.identity,
             "scene_source": job.scene.origin,
             "scene_parameters": dict(job.scene.parameters),
+            **options,
+            **({"sequence": sequences.length} if sequences else {}),
             "integrator": self.integrator,
             "guide": job.guide.digest if job.guide else None,
-            "sensor": options["sensor"],
             "size": list(self.size),
             "crop": self.film.crop,
             "light": job.light,
-            "spp": options["spp"],
-            "seed": options["seed"],
             "backend": job.backend.name,
-            "color": job.backend.color,
             "mitsuba_version": importlib.metadata.version("mitsuba"),
             "chdstat_version": importlib.metadata.version("chdstat"),
             "filter": "box",
-            "sampler": options["sampler"],
-            **({"sequence": self._sequences.length} if self._sequences else {}),
             "streams": STREAMS,
             "units": "linear radiance",
             "notes": self.notes,

@@ -30,7 +30,7 @@ from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import GUIDE, differing, part_folder
+from chdstat.samples.layout import GROWING, GUIDE, differing, part_folder
 from chdstat.samples.ledger import counts_of, missing_of
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, Work, chunk_grid
@@ -620,7 +620,13 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
         yield _MemoryWriter(attrs, renderer.size)
         return
     is_new = not is_store(out)
-    with _opened(out, attrs, renderer.size) as store:
+    if is_new:
+        width, height = renderer.size
+        store = Store.create(out, shape=(height, width, 3, _first_spp(attrs)), attrs=attrs)
+    else:
+        _check_identity(Store.open(out), attrs)
+        store = Store.open(out, writable=True)
+    with store:
         try:
             if store.adaptive is None:
                 store.extend(attrs["spp"])
@@ -629,15 +635,6 @@ def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -
             if is_new:
                 store.discard()
             raise
-
-
-def _opened(out: Path, attrs: dict[str, Any], size: tuple[int, int]) -> Store:
-    """Open or create a store for writing."""
-    if not is_store(out):
-        width, height = size
-        return Store.create(out, shape=(height, width, 3, _first_spp(attrs)), attrs=attrs)
-    _check_identity(Store.open(out), attrs)
-    return Store.open(out, writable=True)
 
 
 def _first_spp(attrs: Mapping[str, Any]) -> int:
@@ -662,36 +659,18 @@ def _as_stored(options: RenderSettings, store: Store) -> RenderSettings:
     return options | stored
 
 
-_IDENTITY = (
-    "scene_hash",
-    "scene_code",
-    "plugins",
-    "integrator",
-    "guide",
-    "adaptive",
-    "sensor",
-    "size",
-    "crop",
-    "light",
-    "seed",
-    "backend",
-    "color",
-    "mitsuba_version",
-    "streams",
-    "sampler",
-    "sequence",
-)
-"""Attributes that must agree before samples are added to a store."""
+_FREE = (*GROWING, "scene", "scene_source", "notes", "chdstat_version", "schema_version")
+"""Attributes that need not agree before samples are added to a store; all others must."""
 
 
 def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
     """Refuse to mix samples of two scenes, seeds or settings in one store."""
     held = store.attrs
-    stored, asked = ({name: of.get(name) for name in _IDENTITY} for of in (held, attrs))
+    stored, asked = ({n: v for n, v in of.items() if n not in _FREE} for of in (held, attrs))
     if names := differing(stored, asked):
         why = _changed(held, attrs)
         why += [
-            f"{name}: stored {stored[name]}, asked for {asked[name]}"
+            f"{name}: stored {stored.get(name)}, asked for {asked.get(name)}"
             for name in names
             if name != "scene_hash" and name not in _CHANGES
         ]

@@ -80,7 +80,7 @@ FOREIGN = (
 )
 """Errors that damaged bytes may raise in the libraries that read them."""
 _DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
-_GROWING = ("spp", "noise", "error", "render_seconds", "appended", "why_no_features")
+GROWING = ("spp", "noise", "error", "render_seconds", "appended", "why_no_features")
 """Attributes that change while samples are added; all others identify the store."""
 _LABEL = struct.Struct("<8s8s4IQII")
 """Mark, identity, tile_y, tile_x, batch, samples, length and checksum of the bytes before it, and
@@ -254,7 +254,7 @@ def array(store: Any, name: str, metadata: Any) -> Any:
 
 def identity(attrs: Mapping[str, Any], shape: Sequence[int]) -> str:
     """Return the hash that identifies samples, whatever their number."""
-    told = {k: v for k, v in attrs.items() if k not in _GROWING}
+    told = {k: v for k, v in attrs.items() if k not in GROWING}
     return hashlib.blake2b(canonical([told, list(shape[:3])]), digest_size=8).hexdigest()
 
 
