@@ -27,6 +27,7 @@ from chdstat.studies.claim import Claim, claim
 from chdstat.studies.claims.assumptions import growing, with_room
 from chdstat.studies.log_chds import (
     aligned,
+    centred_logs,
     counts_by_row,
     mean_shapes,
     same_shape,
@@ -562,11 +563,8 @@ def _jagged(x: Floats) -> Floats:
 
 def _log_bins(x: Floats) -> tuple[Counts, Mask]:
     """Return the bin of each sample around its pixel's mean log radiance, and which have one."""
-    seen = visible(x)
-    positive = seen > 0
-    log = np.log10(np.where(positive, seen, 1))
-    middle = log.sum(axis=1) / np.maximum(positive.sum(axis=1), 1)
-    bins = np.floor(10 * (log - middle[:, np.newaxis])).astype(int) + _BINS // 2
+    log, positive = centred_logs(visible(x))
+    bins = np.floor(10 * log).astype(int) + _BINS // 2
     return np.clip(bins, 0, _BINS - 1), positive
 
 
