@@ -120,7 +120,7 @@ def test_errors_of_the_work_come_as_they_are(client, store):
         store.map(fails, client=client)
 
 
-def test_workers_of_this_machine_and_a_scheduler_exclude_each_other():
+def test_workers_and_scheduler_exclude_each_other():
     with client_of(None, None) as nobody:
         assert nobody is None
     with client_of(None, 1) as here:
@@ -130,7 +130,7 @@ def test_workers_of_this_machine_and_a_scheduler_exclude_each_other():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes inherit no signal mask there")
-def test_ctrl_c_while_workers_start_waits_and_they_do_not_hear_it(monkeypatch):
+def test_ctrl_c_waits_while_workers_start(monkeypatch):
     import distributed
 
     begun = []
@@ -221,7 +221,7 @@ def test_checkpoints_stay_until_the_output_is_there(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("one_thread")
-def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path):
+def test_a_stopped_estimate_goes_on_if_unchanged(store, tmp_path):
     folder, whole = tmp_path / "parts", estimate(store)
     with stopped(PowerSums, "of", 4):  # it is called twice a tile
         estimate(store, checkpoint=folder)
@@ -259,7 +259,7 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path):
     assert "tail_index" not in found
 
 
-def test_options_that_a_rendering_or_a_summary_cannot_take_are_refused(client, store):
+def test_options_of_other_sources_are_refused(client, store):
     rendering = render_batches("cornell-box", spp=64, **SETTINGS)
     for summarised in (rendering, chd.summarize(store)):
         with pytest.raises(InputError, match="thresholds"):
@@ -268,7 +268,7 @@ def test_options_that_a_rendering_or_a_summary_cannot_take_are_refused(client, s
         chd.estimate(rendering, client=client)
 
 
-def test_a_summary_is_taken_by_its_places_and_anything_else_refused(store):
+def test_a_summary_is_taken_by_its_places(store):
     summary = chd.summarize(store)
     whole = chd.analyze(summary, progress=False)
     for changed in (

@@ -76,7 +76,7 @@ def test_samples_of_one_channel_have_axes_too(x):
     np.testing.assert_array_equal(found.read(), x[:, :, :1])
 
 
-def test_few_samples_and_many_channels_are_taken_when_the_axes_are_said(x):
+def test_odd_shapes_are_taken_with_their_axes(x):
     for shape in ((4, 6, 3, 2), (4, 6, 31, 64)):
         with pytest.raises(InputError, match="'yxcs'"):
             Samples.from_array(np.ones(shape))
@@ -200,7 +200,7 @@ def test_images_are_samples_arrays_or_stores(x, stored, name):
 
 
 @pytest.mark.parametrize("name", OF_IMAGES)
-def test_a_path_without_a_store_and_what_is_no_image_are_refused_in_words(name):
+def test_what_is_no_image_is_refused(name):
     with pytest.raises(StoreError, match="nowhere.zarr"):
         OF_IMAGES[name]("nowhere.zarr")
     with pytest.raises(InputError):

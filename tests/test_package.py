@@ -227,7 +227,7 @@ def test_statistics_need_no_renderer():
     assert not {"mitsuba", "drjit", "torch", "matplotlib", "zarr"} & loaded
 
 
-def test_mitsuba_is_loaded_when_a_scene_is_read_and_folders_are_there_at_once():
+def test_mitsuba_is_loaded_late():
     loaded = loaded_by(
         "import chdstat as chd; chd.patterns.Thresholds, chd.inference.gaussianity_of_means\n"
         "import chdstat.cli, chdstat.explorer, chdstat.rendering"

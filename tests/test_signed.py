@@ -92,7 +92,7 @@ def test_samples_that_cancel_are_estimated_as_any_others(name):
     assert np.isfinite(estimators.lookup(name)(x)).all()
 
 
-def test_a_negative_channel_spoils_neither_its_sample_nor_its_pixel():
+def test_a_negative_channel_spoils_nothing():
     x = np.ones((3, 3, 3, N))
     x[1, 1, 0, 0] = -1.0
     for name in ("mean", "zirr2018_pixel"):

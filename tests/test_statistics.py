@@ -170,7 +170,7 @@ OVERLAPPING: dict[str, Callable[[np.ndarray], Any]] = {
 
 
 @pytest.mark.parametrize("name", OVERLAPPING)
-def test_overlapping_components_are_the_same_alone_and_in_a_batch(name):
+def test_overlapping_components_are_the_same_alone(name):
     """Where searches end depends on where they begin, and on when they end."""
     rng = np.random.default_rng(12)
     x = np.zeros((12, 256))

@@ -197,7 +197,7 @@ def test_the_shape_of_samples_is_checked():
             reduce(np.zeros(shape))
 
 
-def test_a_pixel_does_not_depend_on_others_and_every_field_has_its_shape():
+def test_pixels_do_not_depend_on_each_other():
     rng = np.random.default_rng(11)
     x = rng.exponential(size=(2, 1, LEAST)).astype(np.float32)
     both, second = reduce(x), reduce(x[1:])

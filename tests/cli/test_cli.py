@@ -35,7 +35,7 @@ STORE = "a finished store"
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_an_example_its_defaults_and_a_flag_for_scripts(run, name):
+def test_every_command_has_an_example(run, name):
     assert name in run("--help")[1]
     assert "Example: chdstat" in run(name, "--help")[1]
     paragraphs = COMMANDS[name].help.split("\n\n")
@@ -50,7 +50,7 @@ def test_every_command_has_an_example_its_defaults_and_a_flag_for_scripts(run, n
         assert flag.is_flag
 
 
-def test_samples_that_depend_on_each_other_are_named_contrasted_and_refused(run, store, tmp_path):
+def test_dependent_samples_are_named_and_refused(run, store, tmp_path):
     path = tmp_path / "spread.zarr"
     size = ("--size", "12x10", "--backend", "scalar", "--seed", "5")
     code, _, err = run(
@@ -312,7 +312,7 @@ def test_a_model_is_trained_and_estimates(run, stored, tmp_path):
 
 
 @pytest.mark.parametrize("rendering", [False, True])
-def test_estimate_renders_a_scene_and_keeps_samples_only_in_a_store(run, tmp_path, rendering):
+def test_estimate_renders_and_keeps_a_store(run, tmp_path, rendering):
     image, kept = tmp_path / "box.exr", tmp_path / "box.zarr"
     asked = ("estimate", "cornell-box", "-o", image, "--spp", 8, "--size", "10x8", "-q")
     more = ("--while-rendering",) if rendering else ("--store", kept)
@@ -337,7 +337,7 @@ def test_an_estimate_while_rendering_says_the_error_of_each_pass(run, tmp_path, 
     assert passes == ([] if quiet else ["16", "32"])
 
 
-def test_a_report_of_chosen_estimators_says_its_pages_and_what_next(run, store, tmp_path):
+def test_a_report_says_its_pages(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     asked = ("report", store, "-o", target, "-e", "mean", "--json")
     code, out, err = run(*asked)
@@ -505,9 +505,7 @@ def test_an_adaptive_render_says_its_error(run, tmp_path, caplog):
 
 
 @pytest.mark.parametrize("command", [("compare", "--n", "8"), ("study", "--store", "kept")])
-def test_commands_take_different_numbers_of_samples_or_the_first_of_each(
-    run, tmp_path, monkeypatch, command
-):
+def test_commands_take_different_numbers_of_samples(run, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     counts = np.full((12, 12), 24)
     counts[0, 0] = 16

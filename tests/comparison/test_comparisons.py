@@ -66,7 +66,7 @@ def expected_measures(x, n, estimator, batches=None):
 
 
 @pytest.mark.parametrize("name", ["mean", "median_of_means", "elek2019"])
-def test_measures_follow_their_definition_on_held_out_batches_and_pixels(found, model, name):
+def test_measures_follow_their_definition(found, model, name):
     samples = image()
     function = model.predict if name == "elek2019" else getattr(chd.estimators, name)
     expected = expected_measures(samples.read()[found.test_pixels], 32, function)
@@ -166,7 +166,7 @@ def test_batches_with_bad_samples_are_left_out_and_counted():
         assert np.isfinite(numbers).all()
 
 
-def test_where_counts_differ_batches_are_those_that_all_have_and_references_all_else():
+def test_counts_that_differ_share_batches():
     x = image(spp=96).read()
     counts = np.broadcast_to(np.where(np.arange(16) < 8, 64, 96), (20, 16))
     found = chd.compare(chd.Samples.from_array(x, counts=counts), ["mean"])
@@ -206,7 +206,7 @@ def test_a_model_that_nobody_asked_for_is_refused(model):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_an_image_without_pixels_or_samples_that_are_left_cannot_judge():
+def test_what_cannot_judge_is_refused():
     samples = image(height=4, width=4)
     pixels = np.stack(np.indices((4, 4)), axis=-1).reshape(-1, 2)
     model = MLP.preset("elek2019").train(samples, pixels=pixels, iterations=5)
@@ -243,7 +243,7 @@ def test_a_firefly_is_two_stops_too_bright():
         assert errors(p, [0, 0], [scale, scale], scale)["firefly"].tolist() == [0, 1]
 
 
-def test_an_estimate_that_rounds_otherwise_is_the_mean_and_no_improvement():
+def test_rounding_is_no_improvement():
     # 1 + 1e-7 is closer to 2 than 1 is, by rounding alone; 1 + 1e-4 means it.
     found = errors([1 + 1e-7, 1 + 1e-4, 1 - 1e-4, 0.0], [1, 1, 1, 0], [2, 2, 2, 0])
     assert found["unchanged"].tolist() == [1, 0, 0, 1]
@@ -273,7 +273,7 @@ def test_estimators_of_ones_own_are_measured_and_spoil_no_other():
         chd.compare(image(), [wrong])
 
 
-def test_fireflies_left_are_those_of_the_estimator_over_those_of_the_mean():
+def test_fireflies_left_are_over_the_mean_s():
     x = np.ones((8, 8, 1, 1024), np.float32)
     x[:, :4, 0, 0] = 1000  # half of the pixels have one in the first of 32 batches
     found = chd.compare(chd.Samples.from_array(x), ["mean", "median"], max_batches=None)
@@ -291,7 +291,7 @@ def test_fireflies_left_are_those_of_the_estimator_over_those_of_the_mean():
 # --- who takes part -----------------------------------------------------------------------------
 
 
-def test_rows_are_in_the_order_asked_for_and_those_that_use_neighbours_are_marked():
+def test_rows_are_in_the_order_asked_for():
     found = chd.compare(image(), ["zirr2018", "mean", "zirr2018_pixel"])
     assert found.estimators == ("zirr2018", "mean", "zirr2018_pixel")
     assert found.uses_neighbours.tolist() == [True, False, False]
@@ -452,7 +452,7 @@ def test_the_best_of_a_label_has_the_smallest_error(labelled):
         found.breakdown.best("bias")
 
 
-def test_labels_come_as_codes_as_a_map_or_as_the_order_to_classify():
+def test_labels_come_in_four_ways():
     samples = image(height=6, width=5, spp=128)
     classified = chd.classify(samples)
     ways = [classified, classified["label"], classified["label"].values, "classify"]
@@ -506,7 +506,7 @@ def test_data_frames_have_the_columns_of_the_table(found, labelled):
             np.testing.assert_equal(again, row)
 
 
-def test_latex_has_a_line_for_each_estimator_and_escapes_what_it_must(found):
+def test_latex_has_a_line_for_each_estimator(found):
     begin, top, head, middle, *rows, bottom, end = found.to_latex().splitlines()
     assert (begin, end) == (r"\begin{tabular}{lrrrrr}", r"\end{tabular}")
     assert (top, middle, bottom) == (r"\toprule", r"\midrule", r"\bottomrule")

@@ -66,13 +66,13 @@ def by_explorer(samples):
 
 
 @pytest.mark.parametrize("shown", [by_compare, by_curve, by_bench, by_explorer])
-def test_one_list_is_judged_everywhere_with_the_default_estimate_first(shown, cornell):
+def test_one_list_is_judged_everywhere(shown, cornell):
     found = [called(name) for name in shown(cornell)]
     assert found == [called(name) for name in DEFAULT_ESTIMATORS]
     assert DEFAULT_ESTIMATORS[:2] == (DEFAULT_ESTIMATE, "mean")
 
 
-def test_the_default_estimate_is_given_the_image_of_each_batch_with_its_features(cornell):
+def test_the_default_estimate_gets_batch_and_features(cornell):
     found = chd.compare(cornell, ["mean", "combination"], max_batches=1, progress=False)
     x = cornell.read(ss=slice(N))
     direct = chd.estimators.combination(x, features=cornell.features)
@@ -115,7 +115,7 @@ def test_what_does_not_apply_is_left_out_with_the_reason():
         chd.compare(two, ["combination"], n=8)
 
 
-def test_a_network_that_cannot_be_trained_spoils_no_default_comparison(monkeypatch, cornell):
+def test_an_untrainable_network_is_left_out(monkeypatch, cornell):
     def refuse(samples, **options):
         raise InputError("the image is too small")
 
@@ -127,7 +127,7 @@ def test_a_network_that_cannot_be_trained_spoils_no_default_comparison(monkeypat
         chd.compare(cornell, ["elek2019"], progress=False)
 
 
-def test_a_name_may_ask_for_a_denoiser_and_other_things_are_refused():
+def test_a_name_may_ask_for_a_denoiser():
     for name in ("mean + OIDN", "median + OIDN features"):
         assert entry_of(name).name == name
     without = chd.Samples.from_array(np.ones((8, 8, 3, 64)))

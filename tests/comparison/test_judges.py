@@ -64,7 +64,7 @@ def test_errors_of_the_truth_are_0_on_average():
     assert (np.abs(relative.mean(axis=(1, 2, 3))) < 4 * relative.std(axis=(1, 2, 3)) / EDGE).all()
 
 
-def test_a_reference_without_noise_gives_the_errors_of_the_definition():
+def test_an_exact_reference_gives_defined_errors():
     truth = np.random.default_rng(1).gamma(0.3, size=(9, 11, 3))
     scene = truth.mean(axis=(0, 1))
     parts = np.broadcast_to(truth, (PARTS, *truth.shape))

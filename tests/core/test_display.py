@@ -183,7 +183,7 @@ def test_a_pixel_that_cannot_be_fitted_says_why():
     assert repr(dark).splitlines()[-1] == "  not fitted  all null"
 
 
-def test_latex_escapes_what_means_something_there_and_spells_what_it_has_no_letter_for():
+def test_latex_escapes_and_spells():
     rows = [{"a & b": r"50 % of $x_1^{2}$ \ #", "c": "−1.5 ± 0.2 < 3 × 10 — … ~|"}]
     _, _, head, _, row, *_ = latex(rows).splitlines()
     assert head == r"a \& b & c \\"
@@ -192,7 +192,7 @@ def test_latex_escapes_what_means_something_there_and_spells_what_it_has_no_lett
     assert right == (r"$-$1.5 $\pm$ 0.2 $<$ 3 $\times$ 10 --- \dots{} \textasciitilde \textbar{}")
 
 
-def test_a_result_without_a_table_is_one_of_names_and_values_in_latex():
+def test_latex_of_a_result_without_table():
     @dataclass(frozen=True, repr=False)
     class Found(Shown):
         share: str

@@ -39,7 +39,7 @@ def test_reasons():
     np.testing.assert_array_equal(PositivePart.of(X[:1]).reason(4), [Reason.TOO_FEW])
 
 
-def test_the_rows_of_a_pixel_are_its_channels_its_luminance_or_both():
+def test_rows_are_channels_luminance_or_both():
     block = np.random.default_rng(0).gamma(0.5, size=(2, 3, 8))
     block[0, :, 0], block[0, 1, 1], block[1, 2, 2] = 0, 0, np.nan
     channels, light, both = (

@@ -58,7 +58,7 @@ def test_regions_are_given_and_their_differences_are_no_noise():
     assert found.high - found.low < 1
 
 
-def test_few_blocks_have_no_interval_and_missing_pixels_take_no_part():
+def test_few_blocks_have_no_interval():
     found = mean_of(np.arange(4.0), Blocks.grid(2, 2))
     assert found.value == 1.5
     assert np.isnan([found.low, found.high]).all()

@@ -137,7 +137,7 @@ def test_all_python_on_the_pages_is_run_when_they_are_built() -> None:
     assert sum(page.count(".. run::") for page in PAGES.values()) > 40
 
 
-def test_every_pattern_and_label_has_its_place_on_the_page_of_noise() -> None:
+def test_every_pattern_has_its_place() -> None:
     found = set(re.findall(r"^\.\. _([\w-]+):$", PAGES["understand/noise.rst"], re.MULTILINE))
     assert {label.name.lower().replace("_", "-") for label in Label} <= found
     for pattern in PATTERNS:
@@ -217,7 +217,7 @@ def texts(document: nodes.document) -> list[str]:
     return [block.astext() for block in document.findall(nodes.literal_block)]
 
 
-def test_printed_lines_and_the_last_value_are_shown_and_variables_live_on(pages):
+def test_printed_lines_and_values_are_shown(pages):
     page = ".. run::\n\n   x = 6\n   print('six', x)\n   x * 7\n\n.. run::\n\n   y = x + 1\n   y\n"
     assert texts(pages(page))[1::2] == ["six 6\n42", "7"]
 

@@ -92,7 +92,7 @@ def test_light_of_one_place_is_given_to_no_other():
     assert given[:, :4].mean() > 5  # of 16
 
 
-def test_light_of_one_pixel_in_one_half_of_the_samples_is_given_to_no_other():
+def test_light_of_one_half_is_given_to_none():
     x = np.random.default_rng(8).exponential(0.1, size=(64, 64, 3, 16))
     before = estimate(x).radiance
     x[20, 30, :, ::4] = 500  # four samples of a lamp, all of them even
@@ -339,7 +339,7 @@ def test_bands_of_rows_are_parts_of_the_whole(monkeypatch):
         assert np.allclose(getattr(at_once, name), getattr(in_bands, name), atol=1e-4)
 
 
-def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():
+def test_bad_samples_make_nothing_certain():
     x = np.random.default_rng(0).gamma(0.5, size=(24, 24, 3, 16)).astype(np.float32)
     x[6, 6, 1], x[12, 12, 0, 0] = np.nan, -np.inf
     x[18, 18, :, 1:], x[18, 18, :, 0] = np.nan, 1000
@@ -353,7 +353,7 @@ def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])
-def test_pixels_without_samples_leave_the_others_as_good_as_they_are(share):
+def test_lost_pixels_spoil_no_others(share):
     """As black holes in what is denoised, they made errors 20 times as large."""
     x = np.random.default_rng(1).exponential(size=(48, 48, 3, 32)).astype(np.float32)
     lost = np.random.default_rng(2).random((48, 48)) < share
@@ -393,7 +393,7 @@ def test_an_image_that_is_negative_everywhere_has_its_radiance():
 
 
 @pytest.mark.parametrize(("name", "truth"), list(images_that_refute_a_prior()))
-def test_detail_that_is_no_noise_is_kept_and_held_by_the_intervals(name, truth):
+def test_detail_is_kept_and_held(name, truth):
     """Before held-out samples were asked, squared errors were 2 to 50 times the mean's."""
     x = exponential(truth, 128, seed=5)
     found, mean = estimate(x), x.mean(axis=-1)
@@ -451,7 +451,7 @@ def test_an_image_may_be_in_any_unit(samples, unit):
     assert scaled.bias == pytest.approx(first.bias, abs=1e-4)
 
 
-def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
+def test_intervals_of_means_hold_skewed_truths():
     # Exact for exponential samples, but for the error that is estimated.
     rng = np.random.default_rng(3)
     x = rng.exponential(size=(4000, 16))

@@ -42,7 +42,7 @@ def test_names_say_what_the_denoiser_is_given():
     assert denoised("mean").uses_neighbours
 
 
-def test_the_denoiser_is_given_the_estimate_and_its_image_is_judged(network):
+def test_the_denoised_estimate_is_judged(network):
     samples = image()
     found = chd.compare(samples, ["mean", denoised("median")], n=16)
     assert found.estimators == ("mean", "median + OIDN")

@@ -41,7 +41,7 @@ def test_the_network_computes_what_its_layers_say():
     assert evaluate(weights, x) == pytest.approx(expected[:, 0], rel=1e-5, abs=1e-6)
 
 
-def test_training_beats_the_mean_where_half_of_the_samples_are_null(trained):
+def test_training_beats_the_mean_of_nulls(trained):
     history = trained.history
     assert (history.iteration == np.arange(100, 601, RECORD_EVERY)).all()
     assert history.train_loss[-1] < history.train_loss[0]
@@ -52,7 +52,7 @@ def test_training_beats_the_mean_where_half_of_the_samples_are_null(trained):
     assert history.validation_baseline[0] == pytest.approx(noise * (1 + 32 / 96), rel=0.5)
 
 
-def test_training_with_patience_takes_the_weights_of_the_least_validation_error(trained):
+def test_patience_keeps_the_best_weights(trained):
     patient = MLP.preset("elek2019").train(image(), seed=0, patience=300)
     history = patient.history
     best = history.iteration[history.validation_loss.argmin()]
@@ -93,7 +93,7 @@ def test_a_network_of_noise_falls_back_to_the_mean():
     assert not np.allclose(model.predict(x[..., :32]), mean, rtol=0.2)
 
 
-def test_the_certainty_is_the_share_of_the_noise_that_the_mean_has():
+def test_certainty_is_the_mean_s_share_of_noise():
     """Of means with variance v and networks with variance w, it is v / (v + w), in each octave."""
     rng = np.random.default_rng(0)
     truth = np.repeat([0.35, 1.4, 5.6], 20_000)  # far from the ends of their octaves
@@ -136,7 +136,7 @@ def test_intervals_hold_pixels_that_did_not_train(trained):
         assert found.low.min() >= min(0, found.radiance.min())
 
 
-def test_the_estimate_lies_between_mean_and_network_by_the_certainty(trained):
+def test_certainty_mixes_mean_and_network(trained):
     x = image(seed=5).read()[..., :1, :32]  # of one channel, whose certainty is the pixel's
     found, network = trained.estimate(x), trained.predict(x)
     mean, certainty = x.mean(axis=-1, dtype=np.float64), found.certainty[..., np.newaxis]
@@ -144,7 +144,7 @@ def test_the_estimate_lies_between_mean_and_network_by_the_certainty(trained):
     assert 0 <= certainty.min() < certainty.max() <= 1
 
 
-def test_a_file_without_certainty_is_followed_entirely_and_has_no_interval(trained, tmp_path):
+def test_without_certainty_there_is_no_interval(trained, tmp_path):
     path, x = tmp_path / "old.safetensors", image(seed=5).read()[..., :32]
     trained.save(path)
     whole = MLP.load(path).estimate(x)
@@ -238,7 +238,7 @@ def test_untrained_and_misfed_networks_say_so(trained):
         trained.predict(np.ones((4, 31)))
 
 
-def test_a_file_with_parts_missing_or_of_the_wrong_shape_is_refused(tmp_path):
+def test_incomplete_model_files_are_refused(tmp_path):
     path = tmp_path / "model"
     about = {
         "kind": "mlp",

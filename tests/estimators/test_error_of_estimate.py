@@ -124,7 +124,7 @@ def test_one_pixel_has_the_error_of_its_mean():
     assert found.error.surely > 1.1 * found.relative_error
 
 
-def test_a_mean_takes_four_times_the_samples_for_half_of_its_error():
+def test_half_the_error_takes_four_times_the_samples():
     found, _ = halves_of(sky(), 64, lambda mean: mean)
     assert found.spp_for(found.relative / 2) == pytest.approx(4 * 64, rel=0.1)
     assert found.spp_for(found.relative) == pytest.approx(64)

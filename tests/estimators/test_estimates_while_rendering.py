@@ -81,7 +81,7 @@ def test_it_gets_better_as_samples_come():
     ]
 
 
-def test_it_stops_when_the_error_is_surely_reached_and_tells_what_it_takes(tmp_path, caplog):
+def test_it_stops_when_the_error_is_sure(tmp_path, caplog):
     caplog.set_level(logging.INFO, "chdstat")
     first = next(CombinationStream.passes(rendering(spp=4096)))
     wanted = first.relative_error / 1.5
@@ -100,7 +100,7 @@ def test_it_stops_when_the_error_is_surely_reached_and_tells_what_it_takes(tmp_p
     assert re.fullmatch(rf"{numbers[-1]} spp: relative error [\d.]+ %", told[-1])
 
 
-def test_a_smaller_number_of_samples_than_the_error_takes_is_said(tmp_path, caplog):
+def test_an_error_not_reached_is_said(tmp_path, caplog):
     write_estimates(tmp_path / "a.exr", rendering(spp=16), relative_error=1e-4)
     assert "the relative error of 0.0001 was not reached in all samples" in caplog.messages
 

@@ -31,7 +31,7 @@ def test_the_reference_is_the_mean_of_all_other_samples(samples):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_bad_sample_is_kept_out_as_a_whole_and_its_batch_has_no_reference(samples, bad):
+def test_a_bad_sample_leaves_no_reference(samples, bad):
     x = samples.read().copy()
     x[2, 3, 1, 15] = bad
     spoilt = chd.Samples.from_array(x)
@@ -66,7 +66,7 @@ def test_pixels_are_drawn_once_each_and_leave_half_of_the_image():
 @pytest.mark.parametrize(
     ("side", "trained"), [(64, 2048), (92, 4232), (93, 6400), (113, 6400), (114, 6400), (128, 6400)]
 )
-def test_the_published_number_of_pixels_trains_where_a_quarter_can_still_judge(side, trained):
+def test_training_leaves_a_quarter_to_judge(side, trained):
     drawn = draw_pixels((side, side), 6400, seed=2)
     judging = judging_pixels((side, side), seed=2)
     assert len(drawn) == trained

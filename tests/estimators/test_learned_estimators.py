@@ -93,7 +93,7 @@ def test_its_model_estimates_an_image_of_any_number_of_samples(calls):
     assert found.values == pytest.approx(batches.mean(axis=-1), rel=1e-5)
 
 
-def test_one_that_cannot_be_saved_is_trained_by_comparisons_alone(calls):
+def test_what_cannot_be_saved_is_not_trained_alone(calls):
     with pytest.raises(InputError, match="share .*Share"):
         train_model(image(), "share", progress=False)
     assert calls == [{"seed": 0, "iterations": None, "progress": False}]

@@ -33,7 +33,7 @@ def trained(x, iterations=5, **options):
     return train_model(samples, iterations=iterations, progress=False, **options)
 
 
-def test_the_same_seed_trains_the_same_network_and_another_does_not(tmp_path):
+def test_seeds_decide_the_network(tmp_path):
     files = [tmp_path / f"{i}.safetensors" for i in range(3)]
     for path, seed in zip(files, (0, 0, 1), strict=True):
         trained(image().read(), seed=seed).save(path)

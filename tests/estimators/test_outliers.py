@@ -112,7 +112,7 @@ def scattered(seed=0, shape=(6, 7, 3, 5)):
 
 @pytest.mark.parametrize("radius", [0, 1, 2, 3])
 @pytest.mark.parametrize("neighbours", [1, 4])
-def test_estimate_is_the_mean_of_the_samples_whose_kth_neighbour_is_near(radius, neighbours):
+def test_samples_with_near_neighbours_are_kept(radius, neighbours):
     x = scattered(shape=(6, 7, 3, 8))
     y, column, _ = np.indices((6, 7, 8))
     colours = np.log(np.moveaxis(x, 2, -1) + 0.01) / (1.2 * np.sqrt(3))

@@ -324,7 +324,7 @@ def test_the_pixel_under_the_pointer_stands_beside_a_pinned_one(person, store_pa
     assert one.chips == ["1: y 20 x 10", "2: y 8 x 9"]
 
 
-def test_zoom_is_in_the_address_and_large_pixels_show_their_values(person, store_path):
+def test_zoom_is_in_the_address(person, store_path):
     one = person(store_path).open("?p=20,10&z=8,18,14,24")
     values = "Bokeh.documents[0].get_model_by_name('image0').renderers.at(-1).data_source.data.text"
     one.waits_for(f"{values}.length === 36")

@@ -203,7 +203,7 @@ def test_quantiles_of_the_true_family_lie_on_the_diagonal():
     assert [len(line.y) for line in lines] == [60, 60, 60]
 
 
-def test_the_curve_over_the_averages_is_the_gaussian_of_their_moments():
+def test_the_curve_of_averages_is_gaussian():
     place, view = pixel(gamma()), View(batch=8)
     drawn = panels(view, series_of(view, {"a": [place]}))["averages"]
     curves = [line for line in drawn.lines if line.dash == "dotted"]

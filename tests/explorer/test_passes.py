@@ -56,7 +56,7 @@ def stepped():
     found._free.release(99)
 
 
-def test_the_latest_request_goes_first_and_the_others_go_on_where_they_stopped(stepped):
+def test_the_latest_request_goes_first(stepped):
     passes = stepped.passes
     passes.ask("one", "a", stepped.work("a"))
     stepped.at.acquire()
@@ -68,7 +68,7 @@ def test_the_latest_request_goes_first_and_the_others_go_on_where_they_stopped(s
     assert stepped.steps == ["a", "b", "b", "b", "a", "a"]
 
 
-def test_what_nobody_waits_for_stands_still_until_it_is_asked_for_again(stepped):
+def test_what_nobody_waits_for_stands_still(stepped):
     passes = stepped.passes
     passes.ask("one", "a", stepped.work("a"))
     stepped.at.acquire()

@@ -245,7 +245,7 @@ def test_a_scene_without_emitters_says_so():
         list(source.passes())
 
 
-def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
+def test_half_drawn_pixels_have_their_own_errors():
     x = np.random.default_rng(0).gamma(2.0, size=(1, 2, 3, 64)).astype(np.float32)
     whole = Overall.empty(1, 2, 3)
     for i, n in enumerate((64, 16)):
@@ -258,7 +258,7 @@ def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
     assert whole.relative_error[0] == pytest.approx(expected, rel=1e-5)
 
 
-def test_the_brightest_sample_is_kept_apart_from_the_sum_of_the_others():
+def test_the_brightest_sample_is_kept_apart():
     x = np.random.default_rng(0).gamma(2.0, size=(2, 3, 3, 12))
     x[1, 2, :, 7], x[0, 0, :, 3], x[0, 1, 1, 2], x[0, 2] = 1e9, -1e3, np.nan, 0
     grey = np.where(np.isnan(x).any(axis=2), 0, np.nan_to_num(x).mean(axis=2))

@@ -210,7 +210,7 @@ def test_every_cycle_raises_the_penalised_bound(family):
             before = after
 
 
-def test_cells_bound_the_likelihood_from_below_and_keep_every_sample():
+def test_cells_bound_the_likelihood_from_below():
     x = two_lights(np.random.default_rng(11), (30, 2000))
     ascending, n = logarithms(x)
     kind = COMPONENTS["lognormal"]
@@ -366,7 +366,7 @@ def test_components_of_rounded_samples_are_those_of_the_samples():
     np.testing.assert_array_equal(mixture(rounded(x, 7)).k, mixture(x).k)
 
 
-def test_what_is_spread_stays_between_its_neighbours_and_in_order():
+def test_spread_values_stay_in_order():
     x = rounded(np.random.default_rng(24).lognormal(size=(30, 400)), 6)
     x[:, ::7] = 0
     atoms = split(PositivePart.of(x))

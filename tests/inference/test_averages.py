@@ -91,7 +91,7 @@ def test_a_test_sees_the_first_averages_only():
         np.testing.assert_allclose(means.p_value[:, 0], alone.p_value)
 
 
-def test_n_needed_is_the_first_size_from_which_on_none_is_told_apart():
+def test_n_needed_is_the_first_size():
     # Samples that are Gaussian themselves, and an exponential that needs more.
     rng = np.random.default_rng(16)
     x = np.stack([rng.normal(100, 1, size=8192), rng.gamma(0.1, size=8192)])
@@ -162,7 +162,7 @@ def wrong_among_known(means, truth):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_the_prediction_has_an_interval_that_holds_it_or_there_is_none(name):
+def test_predictions_have_intervals_or_none(name):
     """Of 300 pixels, at most 1 % of those with a prediction miss it (measured); 5 %: below 1e-3.
 
     Of the two wider log-normal distributions, N is 65 and 5817, and was predicted as 31 and 133.

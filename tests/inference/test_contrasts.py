@@ -426,7 +426,7 @@ def test_a_black_pixel_among_lit_ones_is_found():
     assert (contrast(a, image).q_value[3, 3] < 0.01).all()
 
 
-def test_a_black_region_is_found_and_what_it_may_have_missed_is_said():
+def test_a_black_region_differs_and_says_why():
     a, image = lit(np.random.default_rng(1)), np.ones((16, 16, 3))
     a[4:12, 4:12] = 0
     found = contrast(a, image)

@@ -398,7 +398,7 @@ def analysed(x):
     return found.isel(x=0, channel=0)
 
 
-def test_mixtures_and_modes_of_an_analysis_are_those_of_each_alone():
+def test_mixtures_of_an_analysis_are_those_alone():
     x = np.concatenate(
         [
             two_lights(np.random.default_rng(15), (60, 400)),

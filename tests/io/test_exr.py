@@ -173,7 +173,7 @@ def test_a_frame_of_any_compression_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("data", [(-2, -3, 15, 12), (-2, 0, 13, 10), (4, 4, 17, 8)])
-def test_what_reaches_beyond_the_display_window_is_cut_with_a_warning(tmp_path, data):
+def test_what_lies_outside_the_window_is_cut(tmp_path, data):
     left, top, right, bottom = data
     whole = RNG.random((20, 24, 3)).astype(np.float32)  # its pixel (5, 5) is the first displayed
     part = whole[top + 5 : bottom + 6, left + 5 : right + 6]
@@ -239,7 +239,7 @@ def test_frames_of_other_display_windows_are_refused(tmp_path):
             chd.io.read(*first, *other).read()
 
 
-def test_a_feature_file_is_placed_and_has_the_channels_of_vectors(tmp_path):
+def test_feature_files_are_placed_too(tmp_path):
     header = {"dataWindow": window(1, 1, 6, 4), "displayWindow": window(0, 0, 13, 10)}
     vector = RNG.normal(size=(4, 6, 3)).astype(np.float32)
     other = header | {"chromaticities": AP1}
@@ -308,7 +308,7 @@ def test_a_part_is_a_layer_also_the_first(tmp_path, channel):
 
 
 @pytest.mark.parametrize("first", ["albedo", "beauty"])
-def test_the_first_of_several_parts_of_colours_is_told_where_its_name_does_not(tmp_path, first):
+def test_the_first_part_of_colours_is_told(tmp_path, first):
     images = np.random.default_rng(0).random((2, 4, 5, 3), dtype=np.float32)
     parts = [planes_of(image) for image in images]
     path = exr(tmp_path / "parts.exr", parts[0], (parts[1], {"name": "light"}), name=first)

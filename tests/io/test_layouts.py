@@ -343,7 +343,7 @@ def test_an_array_in_a_group_is_named_by_its_path(tmp_path, suffix):
         chd.io.read(path, variable="glossy")
 
 
-def test_an_array_that_cannot_be_opened_does_not_hide_behind_another(tmp_path):
+def test_an_unreadable_array_hides_behind_none(tmp_path):
     path = tmp_path / "x.zarr"
     v3(path, X, name="radiance")
     about = path / "radiance" / "zarr.json"

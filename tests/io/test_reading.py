@@ -84,7 +84,7 @@ def test_hostile_files_are_refused(tmp_path, name):
         gc.collect()  # SciPy leaves what it cannot read open, which would fail some later test
 
 
-def test_every_reader_says_what_becomes_of_its_files_and_is_tested():
+def test_every_reader_says_its_fate():
     assert {known.name for known in FORMATS} == WRITERS.keys()
     docs = Path(__file__).parents[2] / "docs"
     fate = runpy.run_path(str(docs / "_ext" / "formats.py"))["fate"]
@@ -236,7 +236,7 @@ def test_the_command_imports_and_appends(tmp_path, run):
     assert samples.name == "x"
 
 
-def test_frames_are_named_after_their_store_unless_told_otherwise(stack, tmp_path, run):
+def test_frames_are_named_after_their_store(stack, tmp_path, run):
     frames = sorted(stack.glob("*.exr"))[:3]
     assert run("import", *frames, "-o", tmp_path / "kitchen.zarr", "-q")[0] == 0
     assert run("import", *frames, "-o", tmp_path / "own.zarr", "--scene", "attic", "-q")[0] == 0
@@ -255,7 +255,7 @@ def test_what_was_decoded_before_may_be_gone(stack, monkeypatch):
     np.testing.assert_allclose(samples.features["albedo"], ALBEDO.mean(axis=0), rtol=1e-6)
 
 
-def test_features_are_averages_of_layers_and_samples_may_be_a_layer(stack):
+def test_features_are_averages_of_layers(stack):
     found = chd.io.read(stack, features={"albedo": "albedo", "depth": "depth"}).features
     np.testing.assert_allclose(found["albedo"], ALBEDO.mean(axis=0), rtol=1e-6)
     np.testing.assert_allclose(found["depth"], ALBEDO[..., 1].mean(axis=0), rtol=1e-6)

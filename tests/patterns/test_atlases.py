@@ -112,7 +112,7 @@ def test_the_ends_of_float32_are_radiance_too():
         assert agreement(find(Samples.from_array((x * factor).astype(np.float32))), truth) == 1
 
 
-def test_histograms_moved_by_whole_bins_have_exactly_the_same_shapes():
+def test_moved_histograms_have_equal_shapes():
     x, _ = image(gamma, bimodal, decades=0.5, edge=16)
     counted = histogram(Samples.from_array(x))
     assert (counted["log_counts"][..., -20:] == 0).all()

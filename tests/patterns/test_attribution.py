@@ -37,7 +37,7 @@ def test_the_brightest_samples_are_those_that_hold_rare_light():
     assert np.allclose(found["variance_share"][..., 1], 1, atol=1e-5)
 
 
-def test_light_that_is_bright_when_the_rest_is_dark_lowers_the_variance():
+def test_opposite_lights_lower_the_variance():
     x = RNG.uniform(1, 2, size=(1, 1, 5000))
     found = attribute(known(x, 3 * (2 - x)))
     assert float(found["variance_share"][0, 0, 0]) == pytest.approx(-0.5, abs=1e-3)
@@ -123,7 +123,7 @@ def test_lights_alone_add_up_to_the_samples(scene):
     assert np.array_equal(chd.render(scene, **settings).read(), samples.read())
 
 
-def test_lights_that_share_a_texture_with_others_and_with_walls_add_up(backend):
+def test_lights_that_share_textures_add_up(backend):
     grey = {"type": "rgb", "value": 0.6}
     pattern = {"type": "checkerboard", "color0": grey, "color1": grey}
     lamp = {"type": "rectangle", "emitter": {"type": "area", "radiance": pattern}}

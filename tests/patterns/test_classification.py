@@ -207,7 +207,7 @@ def test_what_the_samples_cannot_tell_is_said():
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_a_coloured_sample_is_no_null_and_a_bad_channel_spoils_it():
+def test_coloured_samples_are_no_nulls():
     rng = np.random.default_rng(7)
     x = gray(rng.gamma(2.0, size=(1, SPP)))
     x[0, 1:, :900] = 0

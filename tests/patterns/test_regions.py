@@ -33,7 +33,7 @@ def test_without_places_there_is_one_for_each_pattern():
     assert len(study.pixels) == len(np.unique(labels))
 
 
-def test_the_curve_of_luminance_is_a_mixture_where_it_has_several_modes():
+def test_curves_of_several_modes_are_mixtures():
     """For regions of a report and of a notebook alike; few positive samples have none."""
     rng = np.random.default_rng(1)
     x = rng.lognormal(size=(2, 2, 3, 256))

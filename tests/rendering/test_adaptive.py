@@ -140,7 +140,7 @@ def test_trial_samples_find_the_noisy_pixels(name):
     assert np.median(density[noisy]) > 2.5 * np.median(density[~noisy])
 
 
-def test_means_have_no_bias_where_trials_decide_and_classes_go_on():
+def test_trials_and_classes_make_no_bias():
     """Going on where the kept samples themselves look noisy would make the mean too dark.
 
     So it does if each pixel goes on by its own: the negative control.

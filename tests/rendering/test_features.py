@@ -63,7 +63,7 @@ def test_hidden_lamps_are_passed(backend, name):
     assert is_floor(plain)
 
 
-def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backend):
+def test_null_materials_and_masks_are_passed(backend):
     assert is_floor(features(backend, sheet=sheet(type="null")))
     veil = sheet(type="mask", opacity=0.5, inner={"type": "diffuse", "reflectance": 0.75})
     half = features(backend, sheet=veil, sensor=FINE)
@@ -77,9 +77,7 @@ def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backen
 
 
 @pytest.mark.parametrize(("name", "depth"), [("path", 4.0), ("volpath", 5.0)])
-def test_hidden_lamps_behind_what_is_passed_show_where_passing_is_a_reflection(
-    backend, name, depth
-):
+def test_hidden_lamps_show_behind_what_is_passed(backend, name, depth):
     hiding = {"type": name, "hide_emitters": True}
     lamp = {**LAMP, "to_world": translate(0, 0, 1) @ scale(2, 2, 1)}
     found = features(backend, sheet=sheet(type="null"), lamp=lamp, integrator=hiding)

@@ -213,9 +213,7 @@ def test_a_worker_draws_the_same_samples(wavefront):
     assert np.array_equal(samples["plain"], chd.render(ROOM, spp=4, backend=wavefront).read())
 
 
-def test_auto_is_the_integrator_of_the_scene_where_guiding_does_not_pay(
-    wavefront, tmp_path, monkeypatch
-):
+def test_auto_guides_only_where_it_pays(wavefront, tmp_path, monkeypatch):
     """Without its tray, nothing hides the lamp, and light is sampled well."""
     monkeypatch.setattr(guiding, "FEW", 0)
     lit = {name: value for name, value in ROOM.items() if name != "tray"}

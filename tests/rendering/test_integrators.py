@@ -82,7 +82,7 @@ def test_a_crop_shows_a_part_of_the_image(tmp_path):
         (RuntimeError("too fast"), "by integrator 'path': too fast .in .*Failing.eval_pdf"),
     ],
 )
-def test_an_error_of_a_class_names_it_and_is_not_met_by_the_next_render(backend, raised, told):
+def test_errors_of_a_class_name_it_once(backend, raised, told):
     """Dr.Jit calls the materials of all scenes that are alive: an error must keep none alive."""
     with activate(probe(backend)) as mi:
 
@@ -136,7 +136,7 @@ def built(integrator):
     return {**chd.load_scene("cornell-box").source, "integrator": integrator}
 
 
-def test_the_integrator_of_a_built_scene_draws_what_its_settings_draw(mi):
+def test_a_built_scene_draws_its_own_settings(mi):
     settings = {"type": "path", "max_depth": 3}
     scene, few, pixels = (
         built(mi.load_dict(settings)),
@@ -174,7 +174,7 @@ def test_a_built_scene_renders_in_the_wavefront_of_its_variant(wavefront):
     assert samples.attrs["integrator"]["value"] == [2.0]
 
 
-def test_an_integrator_that_a_wavefront_knows_alone_takes_its_place_in_a_scene(wavefront):
+def test_a_wavefront_s_integrator_is_taken(wavefront):
     """Mitsuba says "Unknown" of its kind, and "path" would take its place."""
     with activate(probe(wavefront)) as mi:
 

@@ -296,7 +296,7 @@ def test_a_wavefront_agrees_with_scalar(box, wavefront):
     assert not agree(p_of_equal_means(x, 1.1 * y.mean(axis=-1), y.shape[-1]))
 
 
-def test_a_wavefront_repeats_to_the_bit_and_fewer_samples_are_a_prefix(wavefront):
+def test_a_wavefront_repeats_to_the_bit(wavefront):
     draw = {"size": (72, 20), "seed": 4, "backend": wavefront}
     most = chd.render("cornell-box", spp=100, **draw).read()
     assert np.array_equal(chd.render("cornell-box", spp=100, **draw).read(), most)

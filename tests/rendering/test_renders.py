@@ -364,7 +364,7 @@ def test_nothing_is_left_where_nothing_could_be_drawn(tmp_path, monkeypatch, whe
 
 
 @pytest.mark.external
-def test_a_real_scene_has_the_nulls_and_the_spread_measured_elsewhere(scenes_folder):
+def test_a_real_scene_has_known_nulls(scenes_folder):
     scene = load_scene(scenes_folder / "bathroom" / "scene.xml", resx=64, resy=64)
     x = chd.render(scene, spp=64, backend="scalar").read()
     assert (x == 0).all(axis=2).mean() == pytest.approx(0.54, abs=0.05)
@@ -428,7 +428,7 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
             assert np.array_equal(block, whole.chunk(chunk))
 
 
-def test_settings_are_declared_once_and_shown_where_they_are_taken():
+def test_settings_are_declared_once():
     """What is not declared is refused, and what is not given has its declared default."""
     defaults = {name: setting.default for name, setting in SETTINGS.items()}
     assert SETTINGS.keys() == RenderSettings.__annotations__.keys()

@@ -136,7 +136,7 @@ AOV = {"type": "aov", "aovs": "d:depth", "within": PATH}
 
 
 @pytest.mark.parametrize("wrapper", [AOV, *({"type": "moment", "nested": n} for n in (PATH, AOV))])
-def test_the_samples_of_a_wrapper_are_those_of_the_integrator_within(wrapper):
+def test_wrappers_draw_what_lies_within(wrapper):
     plain = render({**box(), "integrator": PATH}, spp=3)
     samples = render({**box(), "integrator": wrapper}, spp=3)
     assert np.array_equal(samples.read(), plain.read())
@@ -167,7 +167,7 @@ def floor(**parts: Any) -> dict[str, Any]:
     return {name: part for name, part in scene.items() if part is not None}
 
 
-def test_files_are_found_in_the_resources_of_a_dict_and_belong_to_it(tmp_path):
+def test_files_are_found_in_resources(tmp_path):
     (tmp_path / "maps").mkdir()
     texture = {"type": "bitmap", "filename": "grey.exr", "raw": True}
     scene = floor(
@@ -184,7 +184,7 @@ def test_files_are_found_in_the_resources_of_a_dict_and_belong_to_it(tmp_path):
     assert hashes[0] != hashes[1]
 
 
-def test_bands_of_a_film_and_settings_that_are_not_used_are_named():
+def test_settings_not_used_are_named():
     bands = {"type": "specfilm", "red": {"type": "spectrum", "value": [(400, 0.0), (700, 1.0)]}}
     bands |= {"filter": {"type": "box", "id": "of_its_own"}}
     film = {k: v for k, v in PLAIN_FILM.items() if k != "rfilter"}

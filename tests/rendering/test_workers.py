@@ -143,7 +143,7 @@ def started(out, spp):
     )
 
 
-def test_of_two_writers_one_may_be_refused_and_the_samples_are_right(tmp_path):
+def test_two_writers_spoil_no_sample(tmp_path):
     path, most = tmp_path / "box.zarr", 512
     pair = [started(path, 320), started(path, most)]
     for process in pair:

@@ -158,7 +158,7 @@ def test_a_report_says_where_numbers_of_samples_differ(radiance, tmp_path):
     assert "at least 64 spp, got 20" in text
 
 
-def test_a_region_may_have_any_name_and_what_is_bad_or_trained_is_told(radiance, tmp_path, caplog):
+def test_regions_may_have_any_name(radiance, tmp_path, caplog):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(
         'schema = 1\nscene = "noise"\nsize = [8, 8]\nspp = 128\nseed = 0\n'
@@ -314,7 +314,7 @@ def test_a_part_without_an_interval_says_so():
     assert "no interval" in str(unknown)
 
 
-def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
+def test_a_verdict_is_the_claim_s_own(both):
     (beside,) = finding_content(both)["beside"]
     assert (beside["name"], beside["verdict"]) == ("mine", "not supported")
     rows = claim_content(CLAIM, {"box": both})["rows"]
@@ -334,7 +334,7 @@ def test_what_cannot_be_told_says_what_is_needed():
     assert finding_content(finding(part(0.6, 0.8)))["needs"] == ""
 
 
-def test_plots_of_several_claims_have_labels_that_fit_their_panels():
+def test_labels_of_plots_fit_their_panels():
     long = "log10 relative variance around its region's mean"
     x = np.arange(5.0)
     one = finding(plot_data=PlotData("curves", {"a": (x, x)}, "x", long))

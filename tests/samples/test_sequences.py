@@ -45,7 +45,7 @@ def test_means_of_sequences_are_averages_without_a_sequence():
     assert "in sequences of 16 samples that depend on each other" in samples._repr_html_()
 
 
-def test_a_part_of_whole_sequences_has_means_and_others_are_refused():
+def test_whole_sequences_have_means():
     samples = stratified()
     whole = samples.sequence_means().read()
     part = samples.isel(y=slice(2, 4), sample=slice(32, 70))

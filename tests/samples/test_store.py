@@ -258,7 +258,7 @@ def test_damage_is_found_named_and_repaired(tmp_path, harm):
     ["zarr.json", "radiance/zarr.json", "features/depth/zarr.json", "features/depth/c/0/0"],
 )
 @pytest.mark.parametrize("harm", [truncate, fold, Path.unlink])
-def test_metadata_and_features_are_used_only_where_they_are_sound(tmp_path, name, harm):
+def test_unsound_metadata_is_not_used(tmp_path, name, harm):
     x, features = radiance(5, 6, 70), {"depth": np.ones((5, 6), np.float32)}
     path = tmp_path / "s.zarr"
     fill(create(path, x, features=features), x).close()

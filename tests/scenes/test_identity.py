@@ -82,9 +82,7 @@ def test_samples_of_two_textures_are_not_mixed(tmp_path, name, body):
     assert load_scene(source).hash == before
 
 
-def test_an_include_and_a_spectrum_are_files_of_the_scene_wherever_one_stands(
-    tmp_path, monkeypatch
-):
+def test_includes_and_spectra_are_files_of_the_scene(tmp_path, monkeypatch):
     (tmp_path / "parts").mkdir()
     spectrum, part = tmp_path / "parts/glow.spd", tmp_path / "parts/light.xml"
     spectrum.write_text("400 1.0\n700 1.0\n")
@@ -219,7 +217,7 @@ def test_the_tables_of_a_metal_are_files_of_the_scene(tmp_path):
     assert done.stdout.strip() == gold.hash
 
 
-def test_what_lies_beside_a_scene_and_is_not_named_is_never_touched(tmp_path, monkeypatch):
+def test_what_is_not_named_is_not_touched(tmp_path, monkeypatch):
     write(tmp_path / "tex.exr", 1.0)
     source = scene(tmp_path, ENVMAP.format("../tex.exr"))
     before = load_scene(source).hash
@@ -232,7 +230,7 @@ def test_what_lies_beside_a_scene_and_is_not_named_is_never_touched(tmp_path, mo
     assert load_scene(source).hash == before
 
 
-def test_a_moved_scene_is_the_same_and_its_parameters_belong_to_it(tmp_path):
+def test_a_moved_scene_is_the_same(tmp_path):
     for place in ("a", "b"):
         write(tmp_path / place / "tex.exr", 1.0)
     body = "<default name='f' value='tex'/>" + ENVMAP.format("../$f.exr")

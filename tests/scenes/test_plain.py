@@ -37,7 +37,7 @@ def plane_below_sky(bsdf: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_a_bitmap_shows_the_linear_colours_it_holds_the_right_way_up(draw):
+def test_bitmaps_are_linear_and_upright(draw):
     image = np.float32([[[0.8, 0.2, 0.1], [0.1, 0.7, 0.3]], [[0.5, 0.5, 0.5], [0.05, 0.1, 0.2]]])
     bitmap = {"type": "bitmap", "data": image, "filter_type": "nearest"}
     x = draw(plane_below_sky({"type": "diffuse", "reflectance": bitmap}), size=4, spp=1024)
@@ -69,7 +69,7 @@ def test_shading_normals_reach_the_renderer(draw):
     np.testing.assert_allclose(draw(scene, size=2, spp=1), flat / 2, rtol=1e-5)
 
 
-def test_a_scene_that_cannot_be_built_leaves_no_light_without_its_shape(draw):
+def test_a_failed_scene_leaves_no_lone_light(draw):
     # While an error is held, as notebooks do, such a light would end the process in later renders.
     from chdstat.scenes.parsing import parse
 

@@ -91,7 +91,7 @@ def write(tmp_path):
     return written
 
 
-def test_an_integrator_of_a_plugin_renders_and_is_known_to_the_samples(write, tmp_path):
+def test_a_plugin_s_integrator_renders(write, tmp_path):
     path = write(INTEGRATOR)
     plugin = load_plugin(path)
     samples = chd.render("cornell-box", **SCALAR, out=tmp_path / "a.zarr")

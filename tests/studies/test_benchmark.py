@@ -124,7 +124,7 @@ def test_flip_agrees_with_the_noise_that_one_sees(black, unit):
 
 
 @pytest.mark.parametrize("value", [1e-8, 1e-30, 1.0, -1.0])
-def test_flip_of_one_pixel_on_black_and_of_negative_light_is_a_number(value):
+def test_flip_of_extremes_is_a_number(value):
     pytest.importorskip("flip_evaluator")
     one = np.zeros((*SHAPE, 3))
     one[3, 4] = value
@@ -141,7 +141,7 @@ def test_exposures_are_those_of_the_lit_part_and_follow_the_unit():
     assert exposures(bright / 1024) == pytest.approx(np.add(exposures(bright), 10), abs=1e-3)
 
 
-def test_flip_is_withheld_where_the_noise_of_the_reference_decides_it():
+def test_flip_is_withheld_where_noise_decides():
     pytest.importorskip("flip_evaluator")
     blurred = Estimator(
         "true", lambda x: TRUTH[0, 0] * 1.01 + 0 * np.asarray(x).mean(axis=-1), "known"
@@ -234,7 +234,7 @@ def test_a_finished_image_takes_part(tmp_path):
         chd.bench(scene, ["mean"], images={"other": {"a": file}}, **options)
 
 
-def test_one_scene_needs_no_list_and_the_notes_say_who_is_not_in_every_case():
+def test_notes_say_who_is_not_in_every_case():
     few = ["mean", "median_of_means"]
     found = chd.bench(images(1), few, spp=[4, 16], references={"samples": TRUTH}, progress=False)
     assert [case.scene for case in found.cases] == ["samples", "samples"]

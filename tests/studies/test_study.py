@@ -81,7 +81,7 @@ def test_each_scene_is_asked_for_every_claim_that_is_about_one(found):
         assert bool(row["noise"]) != across
 
 
-def test_a_scene_is_rendered_in_four_ways_and_given_samples_in_none(found):
+def test_a_scene_is_rendered_in_four_ways(found):
     cornell, given = found.scenes
     data = cornell.data
     depth = [s.attrs["integrator"]["max_depth"] for s in (data.shorter, data.samples)]
@@ -93,7 +93,7 @@ def test_a_scene_is_rendered_in_four_ways_and_given_samples_in_none(found):
     assert given.data.shorter is given.data.integrator is given.again is None
 
 
-def test_a_sampler_is_one_more_render_and_decides_on_correlated_samples(found, folder, tmp_path):
+def test_a_sampler_is_one_more_render(found, folder, tmp_path):
     assert found.finding(17, "cornell-box").verdict == "cannot tell"
     copy = copied(folder, tmp_path)
     more = study("cornell-box", folder=copy, sampler="multijitter", **TINY)
@@ -107,7 +107,7 @@ def test_a_sampler_is_one_more_render_and_decides_on_correlated_samples(found, f
     assert renders["spread_samples"]["sequence"] == 16
 
 
-def test_a_study_by_other_integrators_guides_where_waves_are_traced(monkeypatch):
+def test_a_study_guides_where_waves_are_traced(monkeypatch):
     asked = []
 
     def render(scene, **options):
@@ -175,7 +175,7 @@ def test_maps_are_in_files_and_read_back_as_they_were(tmp_path):
         assert isinstance(base, memoryview | mmap.mmap)
 
 
-def test_more_samples_append_and_a_damaged_analysis_is_made_again(found, folder, tmp_path):
+def test_a_damaged_analysis_is_made_again(found, folder, tmp_path):
     copy = copied(folder, tmp_path)
     for kept in copy.glob("*.analysis"):
         shutil.rmtree(kept / "mean")
@@ -195,7 +195,7 @@ def test_json_holds_all_but_arrays_and_says_where_it_comes_from(found, tmp_path)
     assert list(tmp_path.iterdir()) == [tmp_path / "findings.json"]
 
 
-def test_the_pdf_has_all_claims_and_says_which_scenes_are_remakes(tmp_path, monkeypatch):
+def test_the_pdf_has_all_claims(tmp_path, monkeypatch):
     x = noise("bathroom", shape=(8, 8, 3, 64)).read()
     samples = chd.Samples.from_array(x, scene="bathroom", scene_source="chdstat")
     monkeypatch.chdir(tmp_path)
@@ -340,7 +340,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
             study("cornell-box", folder=copy, **TINY)
 
 
-def test_a_store_from_elsewhere_is_analysed_once_and_one_in_its_place_anew(tmp_path, monkeypatch):
+def test_a_foreign_store_is_analysed_once(tmp_path, monkeypatch):
     path, folder = tmp_path / "mine.zarr", tmp_path / "kept"
     options = {"spp": 64, "size": (16, 16), "backend": "scalar"}
     asked = {"folder": folder, "estimators": ("mean",)}
@@ -367,7 +367,7 @@ REAL = {
 
 @pytest.mark.external
 @pytest.mark.parametrize("name", REAL)
-def test_recipes_of_the_papers_own_scenes_have_regions_for_its_claims(name):
+def test_real_recipes_have_regions_for_claims(name):
     recipe = Path(__file__).parents[2] / "renders" / f"real-{name}.toml"
     (scene,) = scenes_of(str(recipe), {"spp": 128})
     size = tuple(length // 4 for length in scene.recipe.size)

@@ -77,7 +77,7 @@ def test_density_without_samples_is_nan():
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_linear_support_spans_the_first_fifty_padded_by_a_quarter():
+def test_support_spans_the_first_fifty():
     x = np.concatenate([[0.0, np.nan, 3.0, 5.0], np.full(46, 4.0), [1000.0]])
     support = linear_support(x)
     assert (support.low, support.high) == (2.5, 5.5)

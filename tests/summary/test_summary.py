@@ -191,7 +191,7 @@ def test_batches_double_when_they_are_full(spp, expected):
     np.testing.assert_allclose(s.batch_means[..., 0], first, rtol=1e-12)
 
 
-def test_batch_means_tell_independent_samples_from_correlated_ones():
+def test_batch_means_tell_correlation():
     """Under independence B S_b^2 / (S^2 / size) is chi-square with B - 1 degrees of freedom.
 
     2000 pixels, 63 degrees: the mean ratio has a standard error of sqrt(2 / 63 / 2000) = 0.004;

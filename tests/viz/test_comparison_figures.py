@@ -49,7 +49,7 @@ def curve(samples):
     return error_curve(samples, NAMES, sizes=[4, 8, 16])
 
 
-def test_all_measures_are_shown_and_a_star_marks_those_that_use_neighbours(found, samples):
+def test_a_star_marks_those_that_use_neighbours(found, samples):
     figure = estimator_measures(found)
     seen = texts(figure)
     assert {"sample mean", "median", "median of means", "Zirr et al. 2018 *"} <= seen
@@ -96,7 +96,7 @@ def test_a_curve_has_a_line_an_estimator(curve):
         assert [line.get_linestyle() for line in ax.lines] == ["-", "-", "-", "--"]
 
 
-def test_pixels_are_drawn_by_their_luminance_with_reference_mean_and_estimates(found):
+def test_pixels_are_drawn_by_luminance(found):
     drawn = found.draw_pixels(9)
     ax = pixel_estimates(drawn)
     means = ax.collections[2].get_offsets()[:, 1]
@@ -202,7 +202,7 @@ def test_a_peak_does_not_squeeze_a_curve_and_nan_draws_nothing():
 # --- scenes -------------------------------------------------------------------------------------
 
 
-def test_regions_stand_beside_their_distributions_on_one_axis_of_radiance(image, marks):
+def test_regions_stand_on_one_axis_of_radiance(image, marks):
     light = np.random.default_rng(0).gamma(1.0, size=(1, 64))
     panels = [
         viz.Panel.of(m.name, light * 10.0**i, channels=["luminance"]) for i, m in enumerate(marks)

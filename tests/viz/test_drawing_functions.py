@@ -113,7 +113,7 @@ UNNAMED = {"atlas", "chd_axes", "contrast", "error_curves", "estimator_measures"
 
 
 @pytest.mark.parametrize("name", DRAWING)
-def test_alone_it_makes_a_figure_with_room_for_all_names_as_they_are(examples, name, monkeypatch):
+def test_figures_have_room_for_names(examples, name, monkeypatch):
     """In a column of a paper, for a notebook and with TrueType fonts; settings stay as they are."""
     import matplotlib.pyplot as plt
 

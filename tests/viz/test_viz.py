@@ -134,7 +134,7 @@ def test_labels_of_a_dataset_bring_their_names():
     assert "gamma-like" in " ".join(texts(viz.categorical_map(label).figure))
 
 
-def test_a_panel_of_samples_counts_nulls_and_leaves_bad_samples_out():
+def test_a_panel_counts_nulls_and_no_bad_samples():
     x = np.array([[0.0, 1.0, 3.0, np.nan], [0.0, 2.0, 2.0, 9.0]])
     panel = viz.Panel.of("wall", x, channels="ab")
     assert panel.note == "33 % nulls"
@@ -195,7 +195,7 @@ def test_a_high_image_fits_the_page(marks):
         assert figure.get_figheight() <= 8
 
 
-def test_the_central_limit_theorem_is_a_straight_line_on_a_log_scale():
+def test_the_central_limit_theorem_is_a_line():
     n = np.array([1, 4, 16])
     skewness = np.array([[-0.1, 1, 3]]).T / np.sqrt(n)
     figure = viz.averages(n, {"R": 0 / n}, skewness, 1 / np.sqrt(n), alpha=0.05)
@@ -218,7 +218,7 @@ def test_fits_are_drawn_over_both_histograms():
     np.testing.assert_allclose(density, expected, rtol=1e-9)
 
 
-def test_the_map_of_n_needed_tells_more_than_tested_from_no_answer():
+def test_the_map_of_n_needed_tells_two_kinds_apart():
     needed = np.array([[1, 1, 4, -1], [0, 1, 1, 1]])
     found = texts(viz.n_needed(needed, [1, 2, 4]).figure)
     assert {"1: 62 %", "4: 12 %", "> 4: 12 %"} <= found

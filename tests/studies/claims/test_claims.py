@@ -44,7 +44,7 @@ def true_scene(number, spp=SPP):
 
 
 @NUMBERS
-def test_a_claim_is_supported_where_it_is_true_and_not_where_it_is_false(number):
+def test_claims_are_right_in_true_and_false_worlds(number):
     found = look(number, worlds.TRUE[number])
     assert found.verdict == "supported", found.reason
     found = look(number, worlds.FALSE[number])
@@ -61,7 +61,7 @@ def test_every_test_of_a_claim_can_fail(row):
     assert found.verdict == "not supported"
 
 
-def test_equal_chds_whose_bright_samples_are_not_so_rare_are_the_same():
+def test_rare_bright_samples_leave_chds_the_same():
     """The negative control of pixels that differ by such samples, in one of the refuted worlds."""
     assert look(8, worlds.fireflies(0.05, 80, edge=24)).verdict == "supported"
 
@@ -72,7 +72,7 @@ def test_a_hard_edge_is_no_second_mode_of_a_penumbra(name):
     assert found.tests[0].verdict == "not supported", found.tests[0]
 
 
-def test_what_is_too_rare_to_be_seen_again_is_not_claimed_to_be_the_same():
+def test_what_is_too_rare_is_not_claimed():
     x = np.random.default_rng(0).gamma(2, size=worlds.size(SPP))
     x[::3, ::2, 100] *= 1e5  # 24 pixels have a firefly, once
     found = BY_NUMBER[8].find(worlds.evidence(worlds.image(x)))
@@ -87,7 +87,7 @@ def test_a_dark_surface_has_the_shape_of_the_pale_one_beside_it():
     assert tests[0].interval.level == pytest.approx(1 - 0.05 / 4)
 
 
-def test_what_lies_on_the_border_or_has_few_samples_names_how_many_would_decide():
+def test_borderline_findings_say_how_many_decide():
     assert "spp would decide" in look(1, worlds.nulls(0.448), spp=64).reason
     found = look(5, worlds.TRUE[5], spp=128)
     assert found.verdict == "cannot tell"
@@ -126,7 +126,7 @@ def test_too_few_samples_do_not_refute_a_long_tail(word, seed):
 
 
 @pytest.mark.parametrize("number", [11, 12])
-def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number):
+def test_more_light_is_no_other_shape(number):
     found = look(number, worlds.more_light)
     (test,) = found.tests
     assert test.verdict != "supported"
@@ -137,7 +137,7 @@ def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number):
         assert test.interval.value < 0.35
 
 
-def test_pixels_of_few_positive_samples_are_the_noisiest_of_an_image():
+def test_few_positive_samples_are_noisiest():
     """Of 256 samples, 77 are positive in most pixels: were they left out, nothing would be said."""
     for world, verdict in ((worlds.TRUE, "supported"), (worlds.FALSE, "not supported")):
         assert look(19, world[19], spp=256).tests[0].verdict == verdict
@@ -149,7 +149,7 @@ def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
     assert {n: BY_NUMBER[1].find(replace(dark, name=n)).verdict for n in expected} == expected
 
 
-def test_a_firefly_is_an_estimate_that_its_pixel_and_the_one_above_do_not_share():
+def test_a_firefly_is_alone_among_neighbours():
     batches = np.random.default_rng(0).gamma(50.0, 0.02, size=(8, 8, 6))
     assert brightest_firefly(batches) is None
     batches[:4] *= 100  # an edge is none
@@ -173,7 +173,7 @@ def test_too_few_samples_tell_nothing(number):
     assert f"eeds {claim.spp} spp" in found.reason
 
 
-def test_guiding_and_counts_tell_nothing_without_renders_of_their_own():
+def test_guiding_needs_renders_of_its_own():
     bare = worlds.evidence(worlds.image(np.random.default_rng(0).gamma(2, size=(6, 6, SPP))))
     for number, words in ((30, "by path guiding"), (32, "by path guiding"), (33, "adaptive=True")):
         found = BY_NUMBER[number].find(bare)
@@ -203,7 +203,7 @@ def test_guided_samples_are_compared_at_equal_counts(seed):
             assert test.verdict == "cannot tell", test
 
 
-def test_the_spread_of_errors_is_that_of_deviations_over_roots_of_counts():
+def test_errors_spread_as_counts_say():
     """Counts in proportion to the variance leave no spread but that of the noise of deviations."""
     ratio = [look(33, worlds.adaptive(p)).test.interval.value for p in (0.5, 1, 2)]
     # Of log sigma - log n / 2, over that of log sigma, but for noise of the sample variance.
@@ -219,7 +219,7 @@ def test_too_few_pixels_tell_nothing():
     assert "too few pixels" in found.reason
 
 
-def test_without_regions_and_other_scenes_the_reason_names_what_is_missing():
+def test_reasons_name_what_is_missing():
     bare = worlds.evidence(worlds.image(np.random.default_rng(0).gamma(2, size=(6, 6, SPP))))
     found = {f.number: f for f in find(bare)}
     missing = {2: "diffuse", 3: "glossy", 4: "reflection", 5: "indirect", 6: "penumbra"}
@@ -274,7 +274,7 @@ def test_scaling_radiance_changes_nothing(number):
     np.testing.assert_allclose(values[0], values[1], rtol=1e-3, atol=1e-6)
 
 
-def test_findings_come_in_order_the_same_every_time_and_are_ready_for_json():
+def test_findings_are_in_order_and_json():
     first, *others = worlds.TRUE[12](np.random.default_rng(0), 128)
     found, again = (find(first, others=others) for _ in range(2))
     assert [f.number for f in found] == sorted(BY_NUMBER)
@@ -333,7 +333,7 @@ def named(name, source):
     return SceneData(name, chd.Samples.from_array(x, scene=name, scene_source=source))
 
 
-def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_it():
+def test_findings_say_what_they_are_about():
     words = {11: "these images", 12: "these images"}
     words |= dict.fromkeys((9, 17, 28, 29, 30, 31, 33), "this view, rendered twice")
     words |= dict.fromkeys((15, 16, 32), "this training on this image")
@@ -343,7 +343,7 @@ def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_
 
 
 @pytest.mark.parametrize("number", [1, 12])
-def test_no_claim_is_made_of_the_papers_room_where_the_scene_is_a_remake(number):
+def test_no_claim_is_made_of_a_remake(number):
     claim, remake = BY_NUMBER[number], named("bathroom", "chdstat")
     own, other = named("bathroom", "/scenes/bathroom/scene.xml"), named("fog", "chdstat")
     sentence = "bathroom is a remake of the paper's Bathroom, not that scene."

@@ -99,7 +99,7 @@ def test_changes_are_the_ones_that_were_made(ask):
     assert found.tests[1].verdict == "not supported"
 
 
-def test_the_verdict_is_of_the_papers_model_and_others_stand_beside_it(ask):
+def test_the_verdict_is_of_the_paper_s_model(ask):
     found = ask({"elek2019": first_weighs_more, "mine": mean})
     assert (found.verdict, found.other_models["mine"].verdict) == (
         "not supported",
@@ -113,7 +113,7 @@ def test_the_verdict_is_of_the_papers_model_and_others_stand_beside_it(ask):
     assert alone.other_models["mine"].verdict == "supported"
 
 
-def test_without_a_comparison_or_good_samples_there_is_no_telling(ask, samples):
+def test_without_good_samples_nothing_is_told(ask, samples):
     assert "comparison" in CLAIM.find(SceneData("noise", samples)).reason
     bad = chd.Samples.from_array(samples.read() * np.nan)
     assert "bad samples" in ask({"elek2019": mean}, using=bad).reason

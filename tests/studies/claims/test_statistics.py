@@ -88,7 +88,7 @@ def test_the_distance_of_log_normals_is_the_integral():
     assert squared_distance(aligned(x), aligned(y)).mean() == pytest.approx(exact, rel=0.03)
 
 
-def test_shapes_do_not_know_of_scale_nulls_and_what_is_out_of_sight():
+def test_shapes_know_no_scale_or_nulls():
     x = np.random.default_rng(0).lognormal(size=(1, 512))
     out = np.concatenate([x, np.full((1, 2), 1e-17), np.zeros((1, 60))], axis=1)
     np.testing.assert_allclose(aligned(x).halves, aligned(1e20 * x).halves)
@@ -136,7 +136,7 @@ def sharing(rng, sigmas, correlation, spp=256, edge=12):
     ]
 
 
-def test_integrators_of_equal_shapes_are_seldom_told_apart_and_those_of_others_are():
+def test_integrators_are_told_apart_by_shape():
     """30 p-values: the chance that 7 or more are below 0.05 is 6e-4, of a mean off by 0.18 7e-4.
 
     Numbers of samples and shares of nulls differ: they are not shape.
@@ -155,7 +155,7 @@ def test_integrators_of_equal_shapes_are_seldom_told_apart_and_those_of_others_a
     assert np.nanmean(squared) == pytest.approx(expected, rel=0.35)
 
 
-def test_integrators_that_share_random_numbers_are_compared_in_pairs():
+def test_shared_numbers_are_compared_in_pairs():
     """20 p-values: 6 or more are below 0.05 with a probability of 3e-4, their mean is off by 0.2
     with one of 2e-3; of halves drawn separately, squared distances are far below 0."""
     rng = np.random.default_rng(1)
@@ -199,7 +199,7 @@ def uniform_noise(rng, spread):
     return mean[:, np.newaxis] + spread(mean)[:, np.newaxis] * rng.normal(size=(400, 12))
 
 
-def test_noise_that_grows_with_radiance_is_told_and_uniform_noise_is_not():
+def test_growing_noise_is_told_from_uniform():
     """Of 200 p-values of no effect, more than 22 are below 0.05 once in 5000 runs."""
     rng = np.random.default_rng(0)
     found = [p_of_uniform_noise(uniform_noise(rng, np.ones_like)) for _ in range(200)]
