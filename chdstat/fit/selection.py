@@ -43,7 +43,7 @@ from chdstat.summary.runner import Source, measured, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
 
-Criterion = Literal["aic", "bic", "held_out"]
+_Criterion = Literal["aic", "bic", "held_out"]
 
 FEWEST_SHOWN = 16
 """Positive samples from which a fit is worth showing: any curve describes fewer."""
@@ -97,7 +97,7 @@ class Selection(Result):
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin
-        Criterion of the runner-up minus that of the best family, shape (...); NaN with fewer than
+        _Criterion of the runner-up minus that of the best family, shape (...); NaN with fewer than
         two fits. For BIC, evidence above 10 is very strong (Kass and Raftery 1995,
         doi:10.1080/01621459.1995.10476572).
     vuong_z, vuong_p_value
@@ -110,7 +110,7 @@ class Selection(Result):
     """
 
     families: tuple[str, ...]
-    criterion: Criterion
+    criterion: _Criterion
     values: Floats
     best: npt.NDArray[np.int8] = variable("family with the smallest {}", name="best_family")
     margin: Floats = variable("{} of the runner-up minus that of the best family")
@@ -220,7 +220,7 @@ class FamilySelection(Statistic[Selection]):
     )
 
     families: tuple[Family, ...] = tuple(FAMILIES.values())
-    criterion: Criterion = "bic"
+    criterion: _Criterion = "bic"
     held_out: bool = False
 
     def maps(self) -> tuple[MapKind, ...]:
@@ -291,7 +291,7 @@ class FamilySelection(Statistic[Selection]):
 def select(
     x: Source,
     families: Sequence[str | Family] = tuple(FAMILIES),
-    criterion: Criterion = "bic",
+    criterion: _Criterion = "bic",
     *,
     held_out: bool = False,
     null: npt.ArrayLike | None = None,
@@ -357,7 +357,7 @@ def select(
     >>> str(selection.names), bool(selection.vuong_z < -2)
     ('lognormal', True)
     """
-    check_option("criterion", criterion, get_args(Criterion))
+    check_option("criterion", criterion, get_args(_Criterion))
     if isinstance(families, str) or not families:
         message = f"families must be a sequence of one or more families, got {families!r}"
         raise InputError(message)

@@ -82,8 +82,8 @@ def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """
     arrays = [_mapped(path) for path in paths]
     given = zip(arrays, paths, strict=True)
-    sources = [ArraySource(a, axes_of(a, path.name, options.axes), path) for a, path in given]
-    return Opened(Joined(sources))
+    sources = [_ArraySource(a, axes_of(a, path.name, options.axes), path) for a, path in given]
+    return Opened(_Joined(sources))
 
 
 def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
@@ -108,8 +108,8 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
         arrays = _unpacked(path)
         array = arrays[chosen(path, arrays, options.variable)]
         axes = axes_of(array, path.name, options.axes)
-        sources.append(ArraySource(array, axes, path, features_of(path, arrays, options)))
-    return Opened(Joined(sources))
+        sources.append(_ArraySource(array, axes, path, _features_of(path, arrays, options)))
+    return Opened(_Joined(sources))
 
 
 def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
@@ -151,18 +151,18 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
         if "manifest" in about:
             message = f"{path} is a store of samples already: open it with chdstat.open"
             raise InputError(message)
-        array, features = arrays[name], features_of(path, arrays, options)
+        array, features = arrays[name], _features_of(path, arrays, options)
         for used in (name, *options.features.values()):
             for caveat in held.caveats.get(used, tuple)():
                 warn_caller(f"{path}: {caveat}")
         letters = "".join(_LETTERS.get(dim, "") for dim in array.dims)
         named = letters if len(letters) == len(array.shape) else None
         axes = axes_of(array, path.name, options.axes or named)
-        sources.append(ArraySource(array, axes, path, features))
+        sources.append(_ArraySource(array, axes, path, features))
         plain = {k: v for k, v in about.items() if isinstance(v, str | int | float)}
         attrs = {k: v for k, v in plain.items() if not k.startswith("_")}  # of libraries
         attrs |= {"unit": str(array.attrs["units"])} if "units" in array.attrs else {}
-    return Opened(Joined(sources), attrs)
+    return Opened(_Joined(sources), attrs)
 
 
 def chosen(path: Path, arrays: Mapping[str, Any], wanted: str | None) -> str:
@@ -190,7 +190,7 @@ def chosen(path: Path, arrays: Mapping[str, Any], wanted: str | None) -> str:
     return wanted or (named or largest)[0]
 
 
-def features_of(path: Path, arrays: Any, options: ReadOptions) -> dict[str, Array]:
+def _features_of(path: Path, arrays: Any, options: ReadOptions) -> dict[str, Array]:
     """Return the arrays of the features by their names in a file."""
     for name in options.features.values():
         if name not in arrays:
@@ -203,7 +203,7 @@ def features_of(path: Path, arrays: Any, options: ReadOptions) -> dict[str, Arra
 # --- sources --------------------------------------------------------------------------------------
 
 
-class ArraySource:
+class _ArraySource:
     """Samples in an array that is indexed on demand.
 
     Parameters
@@ -242,10 +242,10 @@ class ArraySource:
         return {name: np.asarray(image, np.float32) for name, image in self._features.items()}
 
 
-class Joined:
+class _Joined:
     """Samples of several sources of one size, concatenated."""
 
-    def __init__(self, sources: Sequence[ArraySource]) -> None:
+    def __init__(self, sources: Sequence[_ArraySource]) -> None:
         self._sources, first = sources, sources[0]
         self.path, self.frames = first.path, len(sources) > 1 or first.frames
         for source in sources:

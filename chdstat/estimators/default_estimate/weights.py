@@ -19,7 +19,7 @@ is in the second expectation only, and there only once: squares of it, which a f
 decide, would hide what the halves say. All samples have half the noise of one half (`_of_all`).
 
 The expectations are averaged over pixels that are alike: of the same channel, noise, brightness,
-and score of the proposal (`BilateralGrid`). First over the image, then over wide and over close
+and score of the proposal (`_BilateralGrid`). First over the image, then over wide and over close
 surroundings. Each step either confirms the weight of the previous step or refutes it (a spike and a
 slab: George and McCulloch 1993, doi:10.1080/01621459.1993.10476353). Evidence from few pixels needs
 to be stronger.
@@ -135,9 +135,9 @@ class Proposal:
         return np.asarray((self.error == 0) & (self.mean != 0))
 
     @cached_property
-    def groups(self) -> BilateralGrid:
+    def groups(self) -> _BilateralGrid:
         """Groups of pixels of the same channel, place and noise, over which sums are certain."""
-        return BilateralGrid(self, _WIDE, _CLASSES_OF_NOISE)
+        return _BilateralGrid(self, _WIDE, _CLASSES_OF_NOISE)
 
     def classes(self) -> list[tuple[Reals, Floats]]:
         """Return the quantities that classify pixels, each with its nodes: noise comes first."""
@@ -153,7 +153,7 @@ class Proposal:
         ]
 
 
-class BilateralGrid:
+class _BilateralGrid:
     """Nodes at which pixels that are alike are pooled: by channel, place, and classes.
 
     `sums` splats images into such a grid, and `at` slices it (Chen, Paris and Durand 2007,
@@ -297,7 +297,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[
     >>> print(weights[:, :28].mean().round(1), weights[:, 36:].mean().round(1))
     1.0 0.0
     """
-    halves = BilateralGrid(one, _TILE), BilateralGrid(other, _TILE)
+    halves = _BilateralGrid(one, _TILE), _BilateralGrid(other, _TILE)
     evidence = halves[0].sums(*_evidence(one, other), dtype=np.float32)
     evidence += halves[1].sums(*_evidence(other, one), dtype=np.float32)
     weight = _updated(_believed(), evidence.sum(axis=(2, 3), keepdims=True))
@@ -315,7 +315,7 @@ def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Iterator[
     share = np.minimum(wide[1] / np.maximum(wide[0], 1e-30), weight)
     of_all = _of_all(weight, share)
     del evidence, around, wide, share
-    yield np.where(whole.known, 1, BilateralGrid(whole, _TILE).at(of_all))
+    yield np.where(whole.known, 1, _BilateralGrid(whole, _TILE).at(of_all))
     for half, grid in zip((one, other), halves, strict=True):
         yield np.where(half.known, 1, grid.at(weight))
 
