@@ -98,7 +98,7 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
     for document in documents:
         read = "".join((templates / name).read_text() for name in (document.template, "parts.typ"))
         drawn = document.content["drawn"]
-        read += "".join(figure["caption"] for figure in FIGURES)
+        read += "".join(figure.caption for figure in FIGURES)
         assert {figure["name"] for figure in drawn} == {*document.figures}
         assert not [f["part"] for f in drawn if f'figures-of("{f["part"]}")' not in read]
         assert not [entry for entry in document.content if f"data.{entry}" not in read]
