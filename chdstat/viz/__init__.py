@@ -25,7 +25,6 @@ from chdstat.viz.chd import (
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
 from chdstat.viz.estimators import (
     averages,
-    coverage,
     curves,
     error_curves,
     estimator_measures,
@@ -61,7 +60,6 @@ __all__ = [
     "chd_pair",
     "claim_intervals",
     "contrast",
-    "coverage",
     "curves",
     "error_curves",
     "estimator_measures",

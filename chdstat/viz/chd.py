@@ -22,13 +22,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from chdstat._core.arrays import Array, is_bad, is_null, luminance, take_rows
+from chdstat._core.arrays import Array, take_rows
 from chdstat._core.display import Width, channel_names, number, percent
 from chdstat.errors import InputError, check_option
 from chdstat.fit import Fit, Mixture, Tail
 from chdstat.inference.modes import Modality
 from chdstat.patterns.pixel import Pixel
-from chdstat.summary.histograms import Histogram, Scale, histogram, log_support
+from chdstat.summary.histograms import Histogram, Scale
 from chdstat.viz.styling import (
     CHANNELS,
     NAMES,
@@ -326,9 +326,6 @@ class Panel:
         Mean radiance of each channel, drawn as a dashed line.
     note
         A line of text in the log panel, such as the share of nulls and the fitted family.
-    luminance
-        Log histograms of luminance, shape (pixel, bin), first of the pixel, then of other pixels of
-        its region, drawn beside the radiance; None for none. See `with_luminance`.
     """
 
     name: str
@@ -338,7 +335,6 @@ class Panel:
     fits: Sequence[Density | None] = ()
     mean: Sequence[float] = ()
     note: str = ""
-    luminance: Histogram | None = None
 
     @classmethod
     def of(
@@ -407,35 +403,6 @@ class Panel:
         )
         return replace(self, linear=linear, log=log, channels=found, fits=fits, mean=means)
 
-    def with_luminance(self, x: npt.ArrayLike) -> Self:
-        """Return the panel with luminance beside the radiance.
-
-        Parameters
-        ----------
-        x
-            Linear radiance, shape (pixel, channel, sample), first of the pixel, then of other
-            pixels of its region; samples with a bad channel are left out.
-
-        Raises
-        ------
-        InputError
-            If there are not three axes, or neither 1 nor 3 channels.
-
-        Examples
-        --------
-        >>> x = np.random.default_rng(0).gamma(1.0, size=(5, 3, 64))
-        >>> Panel.of("wall", x[0]).with_luminance(x).luminance.counts.shape
-        (5, 100)
-        """
-        samples = np.asarray(x, np.float64)
-        if samples.ndim != 3:
-            message = f"expected samples of shape (pixel, channel, sample), got {samples.shape}"
-            raise InputError(message)
-        bad, null = np.asarray(is_bad(samples).any(axis=1)), is_null(samples)
-        light = np.asarray(luminance(np.where(bad[:, np.newaxis], 0.0, samples)))
-        found = histogram(light, support=log_support(light), null=null, bad=bad)
-        return replace(self, luminance=found)
-
 
 @style()
 def chd_grid(
@@ -449,9 +416,6 @@ def chd_grid(
 ) -> Figure:
     """Draw linear and log10 CHDs of several pixels, each framed in the colour of its region.
 
-    If a panel has luminance, a further histogram shows it: the pixel in black, other pixels of its
-    region as lines.
-
     Parameters
     ----------
     panels
@@ -459,8 +423,8 @@ def chd_grid(
         renderings of one view, such as day and night, to panels of the same pixels: a row then
         shows one pixel in all renderings, on one axis of radiance, without linear histograms.
     columns
-        Pixels side by side; each takes two panels, or three with luminance. None takes as many as
-        fit, at most two; with several renderings, as many as there are renderings.
+        Pixels side by side; each takes a panel for each scale. None takes as many as fit, at most
+        two; with several renderings, as many as there are renderings.
     channels, scales
         As for `chd_pair`.
     width
@@ -476,9 +440,9 @@ def chd_grid(
     Examples
     --------
     >>> x = np.random.default_rng(0).gamma(1.0, size=(2, 4, 3, 64))  # rendering, pixel
-    >>> panels = [[Panel.of("wall", one[0]).with_luminance(one)] for one in x]
+    >>> panels = [[Panel.of("wall", one[0])] for one in x]
     >>> len(chd_grid({"day": panels[0], "night": panels[1]}).axes)
-    4
+    2
     """
     named = panels if isinstance(panels, Mapping) else {"": panels}
     renderings = list(named.values())
@@ -492,7 +456,7 @@ def chd_grid(
     # All renderings of a pixel, pixel by pixel.
     shown = [(i, name, those[i].select(channels)) for i in range(max(numbers.values(), default=0))
              for name, those in named.items()]  # fmt: skip
-    each = len(kinds) + any(panel.luminance is not None for _, _, panel in shown)
+    each = len(kinds)
     height = 1.27 * -(-len(shown) // columns) + 0.3
     figure = page(fig, height, width, wspace=0.02, hspace=0.04)
     axes = grid(figure, each * len(shown), each * columns)
@@ -502,7 +466,7 @@ def chd_grid(
         title = f"{i + 1} {panel.name}" + (f", {name}" if name else "")
         below = k + columns >= len(shown)
         _draw_pixel(
-            own, panel, title, kinds, below=below, leftmost=k % columns == 0, color=colors[i],
+            own, panel, title, kinds, below=below, leftmost=k % columns == 0,
             room=across / (each * columns),
         )  # fmt: skip
         for ax in own:
@@ -510,7 +474,7 @@ def chd_grid(
     if several:
         for row in range(0, len(axes), each * columns):
             share_radiance(axes[row : row + each * columns])
-    _name_channels(figure, axes[0], shown[0][2])
+    _name_channels(axes[0], shown[0][2])
     return figure
 
 
@@ -528,7 +492,7 @@ def chd_pair(
     Parameters
     ----------
     panel
-        The pixel; if it has luminance of its region, a further panel shows it.
+        The pixel.
     channels
         Channels to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance.
     scales
@@ -553,10 +517,10 @@ def chd_pair(
     'log'
     """
     kinds, across, panel = scales_of(scales), inches(width, fig), panel.select(channels)
-    number = len(kinds) + (panel.luminance is not None)
+    number = len(kinds)
     figure, axes = panels_in(fig, number, number, 1.7 if narrow(across) else 2.2, width)
     _draw_pixel(axes, panel, panel.name, kinds, below=True, room=across / number)
-    _name_channels(figure, axes[0], panel)
+    _name_channels(axes[0], panel)
     return figure
 
 
@@ -569,7 +533,6 @@ def _draw_pixel(
     below: bool,
     room: float,
     leftmost: bool = True,
-    color: str = PALETTE[4],
 ) -> None:
     """Draw a pixel into its axes; they get axis labels if no axes are below them."""
     names = [*panel.histograms("log")]
@@ -578,13 +541,6 @@ def _draw_pixel(
         chd_axes(counted, names=names, channels=names, fits=panel.fits, ax=ax)
         draw_means(ax, panel.mean, colors_of(names))
         ax.set_xlabel(_axis_name(_quantity(names), scale, room) if below else "")
-    if panel.luminance is not None:
-        _draw_luminance(axes[-1], panel.luminance, color)
-        axes[-1].set_xlabel(_axis_name(_LUMINANCE, "log", room) if below else "")
-        if scales[-1] == "log":
-            share_radiance(axes[-2:])
-    elif len(axes) > len(scales):
-        axes[-1].set_axis_off()
     # Without room for both in a line, the title is above the note.
     pad = 13 if len(title) + len(panel.note) > _LETTERS * room * len(axes) else 3
     axes[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=pad)
@@ -605,16 +561,6 @@ def _axis_name(quantity: str, scale: Scale, room: float = math.inf) -> str:
     return f"{quantity}, log scale" if room > 1.3 else f"{quantity},\nlog scale"
 
 
-def _draw_luminance(ax: Axes, found: Histogram, color: str) -> None:
-    """Draw the luminance of a pixel, and over it other pixels of its region as lines."""
-    first, *others = (take_rows(found, i, axis=0) for i in range(len(found.counts)))
-    draw_histograms(ax, {"": first}, colors=[_COLORS[_LUMINANCE]])
-    for other in others:
-        ax.stairs(other.density, other.edges, color=color, linewidth=0.7, zorder=0.9)
-    ax.set_ylim(0, 1.05 * float(np.nanmax(found.density, initial=0)) or 1.0)
-    ax.spines["left"].set_visible(True)
-
-
 def share_radiance(axes: Sequence[Axes]) -> None:
     """Give axes with samples one range of radiance."""
     ends = [ax.get_xlim() for ax in axes if ax.patches]
@@ -624,22 +570,12 @@ def share_radiance(axes: Sequence[Axes]) -> None:
             ax.set_xlim(min(lows), max(highs))
 
 
-def _name_channels(figure: Figure, ax: Axes, panel: Panel) -> None:
-    """Add a legend of the colours: inside the axes, or above all axes if there is luminance."""
+def _name_channels(ax: Axes, panel: Panel) -> None:
+    """Add a legend of the colours."""
     names = [*panel.histograms("log")]
-    handles = swatches(dict(zip(names, colors_of(names), strict=True)))
-    if panel.luminance is None:
-        if names != [_LUMINANCE]:  # its axis label says so
-            ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
-        return
-    handles += swatches({_LUMINANCE: _COLORS[_LUMINANCE]})
-    others = "in the colour of the region: its other pixels"
-    below: dict[str, Any] = {"loc": "outside upper center", "handlelength": 1, "ncols": 5}
-    if len(panel.luminance.counts) > 1 and narrow(inches("page", figure)):
-        below |= {"title": others, "title_fontsize": "medium"}
-    elif len(panel.luminance.counts) > 1:
-        handles += swatches({others: "none"})
-    figure.legend(handles=handles, **below)
+    if names != [_LUMINANCE]:  # its axis label says so
+        handles = swatches(dict(zip(names, colors_of(names), strict=True)))
+        ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
 
 
 @style()

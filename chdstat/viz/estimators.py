@@ -2,8 +2,8 @@
 
 `pattern_breakdown` draws relMSE by pattern, `estimator_measures` all measures side by side,
 `pixel_estimates` a few pixels one by one, and `error_curves` errors against the number of samples.
-`training` draws losses, `coverage` how often intervals contain the reference. `curves` draws any
-quantity against the number of samples, `averages` how averages become Gaussian.
+`training` draws losses. `curves` draws any quantity against the number of samples, `averages` how
+averages become Gaussian.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from chdstat.viz.styling import (
     axes_in,
     called,
     fitting,
-    grow,
     inches,
     name_ticks,
     narrow,
@@ -327,46 +326,6 @@ def training(history: History, *, width: Width = "column", ax: Axes | None = Non
     ax.set_ylim(top=3 * max(baseline for _, baseline, _ in lines.values()))
     name_ticks(ax.yaxis)
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return ax
-
-
-@style()
-def coverage(
-    levels: npt.ArrayLike,
-    measured: Mapping[str, Sequence[float]],
-    *,
-    title: str = "",
-    width: Width = "column",
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw how often intervals contain the reference.
-
-    Parameters
-    ----------
-    levels
-        Nominal probabilities of the intervals, shape (level,).
-    measured
-        Measured shares by name, shape (level,).
-    title
-        What is shown.
-    width
-        Width of the figure: "column", "page" or inches.
-    ax
-        Where to draw; None makes a figure.
-    """
-    stated = np.asarray(levels, float)
-    ax = axes_in(ax, 2.4, width)
-    low = min(float(np.nanmin([stated, *measured.values()])), 0.5) - 0.04
-    ax.plot([low, 1], [low, 1], color=_GREY, linewidth=0.9, linestyle="--")
-    for k, (name, shares) in enumerate(measured.items()):
-        color, label = (PALETTE[4], PALETTE[5], PALETTE[2])[k % 3], verbatim(name)
-        ax.plot(stated, shares, marker="os^D"[k % 4], markersize=3.5, color=color, label=label)
-    ax.set(xlim=(low, 1), ylim=(low, 1), xlabel="stated", ylabel="measured", title=title)
-    ax.set_aspect("equal")
-    ax.xaxis.set_major_formatter(per_cent)
-    ax.yaxis.set_major_formatter(per_cent)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
-    grow(ax.get_figure(), 0.17 * len(measured))
     return ax
 
 

@@ -1,8 +1,7 @@
-"""Images: tone-mapped radiance with regions, their CHDs, and errors.
+"""Images: tone-mapped radiance with regions and their CHDs.
 
 `with_marks` shows the regions of an image, `region_study` adds their CHDs, as in the case study of
-Elek et al. 2019. `side_by_side` shows estimates and their errors, `firefly_pair` a firefly and its
-neighbour.
+Elek et al. 2019. `side_by_side` shows estimates, `firefly_pair` a firefly and its neighbour.
 """
 
 from __future__ import annotations
@@ -70,8 +69,6 @@ _ROW, _ROWS = 0.68, 4.1
 """Largest height of a region, and of all of them, in inches."""
 _FILLED = 0.55
 """Opacity of the histogram of a region."""
-_BAR = 0.9
-"""Inches of a colour bar with its numbers."""
 _NOTE = 17
 """Letters of a note per inch."""
 _MARGIN = 7
@@ -329,22 +326,19 @@ def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
 def side_by_side(
     images: Mapping[str, npt.ArrayLike],
     *,
-    errors: Mapping[str, npt.ArrayLike] | None = None,
     insets: Sequence[tuple[slice, slice]] = (),
     notes: Mapping[str, str] | None = None,
     columns: int | None = None,
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw images side by side with one exposure, with magnified parts and squared errors below.
+    """Draw images side by side with one exposure, with magnified parts below.
 
     Parameters
     ----------
     images
         Linear radiance (y, x, channel) by title or name of an estimator; the last one sets the
         exposure.
-    errors
-        Squared error (y, x) by the same titles; drawn on one logarithmic colour scale.
     insets
         Rows and columns of parts to magnify below each image; frames mark them in the image.
     notes
@@ -368,16 +362,10 @@ def side_by_side(
     exposure, across = display_stops(last), inches(width, fig)
     columns = fitting(across, min(columns or len(images), len(images)), 1.0)
     rows, aspect = -(-len(images) // columns), upright(*last.shape[:2])
-    parts = [aspect] + [aspect] * bool(errors)
-    if insets:
-        parts.insert(1, max(map(_aspect, insets)) / len(insets))
+    parts = [aspect, max(map(_aspect, insets)) / len(insets)] if insets else [aspect]
     each = 0.92 * across / columns * sum(parts) + 0.35
     figure = page(fig, rows * each, width, hspace=0.02, wspace=0.02)
-    free = next((title for title in images if title not in errors), None) if errors else ""
-    # Without a free cell, the colour bar gets its own column.
-    ratios = [across / columns] * columns + [_BAR] * (free is None)
-    cells, below = figure.add_gridspec(rows, len(ratios), width_ratios=ratios), {}
-    bar = cells[-1, -1].subgridspec(len(parts), 1, height_ratios=parts)[-1]
+    cells = figure.add_gridspec(rows, columns)
     for i, (title, image) in enumerate(images.items()):
         shown = tonemap(image, exposure=exposure)
         own = cells[i // columns, i % columns].subgridspec(
@@ -394,15 +382,6 @@ def side_by_side(
             part.imshow(shown[ys, xs], interpolation="nearest")
             part.set(xticks=[], yticks=[])
             part.spines[:].set(visible=True, color=color, linewidth=1.6)
-        if title == free:
-            bar = own[-1, :]
-        elif errors:
-            below[title] = figure.add_subplot(own[-1, :])
-            bare(below[title])
-    if errors:
-        room = across / columns if free else _BAR
-        halves = bar.subgridspec(1, 2, width_ratios=(0.15, room - 0.15))
-        _draw_errors(below, errors, figure.add_subplot(halves[0]))
     return figure
 
 
@@ -417,18 +396,6 @@ def _outline(ax: Axes, ys: slice, xs: slice, color: str) -> None:
     extent = (xs.stop - xs.start, ys.stop - ys.start)
     for edge, width in (("black", 2.4), (color, 1.4)):
         ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
-
-
-def _draw_errors(axes: Mapping[str, Axes], errors: Mapping[str, npt.ArrayLike], cax: Axes) -> None:
-    """Draw squared errors as decades on one colour scale."""
-    with np.errstate(divide="ignore"):
-        decades = {title: np.log10(np.asarray(v, dtype=float)) for title, v in errors.items()}
-    finite = np.concatenate([d[np.isfinite(d)] for d in decades.values()])
-    low, high = np.percentile(finite, (2, 99.5)) if finite.size else (-1.0, 0.0)
-    for title, values in decades.items():
-        shown = np.maximum(values, low)  # an error of 0 has the darkest colour
-        drawn = axes[title].imshow(shown, vmin=low, vmax=high, cmap="magma")
-    cax.figure.colorbar(drawn, cax=cax, label="log10 squared error")
 
 
 @style()

@@ -51,17 +51,15 @@ study("night-room")
 # The same pixels
 # ---------------
 #
-# The camera does not move, so that a pixel sees the same surface by day and by night. Beside the
-# channels stands the luminance of all pixels of a region, one of them in black.
+# The camera does not move, so that a pixel sees the same surface by day and by night.
 
 regions = [r for r in find_recipe("night-room").regions if r.name in SHOWN]
 
 
 def panel(scene, region):
-    ys, xs = region.pixels(*SIZE)
-    pixels = [(y, x) for y in range(ys.start, ys.stop) for x in range(xs.start, xs.stop)]
-    x = chd.rendering.render_pixels(scene, pixels, spp=1024, size=SIZE, seed=2)
-    return viz.Panel.of(region.name, x[0]).with_luminance(x)
+    pixel = region.center(*SIZE)
+    (x,) = chd.rendering.render_pixels(scene, [pixel], spp=1024, size=SIZE, seed=2)
+    return viz.Panel.of(region.name, x)
 
 
 scenes = {"by day": "day-room", "by night": "night-room"}
@@ -70,8 +68,8 @@ viz.chd_grid({name: [panel(scene, r) for r in regions] for name, scene in scenes
 # %%
 # On the wall the lamp leaves one narrow peak where daylight, of the windows and of the room, has
 # two humps. On the carpet the red channel is more than ten times the others under either light:
-# the cloth shifts the distributions, and the light makes their shape. The pixels of a region have
-# nearly the same shape, even in the mirror, where by night nearly nine samples in ten are null.
+# the cloth shifts the distributions, and the light makes their shape. In the mirror, nearly nine
+# samples in ten are null by night.
 #
 # **Next:** `Fireflies in a hall of columns <plot_06_fireflies.html>`_ looks at samples that are
 # rarer still.

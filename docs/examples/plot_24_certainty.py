@@ -9,6 +9,8 @@ An estimate comes with a certainty and an interval. Can they be trusted?
 # We estimate the bathroom from the first 32 samples of each pixel, without a reference.
 
 # sphinx_gallery_panel = 2, 1
+import matplotlib.pyplot as plt
+
 import chdstat as chd
 from chdstat import viz
 
@@ -40,9 +42,13 @@ levels, shares = (0.5, 0.8, 0.9, 0.95), []
 for level in levels:
     at = chd.estimate(few, level=level, progress=False)
     shares.append(((at.low <= reference) & (reference <= at.high)).mean())
-viz.coverage(
-    levels, {"bathroom, 32 spp": shares}, title="Intervals that contain the reference"
-).figure
+with viz.style():
+    figure, ax = plt.subplots(figsize=(3.4, 2.8))
+    ax.plot(levels, levels, "--", color="#888888", label="stated")
+    ax.plot(levels, shares, "o-", label="measured: bathroom, 32 spp")
+    ax.set(xlabel="stated", title="Intervals that contain the reference")
+    ax.legend()
+figure
 
 # %%
 # **Next:** `Denoise from a better start <plot_25_denoise.html>`_ passes an estimate on to a

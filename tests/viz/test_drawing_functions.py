@@ -53,7 +53,6 @@ def examples():
         "chd_grid": partial(viz.chd_grid, [PANEL]),
         "chd_pair": partial(viz.chd_pair, PANEL),
         "claim_intervals": partial(viz.claim_intervals, {NAME: [test]}),
-        "coverage": partial(viz.coverage, [0.5, 0.9], {NAME: (0.4, 0.8)}),
         "curves": partial(viz.curves, [8, 16], {NAME: {"a": [0, 1]}, "log": {NAME: [1, 1]}}),
         "contrast": partial(viz.contrast, chd.contrast(samples, samples.read() * 0.9)),
         "error_curves": partial(
@@ -139,10 +138,7 @@ MARKS = [replace(MARK, ys=slice(y, y + 2), xs=slice(y, y + 2)) for y in (1, 5, 9
 CROWDED = {
     "batches": lambda w: viz.batch_histograms({LONG + i: np.ones((8, 4)) for i in "abcd"}, width=w),
     "curves": lambda w: viz.curves([8, 16], {LONG: {"a": [0, 1]}, "b": {LONG: [1, 1]}}, width=w),
-    "errors": lambda w: viz.side_by_side(
-        {LONG: IMAGE, "b": IMAGE, "reference": IMAGE}, errors={LONG: IMAGE[..., 0]}, width=w
-    ),
-    "all errors": lambda w: viz.side_by_side({LONG: IMAGE}, errors={LONG: IMAGE[..., 0]}, width=w),
+    "images": lambda w: viz.side_by_side({LONG: IMAGE, "b": IMAGE, "reference": IMAGE}, width=w),
     "findings": lambda w: viz.finding_plots(
         {
             LONG: PlotData("bars", {LONG: ([0], [1])}),
@@ -177,9 +173,7 @@ def test_texts_that_are_cut_or_lie_over_each_other_are_seen(monkeypatch):
     assert clashes(figure, monkeypatch) == ["three", "two / one"]
 
 
-@pytest.mark.parametrize(
-    "name", ["averages", "coverage", "curves", "error_curves", "fits", "finding_plots"]
-)
+@pytest.mark.parametrize("name", ["averages", "curves", "error_curves", "fits", "finding_plots"])
 def test_series_differ_by_more_than_their_colour(examples, name):
     if name == "finding_plots":
         series = {str(i): (np.arange(3), np.arange(3)) for i in range(4)}
@@ -267,8 +261,6 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.chd_axes(LOG, names=["a", "b"]), "2 channels, got one of shape"),
         (lambda: viz.fits(LINEAR, LOG, {}), r"1 channels, got one of shape \(3, 100\)"),
         (lambda: viz.categorical_map(np.zeros((4, 4), int)), "flag_meanings.*pass names="),
-        (lambda: PANEL.with_luminance(np.ones((3, 8))), r"\(pixel, channel, sample\), got \(3, 8"),
-        (lambda: PANEL.with_luminance(np.ones((1, 2, 8))), "1 or 3 channels"),
         (lambda: viz.chd_pair(PANEL, channels="luminance"), "channel must be one of red, green"),
         (lambda: viz.chd_pair(PANEL, scales="cubic"), "scale must be one of linear, log, got 'cu"),
         (lambda: viz.chd_pair(PANEL, scales=[]), "at least one scale"),

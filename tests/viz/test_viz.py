@@ -68,23 +68,6 @@ def test_a_fit_is_a_curve_in_the_unit_of_its_histogram():
     assert not viz.chd_axes(found, fits=[None]).lines
 
 
-def test_luminance_of_several_pixels_stands_beside_the_radiance():
-    x = np.random.default_rng(3).gamma(1.0, size=(3, 3, 64))
-    x[0, :, :16], x[1, 0, 0] = 0, np.nan
-    panel = viz.Panel.of("wall", x[0]).with_luminance(x)
-    light = panel.luminance
-    assert light.null_count.tolist() == [16, 0, 0]
-    assert light.bad_count.tolist() == [0, 1, 0]
-    # Rec. 709
-    own = histogram(np.tensordot([0.2126, 0.7152, 0.0722], x[2], 1), scale="log")
-    np.testing.assert_array_equal(light.counts[2], own.counts)
-    linear, log, beside = viz.chd_grid([panel]).axes
-    drawn = [p.get_data().values for p in beside.patches if not p.get_fill()]
-    np.testing.assert_allclose(drawn, light.density)
-    assert beside.get_xlim() == log.get_xlim() != linear.get_xlim()
-    assert "luminance" in texts(viz.chd_pair(panel))
-
-
 def test_renderings_stand_side_by_side_on_one_axis_of_radiance():
     x = np.random.default_rng(4).gamma(1.0, size=(2, 3, 64))
     day, night = ([viz.Panel.of(f"p{i}", s * x[i]) for i in range(2)] for s in (100, 1))
@@ -189,7 +172,7 @@ def test_a_high_image_fits_the_page(marks):
     high = np.ones((90, 30, 3))
     for figure in (
         viz.with_marks(high, marks),
-        viz.side_by_side({"a": high, "b": high}, errors={"a": high[..., 0]}),
+        viz.side_by_side({"a": high, "b": high}),
         viz.map_grid(9, aspect=3),
     ):
         assert figure.get_figheight() <= 8
@@ -269,8 +252,6 @@ def test_nothing_is_drawn_where_there_is_nothing():
     viz.atlas(atlas(Samples.from_array(np.zeros((4, 4, 1, 8))))).canvas.draw()
     for value in (np.nan, 3.0):
         viz.value_map(np.full((4, 4), value)).figure.canvas.draw()
-    unknown = viz.coverage([0.5, 0.9], {"ours": (np.nan, np.nan)})
-    assert unknown.get_xlim()[0] < 0.5
 
 
 # --- curves of results ----------------------------------------------------------------------------
