@@ -30,7 +30,7 @@ from chdstat.patterns import Thresholds, agreement, attribute
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
 from chdstat.rendering.jobs import scene_size
-from chdstat.rendering.recipes import load_recipe
+from chdstat.rendering.recipes import check_integrator, load_recipe
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import Region
 from chdstat.scenes import load_plugin, load_scene
@@ -61,6 +61,10 @@ pixels = partial(render_pixels, "cornell-box", spp=1, size=(8, 8))
 def recipe(old: str, new: str) -> Any:
     Path("recipe.toml").write_text(GOOD.replace(old, new))
     return load_recipe("recipe.toml")
+
+
+def other_recipe(old: str, new: str) -> Any:
+    return check_integrator(recipe(old, new), load_scene("bathroom"))
 
 
 def xml(inside: str, **parameters: Any) -> Any:
@@ -162,6 +166,7 @@ RENDERING: Table = {
         *(({"scene": box(**film)}, *named) for film, *named in FILMS),
     ],
     (SceneError, lambda **film: scene_size(box(**film))): [*FILMS],
+    (SceneError, scene_size): [((floor(sensor={"type": "fisheye"}),), "'fisheye'")],
     (SceneError, xml): [
         ("", "'bad'", "sensor"),
         ({"inside": SENSOR, "glitter": 1}, "glitter"),
@@ -194,6 +199,7 @@ RENDERING: Table = {
         (("[[regions]]", GOOD[GOOD.index("[[regions]]") :] + "[[regions]]"), "regions"),
         (('scene = "bathroom"', 'scene = "$ATTICS/a.xml"'), "'$ATTICS/a.xml'"),
     ],
+    (InputError, other_recipe): [(('"path"', '"volpath"'), "'path'", "'volpath'")],
     (InputError, load_recipe): [("none.toml", "none.toml")],
     (InputError, lambda *rectangle: Region("wall", "diffuse", rectangle)): [
         ((0, 0, 1, 1.5), "1.5"),
@@ -364,11 +370,13 @@ IN_ROOM: Table = {
     (InputError, opened): [
         (None, "path", "None"),
         (5, "path", "5"),
+        ("a\0b", "path", "a\\x00b"),
         ((["a.zarr"],), "path", "['a.zarr']"),
         ("tape://box.zarr", "tape://box.zarr"),
     ],
     (StoreError, opened): [
         ("nowhere", "nowhere", "chdstat render"),
+        ("x" * 300, "no store at xxx"),
         ("x.txt", "x.txt", "folder"),
         (".", "zarr.json"),
         ("maps.zarr", "maps.zarr", "--maps"),
@@ -420,6 +428,7 @@ SCENES: Table = {
 
 MEANS = partial(gaussianity_of_means, np.ones(64))
 LINEAR = chd.histogram(chd.Samples.from_array(np.ones((2, 2, 1, 64))), scale="linear")
+FIVE_CHANNELS = chd.Samples.from_array(np.ones((8, 8, 5, 64)), axes="yxcs")
 TWO_CHANNELS = chd.Samples.from_array(np.ones((2, 2, 2, 64)))
 TIMED = chd.Samples.from_array(np.ones((4, 4, 3, 48)), render_seconds=4.8)
 FOUR = chd.Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(2, 2, 3, 64)))
@@ -663,6 +672,9 @@ ESTIMATORS: Table = {
 # --- figures and reports ------------------------------------------------------------------------
 
 REPORTS: Table = {
+    (InputError, partial(chd.report, path="out.pdf")): [
+        ({"source": FIVE_CHANNELS}, "one or three")
+    ],
     (InputError, partial(chd.report, SAMPLES)): [
         ("out.html", ".pdf"),
         ({"path": "out.pdf", "contents": "long"}, "short, full, claims", "'long'"),

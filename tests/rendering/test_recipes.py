@@ -105,6 +105,7 @@ def test_regions_cover_at_least_a_pixel():
 
 def test_regions_are_those_of_the_view_that_the_recipe_shows():
     x = np.ones((32, 32, 3, 2), dtype=np.float32)
+    assert find_recipe("no-such-scene") is None
     known = find_recipe("bathroom")
     assert known is not None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import pytest
 from scipy import stats
 
 from chdstat.samples import Samples
-from chdstat.summary.histograms import Histogram, linear_support
+from chdstat.summary.histograms import linear_support
 from chdstat.summary.statistics import Summary, summarize
 
 MOMENTS = ("mean", "variance", "skewness", "kurtosis", "minimum", "maximum", "standard_error")
@@ -31,16 +30,6 @@ def with_bad(x):
     x = x.copy()
     x[0, 0, 3], x[0, 2, 3], x[1, 1, 200], x[2, :, 70:80] = np.nan, -np.inf, np.inf, np.nan
     return x
-
-
-def assert_same(a, b, *, batches=True):
-    """Compare two Statistics: counts exactly, moments to rounding."""
-    for field in fields(a):
-        one, other = getattr(a, field.name), getattr(b, field.name)
-        if isinstance(one, Histogram):
-            np.testing.assert_array_equal(one.counts, other.counts, err_msg=field.name)
-        elif batches or not field.name.startswith("batch"):
-            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg=field.name)
 
 
 def test_moments_are_those_of_scipy():

@@ -16,7 +16,6 @@ from chdstat.errors import InputError
 from chdstat.estimators import Estimator
 from chdstat.patterns import Label
 from chdstat.studies.claims import ClaimTest, PlotData
-from chdstat.summary.histograms import histogram
 from chdstat.viz import (
     error_curves,
     estimator_measures,
@@ -125,10 +124,6 @@ def test_pixels_that_are_alike_have_short_labels():
 
 
 # --- study figures --------------------------------------------------------------------------------
-
-
-def counted(*shape, scale="log"):
-    return histogram(np.random.default_rng(3).gamma(1.0, size=(*shape, 64)), scale=scale)
 
 
 def claim_test(value, low, high, *, name="share", unit="1", least=-np.inf, most=np.inf):

@@ -25,10 +25,6 @@ def image():
     return np.random.default_rng(0).random((20, 30, 3))
 
 
-def counted(scale="log", channels=3):
-    return histogram(np.random.default_rng(1).gamma(1.0, size=(channels, 64)), scale=scale)
-
-
 def test_tonemap_is_srgb():
     # IEC 61966-2-1: linear 0.5 encodes to 0.7354, values from 1 on are white.
     value = viz.tonemap(np.array([[[0.0], [0.5], [1.0], [7.0]]]), exposure=0)[0, :, 0]

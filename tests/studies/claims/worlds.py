@@ -8,7 +8,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 import chdstat as chd
 from chdstat.comparison import Interval
@@ -286,20 +285,6 @@ def assumptions(rng: Rng, spp: int, kept: bool) -> Scenes:
 
 def families(draw: Draw) -> World:
     return lambda rng, spp: [evidence(image(draw(rng, (6, 6, spp))))]
-
-
-@given_first
-def family_shares(rng: Rng, spp: int, *shares: float) -> Scenes:
-    """Return an analysis whose best families are drawn with these shares, gamma the first."""
-    names = list(chd.fit.FAMILIES)
-    flags = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
-    best = rng.choice(len(shares), p=shares, size=(24, 24, 1))
-    maps = {
-        "best_family": (("y", "x", "channel"), best, flags),
-        "gamma_like": (("y", "x"), np.zeros((24, 24), bool)),
-    }
-    samples = chd.Samples.from_array(np.ones((24, 24, 1, spp)))
-    return [SceneData("simulated", samples, given=xr.Dataset(maps))]
 
 
 # --- several renders or scenes ------------------------------------------------------------------
