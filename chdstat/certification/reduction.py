@@ -82,6 +82,14 @@ _COUNTED = 0.02
 """Least excess mass of a mode that counts."""
 
 
+_Int8 = npt.NDArray[np.int8]
+
+
+def _of_channel(label: str, *dims: str, unit: str = "1") -> Any:
+    """Declare a number of each channel; `dims` follow that of the channels."""
+    return variable(label, "channel", *dims, unit=unit)
+
+
 @result
 class Numbers(Result):
     """Certified numbers of pixels; arrays of shape (pixel, channel, ...).
@@ -147,69 +155,55 @@ class Numbers(Result):
     """
 
     n: Counts = variable("good samples")
-    mean: Floats = variable("mean", "channel", unit=RADIANCE)
-    mean_se: Floats = variable("standard error of the mean", "channel", unit=RADIANCE)
-    mean_reason: npt.NDArray[np.int8] = variable("why there is no mean", "channel")
-    variance: Floats = variable("variance of the samples", "channel", unit=f"({RADIANCE})2")
-    variance_se: Floats = variable(
-        "standard error of the variance", "channel", unit=f"({RADIANCE})2"
+    mean: Floats = _of_channel("mean", unit=RADIANCE)
+    mean_se: Floats = _of_channel("standard error of the mean", unit=RADIANCE)
+    mean_reason: _Int8 = _of_channel("why there is no mean")
+    variance: Floats = _of_channel("variance of the samples", unit=f"({RADIANCE})2")
+    variance_se: Floats = _of_channel("standard error of the variance", unit=f"({RADIANCE})2")
+    variance_reason: _Int8 = _of_channel("why there is no variance")
+    skewness: Floats = _of_channel("skewness of the samples")
+    skewness_se: Floats = _of_channel("standard error of the skewness")
+    kurtosis: Floats = _of_channel("excess kurtosis of the samples")
+    kurtosis_se: Floats = _of_channel("standard error of the kurtosis")
+    kurtosis_reason: _Int8 = _of_channel("why there are no skewness, kurtosis and n_gaussian")
+    null_share: Floats = _of_channel("share of samples that are 0")
+    null_share_se: Floats = _of_channel("standard error of the share of nulls")
+    quantile: Floats = _of_channel("quantiles of the samples", "q", unit=RADIANCE)
+    quantile_se: Floats = _of_channel("standard errors of the quantiles", "q", unit=RADIANCE)
+    tail_variance_share: Floats = _of_channel("share of the variance in the largest samples", "top")
+    tail_variance_share_se: Floats = _of_channel(
+        "standard error of that share of the variance", "top"
     )
-    variance_reason: npt.NDArray[np.int8] = variable("why there is no variance", "channel")
-    skewness: Floats = variable("skewness of the samples", "channel")
-    skewness_se: Floats = variable("standard error of the skewness", "channel")
-    kurtosis: Floats = variable("excess kurtosis of the samples", "channel")
-    kurtosis_se: Floats = variable("standard error of the kurtosis", "channel")
-    kurtosis_reason: npt.NDArray[np.int8] = variable(
-        "why there are no skewness, kurtosis and n_gaussian", "channel"
+    largest_variance_share: Floats = _of_channel(
+        "share of the squared deviations in the largest sample"
     )
-    null_share: Floats = variable("share of samples that are 0", "channel")
-    null_share_se: Floats = variable("standard error of the share of nulls", "channel")
-    quantile: Floats = variable("quantiles of the samples", "channel", "q", unit=RADIANCE)
-    quantile_se: Floats = variable(
-        "standard errors of the quantiles", "channel", "q", unit=RADIANCE
+    coverage: Floats = _of_channel(
+        "share of 95 % error bars of so many samples that hold the mean", "size"
     )
-    tail_variance_share: Floats = variable(
-        "share of the variance in the largest samples", "channel", "top"
+    coverage_se: Floats = _of_channel("standard error of the coverage", "size")
+    missed_low: Floats = _of_channel("share of error bars that lie below the mean", "size")
+    missed_high: Floats = _of_channel("share of error bars that lie above the mean", "size")
+    coverage_reason: _Int8 = _of_channel("why there is no coverage", "size")
+    variance_seen: Floats = _of_channel(
+        "median variance of so many samples, over the variance", "size"
     )
-    tail_variance_share_se: Floats = variable(
-        "standard error of that share of the variance", "channel", "top"
+    n_gaussian: Floats = _of_channel("samples from which on averages pass as Gaussian")
+    n_gaussian_se: Floats = _of_channel("standard error of n_gaussian")
+    rejected: Floats = _of_channel(
+        "share of sets of 32 averages that are not Gaussian at 5 %", "averaged"
     )
-    largest_variance_share: Floats = variable(
-        "share of the squared deviations in the largest sample", "channel"
-    )
-    coverage: Floats = variable(
-        "share of 95 % error bars of so many samples that hold the mean", "channel", "size"
-    )
-    coverage_se: Floats = variable("standard error of the coverage", "channel", "size")
-    missed_low: Floats = variable("share of error bars that lie below the mean", "channel", "size")
-    missed_high: Floats = variable("share of error bars that lie above the mean", "channel", "size")
-    coverage_reason: npt.NDArray[np.int8] = variable("why there is no coverage", "channel", "size")
-    variance_seen: Floats = variable(
-        "median variance of so many samples, over the variance", "channel", "size"
-    )
-    n_gaussian: Floats = variable("samples from which on averages pass as Gaussian", "channel")
-    n_gaussian_se: Floats = variable("standard error of n_gaussian", "channel")
-    rejected: Floats = variable(
-        "share of sets of 32 averages that are not Gaussian at 5 %", "channel", "averaged"
-    )
-    rejected_se: Floats = variable("standard error of that share", "channel", "averaged")
-    n_passing: Floats = variable(
-        "samples from which on few sets of averages are rejected", "channel"
-    )
-    n_passing_interval: Floats = variable("95 % interval of n_passing", "channel", "bound")
-    tail_index: Floats = variable("generalised Pareto tail index", "channel", "share")
-    tail_index_se: Floats = variable("standard error of the tail index", "channel", "share")
-    tail_index_reason: npt.NDArray[np.int8] = variable(
-        "why there is no tail index", "channel", "share"
-    )
-    modes: npt.NDArray[np.int8] = variable("modes of log10 radiance", "channel", "bandwidth")
-    modes_reason: npt.NDArray[np.int8] = variable(
-        "why modes were not counted", "channel", "bandwidth"
-    )
-    mode_place: Floats = variable("modes, log10 of radiance in W sr-1 m-2", "channel", "mode")
-    mode_mass: Floats = variable("mass of the modes", "channel", "mode")
-    mode_excess: Floats = variable("excess mass of the modes", "channel", "mode")
-    mode_excess_se: Floats = variable("standard error of the excess mass", "channel", "mode")
+    rejected_se: Floats = _of_channel("standard error of that share", "averaged")
+    n_passing: Floats = _of_channel("samples from which on few sets of averages are rejected")
+    n_passing_interval: Floats = _of_channel("95 % interval of n_passing", "bound")
+    tail_index: Floats = _of_channel("generalised Pareto tail index", "share")
+    tail_index_se: Floats = _of_channel("standard error of the tail index", "share")
+    tail_index_reason: _Int8 = _of_channel("why there is no tail index", "share")
+    modes: _Int8 = _of_channel("modes of log10 radiance", "bandwidth")
+    modes_reason: _Int8 = _of_channel("why modes were not counted", "bandwidth")
+    mode_place: Floats = _of_channel("modes, log10 of radiance in W sr-1 m-2", "mode")
+    mode_mass: Floats = _of_channel("mass of the modes", "mode")
+    mode_excess: Floats = _of_channel("excess mass of the modes", "mode")
+    mode_excess_se: Floats = _of_channel("standard error of the excess mass", "mode")
 
 
 def reduce(x: npt.ArrayLike) -> Numbers:
@@ -333,7 +327,7 @@ def _of_row(x: Array) -> dict[str, Array]:
     return {name: np.asarray(value) for name, value in found.items()}
 
 
-def _code(reason: Reason) -> npt.NDArray[np.int8]:
+def _code(reason: Reason) -> _Int8:
     return np.asarray(reason, np.int8)
 
 
@@ -344,6 +338,12 @@ def _error(influence: Floats, value: float) -> tuple[float, bool]:
     error = np.sqrt(total) / influence.size
     is_shared = total**2 >= _LEAST_SHARING * fourth
     return error, bool(is_shared or error <= _SMALL_ERROR * abs(value))
+
+
+def _error_of_share(hits: float, count: int) -> float:
+    """Return the standard error of a share: 0 or 1 of few is not certain (Agresti, Coull 1998)."""
+    smoothed = (hits + 2) / (count + 4)
+    return float(np.sqrt(smoothed * (1 - smoothed) / (count + 4)))
 
 
 def _moments(z: Floats, scale: float, mean: float) -> dict[str, Any]:
@@ -439,9 +439,7 @@ def _coverages(z: Floats, mean_se: float) -> dict[str, Any]:
             (below[i], above[i]), *others = shares
             held = 1 - below[i] - above[i]
             moved = max(abs(1 - low - high - held) for low, high in others)
-            # A share of 0 or 1 among few batches is not certain: Agresti and Coull 1998.
-            smoothed = (held * count + 2) / (count + 4)
-            error[i] = np.hypot(np.sqrt(smoothed * (1 - smoothed) / (count + 4)), moved)
+            error[i] = np.hypot(_error_of_share(held * count, count), moved)
         seen[i] = np.median(variance) / (np.vecdot(z, z) / z.size)
     unknown = ~(error <= _MOST_ERROR)
     for name, values in (
@@ -471,8 +469,7 @@ def _rejections(z: Floats) -> dict[str, Any]:
         # Averages that are all equal although samples are not are not Gaussian.
         rejected = ~usable | (tested["p_value"][:, 0, 0] <= _ALPHA)
         share[i] = rejected.mean()
-        smoothed = (rejected.sum() + 2) / (sets + 4)
-        error[i] = np.sqrt(smoothed * (1 - smoothed) / (sets + 4))
+        error[i] = _error_of_share(rejected.sum(), sets)
     passing, interval = _passing_n(share, error)
     return {
         "rejected": share,

@@ -339,7 +339,31 @@ def _scores(x: Array, truth: xr.Dataset) -> Iterator[Score]:
         )
 
 
-_Found = Iterator[tuple[str, Interval[float], Any]]
+_Answer = tuple[str, Interval[float], Any]
+"""A question, its score, and how many answers were judged."""
+_Found = Iterator[_Answer]
+
+
+def _holding(what: str, ends: Array, true: xr.DataArray) -> _Answer:
+    """Return how many of the intervals (..., 2) hold what they are about, where both are known."""
+    low, high = ends[..., 0], ends[..., 1]
+    return what, hold(low, high, true), (np.isfinite(low) & true.notnull().to_numpy()).sum()
+
+
+def _among(what: str, inside: Mask, known: Mask, of: xr.DataArray) -> _Answer:
+    """Return the share of the known rows that are inside."""
+    return what, _share(inside, known, of), known.sum()
+
+
+def _answered(what: str, ends: Array, of: xr.DataArray) -> _Answer:
+    """Return the share of all rows that have an interval (..., 2)."""
+    there = np.isfinite(ends[..., 0])
+    return _among(what, there, np.ones_like(there), of)
+
+
+def _typical(what: str, values: Floats, of: xr.DataArray) -> _Answer:
+    """Return the median of the known values."""
+    return what, quantile_of(values, _pixels(of)), np.isfinite(values).sum()
 
 
 def _of_moments(x: Array, truth: xr.Dataset) -> _Found:
@@ -347,39 +371,23 @@ def _of_moments(x: Array, truth: xr.Dataset) -> _Found:
     half = Z_95 * moments.standard_error
     certain = truth["coverage"].sel(size=x.shape[-1])
     true = truth["mean"].where(certain.notnull())
-    yield (
-        "95 % error bars hold the mean",
-        hold(moments.mean - half, moments.mean + half, true),
-        np.isfinite(true).sum(),
-    )
+    ends = np.stack([moments.mean - half, moments.mean + half], axis=-1)
+    yield _holding("95 % error bars hold the mean", ends, true)
     known = certain.notnull().any("channel").to_numpy()
-    yield (
-        "  as certified",
-        mean_of(certain.to_numpy()[known], _pixels(certain)[known]),
-        np.isfinite(certain).sum(),
-    )
+    held = mean_of(certain.to_numpy()[known], _pixels(certain)[known])
+    yield "  as certified", held, np.isfinite(certain).sum()
     variance = truth["variance"]
     ratio = moments.variance / variance.where(variance > 0).to_numpy()
-    known = np.isfinite(ratio)
-    yield (
-        "variance within a factor 2",
-        _share((ratio > 0.5) & (ratio < 2), known, variance),
-        known.sum(),
-    )
-    yield "variance / certified, median", quantile_of(ratio, _pixels(variance)), known.sum()
+    near = (ratio > 0.5) & (ratio < 2)
+    yield _among("variance within a factor 2", near, np.isfinite(ratio), variance)
+    yield _typical("variance / certified, median", ratio, variance)
 
 
 def _of_quantiles(x: Array, truth: xr.Dataset) -> _Found:
     for q in (0.5, 0.9, 0.99):
         true = truth["quantile"].sel(q=q, method="nearest")
-        found = np.quantile(x, q, axis=-1)
-        positive = true.where(true > 0).to_numpy()
-        error = np.abs(found / positive - 1)
-        yield (
-            f"error of the {q:g} quantile, median",
-            quantile_of(error, _pixels(true)),
-            np.isfinite(error).sum(),
-        )
+        error = np.abs(np.quantile(x, q, axis=-1) / true.where(true > 0).to_numpy() - 1)
+        yield _typical(f"error of the {q:g} quantile, median", error, true)
 
 
 def _of_nulls(x: Array, truth: xr.Dataset) -> _Found:
@@ -387,38 +395,22 @@ def _of_nulls(x: Array, truth: xr.Dataset) -> _Found:
     # Pixels that are never null, or always, have a share that any method finds.
     true = true.where((true > 0) & (true < 1))
     ends = wilson(np.count_nonzero(x == 0, axis=-1), np.array(x.shape[-1]))
-    score = hold(ends[..., 0], ends[..., 1], true)
-    yield "95 % interval holds the share of nulls", score, true.notnull().sum()
+    yield _holding("95 % interval holds the share of nulls", ends, true)
 
 
 def _of_tails(x: Array, truth: xr.Dataset) -> _Found:
-    found = tail_index(x)
-    index = truth["tail_index"]
-    depth = _at_depth(index, found.share)
-    ends = found.interval
-    known = np.isfinite(depth) & np.isfinite(ends[..., 0])
-    true = index.isel(share=0).copy(data=depth)
-    yield (
-        "95 % interval holds the tail index",
-        hold(ends[..., 0], ends[..., 1], true),
-        known.sum(),
-    )
-    answered = np.isfinite(ends[..., 0])
-    yield "  there is an interval", _share(answered, np.ones_like(answered), true), answered.size
+    found, index = tail_index(x), truth["tail_index"]
+    true = index.isel(share=0).copy(data=_at_depth(index, found.share))
+    yield _holding("95 % interval holds the tail index", found.interval, true)
+    yield _answered("  there is an interval", found.interval, true)
     coverage = truth["coverage"].sel(size=x.shape[-1])
-    judged = coverage.to_numpy()
-    for words, which in (
-        ("variance_suspect where error bars hold", judged >= HOLDS),
-        ("variance_suspect where they fail", judged <= FAILS),
-    ):
-        yield words, _share(found.variance_suspect, which, coverage), which.sum()
+    judged, suspect = coverage.to_numpy(), found.variance_suspect
+    yield _among("variance_suspect where error bars hold", suspect, judged >= HOLDS, coverage)
+    yield _among("variance_suspect where they fail", suspect, judged <= FAILS, coverage)
     count = ((judged >= HOLDS) | (judged <= FAILS)).sum()
     for words, warning in (("coverage_own", -found.coverage_own), ("the tail index", found.xi)):
         yield f"  {words} parts the two", separation(warning, coverage), count
-    ends = found.coverage_own_interval
-    held = hold(ends[..., 0], ends[..., 1], coverage)
-    known = np.isfinite(judged) & np.isfinite(ends[..., 0])
-    yield "95 % interval of coverage_own holds it", held, known.sum()
+    yield _holding("95 % interval of coverage_own holds it", found.coverage_own_interval, coverage)
 
 
 def _at_depth(index: xr.DataArray, share: Floats) -> Floats:
@@ -433,16 +425,9 @@ def _at_depth(index: xr.DataArray, share: Floats) -> Floats:
 def _of_averages(x: Array, truth: xr.Dataset) -> _Found:
     if x.shape[-1] < _PREDICTS:
         return
-    found = gaussianity_of_means(x, sizes=[1])
-    ends, true = found.n_predicted_interval, truth["n_gaussian"]
-    known = np.isfinite(ends[..., 0]) & true.notnull().to_numpy()
-    yield (
-        "95 % interval holds n_gaussian",
-        hold(ends[..., 0], ends[..., 1], true),
-        known.sum(),
-    )
-    answered = np.isfinite(ends[..., 0])
-    yield "  N is predicted", _share(answered, np.ones_like(answered), true), answered.size
+    ends = gaussianity_of_means(x, sizes=[1]).n_predicted_interval
+    yield _holding("95 % interval holds n_gaussian", ends, truth["n_gaussian"])
+    yield _answered("  N is predicted", ends, truth["n_gaussian"])
 
 
 def _of_modes(x: Array, truth: xr.Dataset) -> _Found:
@@ -456,11 +441,8 @@ def _of_modes(x: Array, truth: xr.Dataset) -> _Found:
     several &= truth["mode_excess"].isel(mode=1).to_numpy() >= _CLEAR_EXCESS
     single = (alike & (middle == 1)).to_numpy()
     answered = found.reason == Reason.OK
-    for words, which in (
-        ("several modes said of one", single & answered),
-        ("several modes found of several", several & answered),
-    ):
-        yield words, _share(found.modes > 1, which, middle), which.sum()
+    yield _among("several modes said of one", found.modes > 1, single & answered, middle)
+    yield _among("several modes found of several", found.modes > 1, several & answered, middle)
 
 
 def _of_families(x: Array, truth: xr.Dataset) -> _Found:
@@ -468,18 +450,10 @@ def _of_families(x: Array, truth: xr.Dataset) -> _Found:
     distances = np.stack([_distance(fit, truth) for fit in found.fits.values()], axis=-1)
     chosen = np.take_along_axis(distances, np.maximum(found.best, 0)[..., np.newaxis], axis=-1)
     chosen = np.where(found.best < 0, np.nan, chosen[..., 0])
-    known = np.isfinite(chosen)
-    yield (
-        "distance of the chosen family, median",
-        quantile_of(chosen, _pixels(of)),
-        known.sum(),
-    )
+    yield _typical("distance of the chosen family, median", chosen, of)
     least = np.where(np.isnan(distances), np.inf, distances).min(axis=-1)
-    yield (
-        "  within 0.02 of the closest family",
-        _share(chosen <= least + 0.02, known, of),
-        known.sum(),
-    )
+    near = chosen <= least + 0.02
+    yield _among("  within 0.02 of the closest family", near, np.isfinite(chosen), of)
 
 
 def _distance(fit: Fit, truth: xr.Dataset) -> Floats:
