@@ -11,7 +11,7 @@ from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -149,6 +149,7 @@ def analyze(
     """
     resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
     given: Any = samples
+    goodness = GoodnessOfFit(resamples=resamples, seed=seed)
     summarised = hasattr(given, "on_demand") or hasattr(given, "data_vars")
     if summarised and (thresholds is not None or not held_out):
         message = (
@@ -166,14 +167,14 @@ def analyze(
             summary = summarize(drawn, **at)
             # Drawn tiles are kept until everything that follows from them is done.
             folder = drawn_tiles.folder if drawn_tiles else None
-            return _of_summary(summary, resamples, seed, progress, client, folder)
+            return _of_summary(summary, goodness, progress, client, folder)
     if hasattr(given, "data_vars"):
-        return _of_summary(given, resamples, seed, progress, client)
+        return _of_summary(given, goodness, progress, client)
     samples, thresholds = samples_of(given), thresholds or Thresholds()
     statistics: dict[str, Statistic[Any]] = {
         "luminance": _LuminanceMoments(),
         "selection": FamilySelection(held_out=held_out),
-        "goodness": GoodnessOfFit(resamples=resamples, seed=seed),
+        "goodness": goodness,
         "tail": TailIndex(),
         "mixture": ModalMixture(),
         "modality": Modes(),
@@ -182,7 +183,7 @@ def analyze(
         **_of_averages(samples),
     }
     known = thresholds, held_out, resamples, seed
-    return _measured(samples, statistics, known, progress, client, checkpoint)
+    return _measured(samples, statistics, known, checkpoint, progress=progress, client=client)
 
 
 def patterns_of(
@@ -211,7 +212,7 @@ def patterns_of(
             "normality": Normality(),
             **_of_averages(samples),
         }
-    return _measured(samples, statistics, ("patterns", families), progress, None, checkpoint)
+    return _measured(samples, statistics, ("patterns", families), checkpoint, progress=progress)
 
 
 def _of_averages(samples: Samples) -> dict[str, Statistic[Any]]:
@@ -224,16 +225,15 @@ def _measured(
     samples: Samples,
     statistics: Mapping[str, Statistic[Any]],
     known: tuple[Any, ...],
-    progress: bool | None,
-    client: Client | None,
-    checkpoint: str | Path | None,
+    folder: str | Path | None,
+    **work: Unpack[Work],
 ) -> xr.Dataset:
     """Return the summary of samples with the variables of all statistics, by stage."""
     import xarray as xr
 
     key = functools.partial(checkpoint_key, samples)
-    with checkpoints(checkpoint, key, *known) as kept:
-        work: Work = {"progress": progress, "client": client, "checkpoint": kept}
+    with checkpoints(folder, key, *known) as kept:
+        work["checkpoint"] = kept
         summary = summarize(samples, **work)
         of_block = functools.partial(_of_block, statistics)
         found = samples.map(of_block, logarithms=True, description="analysing", **work)
@@ -244,18 +244,16 @@ def _measured(
         combine_attrs="drop_conflicts",
         join="override",
     )
-    for name in ("skewness", "kurtosis"):
-        if "averages" in statistics:
-            merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
+    for name in ("skewness", "kurtosis") if "averages" in statistics else ():
+        merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(summary.attrs)
 
 
 def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
     """Return the variables of all statistics for a tile, by stage."""
     if all(statistic.rows == "luminance" for statistic in statistics.values()):
-        return _variables(
-            statistics, {"luminance": PositivePart.of_pixels(block, rows="luminance")}
-        )
+        rows: dict[str, Part] = {"luminance": PositivePart.of_pixels(block, rows="luminance")}
+        return _variables(statistics, rows)
     both = PositivePart.of_pixels(block, rows="both")
     # Statistics of channels and of luminance share their work.
     shared = {"selection": FamilySelection(), "tail": TailIndex(), "mixture": ModalMixture()}
@@ -305,8 +303,7 @@ class _LuminanceMoments(Statistic[_Luminance]):
 
 def _of_summary(
     summary: xr.Dataset,
-    resamples: int,
-    seed: int,
+    goodness: GoodnessOfFit,
     progress: bool | None,
     client: Client | None,
     folder: Path | None = None,
@@ -325,7 +322,7 @@ def _of_summary(
     summary = summary.transpose("y", "x", "channel", ...)
     statistics: dict[str, Statistic[Any]] = {
         "selection": FamilySelection(),
-        "goodness": GoodnessOfFit(resamples=resamples, seed=seed),
+        "goodness": goodness,
         "mixture": MixtureFit(effort="fast"),
     }
 
@@ -535,7 +532,7 @@ _NOISIEST = 0.1
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseShares:
     """Where the noise of an image is.
 
     Attributes
@@ -562,7 +559,7 @@ class Noise:
         return math.isfinite(self.noisiest)
 
 
-def noise_of(found: xr.Dataset) -> Noise:
+def noise_of(found: xr.Dataset) -> NoiseShares:
     """Return where the relative variance of luminance is, weighted as in relMSE."""
     mean = found["luminance_mean"].values
     spread = found["coefficient_of_variation"].values * mean
@@ -576,7 +573,7 @@ def noise_of(found: xr.Dataset) -> Noise:
     shown = {name: here for name, here in shown.items() if here.any()}
     held = {name: float(variance[here].sum()) / total for name, here in shown.items()}
     held = dict(sorted(held.items(), key=lambda item: -item[1]))
-    return Noise(
+    return NoiseShares(
         noisiest=float(np.sort(variance, axis=None)[::-1][:count].sum()) / total,
         pixels={name: float(shown[name].mean()) for name in held},
         share=held,

@@ -161,11 +161,11 @@ class PositivePart(_Rows):
         """
         x = as_samples(x)
         if bad is not None and np.any(bad):
-            x = np.where(_mask(bad, x.shape), x.dtype.type(np.nan), x)
+            x = np.where(sample_mask(bad, x.shape), x.dtype.type(np.nan), x)
         bad = is_bad(x)
         good = ~bad
         zero = (x == 0) & good
-        null = zero if null is None else _mask(null, x.shape) & good
+        null = zero if null is None else sample_mask(null, x.shape) & good
         positive = (x > 0) & good & ~null
         n, n_null, n_bad = (_count(mask) for mask in (positive, null, bad))
         # Most samples have none, and another mask costs time; NaN is not at least 0.
@@ -315,7 +315,8 @@ def _luminance(block: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[
         return luminance(block)
 
 
-def _mask(mask: npt.ArrayLike, shape: tuple[int, ...]) -> Mask:
+def sample_mask(mask: npt.ArrayLike, shape: tuple[int, ...]) -> Mask:
+    """Return a mask of samples in their shape, or raise InputError."""
     try:
         return np.broadcast_to(np.asarray(mask, dtype=bool), shape)
     except ValueError:

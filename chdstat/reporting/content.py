@@ -15,7 +15,7 @@ import numpy as np
 from chdstat._core.display import number, percent, with_interval, with_margin
 from chdstat._core.resampling import Interval
 from chdstat.analysis import (
-    Noise,
+    NoiseShares,
     Overview,
     key_intervals,
     pooled_shares,
@@ -195,7 +195,7 @@ def _headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str
     return [dict(zip(("finding", "because"), row, strict=True)) for row in rows[:6]]
 
 
-def _where_noise_is(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
+def _where_noise_is(scene: Overview, noise: NoiseShares) -> Iterator[tuple[str, str]]:
     """Yield which pattern holds most of the noise, and what it means."""
     label = Label[noise.label.upper()] if noise else Label.UNDETERMINED
     why = f"{label.meaning[0].upper()}{label.meaning[1:]}."
@@ -225,7 +225,7 @@ def _nulls(scene: Overview) -> Iterator[tuple[str, str]]:
         )
 
 
-def _fireflies(scene: Overview, noise: Noise) -> Iterator[tuple[str, str]]:
+def _fireflies(scene: Overview, noise: NoiseShares) -> Iterator[tuple[str, str]]:
     share = scene.patterns["firefly_dominated"]
     if share > 0 and noise.label != "firefly_dominated":
         yield (
@@ -508,7 +508,9 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
     return rows
 
 
-def _noise_table(noise: Noise, comparison: Comparison | None, pixels: int) -> list[dict[str, str]]:
+def _noise_table(
+    noise: NoiseShares, comparison: Comparison | None, pixels: int
+) -> list[dict[str, str]]:
     """Return a row for each primary label: its share of image and noise, and what helps.
 
     Labels with few pixels have no ratio of errors.

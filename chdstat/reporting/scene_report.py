@@ -17,7 +17,7 @@ import numpy as np
 
 from chdstat._core.arrays import whole
 from chdstat._core.files import checked_target, kept_until_written
-from chdstat.analysis import Noise, noise_of, patterns_of
+from chdstat.analysis import NoiseShares, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.entries import (
     DEFAULT_ESTIMATORS,
@@ -238,7 +238,7 @@ class _Report:
             drawn, entries["drawn"] = figures.report_figures(of_report)
         return Document("scene_report.typ", entries, drawn)
 
-    def compared(self, dataset: xr.Dataset, noise: Noise) -> tuple[Comparison | None, str]:
+    def compared(self, dataset: xr.Dataset, noise: NoiseShares) -> tuple[Comparison | None, str]:
         """Return the comparison of estimators, or why they cannot be compared."""
         samples, estimators = self.samples, self.estimators
         if not noise:
@@ -304,7 +304,7 @@ class _Report:
         )
 
 
-def _by_noise(regions: tuple[Region, ...], noise: Noise) -> tuple[Region, ...]:
+def _by_noise(regions: tuple[Region, ...], noise: NoiseShares) -> tuple[Region, ...]:
     """Order regions that are named after patterns by the noise of their pattern."""
     rank = {label.replace("_", "-"): i for i, label in enumerate(noise.share)}
     return tuple(sorted(regions, key=lambda region: rank.get(region.name, len(rank))))

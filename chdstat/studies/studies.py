@@ -19,7 +19,7 @@ from chdstat._core.arrays import plain
 from chdstat._core.display import Card, Shown, duration
 from chdstat._core.doors import report
 from chdstat._core.files import checked_target, writing
-from chdstat.analysis import Noise, Overview, noise_of, overview
+from chdstat.analysis import NoiseShares, Overview, noise_of, overview
 from chdstat.comparison import Comparison
 from chdstat.comparison.entries import Entry, entry_of
 from chdstat.errors import InputError, StoreError
@@ -97,7 +97,7 @@ class SceneStudy(Shown):
         return overview(self.data.analysis)
 
     @cached_property
-    def noise(self) -> Noise:
+    def noise(self) -> NoiseShares:
         """Where the noise of the scene is."""
         return noise_of(self.data.analysis)
 

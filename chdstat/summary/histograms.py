@@ -29,7 +29,7 @@ from chdstat._core.arrays import (
     label_variables,
     warn_left_out,
 )
-from chdstat._core.positive import PositiveHistogram
+from chdstat._core.positive import PositiveHistogram, sample_mask
 from chdstat._core.statistic import RADIANCE, Result, result, variable
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.samples import ImageLike, Mapped, SampleBlocks, Samples, opened, reduce_tiles
@@ -189,15 +189,9 @@ def _checked_masks(
     x: npt.NDArray[Any], null: Mask | None, bad: Mask | None
 ) -> tuple[Mask, Mask | None]:
     """Return which samples are null and bad, from the caller's masks; None if none is bad."""
-    for name, mask in (("null", null), ("bad", bad)):
-        if mask is None:
-            continue
-        try:
-            np.broadcast_to(mask, x.shape)
-        except ValueError as error:
-            expected = f"the {name} mask must broadcast to the samples' shape {x.shape}"
-            message = f"{expected}, got {mask.shape}"
-            raise InputError(message) from error
+    for mask in (null, bad):
+        if mask is not None:
+            sample_mask(mask, x.shape)
     # Two reductions detect the usual case of no bad sample.
     if not all_good(x):
         bad = is_bad(x) if bad is None else bad | is_bad(x)
