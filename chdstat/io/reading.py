@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib
 import os
 import reprlib
 from collections import Counter
@@ -24,8 +23,10 @@ import numpy.typing as npt
 from chdstat._core.arrays import Image, warn_caller
 from chdstat._core.files import is_path, local
 from chdstat.errors import InputError, StoreError
-from chdstat.io.array_files import ZARR, load_npy
+from chdstat.io.array_files import ZARR, load_npy, open_npy, open_npz, open_xarray
+from chdstat.io.exr import open_exr, read_feature
 from chdstat.io.sources import Opened, ReadOptions
+from chdstat.io.stream import open_stream
 from chdstat.samples import Samples
 from chdstat.samples.dependence import warn_of_repeats
 from chdstat.samples.layout import canonical
@@ -45,8 +46,8 @@ class Format:
         Suffixes of its files, with the dot.
     title
         Title for help and documentation.
-    module
-        Module beside this one with its `opener`, ``open_NAME``; loaded on first use.
+    opener
+        Function that opens its files.
     takes
         Fields of `ReadOptions` that the caller may set.
 
@@ -59,17 +60,8 @@ class Format:
     name: str
     suffixes: tuple[str, ...]
     title: str
-    module: str
+    opener: Callable[[Sequence[Path], ReadOptions], Opened]
     takes: tuple[str, ...] = ()
-
-    @property
-    def opener(self) -> Callable[[Sequence[Path], ReadOptions], Opened]:
-        """Function that opens files of this format."""
-        module = importlib.import_module(f"chdstat.io.{self.module}")
-        found: Callable[[Sequence[Path], ReadOptions], Opened] = getattr(
-            module, f"open_{self.name}"
-        )
-        return found
 
     def open(self, paths: Sequence[Path], options: ReadOptions) -> Opened:
         """Open files of this format."""
@@ -86,17 +78,17 @@ class Format:
 
 _NAMED = ("variable", "features")
 FORMATS = (
-    Format("npy", (".npy",), "NumPy arrays", "array_files", ("axes",)),
-    Format("npz", (".npz",), "NumPy archives", "array_files", ("axes", *_NAMED)),
+    Format("npy", (".npy",), "NumPy arrays", open_npy, ("axes",)),
+    Format("npz", (".npz",), "NumPy archives", open_npz, ("axes", *_NAMED)),
     Format(
         "xarray",
         (".nc", ".nc4", ".h5", ".hdf5", ".zarr"),
         "Arrays of netCDF, HDF5 and zarr",
-        "array_files",
+        open_xarray,
         ("axes", *_NAMED),
     ),
-    Format("exr", (".exr",), "EXR images, each a sample or average", "exr", _NAMED),
-    Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream", ("features",)),
+    Format("exr", (".exr",), "EXR images, each a sample or average", open_exr, _NAMED),
+    Format("stream", (".chds",), "Streams of chdstat_writer.h", open_stream, ("features",)),
 )
 """Formats in the order in which they are tried."""
 
@@ -278,8 +270,6 @@ def _is_file(value: str | Path) -> bool:
 def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
     """Return a feature from an array or a file."""
     if isinstance(value, str | Path) and Path(value).suffix.lower() == ".exr":
-        from chdstat.io.exr import read_feature
-
         return read_feature(Path(value), name)
     return np.asarray(_loaded(value), np.float32)
 
