@@ -4,12 +4,12 @@
 
 - `address`: what a page shows, as a value that fits into an address;
 - `render_process`, `image_sources`: samples of a store or of a scene, and their image;
-- `batch_estimates`, `suggestions`: what estimators give of a pixel or a region, and pixels that are
-  worth a look;
+- `batch_estimates`: what estimators give of a pixel or a region;
 - `tables`: the numbers of pixels and regions as text;
 - `overlays`: the table of maps, one number or label per pixel over the image;
 - `panels`: the table of plots, what they draw of a selection, and their Bokeh figures;
-- `workspace`: what all pages have in common, with the threads, and the passes over the image;
+- `passes`: long work over the image, the latest request first;
+- `workspace`: what all pages have in common, with the threads, and pixels that are worth a look;
 - `selection`, `export`: all that is shown of a selection, and its files;
 - `bokeh_document`: the Bokeh document of a page;
 - `session`: one page and its commands;

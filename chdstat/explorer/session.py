@@ -31,9 +31,8 @@ from chdstat.explorer.image_sources import MOST_SPP, ImageSource, SceneSource, S
 from chdstat.explorer.overlays import map_kind
 from chdstat.explorer.panels import PIXEL_COLORS, encode_panels
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
-from chdstat.explorer.suggestions import first_pixel
 from chdstat.explorer.tables import Table, headline, why
-from chdstat.explorer.workspace import Workspace
+from chdstat.explorer.workspace import Workspace, first_pixel
 
 _log = logging.getLogger("chdstat")
 

@@ -1,9 +1,9 @@
 """Workspace: what all pages of one explorer share, its sources, images, maps and threads.
 
-Clicks are worked on in one thread, passes over the image in another (`Passes`): the latest
-request first; a pass stands still while a click is being worked on, and where nobody waits for it.
-Reading ahead and exports have a third thread, slow estimates a fourth. Images and maps of a store
-are kept in the user's cache folder, never beside the store.
+Clicks are worked on in one thread, passes over the image in another (`chdstat.explorer.passes`): a
+pass stands still while a click is being worked on, and where nobody waits for it. Reading ahead and
+exports have a third thread, slow estimates a fourth. Images and maps of a store are kept in the
+user's cache folder, never beside the store.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -21,15 +22,17 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import luminance
+from chdstat._core.arrays import Floats, luminance
 from chdstat._core.files import Cache, is_exr, user_cache
-from chdstat.errors import ChdstatError, InputError
+from chdstat._core.positive import PositivePart
+from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.explorer.address import PixelIndex, View
 from chdstat.explorer.image_sources import (
     AnySource,
     ImageSource,
     Overall,
+    Sampled,
     SceneSource,
     StoreSource,
     stream,
@@ -44,139 +47,14 @@ from chdstat.explorer.overlays import (
     read_maps,
     walk,
 )
-from chdstat.explorer.suggestions import suggest
+from chdstat.explorer.passes import Pass, Passes
 from chdstat.inference.contrasts import contrasting
+from chdstat.patterns import Thresholds
+from chdstat.patterns.classification import Classification
+from chdstat.patterns.definitions import firefly_limit
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
-
-# --- passes ---------------------------------------------------------------------------------------
-
-
-_EVERY = 0.4
-"""Seconds between two reports."""
-
-Pass = Iterator[tuple[str, float]]
-"""After each step, what is being done, and the share that is done."""
-
-
-class Passes:
-    """The passes that somebody waits for, and the thread that works on them.
-
-    Parameters
-    ----------
-    busy
-        Whether something more urgent is being worked on: passes stand still meanwhile.
-    tell
-        Called with the name of a pass now and then while it goes on, and at its end; then with
-        "working".
-
-    Attributes
-    ----------
-    working
-        What is being done, as text; empty for nothing.
-    shares
-        By the name of a pass that has begun, the share that is done.
-    failures
-        By the name of a pass, why it ended early.
-
-    Examples
-    --------
-    >>> ended = threading.Event()
-    >>> passes = Passes(lambda: False, lambda what: ended.set() if what == "map" else None)
-    >>> passes.ask("page", "map", iter([("mapping", 0.5), ("mapping", 1.0)]))
-    >>> ended.wait(10)
-    True
-    >>> passes.stop()
-    """
-
-    def __init__(self, busy: Callable[[], bool], tell: Callable[[str], None]) -> None:
-        self._busy, self._tell = busy, tell
-        self._work: dict[str, Pass] = {}
-        self._asked: dict[Hashable, str] = {}
-        self._stopping, self._told = False, 0.0
-        self.working, self.shares, self.failures = "", dict[str, float](), dict[str, str]()
-        self._changed = threading.Condition()
-        threading.Thread(target=self._run, name="chdstat-passes", daemon=True).start()
-
-    def ask(self, who: Hashable, name: str, work: Pass) -> None:
-        """Let somebody wait for a pass, instead of what they waited for before.
-
-        `work` is taken where the pass has not begun.
-        """
-        with self._changed:
-            self._asked.pop(who, None)
-            self._asked[who] = name
-            self._work.setdefault(name, work)
-            self.failures.pop(name, None)
-            self._changed.notify()
-
-    def leave(self, who: Hashable) -> None:
-        """Let somebody wait no more."""
-        with self._changed:
-            self._asked.pop(who, None)
-
-    def forget(self) -> None:
-        """Drop all passes, begun or not."""
-        with self._changed:
-            self._work.clear()
-            self.shares.clear()
-            self._asked.clear()
-
-    def stop(self) -> None:
-        """End the thread after the step that it is at."""
-        with self._changed:
-            self._stopping = True
-            self._changed.notify()
-
-    def _run(self) -> None:
-        while (latest := self._latest()) is not None:
-            name, work = latest
-            while self._busy() and not self._stopping:
-                time.sleep(0.005)
-            try:
-                text, share = next(work)
-            except StopIteration:
-                self._end(name, work)
-            except ChdstatError as error:
-                self._end(name, work, str(error))
-            except Exception as error:  # noqa: BLE001 - told to who waits; the next pass goes on
-                self._end(name, work, f"{type(error).__name__}: {error}")
-            else:
-                self.shares[name] = share
-                if time.monotonic() - self._told >= _EVERY:
-                    self._told = time.monotonic()
-                    self._say(f"{text}, {100 * share:.0f} %", name)
-
-    def _latest(self) -> tuple[str, Pass] | None:
-        """Wait for something to do; return None at the end."""
-        with self._changed:
-            while not self._stopping:
-                for name in reversed(self._asked.values()):
-                    if name in self._work:
-                        return name, self._work[name]
-                if self.working:
-                    self._say("")
-                self._changed.wait()
-            return None
-
-    def _end(self, name: str, work: Pass, why: str = "") -> None:
-        with self._changed:
-            if self._work.get(name) is work:
-                del self._work[name]
-                self.shares.pop(name, None)
-            self._asked = {who: asked for who, asked in self._asked.items() if asked != name}
-            if why:
-                self.failures[name] = why
-        self._tell(name)
-
-    def _say(self, text: str, name: str = "") -> None:
-        self.working = text
-        for what in (name, "working"):
-            self._tell(what)
-
-
-# --- what pages share -----------------------------------------------------------------------------
-
+from chdstat.summary.runner import measured
 
 _MOST_FILES = 64
 _FIRST_SPP = 64
@@ -473,3 +351,72 @@ def _distinct(sources: Sequence[AnySource]) -> list[str]:
     """Return names of sources; those that are called alike have a number."""
     names = [source.name for source in sources]
     return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+# --- pixels that are worth a first look -----------------------------------------------------------
+
+_GRID = 12
+"""Pixels along the longer side of the image that are looked at."""
+_SPP = 512
+_AT_ONCE = 12
+_SUGGESTED = (("long tail", ("long_tail",)), ("bimodal", ("bimodal", "multimodal")),
+              ("null-heavy", ("null_heavy",)))  # fmt: skip
+"""Names, and the patterns that they stand for."""
+
+
+def first_pixel(overall: Overall) -> PixelIndex:
+    """Return the pixel with the brightest firefly, or the centre of an image without any.
+
+    Examples
+    --------
+    >>> first_pixel(Overall.empty(5, 9, 3))
+    (2, 4)
+    """
+    count = np.nan_to_num(overall.good_count).astype(np.int64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = overall.extreme / (overall.extreme + overall.others)
+        is_firefly = share > firefly_limit(count, Thresholds())
+    height, width = share.shape
+    if not is_firefly.any():
+        return height // 2, width // 2
+    brightest = int(np.argmax(np.where(is_firefly, overall.extreme, -np.inf)))
+    return brightest // width, brightest % width
+
+
+def suggest(source: Sampled) -> Iterator[tuple[float, list[tuple[str, PixelIndex]]]]:
+    """Look for a pixel with a long tail, one with several modes and one that is null-heavy.
+
+    Yields the progress, and in the end the pixels. They are chosen from a grid by the surest
+    pattern: the largest lower end of the interval of its statistic. Patterns that no pixel of the
+    grid has are left out.
+
+    Parameters
+    ----------
+    source
+        Where samples come from; the first 512 of each pixel are read or drawn.
+    """
+    cell = max(1.0, max(source.size) / _GRID)
+    numbers = (max(1, int(length / cell)) for length in source.size)
+    ys, xs = (
+        ((np.arange(k) + 0.5) * length / k).astype(int).tolist()
+        for k, length in zip(numbers, source.size, strict=True)
+    )
+    pixels = list(product(ys, xs))
+    sure: dict[str, list[Floats]] = {name: [] for name, _ in _SUGGESTED}
+    for i in range(0, len(pixels), _AT_ONCE):
+        yield i / len(pixels), []
+        part = PositivePart.of_pixels(source.some(pixels[i : i + _AT_ONCE], _SPP), rows="luminance")
+        found = measured(part, Classification())
+        for name, patterns in _SUGGESTED:
+            lower = [
+                np.where(found.flags[p] & (part.n > 0), found.intervals[p][..., 0], -np.inf)
+                for p in patterns
+            ]
+            sure[name].append(np.fmax.reduce(lower, initial=-np.inf))
+    chosen: dict[str, PixelIndex] = {}
+    for name, parts in sure.items():
+        score = np.concatenate(parts)
+        score[[pixels.index(p) for p in chosen.values()]] = -np.inf
+        if score.max() > -np.inf:
+            chosen[name] = pixels[int(score.argmax())]
+    yield 1.0, list(chosen.items())

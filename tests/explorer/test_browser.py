@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import re
 import shutil
@@ -17,7 +16,6 @@ import chdstat as chd
 from chdstat.analysis import save
 from chdstat.explorer import Explorer, selection
 from chdstat.explorer.overlays import IMAGES
-from chdstat.explorer.suggestions import goodness
 from chdstat.io import write_exr
 from chdstat.patterns import Label
 from chdstat.samples.store import Store
@@ -413,7 +411,7 @@ def test_an_address_that_is_wrong_is_explained(person, store_path):
 
 
 def test_fits_are_tested_when_asked(person, store_path, monkeypatch):
-    monkeypatch.setattr(selection, "goodness", functools.partial(goodness, resamples=9))
+    monkeypatch.setattr(selection, "RESAMPLES", 9)
     one = person(store_path).open("?p=20,10")
     assert not one.page.locator("#goodness progress").is_visible()
     one.page.get_by_role("button", name="Test the fits").click()

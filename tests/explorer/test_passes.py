@@ -10,7 +10,8 @@ import pytest
 import chdstat as chd
 from chdstat.errors import StoreError
 from chdstat.explorer.address import View
-from chdstat.explorer.workspace import Passes, opened
+from chdstat.explorer.passes import Passes
+from chdstat.explorer.workspace import opened
 
 
 class Stepped:

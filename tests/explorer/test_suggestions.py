@@ -7,7 +7,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.explorer.image_sources import StoreSource, stream
-from chdstat.explorer.suggestions import first_pixel, suggest
+from chdstat.explorer.workspace import first_pixel, suggest
 
 
 def ended(work):
