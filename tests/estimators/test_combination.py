@@ -304,6 +304,13 @@ def test_a_store_is_read_by_tiles_and_never_as_a_whole(tmp_path, monkeypatch):
     assert max(sizes) <= (64, 64)
 
 
+def test_signed_samples_are_combined_too():
+    x = np.random.default_rng(0).normal(0.2, 3, size=(16, 16, 1, 16))
+    found = estimate(chd.Samples.from_array(x, axes="yxcs"), progress=False)
+    for image in (found.radiance, found.low, found.high):
+        assert np.isfinite(image).all()
+
+
 def test_the_file_holds_what_each_candidate_was_given(samples, found, tmp_path):
     held = read_exr(write_estimates(tmp_path / "a.exr", samples))
     assert held.attributes["estimator"] == "combination"

@@ -207,6 +207,14 @@ def test_a_single_bright_sample_does_not_hide_its_own_error():
     assert found.value == pytest.approx(truth, rel=0.3)
 
 
+def test_dots_are_no_fireflies():
+    """Each has met its light 6 times on average."""
+    pattern = NOISE["dots, 8 over 0.2"]
+    looks = [look_at(pattern.samples(np.random.default_rng(seed), 64)) for seed in range(8)]
+    found = [error_of(look).value for look in looks]
+    assert np.mean(found) == pytest.approx(pattern.error(pattern.variance / 64), rel=0.2)
+
+
 def test_a_percentile_is_that_of_the_pixels():
     """Nine pixels of ten have an error of 1 in 8, the others of 5 in 8."""
     rng = np.random.default_rng(5)

@@ -428,6 +428,22 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path):
             assert np.array_equal(block, whole.chunk(chunk))
 
 
+def test_ctrl_c_works_after_a_render():
+    program = (
+        "import os, signal, sys, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import chdstat as chd\n"
+        "chd.render('cornell-box', spp=64, size=(130, 70), backend='scalar')\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    time.sleep(5)\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(7)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=600)
+    assert done.returncode == 7
+
+
 def test_settings_are_declared_once():
     """What is not declared is refused, and what is not given has its declared default."""
     defaults = {name: setting.default for name, setting in SETTINGS.items()}
