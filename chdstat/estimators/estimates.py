@@ -36,8 +36,7 @@ from chdstat._core.files import checkpoints
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, check_probability
 from chdstat.estimators.default_estimate.candidates import Measured, through_denoiser
-from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of
-from chdstat.estimators.default_estimate.intervals import interval_around
+from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of, interval_around
 from chdstat.estimators.default_estimate.light import lost_light
 from chdstat.estimators.default_estimate.weighting_network import proposed
 from chdstat.estimators.default_estimate.weights import weight_of_mean

@@ -97,7 +97,7 @@ class Selection(Result):
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin
-        _Criterion of the runner-up minus that of the best family, shape (...); NaN with fewer than
+        Criterion of the runner-up minus that of the best family, shape (...); NaN with fewer than
         two fits. For BIC, evidence above 10 is very strong (Kass and Raftery 1995,
         doi:10.1080/01621459.1995.10476572).
     vuong_z, vuong_p_value

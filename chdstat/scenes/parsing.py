@@ -23,8 +23,7 @@ import numpy as np
 
 from chdstat._core.files import is_file
 from chdstat.errors import SceneError
-from chdstat.scenes.faults import checked_mesh, filled, refuse_faults
-from chdstat.scenes.mitsuba_errors import in_words
+from chdstat.scenes.faults import checked_mesh, filled, in_words, refuse_faults
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene

@@ -24,12 +24,14 @@ from chdstat._core.files import replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
 from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
-from chdstat.comparison.flip import HAS_FLIP, exposures, flip
 from chdstat.comparison.judges import PARTS, Judge, PartialSums
 from chdstat.comparison.metrics import (
+    HAS_FLIP,
     SUMS,
     columns_of,
     errors_of,
+    exposures,
+    flip,
     measures_of,
     moved,
     shown_ratio,

@@ -9,7 +9,7 @@ import pytest
 import chdstat as chd
 from chdstat._core.display import number
 from chdstat.comparison import denoised
-from chdstat.comparison.flip import exposures, flip
+from chdstat.comparison.metrics import exposures, flip
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
 from chdstat.studies import benchmark
