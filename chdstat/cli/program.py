@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from inspect import Signature, signature
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 import typer
 import typer.core
@@ -154,23 +154,25 @@ def main() -> None:
     warnings.showwarning = _shown_once()
     try:
         app()
-    except ChdstatError as error:
+    except (ChdstatError, OSError, MemoryError) as error:
         if "--debug" in sys.argv:
             raise
-        _fail(str(error), _TO_MEND)
+        _fail(_told(error), _TO_MEND)
     except (SystemExit, KeyboardInterrupt) as ended:  # typer makes the first of most of the second
         if getattr(ended, "code", _INTERRUPTED) == _INTERRUPTED:
             resumed = "; the same command goes on from here" * _is_begun(sys.argv)
             _fail(f"stopped{resumed}", _INTERRUPTED)
         raise
-    except OSError as error:  # such as a name that is too long, or a folder that may not be read
-        if "--debug" in sys.argv:
-            raise
+
+
+def _told(error: Exception) -> str:
+    """Return what an error says that a user can act on."""
+    if isinstance(error, MemoryError):
+        return "out of memory; use a smaller --size or --spp, or keep samples in a store"
+    if isinstance(error, OSError):  # such as a name that is too long, or a folder not to be read
         name = reprlib.repr(error.filename) if error.filename else ""
-        _fail(f"{error.strerror or error}: {name}".rstrip(": "), _TO_MEND)
-    except MemoryError:
-        message = "out of memory; use a smaller --size or --spp, or keep samples in a store"
-        _fail(message, _TO_MEND)
+        return f"{error.strerror or error}: {name}".rstrip(": ")
+    return str(error)
 
 
 def _is_begun(line: Sequence[str]) -> bool:
@@ -187,19 +189,12 @@ def _shown_once() -> Callable[..., None]:
     """Return what prints warnings, once each, those of ours without the place of their code."""
     shown: set[str] = set()
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        text = warnings.formatwarning(message, category, *place[:2]).rstrip()
         if issubclass(category, LeftOutWarning | InputWarning):
             text = f"chdstat: {message}"
         if text not in shown:
-            typer.echo(text, file=file, err=True)
+            typer.echo(text, err=True)
         shown.add(text)
 
     return show

@@ -255,21 +255,16 @@ class MitsubaRenderer:
 
         They include the arrays of the guide, if there is one.
         """
-        from chdstat.rendering.rays import first_hits
+        from chdstat.rendering.rays import FirstHits
 
         kept = self.job.guide.arrays if self.job.guide else {}
         try:
             with self._telling():
-                found = first_hits(
-                    self._mi,
-                    self._scene,
-                    self._sensor((0, 0), self.size),
-                    self._sensor_medium,
-                    self.size,
-                    integrator=self.integrator["type"],
-                    hides=bool(getattr(self._integrator, "hide_emitters", False)),
-                    as_it_is=self._as_it_is,
-                )
+                objects = self._scene, self._sensor((0, 0), self.size), self._sensor_medium
+                hides = bool(getattr(self._integrator, "hide_emitters", False))
+                kind = self.integrator["type"]
+                hits = FirstHits(self._mi, *objects, integrator=kind, hides=hides)
+                found = hits.features(*self.size, as_it_is=self._as_it_is)
         except ChdstatError as error:
             _log.warning("no first-hit features: %s", brief(error))
             return kept, brief(error)

@@ -127,45 +127,6 @@ def _srgb(mi: Any, radiance: Any, ray: Any) -> Any:
 # --- first-hit features -------------------------------------------------------------------------
 
 
-def first_hits(
-    mi: Any,
-    scene: Any,
-    sensor: Any,
-    medium: Any,
-    size: tuple[int, int],
-    *,
-    integrator: str,
-    hides: bool,
-    as_it_is: bool,
-) -> dict[str, Image]:
-    """Return the first-hit features of an image by name, shape (y, x) or (y, x, channel).
-
-    Parameters
-    ----------
-    medium
-        The medium in which the sensor's rays start, or None.
-    size
-        (width, height) of the image.
-    integrator
-        Mitsuba's name of the integrator.
-    hides
-        Whether the integrator hides lamps.
-    as_it_is
-        Whether the film of the sensor cannot be changed, so that Mitsuba cannot render to it.
-    """
-    rays = _Rays(mi, scene, sensor, medium, hides=hides, volumetric=integrator in _VOLUMETRIC)
-    if as_it_is or not rays.end_at_once():
-        stack = rays.means(*size)
-    else:
-        # Mitsuba copies the list of shapes for each sample: threads wait for its counters.
-        with one_thread() if mi.Bool is bool else contextlib.nullcontext():
-            image = rays.aov.render(scene, sensor, seed=0, spp=_FEATURE_SPP)
-            stack = np.array(image, np.float32)[..., -sum(FEATURES.values()) :]
-    ends = np.cumsum(list(FEATURES.values()))[:-1]
-    parts = zip(FEATURES, np.split(stack, ends, axis=-1), strict=True)
-    return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in parts}
-
-
 @dataclass
 class _Path:
     """A ray that is followed: its remaining throughput, its length, and where it was scattered."""
@@ -180,28 +141,45 @@ class _Path:
     goes_on: Any
 
 
-class _Rays:
+class FirstHits:
     """Rays of a sensor that are followed to the first thing that shows.
 
     Parameters
     ----------
     medium
         The medium in which they start, or None.
+    integrator
+        Mitsuba's name of the integrator.
     hides
-        Whether lamps are hidden.
-    volumetric
-        Whether media scatter the rays.
+        Whether the integrator hides lamps.
     """
 
     def __init__(
-        self, mi: Any, scene: Any, sensor: Any, medium: Any, *, hides: bool, volumetric: bool
+        self, mi: Any, scene: Any, sensor: Any, medium: Any, *, integrator: str, hides: bool
     ) -> None:
         self.mi, self.scene, self.sensor, self.medium = mi, scene, sensor, medium
-        self.hides, self.volumetric = hides, volumetric
+        self.hides, self.volumetric = hides, integrator in _VOLUMETRIC
         self.aov = mi.load_dict({"type": "aov", "aovs": _AOVS, "block_size": BLOCK})
         self.sampler = mi.load_dict({"type": "independent"})
 
-    def end_at_once(self) -> bool:
+    def features(self, width: int, height: int, *, as_it_is: bool) -> dict[str, Image]:
+        """Return the first-hit features of an image by name, shape (y, x) or (y, x, channel).
+
+        `as_it_is` says that the film of the sensor cannot be changed, so that Mitsuba cannot render
+        to it.
+        """
+        if as_it_is or not self._end_at_once():
+            stack = self._means(width, height)
+        else:
+            # Mitsuba copies the list of shapes for each sample: threads wait for its counters.
+            with one_thread() if self.mi.Bool is bool else contextlib.nullcontext():
+                image = self.aov.render(self.scene, self.sensor, seed=0, spp=_FEATURE_SPP)
+                stack = np.array(image, np.float32)[..., -sum(FEATURES.values()) :]
+        ends = np.cumsum(list(FEATURES.values()))[:-1]
+        parts = zip(FEATURES, np.split(stack, ends, axis=-1), strict=True)
+        return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in parts}
+
+    def _end_at_once(self) -> bool:
         """Return whether the first surface that a ray meets always shows."""
         mi = self.mi
         held = mi.traverse(self.scene).hierarchy  # instances do not say what they are made of
@@ -211,7 +189,7 @@ class _Rays:
         inside = self.volumetric and self.sensor.get_medium() is not None
         return not (passing or hidden or inside)
 
-    def means(self, width: int, height: int) -> Image:
+    def _means(self, width: int, height: int) -> Image:
         """Return the mean features of many rays of each pixel, shape (y, x, number)."""
         mi, sampler = self.mi, self.sampler
 
@@ -313,7 +291,7 @@ class _Rays:
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
-def _followed(rays: _Rays, path: _Path, sampler: Any) -> Any:
+def _followed(rays: FirstHits, path: _Path, sampler: Any) -> Any:
     """Follow a path until it meets a surface that shows, a medium scatters it, or it leaves.
 
     The sampler is a variable of the loop; otherwise, each turn would draw the same random numbers.

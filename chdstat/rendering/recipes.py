@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import chdstat
 from chdstat._core.files import is_file
@@ -226,7 +226,9 @@ def _recipe(content: Mapping[str, Any]) -> Recipe:
     _only_known(integrator, ("type", "max_depth"), "integrator.")
     kinds: dict[str, type] = {"size": list, "spp": int, "seed": int}
     given: Any = {name: _key(content, name, kind) for name, kind in kinds.items()}
-    used = checked_settings(given | {"max_depth": integrator.get("max_depth")})
+    given["max_depth"] = integrator.get("max_depth")
+    used: Any = checked_settings(given)
+    settings = {name: used[name] for name in given}
     regions = content.get("regions", [])
     tables = isinstance(regions, list) and all(isinstance(r, Mapping) for r in regions)
     _expect(tables, "regions", "tables [[regions]]", regions)
@@ -234,10 +236,7 @@ def _recipe(content: Mapping[str, Any]) -> Recipe:
     _expect(len({str(n) for n in names}) == len(names), "regions", "distinct names", names)
     return Recipe(
         scene=_key(content, "scene", str),
-        size=cast("tuple[int, int]", used["size"]),
-        spp=used["spp"],
-        seed=cast("int", used["seed"]),
-        max_depth=used["max_depth"],
+        **settings,
         regions=tuple(_region(i, region) for i, region in enumerate(regions)),
         integrator=_key(integrator, "type", str, "integrator.", optional=True),
         name=_key(content, "name", str, optional=True),
