@@ -46,20 +46,18 @@ def _estimator_names(begun: str) -> list[str]:
     return [name for name in names() if name.startswith(begun)]
 
 
-def argument(metavar: str, about: str, **more: Any) -> Any:
-    """Return an argument of a command, which is no option."""
-    return typer.Argument(metavar=metavar, help=about, **more)
-
-
-def _scene(metavar: str, about: str) -> Any:
-    return argument(metavar, about, autocompletion=_scene_names)
-
-
-SceneName = Annotated[str, _scene("SCENE", "Built-in name or Mitsuba XML file.")]
+_SCENE: Any = typer.Argument(autocompletion=_scene_names)
+_PLACE: Any = typer.Argument(parser=place_of)
+# Behind the types of arguments that several commands take: metavar, and what the help says.
+SceneName = Annotated[str, _SCENE, "SCENE", "Built-in name or Mitsuba XML file."]
 SceneOrStore = Annotated[
-    str, _scene("SCENE|STORE", "Built-in name, Mitsuba XML file or finished store.")
+    str, _SCENE, "SCENE|STORE", "Built-in name, Mitsuba XML file or finished store."
 ]
-StorePath = Annotated[Path, argument("STORE", "A finished store, or its URL.", parser=place_of)]
+StorePath = Annotated[Path, _PLACE, "STORE", "A finished store, or its URL."]
+Location = Annotated[Path, _PLACE]
+"""An argument that is a path or a URL."""
+Words = Annotated[list[str], typer.Argument()]
+OptionalWords = Annotated[list[str] | None, typer.Argument()]
 Place = Annotated[Path, typer.Option(parser=place_of)]
 """An option that is a path or a URL."""
 FromOne = Annotated[int | None, typer.Option(min=1)]
@@ -273,10 +271,12 @@ def parameter(declared: Parameter, told: Mapping[str, _Described], unset: str | 
     unless it holds by default.
     """
     name, kind, how = declared.name, declared.annotation, typer.Option()
+    says = told.get(name, _Described())
     if get_origin(kind) is Annotated:
-        kind, how = get_args(kind)
-    how, says = copy(how), told.get(name, _Described())
-    how.help, how.metavar = how.help or says.about, how.metavar or says.metavar
+        kind, how, *texts = get_args(kind)
+        says = _Described(texts[0], None, texts[1]) if texts else says
+    how = copy(how)
+    how.help, how.metavar = says.about, says.metavar
     default = unset or says.default
     if isinstance(how, OptionInfo):
         flag = (f"--{name.replace('_', '-')}",) if declared.default is False else ()

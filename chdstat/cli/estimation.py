@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from chdstat._core.files import place_of
 from chdstat.cli import output
 from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
+    Location,
+    OptionalWords,
     SceneOrStore,
     StorePath,
-    argument,
     pairs_of,
 )
 from chdstat.cli.program import command
@@ -41,11 +41,7 @@ _COMPARED = {
 
 @command(
     "train bathroom.zarr -o bathroom.safetensors",
-    "iterations",
-    *VIEW,
-    "store",
-    "overwrite",
-    *OUTPUT,
+    *("iterations", *VIEW, "store", "overwrite", *OUTPUT),
 )
 def train(
     source: SceneOrStore, out: Path, asked: CommonOptions, estimator: str = "elek2019"
@@ -237,8 +233,8 @@ def compare(
 
 @command("contrast path.zarr changed.zarr -o contrast.pdf", "seed", "overwrite", *OUTPUT)
 def contrast(
-    a: Annotated[Path, argument("A", "A finished store.", parser=place_of)],
-    b: Annotated[Path, argument("B", "Another store, or a reference as EXR.", parser=place_of)],
+    a: Location,
+    b: Location,
     asked: CommonOptions,
     variance: Path | None = None,
     reference_spp: int | None = None,
@@ -254,6 +250,10 @@ def contrast(
 
     Parameters
     ----------
+    a : A
+        A finished store.
+    b : B
+        Another store, or a reference as EXR.
     variance : path, default unknown
         Variances of a sample of the reference, an EXR.
     reference_spp : int, default unknown
@@ -297,10 +297,7 @@ def contrast(
 )
 def bench(
     asked: CommonOptions,
-    scenes: Annotated[
-        list[str] | None,
-        argument("SCENE|STORE...", "Built-in names, Mitsuba XML files, stores."),
-    ] = None,
+    scenes: OptionalWords = None,
     spp: list[int] | None = None,
     seeds: int = 1,
     reference: list[str] | None = None,
@@ -317,6 +314,8 @@ def bench(
 
     Parameters
     ----------
+    scenes : SCENE|STORE...
+        Built-in names, Mitsuba XML files, stores.
     spp : int, default 16 and 64; 128, 512 and 2048 if certified
         Samples per pixel to estimate from; repeat.
     seeds : int
@@ -429,14 +428,11 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
     )
     output.print_rows(_in_words(found.table()), _COMPARED)
     output.print_notes(found.notes)
-    if found.breakdown is not None:
-        typer.echo()
-        columns = {"label": "pattern", "pixels": "pixels", **_COMPARED}
-        output.print_rows(_in_words(found.breakdown.table()), columns, text=["estimator"])
-    if curve is not None:
-        typer.echo()
-        columns = {"n": "N", **_COMPARED}
-        output.print_rows(_in_words(curve.table()), columns, text=["estimator"])
+    of_patterns = found.breakdown, {"label": "pattern", "pixels": "pixels"}
+    for more, columns in (of_patterns, (curve, {"n": "N"})):
+        if more is not None:
+            typer.echo()
+            output.print_rows(_in_words(more.table()), columns | _COMPARED, text=["estimator"])
 
 
 def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

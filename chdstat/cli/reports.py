@@ -13,9 +13,10 @@ from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
+    OptionalWords,
     SceneOrStore,
     StorePath,
-    argument,
+    Words,
     pairs_of,
 )
 from chdstat.cli.program import command
@@ -180,14 +181,7 @@ def report(
 )
 def study(
     asked: CommonOptions,
-    scenes: Annotated[
-        list[str] | None,
-        argument(
-            "[NAME|PATH]...",
-            "Built-in names, Mitsuba XML files, recipes (.toml) or finished stores; without any, "
-            "all built-in scenes with a recipe.",
-        ),
-    ] = None,
+    scenes: OptionalWords = None,
     out: Path | None = None,
     store: Path = Path("renders/out"),
     sampler: SamplerName = "independent",
@@ -197,6 +191,9 @@ def study(
 
     Parameters
     ----------
+    scenes : [NAME|PATH]...
+        Built-in names, Mitsuba XML files, recipes (.toml) or finished stores; without any, all
+        built-in scenes with a recipe.
     out : path
         The PDF to write.
     store : FOLDER
@@ -237,13 +234,7 @@ def study(
 
 @command("explore path.zarr guided.zarr", "size", "seed", "max_depth", "define", "plugin")
 def explore(
-    sources: Annotated[
-        list[str],
-        argument(
-            "SCENE|STORE|EXR...",
-            "Built-in name, Mitsuba XML file, store or EXR image; several are compared.",
-        ),
-    ],
+    sources: Words,
     asked: CommonOptions,
     model: list[Path] | None = None,
     maps: Path | None = None,
@@ -254,6 +245,8 @@ def explore(
 
     Parameters
     ----------
+    sources : SCENE|STORE|EXR...
+        Built-in name, Mitsuba XML file, store or EXR image; several are compared.
     model : path
         A trained estimator to show; can be repeated.
     maps : path
@@ -282,10 +275,16 @@ def list_names(
     asked: CommonOptions,
     kind: Annotated[
         Literal["scenes", "estimators", "families", "patterns", "formats"] | None,
-        typer.Argument(help="What to list.", show_default="all five"),
+        typer.Argument(),
     ] = None,
 ) -> None:
-    """List scenes, estimators, families, patterns and formats to import, a sentence for each."""
+    """List scenes, estimators, families, patterns and formats to import, a sentence for each.
+
+    Parameters
+    ----------
+    kind : str, default all five
+        What to list.
+    """
     from chdstat.estimators import lookup, names
     from chdstat.fit.families import FAMILIES
     from chdstat.io.reading import FORMATS

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from chdstat._core.files import is_remote, place_of
+from chdstat._core.files import is_remote
 from chdstat.cli import output
 from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
     FromOne,
+    Location,
     Place,
     SceneName,
     StorePath,
-    argument,
+    Words,
 )
 from chdstat.cli.program import command
 from chdstat.errors import ChdstatError, InputError
@@ -120,9 +121,7 @@ def render(
 
 @command("import frames/*.exr -o own.zarr --scene kitchen", *OUTPUT, name="import")
 def import_samples(
-    sources: Annotated[
-        list[str], argument("SOURCE...", "Files of samples in their order, or a folder.")
-    ],
+    sources: Words,
     out: Place,
     asked: CommonOptions,
     format: str | None = None,  # noqa: A002 - what users call it
@@ -147,6 +146,8 @@ def import_samples(
 
     Parameters
     ----------
+    sources : SOURCE...
+        Files of samples in their order, or a folder.
     out : PATH
         Store to write or append to.
     format : NAME, default by the names of the files
@@ -228,15 +229,13 @@ def include(asked: CommonOptions) -> None:
 
 
 @command("export maps.zarr -o maps.exr", "overwrite", *OUTPUT)
-def export(
-    source: Annotated[Path, argument("MAPS", "What 'chdstat analyze -o' wrote.", parser=place_of)],
-    out: Path,
-    asked: CommonOptions,
-) -> None:
+def export(source: Location, out: Path, asked: CommonOptions) -> None:
     """Write maps in the formats of other programs.
 
     Parameters
     ----------
+    source : MAPS
+        What 'chdstat analyze -o' wrote.
     out : path
         Layers of an EXR file (.exr), or netCDF (.nc).
     """
