@@ -204,3 +204,28 @@ def test_why_there_are_no_standard_errors():
     assert (fit.error_reason == Reason.TOO_FEW).all()
     image = chd.fit.fit(chd.Samples.from_array(x.reshape(5, 6, 1, 50)), "gamma", progress=False)
     np.testing.assert_array_equal(image["gamma_error_reason"].values.ravel(), fit.error_reason)
+
+
+# --- maximum likelihood is scipy's, for random parameters, wherever scipy's search ends -----------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_maximum_likelihood_equals_scipy(family):
+    """The whole comparison, 10,000 sets of each, is benchmarks/test_scipy.py."""
+    x = by_scipy.draw(family, np.random.default_rng(31), 30, 200)
+    compared = by_scipy.compare(family, x)
+    assert compared.both > 22
+    assert compared.off == 0
+    assert compared.likelihood_lost < 1e-9
+
+
+@pytest.mark.parametrize("family", by_scipy.EQUATIONS)
+def test_likelihood_equations_are_solved(family):
+    """SciPy's search feels the likelihood, not its slope: the equations in 40 digits are exact."""
+    x = by_scipy.draw(family, np.random.default_rng(34), 8, 200)
+    fit = chd.fit.fit(x, family)
+    for i in np.flatnonzero(fit.reason == Reason.OK):
+        ours = {name: float(values[i]) for name, values in fit.parameters.items()}
+        exact = by_scipy.exact_fit(family, x[i], ours)
+        for name, value in exact.items():
+            assert ours[name] == pytest.approx(value, rel=1e-6, abs=1e-8)
