@@ -214,17 +214,22 @@ def main() -> None:
     )
     every = [m for p in paths for m in Source(p).mutated(p.relative_to(options.root).as_posix())]
     drawn = random.Random(options.seed).sample(every, options.count)  # noqa: S311
-    same = replace(drawn[0], new=drawn[0].old)
+    chosen = {mutant: tests.of(mutant, options.longest) for mutant in drawn}
+    first = next((mutant for mutant in drawn if chosen[mutant]), None)
+    if first is None:
+        parser.error(f"expected tests in {options.coverage} that run a line to change, got none")
+    same = replace(first, new=first.old)
     counts = Counter[str]()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         copy(options.root, folder)
-        control = fate(same, tests.of(same, options.longest), folder, options.longest)
+        control = fate(same, chosen[first], folder, options.longest)
         if not control.startswith("survived"):
             parser.error(f"a test of what is not changed must pass: {control}")
         for mutant in drawn:
-            chosen = tests.of(mutant, options.longest)
-            found = fate(mutant, chosen, folder, options.longest) if chosen else "survived: 0 tests"
+            found = "survived: 0 tests"
+            if chosen[mutant]:
+                found = fate(mutant, chosen[mutant], folder, options.longest)
             counts[found.split(":")[0]] += 1
             print(f"{found}\t{mutant}".replace("\n", " "), flush=True)  # noqa: T201
     noticed = binomtest(options.count - counts["survived"], options.count)
