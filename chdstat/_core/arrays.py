@@ -291,7 +291,6 @@ def warn_left_out(
     channel_axis: int | None = None,
     logarithms: bool = False,
     within: str | tuple[str, ...] = "",
-    absent: int = 0,
 ) -> None:
     """Warn if a function leaves out more than 1 % of samples; see `LeftOut`.
 
@@ -302,7 +301,7 @@ def warn_left_out(
     if within and any(not frame.f_globals["__name__"].startswith(within) for frame in inside):
         return
     left_out = LeftOut(logarithms=logarithms)
-    left_out.see(x, channel_axis=channel_axis, absent=absent)
+    left_out.see(x, channel_axis=channel_axis)
     left_out.warn()
 
 

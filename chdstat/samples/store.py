@@ -273,13 +273,6 @@ class Store:
             held = self.read(chunk.ys, chunk.xs, chunk.ss)
         return self.ledger.marked(chunk, held)
 
-    def complete_spp(self) -> int:
-        """Return the number of leading samples that every pixel has, out of those it should have.
-
-        In an adaptive render, only whole batches count.
-        """
-        return self.ledger.complete_spp
-
     def chunk_file(self, chunk: Chunk) -> Path:
         """Return the file that holds a chunk."""
         return self.path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
@@ -467,13 +460,13 @@ class Store:
     def note(self, chunk: Chunk) -> None:
         """Count a chunk as stored, whoever wrote its file."""
         self.ledger.note(chunk)
-        if self.complete_spp() > self._manifest["complete"]:
+        if self.ledger.complete_spp > self._manifest["complete"]:
             self.update()
 
     def update(self, *, parts: Iterable[LightPart] = (), **attrs: Any) -> None:
         """Change attributes, and record the samples that every pixel has, and the parts."""
         before = self._attributes
-        complete = max(self._manifest["complete"], self.complete_spp())
+        complete = max(self._manifest["complete"], self.ledger.complete_spp)
         held = {**self._manifest, "shape": list(self.shape), "complete": complete}
         self._change(layout.with_parts(held, parts), **attrs)
         if self._attributes != before:
@@ -513,7 +506,7 @@ class Store:
         before, self.ledger = self.ledger.held, self._empty()
         self.ledger.held[..., : before.shape[2]] = before
         self._lay_out()
-        complete = self.complete_spp()  # of counts that grew, fewer than before
+        complete = self.ledger.complete_spp  # of counts that grew, fewer than before
         self._change({"shape": list(self.shape), "complete": complete})
         with layout.disk_errors(self.path):
             self._save()
@@ -590,20 +583,20 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
         its folder ``direct`` holds other samples.
     """
     store = Store.open(place_of(path))
-    if not store.complete_spp():
+    if not store.ledger.complete_spp:
         message = (
             f"{path} holds no sample that every pixel has: its rendering was stopped early. "
             "Run the same 'chdstat render' or import again to resume it"
         )
         raise StoreError(message)
     parts = store.parts().items()
-    return _of_store(store, {k: _of_store(part) for k, part in parts if part.complete_spp()})
+    return _of_store(store, {k: _of_store(part) for k, part in parts if part.ledger.complete_spp})
 
 
 def _of_store(store: Store, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
     """Return the samples that every pixel of an open store has, and as many of their parts."""
     height, width, _, _ = store.shape
-    spp = store.complete_spp()
+    spp = store.ledger.complete_spp
     known = {
         which: found if found.spp <= spp else found.isel(sample=slice(spp))
         for which, found in (parts or {}).items()
@@ -689,11 +682,11 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         **store.attrs,
         "path": str(shown(store.path)),
         "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
-        "complete_spp": store.complete_spp(),
+        "complete_spp": store.ledger.complete_spp,
         "pending_chunks": len(store.pending()),
-        "direct_spp": parts[DIRECT_DEPTH].complete_spp() if DIRECT_DEPTH in parts else 0,
-        "depths": {str(k): p.complete_spp() for k, p in parts.items() if isinstance(k, int)},
-        "lights": {k: p.complete_spp() for k, p in parts.items() if isinstance(k, str)},
+        "direct_spp": parts[DIRECT_DEPTH].ledger.complete_spp if DIRECT_DEPTH in parts else 0,
+        "depths": {str(k): p.ledger.complete_spp for k, p in parts.items() if isinstance(k, int)},
+        "lights": {k: p.ledger.complete_spp for k, p in parts.items() if isinstance(k, str)},
         "features": store.feature_names,
         "counts": None if counts is None else [int(counts.min()), int(counts.max())],
         "bytes": sum(f.stat().st_size for f in files),

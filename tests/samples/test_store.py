@@ -66,7 +66,7 @@ def test_what_is_written_is_read_to_the_bit(tmp_path, shape, channels):
     x = radiance(*shape, channels=channels)
     fill(create(tmp_path / "s.zarr", x), x)
     store = Store.open(tmp_path / "s.zarr")
-    assert store.complete_spp() == shape[2]
+    assert store.ledger.complete_spp == shape[2]
     assert store.pending() == []
     assert store.read(ALL, ALL, ALL).tobytes() == x.tobytes()
     for part in map(slice, (0, 15, 60, 63), (1, 17, 68, 65)):  # across the borders of chunks
@@ -80,7 +80,7 @@ def test_only_batches_that_all_pixels_have_count(tmp_path):
     x = radiance(TILE, 2 * TILE, 2 * BATCH)
     path = tmp_path / "s.zarr"
     store = fill(create(path, x), x, at_most=1)
-    assert store.complete_spp() == 0
+    assert store.ledger.complete_spp == 0
     with pytest.raises(StoreError, match="resume"):
         chd.open(path)
     fill(store, x, at_most=2)
@@ -96,7 +96,7 @@ def test_growing_keeps_what_is_stored(tmp_path, old, new):
     path = tmp_path / "s.zarr"
     store = fill(create(path, x[..., :old]), x[..., :old])
     store.extend(new)
-    assert store.complete_spp() == old
+    assert store.ledger.complete_spp == old
     assert np.array_equal(store.read(ALL, ALL, slice(0, old)), x[..., :old])
     assert np.array_equal(Store.open(path).read(ALL, ALL, slice(0, old)), x[..., :old])
     assert all(chunk.ss.stop > old for chunk in store.pending())
@@ -113,7 +113,7 @@ def test_a_growth_stopped_halfway_goes_on(tmp_path):
     store.close()
     assert Store.open(path).damaged() == [path / "radiance/zarr.json"]
     again = Store.open(path, writable=True)
-    assert (again.complete_spp(), again.shape) == (10, x.shape)
+    assert (again.ledger.complete_spp, again.shape) == (10, x.shape)
     assert again.damaged() == []
     assert np.array_equal(fill(again, x).read(ALL, ALL, ALL), x)
 
