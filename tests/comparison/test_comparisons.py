@@ -598,9 +598,7 @@ def test_a_point_of_the_curve_is_a_comparison():
 
 
 def test_what_learns_is_measured_at_its_own_size(quick_model):
-    curve = error_curve(
-        falling_image(), ["mean", "elek2019"], sizes=[16, 32], quick_model=quick_model
-    )
+    curve = error_curve(falling_image(), ["mean", "elek2019"], sizes=[16, 32], model=quick_model)
     assert np.isfinite(curve.measures["relmse"].value).tolist() == [[True, False], [True, True]]
     assert curve.test_pixels == 96
     assert curve.batches.tolist() == [96 * 10, 96 * 5]
