@@ -9,8 +9,7 @@ them to a file.
 
 from __future__ import annotations
 
-from chdstat.certification.certifying import certify, draw, of_scenes
-from chdstat.certification.datasets import certified, save
+from chdstat.certification.certifying import certified, certify, draw, of_scenes, save
 from chdstat.certification.scores import (
     COUNTS,
     CertifiedBench,

@@ -26,8 +26,7 @@ from chdstat._core.resampling import (
     quantile_of,
     wilson,
 )
-from chdstat.certification.certifying import FRESH_SEED, draw
-from chdstat.certification.datasets import certified
+from chdstat.certification.certifying import FRESH_SEED, certified, draw
 from chdstat.certification.reduction import SIZES
 from chdstat.errors import InputError, Reason
 from chdstat.fit import select, tail_index

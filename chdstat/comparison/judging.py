@@ -35,8 +35,8 @@ from chdstat.comparison.metrics import SUMS, counts, errors_of, measures_of
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.held_out import draw_pixels, judging_pixels
-from chdstat.estimators.order import mean
 from chdstat.estimators.registry import LearnedEstimator, Model, lookup
+from chdstat.estimators.robust_means import mean
 from chdstat.patterns import Label, classify
 from chdstat.samples import Samples
 

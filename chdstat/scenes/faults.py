@@ -26,7 +26,7 @@ from chdstat._core.arrays import Image
 from chdstat._core.files import is_file
 from chdstat.errors import SceneError, brief, did_you_mean
 from chdstat.scenes.plugins import known_names
-from chdstat.scenes.scene_files import digest_of
+from chdstat.scenes.scene import digest_of
 from chdstat.scenes.settings import GUIDED
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from docutils import nodes
 from numpydoc.docscrape import NumpyDocString
 from sphinx.util.docutils import SphinxDirective
 
-from chdstat.certification.datasets import COORDINATES, SCHEMA
+from chdstat.certification.certifying import COORDINATES, SCHEMA
 from chdstat.certification.reduction import Numbers
 
 __all__ = ["CertifiedSchema"]

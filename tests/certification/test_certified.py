@@ -7,8 +7,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.certification import certified, certify, draw, hold, of_scenes, save, separation
-from chdstat.certification.certifying import chosen
-from chdstat.certification.datasets import SCHEMA
+from chdstat.certification.certifying import SCHEMA, chosen
 from chdstat.certification.reduction import Numbers
 from chdstat.errors import InputError, Reason, SceneError, StoreError
 from chdstat.scenes import BUILTIN
@@ -50,9 +49,9 @@ def test_the_file_holds_512_pixels_of_the_scenes_as_they_are(truth):
 
 
 def test_the_file_is_small_and_every_variable_is_described(truth):
-    from chdstat.certification import datasets
+    from chdstat.certification import certifying
 
-    assert datasets._FILE.stat().st_size < 2_000_000
+    assert certifying._FILE.stat().st_size < 2_000_000
     names = {*SCHEMA, *Numbers.declared()}
     assert names == {*truth.variables} - {*truth.dims}
     assert all(truth[name].attrs["long_name"] for name in names)

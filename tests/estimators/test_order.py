@@ -6,8 +6,7 @@ from scipy import optimize, stats
 from statsmodels.robust import norms, scale
 
 from chdstat import estimators
-from chdstat.estimators.order import balance
-from chdstat.estimators.robust_means import bootstrap_counts, bucket_means, gini
+from chdstat.estimators.robust_means import balance, bootstrap_counts, bucket_means, gini
 
 
 def test_dtype_stays_and_rounding_does_not_add_up():
