@@ -36,7 +36,7 @@ def test_statistics_agree_with_numpy(samples, found):
     np.testing.assert_allclose(found["coefficient_of_variation"], expected, rtol=1e-5)
 
 
-def test_a_pixel_does_not_depend_on_how_many_are_taken_at_once(samples, found, monkeypatch):
+def test_cuts_change_no_pixel(samples, found, monkeypatch):
     monkeypatch.setattr(tiles, "_AT_ONCE", 7 * samples[0, 0].nbytes)
     monkeypatch.setattr(tiles, "_MOST_BYTES", 20 * samples[0, 0].nbytes)
     xr.testing.assert_allclose(chd.analyze(samples), found, rtol=1e-6)  # sums in other orders
@@ -97,7 +97,7 @@ def test_the_overview_counts_what_was_put_in(found):
     assert sum(numbers.families.values()) == pytest.approx(1)
 
 
-def test_the_overview_is_json_even_where_nothing_can_be_said():
+def test_the_overview_is_always_json():
     numbers = overview(chd.analyze(chd.Samples.from_array(np.zeros((2, 2, 3, 4)))))
     text = json.dumps(numbers.to_dict(), allow_nan=False)
     assert json.loads(text)["null_share"] == 1
@@ -114,7 +114,7 @@ def test_maps_are_kept_and_never_overwritten(found, tmp_path):
         save(found, path)
 
 
-def test_maps_are_written_as_many_at_once_as_fit_into_memory(found, tmp_path, monkeypatch):
+def test_maps_are_written_as_memory_allows(found, tmp_path, monkeypatch):
     writes, write = [], xr.Dataset.to_zarr
     some = found[list(found)[:12]]
 

@@ -191,7 +191,7 @@ def test_an_analysis_that_was_stopped_goes_on(store, tmp_path):
     assert found.identical(chd.analyze(samples, progress=False))
 
 
-def test_checkpoints_remove_nothing_of_others_and_need_a_folder(store, tmp_path):
+def test_checkpoints_remove_nothing_of_others(store, tmp_path):
     own = tmp_path / "thesis.txt"
     own.write_text("years of work")
     estimate(store, checkpoint=tmp_path)

@@ -40,7 +40,7 @@ def large():
 # --- names --------------------------------------------------------------------------------------
 
 
-def test_a_size_is_that_of_a_film_and_a_shape_that_of_an_image():
+def test_sizes_are_films_and_shapes_images():
     """(width, height) in what renders, and (height, width) as of an array elsewhere."""
     modules = [value for name in chd.__all__ if inspect.ismodule(value := getattr(chd, name))]
     functions = {
@@ -259,7 +259,7 @@ LOGARITHMIC = ("classify", "fit.gamma", "fit.tail_index", "modality", "gaussiani
 
 
 @pytest.mark.parametrize("name", IMAGE)
-def test_more_than_a_hundredth_left_out_is_told_with_its_reason(large, name):
+def test_what_is_left_out_is_told(large, name):
     bad = large.copy()
     bad[:, 0, 0, :12], bad[0, :, 1, 20], bad[1, :, 2, 20] = np.nan, np.inf, -np.inf
     with warnings.catch_warnings(record=True, action="always") as caught:
@@ -282,7 +282,7 @@ def test_a_hundredth_is_tolerated(large, name):
 
 
 @pytest.mark.parametrize("name", IMAGE)
-def test_negative_samples_are_left_out_of_logarithms_alone(large, name):
+def test_logarithms_leave_negatives_out(large, name):
     signed = large.copy()
     signed[..., 2, ::8] *= -1
     image = Samples.from_array(signed)
@@ -321,7 +321,7 @@ def test_a_command_prints_one_line_of_it(large, tmp_path, run):
 
 
 @pytest.mark.parametrize("name", TAKING)
-def test_no_pixels_have_no_results_or_are_refused_in_words(name):
+def test_no_pixels_have_no_results(name):
     for shape in ((0, 3, 16), (0, 2, 3, 16), (2, 3, 0, 16), (2, 3, 3, 0)):
         with contextlib.suppress(InputError):
             assert np.size(TAKING[name](np.zeros(shape))) == 0

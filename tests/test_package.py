@@ -108,7 +108,7 @@ def test_the_names_are_few_and_each_is_described():
 
 
 @pytest.mark.parametrize("name", FOLDERS)
-def test_a_folder_shows_what_users_need_and_no_helper_modules(name):
+def test_a_folder_shows_no_helper_modules(name):
     module = getattr(chd, name)
     below = {m.name for m in pkgutil.iter_modules(module.__path__)}
     assert dir(module) == sorted(module.__all__)
@@ -121,14 +121,14 @@ def test_unknown_names_are_attribute_errors():
 
 
 @pytest.mark.parametrize("folder", ["chdstat", *(f"chdstat.{m}" for m in FOLDERS)])
-def test_no_public_function_shares_its_name_with_a_submodule(folder):
+def test_no_function_is_called_like_a_module(folder):
     package = importlib.import_module(folder)
     below = {m.name for m in pkgutil.iter_modules(package.__path__)}
     offered = {n for n in package.__all__ if not inspect.ismodule(getattr(package, n))}
     assert not below & offered
 
 
-def test_public_names_stay_what_they_are_whatever_is_imported():
+def test_public_names_stay_what_they_are():
     names = {name: getattr(chd, name) for name in chd.__all__}
     for module in modules():
         if not module.endswith("__main__"):

@@ -59,7 +59,7 @@ def test_it_says_what_the_functions_say(samples, pixel):
     )
 
 
-def test_its_figure_shows_both_scales_and_a_notebook_shows_it(samples, pixel):
+def test_a_figure_shows_both_scales(samples, pixel):
     figure = samples.plot(3, 2)
     linear, log = figure.axes
     assert (linear.get_xscale(), log.get_xscale()) == ("linear", "log")

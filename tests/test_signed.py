@@ -73,7 +73,7 @@ def test_noise_moves_no_estimate_of_the_image(name):
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_the_estimate_of_minus_the_samples_is_minus_the_estimate(name):
+def test_minus_the_samples_is_minus_the_estimate(name):
     x = NOISY[0, :, :, :33]
     function = getattr(estimators, name)
     assert function(-x) == pytest.approx(-function(x), rel=1e-9, abs=1e-12)
@@ -87,7 +87,7 @@ def test_a_location_moves_with_its_samples(name):
 
 
 @pytest.mark.parametrize("name", FIXED)
-def test_samples_that_cancel_are_estimated_as_any_others(name):
+def test_samples_that_cancel_are_estimated(name):
     x = np.tile(np.repeat([1.0, -1.0], 16), (3, 3, 3, 1))
     assert np.isfinite(estimators.lookup(name)(x)).all()
 
@@ -109,7 +109,7 @@ def test_references_keep_them():
     assert totals.mean_without(batch) == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
-def test_a_reference_of_black_samples_is_black_and_not_rounding():
+def test_a_black_reference_is_no_rounding():
     x = np.zeros((1, 1, 1, 8))
     x[..., :4] = 0.1, 0.2, 0.3, 0.7
     totals = Totals.of(chd.Samples.from_array(x))
@@ -123,7 +123,7 @@ def test_a_comparison_leaves_no_batch_out():
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_a_pixel_of_negative_samples_says_why_it_has_no_fit():
+def test_negative_pixels_say_why_nothing_fits():
     assert chd.fit.lognormal([-1.0, -2.0, 0.0]).reason == Reason.NONE_POSITIVE
     assert chd.modality([-1.0] * 64).reason == Reason.NONE_POSITIVE
 

@@ -236,7 +236,7 @@ def test_nulls_bad_samples_and_order_take_no_part(name):
 
 
 @pytest.mark.parametrize("name", STATISTICS)
-def test_an_image_has_what_its_pixels_have_with_names_and_units(name):
+def test_an_image_has_what_its_pixels_have(name):
     statistic = STATISTICS[name]
     x = np.random.default_rng(10).gamma(1.5, size=(2, 3, 3, 256)).astype(np.float32)
     x[0, 1] = 0
@@ -258,7 +258,7 @@ def test_an_image_has_what_its_pixels_have_with_names_and_units(name):
 
 
 @pytest.mark.parametrize("name", [name for name, s in STATISTICS.items() if s.binned])
-def test_histograms_of_an_image_go_the_way_of_its_pixels(name):
+def test_histograms_go_the_way_of_pixels(name):
     statistic = FamilySelection() if name == "FamilySelection" else STATISTICS[name]
     x = np.random.default_rng(11).gamma(2.0, size=(2, 3, 3, 256))
     x[..., ::3] *= 5

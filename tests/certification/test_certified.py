@@ -35,7 +35,7 @@ def box():
 # --- the library's own --------------------------------------------------------------------------
 
 
-def test_the_file_holds_512_pixels_of_the_scenes_as_they_are(truth):
+def test_512_pixels_are_certified(truth):
     scenes, counts = np.unique(truth["scene"], return_counts=True)
     assert scenes.tolist() == sorted(BUILTIN)
     assert counts.tolist() == [64] * 8
@@ -48,7 +48,7 @@ def test_the_file_holds_512_pixels_of_the_scenes_as_they_are(truth):
     assert truth["weight"].groupby("scene").sum().to_numpy() == pytest.approx(4096, rel=0.01)
 
 
-def test_the_file_is_small_and_every_variable_is_described(truth):
+def test_the_file_is_small_and_described(truth):
     from chdstat.certification import certifying
 
     assert certifying._FILE.stat().st_size < 2_000_000
@@ -163,7 +163,7 @@ def test_other_files_are_refused(tmp_path, content):
         certified(path)
 
 
-def test_each_block_gives_a_pixel_and_rare_kinds_are_as_frequent():
+def test_rare_kinds_are_as_frequent():
     """A corner of nulls is 1/16 of the image, and its share of the pixels is larger."""
     rng = np.random.default_rng(1)
     x = rng.exponential(size=(32, 32, 3, 128)).astype(np.float32)
@@ -182,7 +182,7 @@ def test_each_block_gives_a_pixel_and_rare_kinds_are_as_frequent():
 # --- scores -------------------------------------------------------------------------------------
 
 
-def test_intervals_that_hold_are_counted_where_both_are_known(truth):
+def test_held_intervals_are_counted(truth):
     true = truth["mean"]
     half = (truth["mean_se"] * 1e3).where(truth["y"] % 2 == 0)  # no answer in every other row
     assert hold(true - half, true + half, true).value == 1

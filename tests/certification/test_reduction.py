@@ -85,7 +85,7 @@ def test_averages_of_an_exponential(exponential):
 
 
 @pytest.mark.parametrize("xi", [-0.2, 0.0, 0.3])
-def test_tail_index_of_a_generalised_pareto_at_every_depth(xi):
+def test_tail_index_at_every_depth(xi):
     x = stats.genpareto(xi).rvs(N, random_state=np.random.default_rng(3))
     found = of(x)
     known = found["tail_index_reason"] == Reason.OK

@@ -142,7 +142,7 @@ LIBRARY = {
 }
 
 
-def test_a_render_has_an_option_for_each_of_its_settings():
+def test_a_render_has_its_options():
     """An option that is not given is no argument: the library knows what holds then."""
     assert arguments.CommonOptions().settings == {}
     texts = {"size": "12x8", "crop": "1,2,3x4", "integrator": '{"type": "path"}', "spp": 3}
@@ -162,7 +162,7 @@ def test_the_help_names_every_sampler(command):
 
 
 @pytest.mark.parametrize("command", LIBRARY)
-def test_options_that_are_not_given_are_as_in_the_library(command):
+def test_defaults_are_the_library_s(command):
     """But for those that a store has, or that are the library's where they are not given."""
     taken = {option.name: option for option in COMMANDS[command].params}
     others = {"source", "out", "store", "scenes", "estimators", "folder"}
@@ -253,7 +253,7 @@ def test_nothing_but_an_output_is_overwritten(run, store, tmp_path):
     assert "a store of samples is resumed or appended to" in err
 
 
-def test_contrast_has_an_outcome_an_exit_code_and_a_page(run, store, tmp_path):
+def test_contrast_has_an_exit_code_and_a_page(run, store, tmp_path):
     again, dark = tmp_path / "again.zarr", tmp_path / "dark.zarr"
     other = chd.render("cornell-box", spp=16, size=(12, 10), seed=1, out=again, backend="scalar")
     chd.Samples.from_array(0.5 * other.read(), scene="cornell-box").save(dark)
@@ -326,7 +326,7 @@ def test_estimate_renders_and_keeps_a_store(run, tmp_path, rendering):
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_an_estimate_while_rendering_says_the_error_of_each_pass(run, tmp_path, caplog, quiet):
+def test_each_pass_says_its_error(run, tmp_path, caplog, quiet):
     asked = ("estimate", "cornell-box", "-o", tmp_path / "box.exr", "--while-rendering")
     size = ("--spp", 32, "--size", "10x8", "--backend", "scalar", *["-q"] * quiet)
     assert run(*asked, *size)[0] == 0
@@ -520,7 +520,7 @@ def test_commands_take_different_numbers_of_samples(run, tmp_path, monkeypatch, 
     assert "24" in err
 
 
-def test_tables_cut_no_number_where_the_terminal_is_narrow(monkeypatch, capsys):
+def test_narrow_tables_cut_no_number(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "12")
     output.print_rows([{"a": "median_of_means", "b": "1.20 [0.876, 1.64]"}], {"a": "", "b": "b"})
     assert capsys.readouterr().out.split() == ["b", "median_of_means", "1.20", "[0.876,", "1.64]"]

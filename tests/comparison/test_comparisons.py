@@ -121,7 +121,7 @@ def test_the_result_is_ready_for_json_and_netcdf(found, labelled):
     assert all({"long_name", "units"} <= set(v.attrs) for v in split.data_vars.values())
 
 
-def test_a_missing_model_is_trained_on_pixels_of_the_seed(monkeypatch):
+def test_a_missing_model_is_trained(monkeypatch):
     calls = []
 
     def train(samples, *, seed, pixels, progress):
@@ -154,7 +154,7 @@ def test_no_row_depends_on_who_else_is_compared(monkeypatch):
             assert same == pytest.approx(expected, rel=1e-12, nan_ok=True)
 
 
-def test_batches_with_bad_samples_are_left_out_and_counted():
+def test_bad_batches_are_left_out_and_counted():
     x = image(spp=96).read().copy()
     x[3, 4, 1, 40] = np.nan
     x[5, 5, 2, 80] = -np.inf
@@ -180,7 +180,7 @@ def test_counts_that_differ_share_batches():
         chd.compare(chd.Samples.from_array(x, counts=counts), ["mean"], n=40)
 
 
-def test_max_batches_limits_what_estimates_and_not_the_reference():
+def test_max_batches_limits_estimates_alone():
     few, whole = (chd.compare(image(), ["mean"], max_batches=k) for k in (1, None))
     assert few.batches == 320
     assert whole.batches == 5 * 320
@@ -258,7 +258,7 @@ def test_rounding_is_no_improvement():
     assert np.isnan(found["squared"]).all()
 
 
-def test_estimators_of_ones_own_are_measured_and_spoil_no_other():
+def test_own_estimators_spoil_no_other():
     backwards = own("backwards", lambda x: x[..., ::-1].mean(axis=-1))
     brighter = own("brighter", lambda x: 1.001 * x.mean(axis=-1))
     fails = own("fails", lambda x: np.full(x.shape[:-1], np.inf))
@@ -303,7 +303,7 @@ def test_rows_are_in_the_order_asked_for():
 # --- how sure it is -----------------------------------------------------------------------------
 
 
-def test_every_pixel_is_in_one_unit_of_its_label_and_block():
+def test_every_pixel_is_in_one_unit():
     rng = np.random.default_rng(1)
     test = rng.random((40, 50)) < 0.7
     labels = rng.integers(0, 3, size=test.shape)
@@ -320,7 +320,7 @@ def test_every_pixel_is_in_one_unit_of_its_label_and_block():
     assert (few.sum(np.ones(12)) == 1).all()
 
 
-def test_intervals_know_that_neighbours_gain_and_lose_together():
+def test_intervals_know_of_neighbours():
     """The spread over 40 images of other blocks; with pixels for units it would be 3 times as
     large as claimed."""
     rng = np.random.default_rng(3)
@@ -370,7 +370,7 @@ class Half:
         return np.asarray(x).mean(axis=-1) / 2
 
 
-def test_models_come_by_the_name_of_the_estimator_that_they_are(monkeypatch):
+def test_models_come_by_name(monkeypatch):
     entry = registry.LearnedEstimator(
         "half", lambda *_, **__: 1 / 0, "this test", inputs=None, pixels=20
     )
@@ -386,7 +386,7 @@ def test_models_come_by_the_name_of_the_estimator_that_they_are(monkeypatch):
 # --- memory -------------------------------------------------------------------------------------
 
 
-def test_memory_grows_neither_with_batches_nor_with_estimators():
+def test_memory_grows_with_nothing():
     samples = image(height=64, width=64, spp=256)
 
     def peak(names, batches):
@@ -519,7 +519,7 @@ def test_latex_has_a_line_for_each_estimator(found):
     assert rows[0].startswith("sample mean & 1.00 & ")
 
 
-def test_an_error_of_the_mean_that_is_rounding_divides_nothing():
+def test_an_error_that_is_rounding_divides_nothing():
     """Of equal samples, the mean is exact but for rounding: nothing is better or worse."""
     x = image(height=6, width=6).read().copy()
     x[:3] = np.random.default_rng(0).uniform(0.1, 0.9, size=(3, 6, 3, 1))
@@ -553,7 +553,7 @@ def curve():
     return error_curve(samples, ["mean", "median", "median_of_means"])
 
 
-def test_default_sizes_hold_one_that_each_estimator_takes():
+def test_default_sizes_suit_each_estimator():
     names = ["mean", "median_of_means", "elek2019"]
     assert curve_sizes(falling_image(spp=64), names) == (4, 8, 11, 32)
     assert curve_sizes(falling_image(spp=1024), names) == (4, 8, 16, 32, 64, 128)

@@ -97,7 +97,7 @@ def test_the_table_says_what_the_default_estimate_is(cornell):
     assert about[1:].split()[2] in repr(found)
 
 
-def test_what_does_not_apply_is_left_out_with_the_reason():
+def test_what_does_not_apply_is_left_out():
     rng = np.random.default_rng(0)
     two = chd.Samples.from_array(rng.exponential(size=(6, 6, 2, 40)))
     found = chd.compare(two, n=8, progress=False)

@@ -39,7 +39,7 @@ def scaled(c):
     ("nulls", "spp", "n"), [(0.3, 48, 16), (0.9, 128, 32), (0.99, 128, 32), (0.6, 64, 16)]
 )
 @pytest.mark.parametrize("image", [1.0, GRADIENT], ids=["constant", "gradient"])
-def test_ratios_of_known_errors_are_within_their_intervals(nulls, spp, n, image):
+def test_ratios_lie_within_their_intervals(nulls, spp, n, image):
     """Twice 3 intervals of 95 %, all of which are dependent, in 3 images: 2 of 3 hold them all."""
     factors, held = (0.0, 0.5, 1.3), []
     truth = np.array([c**2 + (1 - c) ** 2 * n / (2 / (1 - nulls) - 1) for c in factors])
@@ -57,7 +57,7 @@ def test_ratios_of_known_errors_are_within_their_intervals(nulls, spp, n, image)
     assert np.sum(held) >= 4
 
 
-def test_rare_light_does_not_reward_an_image_without_light():
+def test_rare_light_rewards_no_black_image():
     """Seen against the mean of the other samples, the black image seemed .46 as wrong as the mean:
     a reference that missed its light weighed its pixel a hundredfold."""
     rows = chd.compare(draw(4, 0.9, 128), [scaled(0.0), "median_of_means"], progress=False).table()
@@ -109,7 +109,7 @@ def test_a_batch_is_in_no_part_of_its_reference():
     np.testing.assert_allclose(theirs.variance, ours.variance, rtol=1e-8)
 
 
-def test_pixels_whose_parts_are_not_all_known_have_no_reference():
+def test_unknown_parts_have_no_reference():
     x = np.random.default_rng(0).exponential(size=(8, 8, 1, 64)).astype(np.float32)
     x[1, 2, 0, 3::4] = np.nan
     x[3, 4, 0, 5] = np.inf
@@ -170,7 +170,7 @@ def test_training_batches_are_those_of_the_pixels_named(samples):
     assert references[1] == pytest.approx(x[5, 4, :, 25:].mean(axis=-1), rel=1e-6)
 
 
-def test_pixels_are_drawn_once_each_and_leave_half_of_the_image():
+def test_drawn_pixels_leave_half_of_the_image():
     drawn = draw_pixels((9, 7), 6400, seed=0)
     assert len(np.unique(drawn, axis=0)) == len(drawn) == 31
     assert (drawn >= 0).all()
@@ -194,7 +194,7 @@ def test_training_leaves_a_quarter_to_judge(side, trained):
     assert set(map(tuple, drawn.tolist())) <= set(map(tuple, more.tolist()))
 
 
-def test_too_few_samples_are_refused_with_what_is_needed(samples):
+def test_too_few_samples_say_what_is_needed(samples):
     check_spp(samples, 37)
     with pytest.raises(InputError, match="76 spp, got 75"):
         check_spp(samples, 38)

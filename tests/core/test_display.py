@@ -160,7 +160,7 @@ def results(samples, stored, model):
     return found
 
 
-def test_results_show_themselves_in_short_and_in_a_notebook(results):
+def test_results_show_themselves(results):
     for name, result in results.items():
         text = repr(result)
         assert len(text.splitlines()) <= 12, name
@@ -169,7 +169,7 @@ def test_results_show_themselves_in_short_and_in_a_notebook(results):
         assert Tags(result._repr_html_()).texts, name
 
 
-def test_samples_show_a_thumbnail_and_where_they_come_from(samples):
+def test_samples_show_a_thumbnail(samples):
     tags = Tags(samples._repr_html_())
     assert tags.images[0]["alt"] == "mean of the first 128 samples"
     assert {"<wall> (samples given)", "independent sampler, seed 3"} <= set(tags.texts)

@@ -125,7 +125,7 @@ def temporary(tmp_path, monkeypatch):
     return folder
 
 
-def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path, temporary):
+def test_killed_processes_leave_nothing(tmp_path, temporary):
     place = tmp_path / "place"
     place.mkdir()
     (place / "a.json").write_text("before")
@@ -177,7 +177,7 @@ def test_results_come_in_the_order_of_the_items():
     assert list(in_order(first_waits, range(8), workers=4)) == list(range(8))
 
 
-def test_an_error_is_raised_in_its_place_and_ends_the_work():
+def test_an_error_ends_the_work_in_its_place():
     begun = []
 
     def fail_at_three(i):
@@ -208,7 +208,7 @@ def test_items_are_taken_only_as_results_are_asked_for():
     results.close()
 
 
-def test_a_log_gets_lines_of_progress_where_they_are_asked_for(capfd):
+def test_a_log_gets_progress_if_asked_for(capfd):
     with track("counting", 4, show=True, line_every=0.001) as advance:
         advance(1)
         said = ""
@@ -224,7 +224,7 @@ def test_a_log_stays_clean_otherwise(capfd, show):
     assert capfd.readouterr().err == ""
 
 
-def test_maps_that_the_disk_has_no_room_for_are_an_error(tmp_path, monkeypatch):
+def test_a_full_disk_is_an_error(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

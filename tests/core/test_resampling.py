@@ -28,7 +28,7 @@ def field(rng, blocks):
 
 
 @pytest.mark.parametrize("statistic", [mean_of, quantile_of])
-def test_intervals_cover_where_neighbours_resemble_each_other(statistic):
+def test_intervals_cover_where_neighbours_are_alike(statistic):
     rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
     found = [statistic(field(rng, blocks), blocks) for _ in range(150)]
     assert np.mean([f.low <= 0 <= f.high for f in found]) > 0.9
@@ -51,7 +51,7 @@ def test_pixels_taken_for_independent_would_not_cover():
     assert np.mean([f.low <= 0 <= f.high for f in found]) < 0.75
 
 
-def test_regions_are_given_and_their_differences_are_no_noise():
+def test_regions_are_no_noise():
     two = Blocks.join([Blocks.grid(8, 8), Blocks.grid(8, 8)])
     values = np.repeat([0.0, 100.0], 64) + np.random.default_rng(0).normal(size=128)
     found = mean_of(values, two)
@@ -83,7 +83,7 @@ def test_blocks_of_some_pixels_keep_their_company():
 
 
 @pytest.mark.parametrize("ways", [2, 4])
-def test_the_least_of_equal_numbers_is_not_told_from_them(ways):
+def test_the_least_of_equals_is_not_told(ways):
     """A verdict that is wrong in 2.5 % is so in more than 11 of 150 with a probability of 1e-3."""
     rng, blocks = np.random.default_rng(ways), Blocks.grid(24, 24, across=8)
 

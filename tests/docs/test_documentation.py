@@ -42,7 +42,7 @@ def pinned() -> dict[str, str]:
     return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in pins}
 
 
-def test_both_commands_are_single_lines_for_a_fresh_clone() -> None:
+def test_both_commands_are_single_lines() -> None:
     run, test = code_blocks(README, "sh")[:2]
     for command in (run, test):
         assert command.count("\n") == 1
@@ -94,7 +94,7 @@ PUBLIC = [f"chdstat.{name}" for name in chd.__all__ if inspect.ismodule(getattr(
 
 
 @pytest.mark.parametrize("module", [*PUBLIC, "chdstat.studies.claims", "chdstat.explorer"])
-def test_every_public_name_has_its_place_in_the_reference(module: str) -> None:
+def test_every_public_name_is_in_the_reference(module: str) -> None:
     pages = "\n".join(page for name, page in PAGES.items() if name.startswith("reference/"))
     listed = {chd_name(name) for name in re.findall(r"^   ([\w.]+)$", pages, re.MULTILINE)}
     listed |= {chd_name(name) for name in re.findall(r"autodata:: ([\w.]+)", pages)}
@@ -132,7 +132,7 @@ def test_names_on_the_pages_exist(page: str) -> None:
         assert pydoc.locate(name) is not None, name
 
 
-def test_all_python_on_the_pages_is_run_when_they_are_built() -> None:
+def test_all_python_on_the_pages_is_run() -> None:
     assert [name for name, page in PAGES.items() if "code-block:: python" in page] == []
     assert sum(page.count(".. run::") for page in PAGES.values()) > 40
 

@@ -46,7 +46,7 @@ def reference():
     return x.mean(axis=-1), x.std(axis=-1, ddof=1) / np.sqrt(256)
 
 
-def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):
+def test_each_candidate_has_its_share(samples, found):
     total = sum(weight.astype(np.float64) for weight in found.weights.values())
     assert np.allclose(total, 1, atol=1e-5)
     assert min(weight.min() for weight in found.weights.values()) >= 0
@@ -100,7 +100,7 @@ def test_light_of_one_half_is_given_to_none():
     assert np.median(after / before) == pytest.approx(1, abs=0.015)
 
 
-def test_what_may_be_noise_and_what_is_certain_get_nothing():
+def test_noise_and_certainty_get_nothing():
     image, asked = rare_light(part=1, events=2)
     assert (lost_light(*asked)[0][0] < 1e-3 * image).all()
     image, (parts, estimates, moved) = rare_light(part=1, events=4000)
@@ -136,7 +136,7 @@ def quiet_and_loud(quiet, channel=None, n=64):
 
 @pytest.mark.parametrize("channel", [None, 0, 2])
 @pytest.mark.parametrize("quiet", [0.01, 0.1])
-def test_loud_pixels_and_channels_do_not_speak_for_quiet_ones(quiet, channel):
+def test_loud_pixels_do_not_speak_for_quiet_ones(quiet, channel):
     """They made squared errors up to 2,500 times as large."""
     truth, x, calm = quiet_and_loud(quiet, channel)
     found = estimate(x)
@@ -159,7 +159,7 @@ def test_what_is_known_exactly_is_the_estimate(n):
     assert ((found.low <= 2) & (found.high >= 2))[exact].all()
 
 
-def test_samples_that_are_equal_by_chance_are_not_certain():
+def test_equal_by_chance_is_not_certain():
     truth = np.full((48, 48, 1), 0.9)
     x = np.where(np.random.default_rng(2).random((48, 48, 1, 8)) < truth[..., np.newaxis], 1.0, 0.0)
     found = estimate(x)
@@ -199,7 +199,7 @@ def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, referenc
     assert (errors(found.radiance) < 1.1 * denoised).all()
 
 
-def test_intervals_hold_the_reference_and_are_wider_for_more(samples, found, reference):
+def test_intervals_hold_the_reference(samples, found, reference):
     truth, error = reference
     noisier = truth + error * np.random.default_rng(0).standard_normal(truth.shape)
     inside, less = (np.mean((found.low <= y) & (y <= found.high)) for y in (truth, noisier))
@@ -256,7 +256,7 @@ def test_a_lamp_that_many_samples_find_is_no_firefly():
     assert (found[30, 30] < 4).all()
 
 
-def test_it_is_denoised_once_more_as_far_as_the_samples_agree(samples, found):
+def test_it_is_denoised_as_far_as_samples_agree(samples, found):
     def row(*values):
         return np.array(values, np.float32).reshape(1, -1, 1)
 
@@ -393,7 +393,7 @@ def images_that_refute_a_prior():
         yield name, np.repeat(truth[..., np.newaxis], 3, axis=2)
 
 
-def test_an_image_that_is_negative_everywhere_has_its_radiance():
+def test_a_negative_image_has_its_radiance():
     x = -np.random.default_rng(0).exponential(size=(48, 48, 3, 4))
     found = chd.estimate(x, progress=False)
     assert found.radiance.mean() == pytest.approx(-1, abs=0.02)
@@ -413,7 +413,7 @@ def test_detail_is_kept_and_held(name, truth):
 
 
 @pytest.mark.parametrize(("n", "most"), [(4, 0.4), (16, 1 / 6), (64, 1 / 6)])
-def test_where_one_sample_in_a_thousand_has_a_third_of_the_light(n, most):
+def test_rare_light_of_a_third_comes_back(n, most):
     rng = np.random.default_rng(7)
     level = np.linspace(0.5, 1.5, 64)[:, np.newaxis, np.newaxis] * np.array((1, 0.9, 0.7))
     truth = 1.5 * level * np.ones((64, 64, 3))
@@ -495,7 +495,7 @@ def test_the_relative_error_is_about_that_of_the_image(samples, found, reference
     assert found.relative_error == pytest.approx(relative_error(squared, truth), rel=0.5)
 
 
-def test_without_the_denoiser_the_other_candidates_are_combined(samples, monkeypatch):
+def test_without_the_denoiser_others_are_combined(samples, monkeypatch):
     monkeypatch.setattr(halves, "works", lambda: False)
     x = samples.read()[..., :32].copy()
     x[10, 10, :, 3] = 1e4  # a firefly
@@ -509,7 +509,7 @@ def test_without_the_denoiser_the_other_candidates_are_combined(samples, monkeyp
 
 
 @pytest.mark.parametrize("shape", [(50, 1), (8, 8)])
-def test_intervals_of_small_and_thin_images_hold_the_truth(shape):
+def test_intervals_of_small_images_hold(shape):
     rng = np.random.default_rng(2)
     held = []
     for _ in range(12):

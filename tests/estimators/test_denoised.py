@@ -88,7 +88,7 @@ def test_curves_take_them_too(network):
     assert curve.estimators == ("mean + OIDN",)
 
 
-def test_what_cannot_be_denoised_is_refused_before_any_work(monkeypatch, network):
+def test_what_cannot_be_denoised_is_refused(monkeypatch, network):
     monkeypatch.setitem(sys.modules, "pyoidn", None)
     with pytest.raises(InputError, match="pyoidn"):
         chd.compare(image(), ["mean"], n=16, denoise=True)

@@ -86,7 +86,7 @@ def test_features_are_handed_over(calls):
     assert options["normal"].min() == -1
 
 
-def test_what_is_no_radiance_comes_back_nan_and_spoils_nothing(calls):
+def test_bad_radiance_comes_back_nan(calls):
     x = noisy((8, 8, 3))
     spoilt = x.copy()
     spoilt[2, 2, 0], spoilt[5, 6, 1], spoilt[0, 0, 2] = np.nan, np.inf, -1.0
@@ -105,7 +105,7 @@ def test_a_black_image_stays_black(calls):
     assert np.isnan(denoise(np.full((4, 4, 3), np.nan))).all()
 
 
-def test_without_the_denoiser_the_error_says_how_to_install_it(monkeypatch):
+def test_without_the_denoiser_an_error_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyoidn", None)
     with pytest.raises(InputError, match="pip install .*pyoidn"):
         denoise(noisy())

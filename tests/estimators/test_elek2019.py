@@ -160,7 +160,7 @@ def test_without_certainty_there_is_no_interval(trained, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_bad_black_and_signed_samples_have_estimates_too(trained):
+def test_bad_black_and_signed_have_estimates(trained):
     x = image(seed=5).read()[:3, :4, :, :32].copy()
     x[0, 0], x[0, 1, 2, 3], x[1], x[2, 0] = np.nan, np.inf, 0, -1
     found = trained.estimate(x)
@@ -181,7 +181,7 @@ def test_bad_black_and_signed_samples_have_estimates_too(trained):
 # --- what it was trained on ---------------------------------------------------------------------
 
 
-def test_pixels_that_trained_are_exposed_and_at_most_half(trained):
+def test_trained_pixels_are_at_most_half(trained):
     assert len(trained.train_pixels) == 24 * 24 // 2
     assert trained.train_shape == (24, 24)
     assert trained.provenance["pixels_wanted"] == 6400
@@ -226,7 +226,7 @@ def test_an_estimate_that_overflows_is_the_mean(trained):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_batches_with_bad_samples_do_not_train_and_are_counted():
+def test_bad_batches_do_not_train():
     x = image(spp=64).read().copy()
     x[:, :, 1, 40] = np.nan
     model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=10)
@@ -256,7 +256,7 @@ def test_incomplete_model_files_are_refused(tmp_path):
         MLP.load(path)
 
 
-def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
+def test_a_model_needs_a_folder(trained, tmp_path):
     with pytest.raises(StoreError, match="cannot write"):
         trained.save(tmp_path / "nowhere" / "model")
 

@@ -34,7 +34,7 @@ def model():
     return train_model(image(spp=64), **QUICK)
 
 
-def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch, model):
+def test_samples_beyond_memory_are_refused(monkeypatch, model):
     samples = image(spp=64)
     monkeypatch.setattr("chdstat._core.work.memory", lambda: 1.5 * samples.nbytes)
     with pytest.raises(InputError, match="64 spp.*--spp"):
@@ -89,7 +89,7 @@ def test_the_denoiser_comes_last(doubling, model):
     assert (smooth.low == plain.low).all()
 
 
-def test_the_file_holds_the_estimate_and_what_belongs_to_it(tmp_path, model, doubling):
+def test_the_file_holds_what_belongs_to_it(tmp_path, model, doubling):
     samples = image(spp=32)
     file = write_estimates(tmp_path / "a.exr", samples, model, denoise=True)
     found, expected = read_exr(file), estimate(samples, model)
@@ -121,7 +121,7 @@ def test_where_the_mean_is_finite_so_is_the_estimate(tmp_path):
     assert np.isfinite(found.image[finite]).all()
 
 
-def test_what_cannot_be_estimated_is_refused_and_leaves_no_file(tmp_path, model, monkeypatch):
+def test_a_refused_estimate_leaves_no_file(tmp_path, model, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="32"):
         write_estimates("a.exr", image(), model)
@@ -179,14 +179,14 @@ def test_a_model_needs_samples(model, monkeypatch):
         ({"level": 0}, "level must lie between 0 and 1"),
     ],
 )
-def test_what_cannot_be_estimated_is_refused_before_it_renders(monkeypatch, options, match):
+def test_refusals_come_before_rendering(monkeypatch, options, match):
     asked = rendering()
     monkeypatch.setattr(type(asked), "passes", None)
     with pytest.raises(InputError, match=match):
         estimate(asked, **options)
 
 
-def test_too_few_samples_are_refused_before_they_are_rendered(monkeypatch):
+def test_too_few_samples_are_not_rendered(monkeypatch):
     asked = rendering(spp=3)
     monkeypatch.setattr(type(asked), "passes", None)
     with pytest.raises(InputError, match="at least 4"):

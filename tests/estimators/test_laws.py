@@ -149,7 +149,7 @@ def test_bad_samples_are_left_out(name):
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", NEIGHBOURS)
-def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(name):
+def test_a_lost_pixel_neither_takes_nor_gives(name):
     x = images(12, (6, 6, 3, 16))
     x[2, 3, :, :] = np.nan
     x[4, 4, 0, :] = -np.inf
@@ -214,7 +214,7 @@ def test_options_out_of_range_are_refused(name, option, values):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_too_few_samples_are_refused_with_expected_and_received(name):
+def test_the_least_number_of_samples_is_named(name):
     least = ENTRIES[name].minimum_samples
     with pytest.raises(InputError, match=f"{least} sample.* with {least - 1}"):
         ENTRIES[name](np.ones((2, 2, 3, least - 1)))
@@ -222,7 +222,7 @@ def test_too_few_samples_are_refused_with_expected_and_received(name):
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if ENTRIES[n].joint_channels])
-def test_estimators_of_colours_refuse_samples_without_channels(name):
+def test_colours_need_channels(name):
     shape = r"\(.*channel, sample\), got \(32,\)"
     message = rf"x must (have shape|be an image of shape) {shape}"
     with pytest.raises(InputError, match=message):

@@ -178,7 +178,7 @@ def calls():
     registry.forget("share_features")
 
 
-def test_training_is_told_the_pixels_and_the_numbers_of_samples(calls):
+def test_training_is_told_pixels_and_sizes(calls):
     found = chd.compare(deep_image(), ["mean", "share"], n=8, seed=3, progress=False)
     ((told),) = calls
     assert told.keys() == {"seed", "pixels", "progress", "sizes"}
@@ -197,7 +197,7 @@ def test_features_reach_those_who_look_at_them(calls):
     assert twice == pytest.approx(2 * mean, rel=1e-5)
 
 
-def test_a_denoised_estimator_shares_the_training_of_its_own(calls, monkeypatch):
+def test_denoised_shares_the_training(calls, monkeypatch):
     monkeypatch.setattr(
         "chdstat.estimators.denoiser.run_network", lambda images, **_: images["color"]
     )
@@ -209,7 +209,7 @@ def test_a_denoised_estimator_shares_the_training_of_its_own(calls, monkeypatch)
     assert list(alone.models) == ["share"]
 
 
-def test_its_model_estimates_an_image_of_any_number_of_samples(calls):
+def test_a_model_takes_any_number_of_samples(calls):
     assert "share" in names("learned")
     model = Share(np.zeros((0, 2), int), (16, 12))
     for spp in (5, 32):

@@ -180,7 +180,7 @@ def test_strips_equal_the_whole(radius, patch):
         assert np.array_equal(wide[:, inside], narrow[:, inside])
 
 
-def test_weights_are_symmetric_and_each_pixel_counts_itself():
+def test_weights_are_symmetric():
     """Impulses give the columns of the matrix of weights."""
     field = np.random.default_rng(6).normal(size=(5, 4, 1))
     impulses = np.eye(20).reshape(5, 4, 20)

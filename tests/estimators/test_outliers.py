@@ -80,7 +80,7 @@ def resolve_by_hand(layers, n, kappa, radius):
 
 @pytest.mark.parametrize("kappa", [0.3, 1.0, 4.0, 32.0])
 @pytest.mark.parametrize("radius", [0, 1])
-def test_layers_and_their_weights_are_the_authors_formulas(kappa, radius):
+def test_layers_are_the_authors_formulas(kappa, radius):
     x = image()
     found = (estimators.zirr2018 if radius else estimators.zirr2018_pixel)(x, kappa=kappa, unit=1.0)
     expected = resolve_by_hand(split_by_hand(x), 32, kappa, radius)

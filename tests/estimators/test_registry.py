@@ -21,7 +21,7 @@ def brightest():
     registry.forget("brightest")
 
 
-def test_a_registered_estimator_is_an_attribute_until_forgotten(brightest):
+def test_a_registered_name_is_an_attribute(brightest):
     assert estimators.brightest is brightest
     registry.forget("brightest")
     with pytest.raises(AttributeError, match="brightest"):
@@ -44,7 +44,7 @@ def test_a_cell_of_a_notebook_is_run_again():
     registry.forget("bright")
 
 
-def test_its_row_says_what_it_is_called_and_where_it_stands():
+def test_a_row_has_a_label_and_a_place():
     @estimators.register("darkest", source="this test", label="the darkest", place=1)
     def function(x):
         return x.min(axis=-1)

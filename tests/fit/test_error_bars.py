@@ -66,7 +66,7 @@ def test_the_pixels_around_see_what_a_pixel_has_missed():
     assert float(coverage.min()) > 0.9
 
 
-def test_one_bright_sample_of_an_image_condemns_no_other_pixel():
+def test_one_bright_sample_condemns_no_other():
     x = lit(0)
     x[4, 4, 0, 100] = 30 * x.mean()
     assert not verdict_of(x)[1].any()

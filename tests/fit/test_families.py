@@ -158,7 +158,7 @@ def test_where_the_search_begins_makes_no_difference(family):
 
 
 @np.errstate(all="ignore")
-def test_a_row_without_a_fit_does_not_make_another_overflow():
+def test_an_unfitted_row_overflows_no_other():
     rows = np.array([[1e-3, 1.0, 2.0, 1e3], [1.0, 2.0, 3.0, 4.0]])
     (points,) = blocks(PositivePart.of(rows), np.ones(2, bool))
     parameters = {
@@ -183,7 +183,7 @@ def test_a_row_without_a_fit_has_no_density(family):
 
 
 @pytest.mark.parametrize("family", ["gamma", "lognormal", "weibull"])
-def test_quantiles_of_nearly_equal_samples_are_near_them(family):
+def test_nearly_equal_samples_have_near_quantiles(family):
     x = 1 + 1e-5 * np.random.default_rng(0).random(400)
     found, q = chd.fit.fit(x, family), np.array([0.01, 0.5, 0.99])
     np.testing.assert_allclose(found.cdf(found.ppf(q)), q, rtol=1e-6)

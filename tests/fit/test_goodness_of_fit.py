@@ -215,7 +215,7 @@ def test_replicates_are_not_the_draws_that_are_tested():
     assert 0.02 < np.mean(p <= 0.05) < 0.09
 
 
-def test_a_dozen_samples_fill_no_four_cells_with_five_each():
+def test_a_dozen_samples_fill_no_four_cells():
     result = goodness(np.random.default_rng(84).gamma(2.0, size=12), "gamma", resamples=9)
     assert result.reason.tolist() == [Reason.OK] * 3 + [Reason.TOO_FEW]
     np.testing.assert_array_equal(np.isnan(result.p_value), [False] * 3 + [True])

@@ -77,7 +77,7 @@ def test_held_out_loss_is_that_of_the_other_half():
     assert held_out.best == first
 
 
-def test_halves_differ_from_tight_fits_by_less_than_they_tell():
+def test_halves_differ_from_tight_fits_by_little():
     """Over rows with nulls, the losses are those of tight fits, to a fiftieth of an error."""
     rng = np.random.default_rng(23)
     x = np.where(rng.random((60, 512)) < 0.5, 0, draws("weibull")[:60])

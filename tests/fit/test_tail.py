@@ -27,7 +27,7 @@ def grafted(xi, share, shape, seed, body=None):
 
 
 @pytest.mark.parametrize("xi", [-0.3, 0.0, 0.25, 0.5, 1.0])
-def test_index_and_interval_of_generalised_pareto_samples(xi):
+def test_index_and_interval_of_pareto_samples(xi):
     """Bias below 0.02, coverage 0.93 to 0.96 (measured).
 
     4 deviations of the mean of 1000 rows are below 0.02, 4 of a coverage of 0.935 are 0.031: the
@@ -111,7 +111,7 @@ def contaminated(body, share, shape, seed):
         (stats.halfnorm(), 0.01, 2048),
     ],
 )
-def test_the_variance_of_a_rare_heavy_tail_is_not_trusted(body, share, samples):
+def test_rare_heavy_tails_are_not_trusted(body, share, samples):
     """The mean is infinite. Trusted in 0 to 3.5 % (measured); 4 deviations more are 7.5 %."""
     tail = chd.fit.tail_index(contaminated(body, share, (400, samples), 51))
     assert tail.variance_trusted.mean() < 0.075
@@ -183,7 +183,7 @@ def test_a_heavy_tail_above_equal_samples_is_found(rounding):
     np.testing.assert_array_equal(scaled.xi, tail.xi)
 
 
-def test_the_largest_samples_alone_do_not_begin_among_equal_ones():
+def test_the_far_tail_begins_at_no_tie():
     # The 28 largest begin within 60 that differ by rounding only, of which 5 stand out.
     rng = np.random.default_rng(60)
     lamp, brighter = 2.68 * (1 + 1e-6 * rng.standard_normal((40, 60))), rng.uniform(3, 4, (40, 5))
@@ -243,7 +243,7 @@ def test_heavy_intervals_hold_dominated_rows(xi):
     assert ((low <= xi) & (high >= xi)).mean() > 0.92
 
 
-def test_the_interval_without_the_largest_of_equal_samples():
+def test_without_the_largest_the_others_are_equal():
     # The others are equal, which is a bounded tail.
     x = np.r_[np.random.default_rng(63).random(200), np.full(60, 2.0), 1e4]
     tail = chd.fit.tail_index(x)

@@ -103,7 +103,7 @@ def test_n_needed_is_the_first_size():
     assert gaussianity_of_means(x[1], sizes=[1, 2], alpha=1e-3).n_needed == MORE_THAN_TESTED
 
 
-def test_n_needed_of_gaussian_samples_is_one_but_for_the_level():
+def test_n_needed_of_gaussian_samples_is_one():
     # 4 sigma of 2000 rows; tests of the sizes share samples, so that fewer than 5 % may fail.
     x = np.random.default_rng(23).normal(100, 1, size=(2000, 512))
     share = (gaussianity_of_means(x, alpha=0.05).n_needed != 1).mean()
@@ -191,7 +191,7 @@ def test_predictions_have_intervals_or_none(name):
 @pytest.mark.parametrize(
     ("null", "spp"), [(0.95, 512), (0.95, 2048), (0.99, 2048), (0.5, 1024), (0, 512)]
 )
-def test_from_too_few_samples_beside_nulls_nothing_is_predicted(null, spp):
+def test_few_samples_predict_nothing(null, spp):
     """A hundredth of them, ten times as bright, would not be missed; 11 to 46 % were wrong."""
     rng = np.random.default_rng(35)
     x = np.where(rng.random((200, spp)) < null, 0, rng.exponential(size=(200, spp)))
@@ -199,7 +199,7 @@ def test_from_too_few_samples_beside_nulls_nothing_is_predicted(null, spp):
 
 
 @pytest.mark.parametrize("null", [0.0, 0.6])
-def test_a_rare_part_is_not_missed_by_those_with_a_prediction(null):
+def test_a_rare_part_is_not_missed(null):
     """Of 300 pixels, at most two have an answer that lacks a hundredth, ten times as bright.
 
     In 0 of 3000 (measured). Where the rare part is one lamp, its few samples are all that skewness
@@ -267,7 +267,7 @@ def test_units_do_not_matter():
     assert constant.n_needed == UNTESTED
 
 
-def test_n_needed_over_an_image_is_corrected_for_the_image():
+def test_n_needed_is_corrected_for_the_image():
     rng = np.random.default_rng(22)
     radiance = rng.normal(100, 1, size=(16, 16, 1, 512)).astype(np.float32)
     radiance[0] = rng.exponential(size=(16, 1, 512))

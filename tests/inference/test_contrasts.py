@@ -91,7 +91,7 @@ def test_the_outcome_holds_its_level(paired):
     assert np.sum(np.array(p) <= 0.5) >= 4
 
 
-def test_windows_that_missed_rare_bright_samples_are_not_darker():
+def test_missed_rare_light_is_no_darkness():
     """Of samples shared but for 2 %, of which 1 of 10 lives on: 21 of 150 without `_missed`.
 
     At 5 %, more than 16 of 150 would happen in 3 of 1000 runs; the seed is fixed.
@@ -107,7 +107,7 @@ def test_windows_that_missed_rare_bright_samples_are_not_darker():
 
 
 @pytest.mark.filterwarnings("error")
-def test_windows_without_light_beside_bright_ones_say_nothing():
+def test_dark_windows_say_nothing():
     rng = np.random.default_rng(1)
     for _ in range(20):
         d = rng.lognormal(0, 2, (1, 12, 12, 16)) * rng.choice([-1, 1], (1, 12, 12, 16))
@@ -171,7 +171,7 @@ def test_what_the_shorter_render_has_not_seen_is_said(order):
     assert contrast(short, longer).outcome == "no difference found"
 
 
-def test_light_that_would_have_been_seen_is_a_difference():
+def test_light_not_seen_is_a_difference():
     """The longer render has fireflies in one of 100 samples, the shorter one none of 1024."""
     rng = np.random.default_rng(2)
     short, longer = rng.gamma(1.0, size=(8, 8, 1, 16)), rng.gamma(1.0, size=(8, 8, 1, 256))
@@ -245,7 +245,7 @@ def test_a_small_loss_in_a_block_is_found_and_placed():
     assert not contrast(a, heavy(rng, 128, sigma=0.5)).share
 
 
-def test_a_difference_in_one_channel_is_told_with_its_channel():
+def test_a_channel_s_difference_is_told():
     rng = np.random.default_rng(2)
     a, b = rng.gamma(4.0, size=(2, 8, 8, 3, 64)).astype(np.float32)
     b[:, :, 2] *= 0.5
@@ -321,7 +321,7 @@ def small(seed=1, spp=32, edge=16):
     return heavy(np.random.default_rng(seed), spp, edge=edge)
 
 
-def test_means_and_efficiencies_are_those_of_the_samples():
+def test_means_and_efficiencies_are_the_samples_own():
     a = chd.Samples.from_array(small(1, 48), render_seconds=2.0)
     b = chd.Samples.from_array(small(2, 300), render_seconds=5.0)
     found = contrast(a, b)
@@ -341,7 +341,7 @@ def test_means_and_efficiencies_are_those_of_the_samples():
 
 
 @pytest.mark.parametrize("counts", [(16, 256), (256, 16), (32, 32)])
-def test_samples_are_as_efficient_however_many_there_are(counts):
+def test_efficiency_needs_no_equal_counts(counts):
     rng = np.random.default_rng(4)
     lit = [
         10 * rng.exponential(size=(24, 24, 1, n)) * (rng.random((24, 24, 1, n)) < 0.1)
@@ -353,7 +353,7 @@ def test_samples_are_as_efficient_however_many_there_are(counts):
     assert found.value == pytest.approx(1, abs=0.2)  # standard deviation 0.08
 
 
-def test_averages_of_samples_have_the_variance_of_samples():
+def test_averages_have_the_variance_of_samples():
     x = small(1, 256)
     means = x.reshape(16, 16, 3, 32, 8).mean(axis=-1)
     averages = chd.Samples.from_array(means, averaged=8)
@@ -470,7 +470,7 @@ def test_half_floats_lose_no_difference_and_make_none(dtype):
 
 
 @pytest.mark.parametrize("known", ["exact", "spp", "variance", "variance of unknown spp"])
-def test_the_noise_of_a_reference_counts_as_far_as_it_is_known(known):
+def test_noise_of_a_reference_counts_if_known(known):
     """Of 20 pairs at 5 %, more than 4 would happen in 1 of 390 runs; taken as exact, they do."""
     wrong = 0
     for seed in range(20):
@@ -498,7 +498,7 @@ def test_a_firefly_of_a_reference_is_no_difference():
     assert contrast(calm, image).share == 1 / 256
 
 
-def test_a_reference_with_a_variance_finds_what_the_samples_find():
+def test_a_variance_finds_what_samples_find():
     rng = np.random.default_rng(3)
     a, b = heavy(rng, 64, sigma=0.5), heavy(rng, 512, sigma=0.5)
     reference = Reference(b.mean(axis=-1), b.var(axis=-1, ddof=1), 512)
@@ -521,7 +521,7 @@ def test_a_variance_tells_how_rare_light_is():
         assert (p < 0.01).all() if found else (p > 0.3).all()
 
 
-def test_an_exact_image_does_not_say_what_may_have_been_missed():
+def test_an_exact_image_has_missed_nothing():
     rng = np.random.default_rng(3)
     a, image = rng.gamma(4.0, 0.25, (16, 16, 1, 32)), np.full((16, 16, 1), 1.0)
     darker, brighter = contrast(0.8 * a, image), contrast(1.2 * a, image)
@@ -688,7 +688,7 @@ def test_shapes_of_equal_renders_have_even_p_values(paired):
         assert (found[f"{name}_q_value"] <= 0.05).mean() < 0.01
 
 
-def test_shapes_that_differ_are_found_where_means_do_not():
+def test_other_shapes_are_found_at_equal_means():
     rng = np.random.default_rng(12)
     a, b = rng.gamma(1.0, size=(2, 16, 16, 1, 256))
     b[:8] = rng.gamma(0.25, 4.0, size=(8, 16, 1, 256))

@@ -37,7 +37,7 @@ def many_nulls(rng, size):
 
 
 @pytest.mark.parametrize(("n", "m"), [(64, 200), (200, 64), (16, 512)])
-def test_p_values_of_means_hold_their_level_at_unequal_counts(n, m):
+def test_p_values_of_means_hold_their_level(n, m):
     """Of 2000, more than 6.6 % would happen in 1 of 1000 runs; Welch's test has 8 to 50 %."""
     rng = np.random.default_rng(n)
     a, b = many_nulls(rng, (2000, 1, n)), many_nulls(rng, (2000, 1, m))
@@ -199,7 +199,7 @@ def test_a_render_compared_with_itself_is_not_different():
     assert np.isnan(found.mean_p_value).all()  # without scatter there is nothing to test
 
 
-def test_samples_share_numbers_by_seed_size_and_kind_of_backend():
+def test_shared_numbers_are_known_by_seed_and_size():
     x = np.ones((4, 4, 8))
     one = chd.Samples.from_array(x, seed=3, backend="llvm")
     for shares, other in (

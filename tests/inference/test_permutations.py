@@ -140,7 +140,7 @@ def test_p_values_are_those_of_all_flips(terms):
         np.testing.assert_allclose(found, exact, rtol=0.25, atol=4 / 2**terms)
 
 
-def test_many_terms_give_the_p_value_of_the_normal_distribution():
+def test_many_terms_have_normal_p_values():
     d = np.random.default_rng(1).normal(0.02, 1, (200, 4096))
     z = d.sum(axis=1) / np.sqrt((d**2).sum(axis=1))
     np.testing.assert_allclose(p_of_signs(d), 2 * stats.norm.sf(np.abs(z)), rtol=0.1)

@@ -322,7 +322,7 @@ def test_the_first_part_of_colours_is_told(tmp_path, first):
         assert (chd.io.read(path, variable="light").read()[..., 0] == images[1]).all()
 
 
-def test_xyz_is_taken_for_colours_only_where_nothing_else_is(tmp_path):
+def test_xyz_is_colour_where_nothing_else_is(tmp_path):
     xyz = planes_of(IMAGE, "XYZ")
     alone = exr(tmp_path / "a.exr", xyz)
     found, said = told(alone)

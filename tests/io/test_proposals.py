@@ -57,7 +57,7 @@ def test_no_axes_are_proposed_where_there_are_none(shape):
 
 
 @pytest.mark.parametrize("power", [-50, -80, -200, 40, 90, 250])
-def test_radiance_is_scaled_into_single_precision_as_proposed(power):
+def test_radiance_is_scaled_as_proposed(power):
     x = X.astype(float) * 10.0**power
     message = refused(chd.Samples.from_array, x)
     factor = float(re.search(r"such as by (1e[-+\d]+)", message)[1])
@@ -134,7 +134,7 @@ def test_a_file_is_read_as_proposed(tmp_path, name, wrong, told, right):
     assert chd.io.read(tmp_path / name, **right).spp in (1, 32)
 
 
-def test_layers_of_an_image_and_of_a_feature_are_proposed(tmp_path):
+def test_layers_are_proposed(tmp_path):
     path = exr(tmp_path / "x.exr", layers(a=IMAGE, b=2 * IMAGE))
     assert refused(chd.io.read_exr, path).endswith("channels=, out of a, b")
     assert np.array_equal(chd.io.read_exr(path, channels=["b"]).image, 2 * IMAGE)
@@ -167,7 +167,7 @@ def test_what_is_no_path_or_too_long_for_one_is_told(tmp_path):
     assert "only stores of samples may lie behind URLs" in refused(chd.io.read, "https://a.b/x.npy")
 
 
-def test_files_that_do_not_belong_together_are_read_apart(tmp_path):
+def test_files_that_do_not_fit_are_read_apart(tmp_path):
     files = [
         exr(tmp_path / f"{n}.exr", planes_of(X[..., n]), samplesPerPixel=n + 1) for n in (0, 1)
     ]
@@ -176,7 +176,7 @@ def test_files_that_do_not_belong_together_are_read_apart(tmp_path):
     assert "several kinds, .exr, .txt: read those of one" in refused(chd.io.read, tmp_path)
 
 
-def test_hdf5_asks_for_its_package_and_netcdf_3_needs_none(tmp_path, monkeypatch):
+def test_hdf5_asks_for_its_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     (tmp_path / "x.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     message = refused(chd.io.read, tmp_path / "x.nc")

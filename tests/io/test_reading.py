@@ -106,7 +106,7 @@ def test_axes_are_brought_in_order(tmp_path, axes, suffix):
     assert np.array_equal(chd.io.read(tmp_path / f"x{suffix}", axes=axes).read(), RADIANCE)
 
 
-def test_one_channel_gains_an_axis_and_zarr_is_read_by_its_dims(tmp_path):
+def test_one_channel_and_zarr_dims_are_read(tmp_path):
     np.save(tmp_path / "x.npy", RADIANCE[:, :, 0])
     assert np.array_equal(chd.io.read(tmp_path / "x.npy").read(), RADIANCE[:, :, :1])
     dataset = xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)})
@@ -124,7 +124,7 @@ def test_arrays_of_zarr_need_no_names_of_dims(tmp_path):
         chd.io.read(tmp_path / "own.zarr")
 
 
-def test_what_lies_beside_samples_in_an_archive_is_left_out(tmp_path):
+def test_what_lies_beside_samples_is_left_out(tmp_path):
     np.savez(tmp_path / "x.npz", samples=RADIANCE, about=np.array([{"seed": 3}], object))
     with zipfile.ZipFile(tmp_path / "x.npz", "a") as archive:
         archive.writestr("notes.txt", "rendered on Monday")
@@ -299,7 +299,7 @@ def test_no_room_for_what_is_decoded_is_said(stack, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["npz", "nc"])
-def test_arrays_of_one_size_are_not_chosen_from_by_their_order(tmp_path, kind):
+def test_order_chooses_no_array(tmp_path, kind):
     diffuse, glossy = np.random.default_rng(0).random((2, 4, 5, 3, 8), dtype=np.float32)
 
     def read(variable=None, **arrays):
@@ -345,7 +345,7 @@ def test_results_are_netcdf(tmp_path):
         assert list(again["channel"].to_numpy()) == ["R", "G", "B"]
 
 
-def test_attributes_that_netcdf_has_no_type_for_are_json(tmp_path):
+def test_attributes_without_a_type_are_json(tmp_path):
     found = chd.summarize(SAMPLES).assign_attrs(
         files=[["a", 1]], none=None, yes=True, size=[6, 5], seed=2**40
     )

@@ -127,7 +127,7 @@ def test_files_of_one_image_are_read_together(written):
 PARTS = [(b"".join(BLOCKS[:2]), 64 * 90 * 5), (BLOCKS[2], 6 * 64 * 5)]
 
 
-def test_a_renderer_that_was_stopped_leaves_what_was_written(written):
+def test_a_stopped_renderer_leaves_what_it_wrote(written):
     rest = len(WHOLE) - len(end(0))
     path = written(WHOLE[: rest - 1])
     with pytest.warns(UserWarning, match="has no end: its renderer was stopped") as caught:
@@ -245,7 +245,7 @@ def test_the_header_is_shipped_and_short():
     assert all("<" in line for line in text.splitlines() if line.startswith("#include"))
 
 
-def test_the_samples_of_a_path_tracer_become_an_analysis(tracer, tmp_path, monkeypatch, run):
+def test_a_path_tracer_is_analysed(tracer, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     subprocess.run([tracer, "box.chds", "80", "70", "32", "5", "image.f32"], check=True)
     assert run("import", "box.chds", "-o", "box.zarr", "-q")[0] == 0

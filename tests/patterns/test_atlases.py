@@ -182,7 +182,7 @@ def test_rare_shapes_count_from_their_smallest_share_on():
     assert len(find(samples, min_share=0.03).share) == 1
 
 
-def test_the_largest_cluster_comes_first_and_each_has_its_pixel(found):
+def test_the_largest_cluster_comes_first(found):
     assert (np.diff(found.share) <= 0).all()
     np.testing.assert_allclose(found.share, np.bincount(found.labels.ravel()) / EDGE**2)
     assert (found.share_interval[:, 0] < found.share).all()
@@ -192,7 +192,7 @@ def test_the_largest_cluster_comes_first_and_each_has_its_pixel(found):
         assert found.distance[y, x] == found.distance[found.labels == k].min()
 
 
-def test_typical_shapes_are_distributions_around_their_scale(found):
+def test_typical_shapes_surround_their_scale(found):
     np.testing.assert_allclose(0.1 * found.density.sum(axis=-1), 1, rtol=1e-6)
     np.testing.assert_allclose(0.1 * found.density @ found.positions, 0, atol=2e-3)
     low, high = np.moveaxis(found.density_band, -1, 0)

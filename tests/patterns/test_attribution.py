@@ -30,7 +30,7 @@ def test_independent_light_has_its_own_variance():
         assert np.allclose(found[name].sum("segments"), 1, atol=1e-5), name
 
 
-def test_the_brightest_samples_are_those_that_hold_rare_light():
+def test_the_brightest_hold_rare_light():
     rare = 1000 * (np.arange(4096) % 256 == 7) * np.ones((2, 2, 1))
     found = attribute(known(np.ones((2, 2, 4096)), rare))
     assert (found["brightest_share"][..., 1] > 0.99).all()
@@ -75,7 +75,7 @@ def test_samples_of_unknown_depth_are_refused():
 
 
 @pytest.mark.parametrize("scene", ["cornell-box", "fog"])
-def test_shares_are_those_of_independent_renders_of_each_depth(scene):
+def test_shares_are_those_of_each_depth_alone(scene):
     settings = {"size": (12, 12), "spp": 128, "backend": "scalar", "progress": False}
     samples = chd.render(scene, **settings, seed=1, by_depth=4)
     found = attribute(samples)

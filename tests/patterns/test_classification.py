@@ -137,7 +137,7 @@ def test_only_one_plain_body_is_like_a_family():
     assert flags[Label.NULL_HEAVY]["gamma_like"].mean() > 0.8
 
 
-def test_a_firefly_does_not_decide_the_shape_of_the_rest():
+def test_a_firefly_decides_no_shape():
     rng = np.random.default_rng(5)
     x = rng.gamma(2.0, size=(100, SPP))
     x[:, 7] = 1e4
@@ -152,7 +152,7 @@ def test_a_firefly_does_not_decide_the_shape_of_the_rest():
         np.testing.assert_allclose(patterns.statistics[name], clean.statistics[name], rtol=1e-4)
 
 
-def test_few_samples_have_no_firefly_unless_it_outshines_some():
+def test_few_samples_have_few_fireflies():
     x = np.full((1, 20), 1.0)
     x[0, :2] = 3.0
     assert not classify(gray(x)).flags["firefly_dominated"].any()
@@ -181,14 +181,14 @@ def test_thresholds_move_the_flags():
     "component",
     [Component("gamma", 0.4), Component("gamma", 3.0), Component("lognormal", 0.8)],
 )
-def test_tail_index_of_the_body_is_that_of_the_distribution(component):
+def test_the_body_has_its_tail_index(component):
     # The shape of 50 000 samples is right to about 0.7 %.
     body = CHD((component,))
     patterns = classify(gray(body.draw(1, samples=50_000, seed=1)))
     assert patterns.body_tail_index[0] == pytest.approx(penultimate_index(body), abs=0.015)
 
 
-def test_a_heavy_body_is_not_plain_though_its_error_bars_hold():
+def test_a_heavy_body_is_not_plain():
     """Log-normal, sigma 1.2: 92 % of the error bars of 512 samples hold (20 000 simulated)."""
     draw = CHD((Component("lognormal", 1.2),)).draw
     found = classify(gray(draw(200, samples=512, seed=1)))
@@ -307,7 +307,7 @@ FLAGS = {
 }
 
 
-def test_the_library_chooses_one_pure_region_for_each_pattern():
+def test_one_pure_region_is_chosen_for_each_pattern():
     label = np.full((32, 32), Label.GAMMA_LIKE, dtype=np.int8)
     label[20:28, 4:12] = Label.BIMODAL
     label[2, 30] = Label.LONG_TAIL
@@ -319,7 +319,7 @@ def test_the_library_chooses_one_pure_region_for_each_pattern():
     assert label[regions[2].center(32, 32)] == Label.LONG_TAIL
 
 
-def test_the_pixel_in_the_middle_of_a_region_has_its_label():
+def test_the_middle_of_a_region_has_its_label():
     label = np.full((9, 12), Label.OTHER, dtype=np.int8)
     label[:2, :3] = Label.BLACK
     label[8, 11] = Label.CONSTANT

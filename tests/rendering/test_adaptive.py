@@ -195,7 +195,7 @@ def test_the_error_is_estimated_whatever_the_pattern(name):
     assert held >= 5  # of 8 intervals of 95 %: by chance once in 2000 times
 
 
-def test_a_single_bright_sample_does_not_hide_its_own_error():
+def test_a_bright_sample_hides_no_error():
     """Fireflies of 50 times the mean, in one pixel of 200, decide the error of the image.
 
     Relative to means that hold them, it would seem less than half as large.
@@ -239,7 +239,7 @@ def test_the_budget_reaches_the_error():
     assert how.spp({"value": 1.5, "surely": 3.0, "trials": 32}, most=1000) == 300
 
 
-def test_counts_grow_and_what_is_missing_is_what_they_grew_by():
+def test_counts_grow_by_what_is_missing():
     density = np.random.default_rng(0).uniform(0.5, 1.5, (7, 9)).astype(np.float32)
     density /= density.mean()
     few, many = counts_of(density, 50, 16), counts_of(density, 100, 16)
@@ -336,7 +336,7 @@ def test_trial_samples_are_not_kept(wavefront):
     assert np.array_equal(found.read()[held], equal.read()[held])
 
 
-def test_a_render_goes_on_once_if_trials_promised_too_much(wavefront, tmp_path):
+def test_a_render_goes_on_once(wavefront, tmp_path):
     """Diagonals of rare light: few trial samples have met any. Stores and memory hold the same."""
     pattern = NOISE["diagonals, every 16 pixels"]
     settings = {"size": (32, 32), "spp": 2048, "error": 0.12, "backend": wavefront}

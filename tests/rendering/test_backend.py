@@ -137,7 +137,7 @@ def test_activating_restores_the_variant():
         mi.set_variant(before or "scalar_rgb")
 
 
-def test_activating_names_the_library_but_heeds_the_user(monkeypatch):
+def test_activating_heeds_the_user(monkeypatch):
     tried = replace(probe("scalar"), library=LIBRARY)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/my/own.so")
     with activate(tried):

@@ -108,7 +108,7 @@ def test_a_medium_may_be_clear_in_a_channel(backend):
     assert found["albedo"][..., 0].mean() > 0.3
 
 
-def test_what_an_instance_is_made_of_is_passed_like_any_material(backend):
+def test_instances_are_passed_like_materials(backend):
     copy = {"type": "instance", "shapes": {"type": "ref", "id": "group"}}
     for opacity in (0.0, 1.0):
         inner = {"type": "diffuse", "reflectance": 0.75}
@@ -123,7 +123,7 @@ def test_thin_glass_shows_what_is_behind_it(backend):
     assert found["depth"].mean() > 4.5  # it reflects less than a tenth
 
 
-def test_what_cannot_be_said_of_a_material_leaves_its_samples(tmp_path):
+def test_what_cannot_be_said_leaves_its_samples(tmp_path):
     code = """
 import mitsuba as mi
 

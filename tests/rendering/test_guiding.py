@@ -139,7 +139,7 @@ def test_drawn_directions_have_the_density_that_is_said(wavefront, guide):
         assert np.mean(part / density) == pytest.approx(angle, abs=4 * error)
 
 
-def test_materials_without_a_diffuse_part_are_not_guided(wavefront):
+def test_only_diffuse_parts_are_guided(wavefront):
     materials = {"diffuse": True, "roughplastic": True, "roughconductor": False, "conductor": False}
     spheres = {kind: {"type": "sphere", "material": {"type": kind}} for kind in materials}
     with activate(resolve(wavefront)) as mi:
@@ -184,7 +184,7 @@ def test_a_guide_stays_with_its_samples(wavefront, tmp_path):
     assert Store.open(out).guide() is not None
 
 
-def test_it_needs_a_backend_of_wavefronts_and_a_scene_of_its_own(wavefront):
+def test_guiding_needs_a_wavefront(wavefront):
     with pytest.raises(RenderError, match="guided.*llvm and cuda"):
         render_pixels(ROOM, [(0, 0)], integrator="guided")
     found = render_pixels(ROOM, [(6, 6)], spp=16, integrator="guided", backend=wavefront)

@@ -151,7 +151,7 @@ def test_a_built_scene_draws_its_own_settings(mi):
     assert given.attrs["scene_code"] == {}
 
 
-def test_a_class_of_one_s_own_in_a_built_scene_is_known_again(mi, tmp_path):
+def test_an_own_class_is_known_again(mi, tmp_path):
     out, view = tmp_path / "a.zarr", {**VIEW, "backend": "auto"}
     samples = chd.render(built(own(mi, 2.0)), **view, out=out)
     assert samples.attrs["backend"] == "scalar"
@@ -163,7 +163,7 @@ def test_a_class_of_one_s_own_in_a_built_scene_is_known_again(mi, tmp_path):
         chd.render(built(own(mi, 3.0)), **{**view, "spp": 8}, out=out)
 
 
-def test_a_built_scene_renders_in_the_wavefront_of_its_variant(wavefront):
+def test_a_built_scene_keeps_its_variant(wavefront):
     with activate(probe(wavefront)) as mi:
         scene = built(own(mi, mi.Float(2.0)))
         samples = chd.render(scene, **{**VIEW, "backend": "auto"})
@@ -188,7 +188,7 @@ def test_a_wavefront_s_integrator_is_taken(wavefront):
     assert (chd.render(scene, **{**VIEW, "backend": wavefront}).read() == 2).all()
 
 
-def test_what_the_integrator_of_a_built_scene_cannot_do_is_told(mi):
+def test_limits_of_a_built_scene_are_told(mi):
     path = mi.load_dict({"type": "path"})
     with pytest.raises(InputError, match="max_depth=3.*PathIntegrator"):
         chd.render(built(path), **VIEW, max_depth=3)
@@ -199,6 +199,6 @@ def test_what_the_integrator_of_a_built_scene_cannot_do_is_told(mi):
             chd.render(built(mi.load_dict(kind)), **VIEW)
 
 
-def test_an_object_is_given_as_a_dict_or_by_the_name_of_a_plugin(mi):
+def test_objects_are_dicts_or_names_of_plugins(mi):
     with pytest.raises(InputError, match=r"got a MonteCarloIntegrator; .*scenes\.load_plugin"):
         render(integrator=mi.load_dict({"type": "path"}))

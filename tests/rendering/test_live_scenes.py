@@ -55,14 +55,14 @@ def test_it_draws_what_its_description_draws(mi, source):
     assert "filter" in live.attrs["notes"][0]
 
 
-def test_in_a_wavefront_it_draws_what_its_description_draws(wavefront):
+def test_a_wavefront_draws_its_description(wavefront):
     with activate(probe(wavefront)) as mi:
         live = chd.render(mi.load_dict(mi.cornell_box()), **VIEW)
         expected = chd.render(mi.cornell_box(), **VIEW, backend=wavefront)
     assert np.array_equal(live.read(), expected.read())
 
 
-def test_a_dict_that_holds_objects_is_what_mitsuba_builds_of_it(mi):
+def test_dicts_of_objects_are_built_alike(mi):
     grey = {"type": "diffuse", "reflectance": 0.2}
     film, floor = BALL["sensor"]["film"], {**FLOOR, "bsdf": grey}
     plain = {**BALL, "floor": floor, "integrator": PATH}
@@ -135,7 +135,7 @@ def test_what_instances_are_made_of_belongs_to_the_hash(mi):
     assert len({hashed(1.0, 0.5), hashed(2.0, 0.5), hashed(1.0, 0.2)}) == 3
 
 
-def test_a_sensor_that_cannot_be_described_is_used_as_it_is(mi):
+def test_an_odd_sensor_is_used_as_it_is(mi):
     down = mi.ScalarTransform4f(LOOKING_DOWN)
     sky = {"type": "scene", "sky": {"type": "constant", "radiance": 0.5}, "floor": FLOOR}
     view = {**VIEW, "size": None, "integrator": PATH}

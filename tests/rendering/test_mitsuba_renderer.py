@@ -127,7 +127,7 @@ def test_seeds_shuffle_passes_independently():
         assert 300 < len(one & two) < 510
 
 
-def test_a_pass_owns_its_streams_for_every_size_of_a_tile():
+def test_a_pass_owns_its_streams():
     # Mitsuba multiplies the seed by the number of pixels, modulo 2^32.
     last = seeds.PASSES - 1
     for pixels in {h * w for h in range(1, 65) for w in range(1, 65)}:
@@ -137,7 +137,7 @@ def test_a_pass_owns_its_streams_for_every_size_of_a_tile():
             assert seed * pixels % 2**32 == number * TILE**2
 
 
-def test_passes_chunks_and_single_pixels_share_no_number():
+def test_numbers_are_shared_by_none():
     assert seeds.PASSES * TILE**2 <= 2**32 - seeds.PIXELS
     assert seeds.CHUNKS <= 2**32 - seeds.PIXELS
     for seed in (0, 1, 55, 10_945):
@@ -199,7 +199,7 @@ def random_numbers(backend: str, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [32, 1024])
-def test_means_vary_as_those_of_independent_random_numbers(streams, size):
+def test_means_vary_as_independent_ones(streams, size):
     """The variance of the mean of n is 1 / 12 n, for each random number and in each pixel."""
     drawn = np.stack([random_numbers(streams, seed) for seed in range(3)])
     means = drawn.reshape(3, 12, 12, 3, -1, size).mean(axis=-1, dtype=np.float64)
@@ -269,7 +269,7 @@ def test_moments_agree_with_mitsuba(box, moments):
 PIXELS = [(0, 0), (3, 12), (8, 8), (12, 4), (15, 15)]
 
 
-def test_single_pixels_have_the_distribution_of_the_image(box, backend):
+def test_single_pixels_are_those_of_the_image(box, backend):
     single = render_pixels("cornell-box", PIXELS, spp=1024, size=SIZE, backend=backend)
     stored = np.stack([box[pixel] for pixel in PIXELS])
     a, b = (LUMINANCE @ x.astype(np.float64) for x in (single, stored))
@@ -304,7 +304,7 @@ def test_a_wavefront_repeats_to_the_bit(wavefront):
         assert np.array_equal(chd.render("cornell-box", spp=spp, **draw).read(), most[..., :spp])
 
 
-def test_a_wavefront_gives_the_same_beside_another_scene(wavefront):
+def test_a_wavefront_ignores_other_scenes(wavefront):
     alone = chd.render("cornell-box", spp=8, size=SIZE, backend=wavefront).read()
     with activate(probe(wavefront)) as mi:
         other = mi.load_dict(mi.cornell_box())

@@ -46,12 +46,12 @@ def test_a_recipe_is_read(tmp_path):
     assert recipe.regions == (Region("wall", "diffuse", (0.5, 0.25, 0.75, 0.5)),)
 
 
-def test_what_a_recipe_does_not_say_is_left_to_the_scene(tmp_path):
+def test_what_is_not_said_is_the_scene_s(tmp_path):
     recipe = load_recipe(write(tmp_path, GOOD.replace("integrator =", "# integrator =")))
     assert (recipe.integrator, recipe.max_depth) == (None, None)
 
 
-def test_a_scene_beside_its_recipe_is_found_from_anywhere(tmp_path, monkeypatch):
+def test_a_scene_is_found_beside_its_recipe(tmp_path, monkeypatch):
     scene = tmp_path / "attic" / "scene.xml"
     scene.parent.mkdir()
     scene.write_text("<scene version='3.0.0'/>")
@@ -103,7 +103,7 @@ def test_regions_cover_at_least_a_pixel():
     assert (ys, xs) == (slice(3, 4), slice(3, 4))
 
 
-def test_regions_are_those_of_the_view_that_the_recipe_shows():
+def test_regions_belong_to_the_view():
     x = np.ones((32, 32, 3, 2), dtype=np.float32)
     assert find_recipe("no-such-scene") is None
     known = find_recipe("bathroom")

@@ -159,7 +159,7 @@ def test_xml_scenes_take_parameters(xml):
     assert deeper[5, 6].max() == 5
 
 
-def test_another_filter_and_sampler_are_replaced_and_named(xml, caplog):
+def test_replaced_filters_are_named(xml, caplog):
     asked = XML.format(sensor=SENSOR.format(rfilter="gaussian", sampler="stratified"))
     plain = chd.render(xml, spp=8, backend="scalar")
     xml.write_text(asked)
@@ -381,7 +381,7 @@ def test_a_real_scene_has_known_nulls(scenes_folder):
     ("out", "place"),
     [("huge.zarr", ", more than the disk can hold"), (None, " of memory, of which there are 1")],
 )
-def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place):
+def test_samples_beyond_the_machine_are_refused(tmp_path, out, place):
     # 3 channels of 4 bytes for 2^20 pixels, as many samples as random numbers allow: 48 GB.
     job = {"scene": "cornell-box", "size": (1024, 1024), "backend": "scalar", "spp": 3840}
     path = tmp_path / out if out else None

@@ -203,7 +203,7 @@ def test_settings_not_used_are_named():
     assert grey.attrs["notes"] == ["the film's pixel_format luminance: samples are linear sRGB"]
 
 
-def test_sensors_that_show_all_of_what_they_measure_in_any_crop(tmp_path):
+def test_some_sensors_show_all_in_any_crop(tmp_path):
     half = {**ABOVE, "to_world": ABOVE["to_world"] @ translate(2.0, 0.0, 0.0)}
     film = {**PLAIN_FILM, "width": 140, "height": 2}
     scene = floor(sensor={"type": "batch", "floor": ABOVE, "sky": half, "film": film})

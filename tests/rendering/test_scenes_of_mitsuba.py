@@ -287,7 +287,7 @@ def test_the_scene_of_a_plugin_has_the_mean_of_mitsuba(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", sorted(IN_PYTHON))
-def test_integrators_in_python_render_in_a_wavefront_only(name, tmp_path, wavefront):
+def test_python_integrators_need_a_wavefront(name, tmp_path, wavefront):
     assert "llvm and cuda backends only" in fate_of(name, tmp_path, "scalar")
     check(name, fate_of(name, tmp_path, wavefront))
 

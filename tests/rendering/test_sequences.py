@@ -88,7 +88,7 @@ def test_each_stratum_holds_one_sample_of_a_sequence(backend, sampler, length):
     assert len(np.unique(first)) == length
 
 
-def test_of_independent_samples_strata_hold_what_chance_gives(backend):
+def test_independent_strata_hold_what_chance_gives(backend):
     x = independent(backend)[..., :256]
     strata = np.sort(np.floor(by_sequence(x, 16) * 16).astype(int), axis=-1)
     assert (strata == np.arange(16)).all(axis=-1).mean() < 0.01
@@ -143,7 +143,7 @@ def test_no_sequence_comes_twice(backend, sampler):
     assert len(np.unique(rows, axis=0)) == len(rows)
 
 
-def test_a_sequence_shares_no_numbers_with_independent_samples(backend):
+def test_sequences_share_no_independent_numbers(backend):
     one = independent(backend)[..., :16]
     other = render(backend, spp=16, sampler="multijitter", sequence=16).read()
     a, b = (np.moveaxis(x, 2, 0).reshape(3, -1) for x in (one, other))
@@ -210,7 +210,7 @@ def test_chunks_of_one_sequence_are_drawn_together():
     assert (together.ss, len(parts)) == (slice(128, 256), 2)
 
 
-def test_other_seeds_and_other_lengths_are_other_samples(backend):
+def test_other_seeds_are_other_samples(backend):
     one, seed, length = (
         render(backend, spp=16, sampler="stratified", **options).read()
         for options in ({}, {"seed": 1}, {"sequence": 4})
@@ -241,7 +241,7 @@ def test_a_sampler_chosen_by_name_needs_no_note():
     assert [bool(notes) for notes in noted] == [True, False]
 
 
-def test_lengths_are_those_that_mitsuba_takes_as_they_are():
+def test_lengths_are_those_of_mitsuba():
     with activate(probe("scalar")) as mi:
         mi.set_log_level(mi.LogLevel.Error)
         for sampler in ("stratified", "multijitter", "orthogonal", "ldsampler"):

@@ -53,7 +53,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         child.stdout.close()
 
 
-def test_scenes_in_values_of_mitsuba_are_refused_on_a_cluster():
+def test_values_of_mitsuba_reach_no_cluster():
     from distributed import Client, LocalCluster
 
     local = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
@@ -83,7 +83,7 @@ def test_a_scheduler_without_workers_is_told(monkeypatch):
         chd.render("cornell-box", spp=1, client=client, **SETTINGS)
 
 
-def test_a_scheduler_that_dies_is_told_and_the_rest_is_kept(tmp_path, monkeypatch):
+def test_a_dying_scheduler_keeps_the_rest(tmp_path, monkeypatch):
     from distributed import Client
 
     out, note = tmp_path / "s.zarr", Store.note

@@ -127,9 +127,7 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
         ("one channel", lambda x: x[..., :1, :], "one channel", ["regions", "noise", "estimates"]),
     ],
 )
-def test_odd_samples_give_a_report_of_what_they_can_tell(
-    radiance, tmp_path, documents, name, change, said, figures
-):
+def test_odd_samples_have_a_report(radiance, tmp_path, documents, name, change, said, figures):
     samples = chd.Samples.from_array(change(radiance), axes="yxcs", scene=name)
     path = tmp_path / "odd.pdf"
     warned = pytest.warns(LeftOutWarning, match=r"100\.0 % of the samples .* are bad")
@@ -186,7 +184,7 @@ def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):
     assert "path" in text_of(again)
 
 
-def test_the_first_page_tells_what_is_noisy_and_what_helps(tmp_path, documents):
+def test_the_first_page_tells_what_helps(tmp_path, documents):
     """One pixel in ten is a hundred times as noisy; half the samples are null in another tenth."""
     rng = np.random.default_rng(0)
     x = 1 + 0.01 * rng.standard_normal((20, 20, 1, 128))

@@ -172,7 +172,7 @@ def test_large_images_are_looked_at_in_part():
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".npy"])
-def test_files_given_twice_and_copies_of_files_are_named(tmp_path, suffix):
+def test_files_given_twice_are_named(tmp_path, suffix):
     def write(name, image):
         path = tmp_path / f"{name}{suffix}"
         if suffix == ".exr":

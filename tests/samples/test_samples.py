@@ -152,7 +152,7 @@ def test_map_assembles_tiles_into_named_images(samples, x):
     assert result.attrs["scene"] == "test"
 
 
-def test_walking_a_store_takes_no_more_memory_for_more_samples(tmp_path):
+def test_walking_a_store_takes_no_memory(tmp_path):
     peaks = []
     for spp in (64, 640):
         store = Store.create(tmp_path / f"{spp}.zarr", shape=(16, 64, 3, spp), attrs={})
@@ -191,7 +191,7 @@ def test_arrays_are_held_in_single_precision():
     assert np.array_equal(Samples.from_array(x)[0, 0], x[0, 0], equal_nan=True)
 
 
-def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatch):
+def test_a_read_beyond_memory_is_refused(tmp_path, monkeypatch):
     held = Samples.from_array(np.random.default_rng(0).random((2, 2, 3, 70)))
     samples = held.save(tmp_path / "s.zarr", progress=False)
     monkeypatch.setattr("chdstat.samples.samples._ALWAYS_READ", 0)

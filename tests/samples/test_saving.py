@@ -53,7 +53,7 @@ def test_what_is_there_is_not_overwritten(tmp_path):
     assert np.array_equal(chd.open(tmp_path / "own.zarr").read(), RADIANCE)
 
 
-def test_samples_are_appended_behind_those_that_are_there(tmp_path):
+def test_samples_are_appended_behind_others(tmp_path):
     first, second = (chd.Samples.from_array(x, seed=s) for s, x in enumerate((RADIANCE, -RADIANCE)))
     first.save(tmp_path / "own.zarr")
     found = second.save(tmp_path / "own.zarr", append=True)

@@ -32,7 +32,7 @@ def stratified(seed: int = 0, **options: Any) -> chd.Samples:
 # --- averages -----------------------------------------------------------------------------------
 
 
-def test_means_of_sequences_are_averages_without_a_sequence():
+def test_means_of_sequences_are_averages():
     samples = stratified()
     means = samples.sequence_means()
     expected = samples.read().reshape(8, 8, 3, SEQUENCES, N).mean(axis=-1, dtype=np.float64)
@@ -118,7 +118,7 @@ def test_a_contrast_takes_averages_of_sequences():
     assert darker.outcome == "differ"
 
 
-def test_distributions_of_different_averages_are_not_compared():
+def test_other_averages_are_not_compared():
     b = chd.Samples.from_array(np.random.default_rng(5).random((8, 8, 3, 64)))
     with pytest.raises(InputError, match="16 and 1"):
         chd.contrast(stratified(), b, distributions=True)
@@ -151,7 +151,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_assumes_independence_refuses_and_says_how_to_go_on(name):
+def test_what_assumes_independence_refuses(name):
     with pytest.raises(InputError, match=r"16 at a time.*sequence_means\(\)"):
         REFUSED[name](stratified())
 
@@ -173,7 +173,7 @@ def test_what_looks_at_single_samples_takes_them():
 # --- stores -------------------------------------------------------------------------------------
 
 
-def test_a_store_keeps_sequences_and_refuses_to_mix_them(tmp_path):
+def test_a_store_mixes_no_sequences(tmp_path):
     samples = stratified()
     stored = samples.save(tmp_path / "a.zarr")
     assert stored.attrs["sequence"] == N

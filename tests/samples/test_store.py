@@ -155,7 +155,7 @@ def test_what_a_stopped_maker_left_is_completed(tmp_path, stop):
 # --- two writers --------------------------------------------------------------------------------
 
 
-def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
+def test_a_second_writer_is_refused(tmp_path):
     path = tmp_path / "s.zarr"
     x = radiance(4, 4, 70)
     with create(path, x) as store:
@@ -278,7 +278,7 @@ def test_unsound_metadata_is_not_used(tmp_path, name, harm):
     assert contents(path) == sound
 
 
-def test_a_chunk_of_another_store_or_of_fewer_samples_is_refused(tmp_path):
+def test_a_foreign_or_older_chunk_is_refused(tmp_path):
     x = radiance(4, 4, 70)
     ours, theirs = tmp_path / "ours.zarr", tmp_path / "theirs.zarr"
     fill(create(theirs, x, attrs={"scene": "other"}), x)
@@ -306,7 +306,7 @@ def test_a_chunk_of_another_store_or_of_fewer_samples_is_refused(tmp_path):
         {"codecs": []},
     ],
 )
-def test_what_the_metadata_of_an_array_says_changes_nothing(tmp_path, change):
+def test_metadata_of_arrays_changes_nothing(tmp_path, change):
     x = radiance(4, 4, 70)
     path = tmp_path / "s.zarr"
     fill(create(path, x), x).close()

@@ -178,7 +178,7 @@ def test_absurd_scenes_are_refused_in_words(fates):
     assert not wrong
 
 
-def test_a_scene_does_not_follow_later_changes_of_its_arrays(wavefront):
+def test_a_scene_follows_no_later_changes(wavefront):
     vertices, faces = CORNERS.copy(), np.array([[0, 1, 2]], np.uint32)
     with activate(probe(wavefront)) as mi:
         built = chd.load_scene({"type": "scene", "m": mesh(vertices=vertices, faces=faces)}).load()

@@ -167,7 +167,7 @@ def test_files_are_found_in_all_that_mitsuba_takes(tmp_path, image, before, sky,
     assert chd.render(source, spp=1, **SETTINGS).read().max() == 1
 
 
-def test_what_a_link_names_is_looked_for_beside_the_link(tmp_path, monkeypatch):
+def test_links_are_followed_as_mitsuba_does(tmp_path, monkeypatch):
     """As Mitsuba does it, for scenes and includes."""
     sky = ENVMAP.format("tex.exr")
     include = "<include filename='a.xml'/>"
@@ -249,7 +249,7 @@ def test_a_file_that_vanishes_is_named(tmp_path, monkeypatch):
         _ = load_scene(source).hash
 
 
-def test_a_file_that_changes_while_the_scene_is_built_is_noticed(tmp_path, monkeypatch):
+def test_files_that_change_meanwhile_are_noticed(tmp_path, monkeypatch):
     write(tmp_path / "tex.exr", 1.0)
     source, build = scene(tmp_path, ENVMAP.format("../tex.exr")), ParsedScene.make
 
@@ -351,7 +351,7 @@ def test_the_code_of_a_plugin_belongs_to_the_scene(tmp_path):
             assert chd.render(GLOWING, spp=4, **SETTINGS).read().mean() == 10, change
 
 
-def test_a_class_with_other_values_around_it_is_another_plugin(tmp_path):
+def test_other_values_make_another_plugin(tmp_path):
     def register(strength: float) -> None:
         class Around(mi.BSDF):  # type: ignore[misc, name-defined]
             def __init__(self, props):
@@ -399,7 +399,7 @@ def test_a_real_scene_names_all_its_files(scenes_folder):
     assert {p.name for p in beside if p.name in text} <= {p.name for p in named.values()}
 
 
-def test_lights_have_one_order_however_often_a_scene_is_loaded():
+def test_lights_have_one_order():
     """Mitsuba merges meshes in the order of their addresses, lights among them."""
     cubes = {
         f"cube-{i}": {

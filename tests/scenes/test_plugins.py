@@ -125,7 +125,7 @@ def test_a_store_goes_on_with_the_same_code_only(write, tmp_path):
     assert (chd.render("cornell-box", **SCALAR).read() == 3).all()
 
 
-def test_a_plugin_is_registered_again_in_another_variant(write, wavefront):
+def test_a_plugin_serves_every_variant(write, wavefront):
     load_plugin(write(INTEGRATOR))
     for backend in ("scalar", wavefront, "scalar"):
         samples = chd.render("cornell-box", **{**SCALAR, "backend": backend})
@@ -133,7 +133,7 @@ def test_a_plugin_is_registered_again_in_another_variant(write, wavefront):
         assert list(samples.attrs["plugins"]) == ["mine.py"]
 
 
-def test_a_material_of_a_plugin_imports_what_lies_beside_it(write, tmp_path):
+def test_a_material_imports_what_lies_beside_it(write, tmp_path):
     write("COLOUR = [0.2, 0.4, 0.6]", "colours.py")
     load_plugin(write(MATERIAL))
     facing = np.diag([9.0, 9.0, -1.0, 1.0])

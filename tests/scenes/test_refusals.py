@@ -79,7 +79,7 @@ def test_names_that_are_nearly_right_are_suggested(tmp_path):
         chd.load_scene(path, depht=3).load()
 
 
-def test_films_and_samplers_that_are_replaced_may_be_unknown(tmp_path):
+def test_replaced_films_may_be_unknown(tmp_path):
     options = {"spp": 1, "size": (2, 2), "backend": "scalar", "progress": False}
     sampler = '<sampler type="sobol"><integer name="seed" value="3"/></sampler>'
     path = written(tmp_path, '<emitter type="constant"/>', sampler=sampler)

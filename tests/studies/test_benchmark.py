@@ -67,7 +67,7 @@ def test_an_error_that_may_be_0_divides_no_ratio():
     assert found.geometric_mean("exact").value < 0.05
 
 
-def test_flip_is_between_what_cannot_and_what_must_be_seen():
+def test_flip_lies_between_seen_and_unseen():
     pytest.importorskip("flip_evaluator")
     same = flip(TRUTH, TRUTH)
     assert same.shape == SHAPE
@@ -91,7 +91,7 @@ def test_geometric_means_and_ranks_are_over_all_cases(found):
     assert (black["bias"], black["fireflies"]) == (pytest.approx(-1), 0)
 
 
-def test_the_summary_says_bias_fireflies_and_how_to_get_flip(found, monkeypatch):
+def test_the_summary_says_how_to_get_flip(found, monkeypatch):
     monkeypatch.setattr(benchmark, "HAS_FLIP", False)
     lines = repr(found).splitlines()
     head, *_, black = lines[-4:]
@@ -134,7 +134,7 @@ def test_flip_of_extremes_is_a_number(value):
     assert (flip(0 * one, one)[3, 4] > 0.1) == (value > 0)
 
 
-def test_exposures_are_those_of_the_lit_part_and_follow_the_unit():
+def test_exposures_follow_the_lit_part():
     bright = disc(0.6, 0.1, 0)
     lit = bright[bright[..., 0] > 0][:, np.newaxis]
     assert exposures(bright) == pytest.approx(exposures(lit), abs=1e-3)
@@ -166,7 +166,7 @@ def test_it_shows_itself_and_is_written(found, tmp_path):
         found.save(tmp_path / "a.xls")
 
 
-def test_samples_that_are_left_over_judge_and_seeds_are_averaged(tmp_path):
+def test_left_over_samples_judge(tmp_path):
     alone = chd.bench([images(1, 192)], ["mean"], spp=[64], progress=False)
     assert alone.summary()[0]["rank"] == 1
     own = alone.table()[0]
@@ -189,7 +189,7 @@ def test_samples_that_are_left_over_judge_and_seeds_are_averaged(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_references_judge_by_the_samples_that_pixels_have():
+def test_references_judge_by_what_pixels_have():
     samples, more = images(1), images(3, 256).read()
     more[:24, ..., 16:] = np.nan
     more[3, 4] = np.nan
@@ -204,7 +204,7 @@ def test_references_judge_by_the_samples_that_pixels_have():
     assert all(np.isfinite(row[name]) for name in ("relmse", "bias", "mse_ratio_low"))
 
 
-def test_a_reference_of_the_same_seed_judges_by_other_samples():
+def test_references_of_one_seed_use_other_samples():
     x = images(1, 128).read()
     one, other = (chd.Samples.from_array(x[..., :n], seed=5) for n in (16, 128))
     references = {"a": other}, {"a": chd.Samples.from_array(x[..., 16:])}

@@ -67,7 +67,7 @@ def copied(folder, tmp_path):
     return Path(shutil.copytree(folder, tmp_path / "renders"))
 
 
-def test_each_scene_is_asked_for_every_claim_that_is_about_one(found):
+def test_each_scene_is_asked_for_every_claim(found):
     single = [c.number for c in CLAIMS if not c.across]
     for scene in found.scenes:
         assert [f.number for f in scene.findings] == single
@@ -186,7 +186,7 @@ def test_a_damaged_analysis_is_made_again(found, folder, tmp_path):
     assert len(list(copy.glob("*.zarr"))) == 4
 
 
-def test_json_holds_all_but_arrays_and_says_where_it_comes_from(found, tmp_path):
+def test_json_holds_all_but_arrays(found, tmp_path):
     content = json.loads(found.save_json(tmp_path / "findings.json").read_text())
     assert [scene["scene"] for scene in content["scenes"]] == ["cornell-box", "noise"]
     assert content["scenes"][0]["renders"]["another_seed"]["seed"] == 2

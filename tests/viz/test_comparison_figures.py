@@ -77,7 +77,7 @@ def test_an_estimator_without_a_measure_leaves_a_gap(samples):
     texts(estimator_measures(chd.compare(black, ["mean"])))
 
 
-def test_a_breakdown_has_a_row_a_pattern_and_frames_the_best(found):
+def test_a_breakdown_frames_the_best(found):
     ax = pattern_breakdown(found.breakdown)
     value = found.breakdown.measures["relmse_ratio"].value
     seen = texts(ax.figure)
@@ -185,7 +185,7 @@ def test_every_kind_of_plot_is_drawn(kind):
     assert {"scene 0", "scene 1", "x", "y"} <= texts(figure)
 
 
-def test_a_peak_does_not_squeeze_a_curve_and_nan_draws_nothing():
+def test_a_peak_does_not_squeeze_a_curve():
     y = np.ones(100)
     y[3] = 1e6
     figure = viz.finding_plots({"": PlotData("curves", {"loss": (np.arange(100), y)})})

@@ -166,7 +166,7 @@ def test_long_names_and_several_panels_have_room(name, width, monkeypatch):
     assert clashes(drawn.figure if isinstance(drawn, Axes) else drawn, monkeypatch) == []
 
 
-def test_texts_that_are_cut_or_lie_over_each_other_are_seen(monkeypatch):
+def test_clashing_texts_are_seen(monkeypatch):
     figure = Figure()
     for x, text in ((0.5, "one"), (0.51, "two"), (0.99, "three")):
         figure.text(x, 0.5, text)
@@ -204,7 +204,7 @@ def test_channels_and_scales_are_drawn_as_asked_for():
     assert samples.plot(1, 0, width=5, scales="linear").get_figwidth() == 5
 
 
-def test_figures_of_results_draw_the_channel_that_is_asked_for(examples):
+def test_figures_draw_the_channel_asked_for(examples):
     figure = examples["contrast"](channels="blue")
     maps = examples["contrast"].args[0].maps.sel(channel="B")
     np.testing.assert_allclose(

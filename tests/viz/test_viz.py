@@ -64,7 +64,7 @@ def test_a_fit_is_a_curve_in_the_unit_of_its_histogram():
     assert not viz.chd_axes(found, fits=[None]).lines
 
 
-def test_renderings_stand_side_by_side_on_one_axis_of_radiance():
+def test_renderings_share_one_axis():
     x = np.random.default_rng(4).gamma(1.0, size=(2, 3, 64))
     day, night = ([viz.Panel.of(f"p{i}", s * x[i]) for i in range(2)] for s in (100, 1))
     figure = viz.chd_grid({"by day": day, "by night": night})
@@ -90,7 +90,7 @@ def test_maps_have_scales_and_legends(image):
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_contrast_shows_both_images_its_verdict_and_the_window(channels):
+def test_a_contrast_shows_verdict_and_window(channels):
     rng = np.random.default_rng(1)
     a, b = rng.gamma(2.0, size=(2, 20, 30, channels, 32))
     same = contrast(a, b)
@@ -124,7 +124,7 @@ def test_a_panel_counts_nulls_and_no_bad_samples():
     assert viz.Panel.of("dark", np.full((1, 4), np.nan)).mean == ()
 
 
-def test_curves_of_several_panels_share_looks_and_one_legend():
+def test_curves_share_looks_and_a_legend():
     shares = {"gamma": {"a": [0, 1], "b": [1, 1]}, "log-normal": {"b": [0.5, 0.5]}}
     figure = viz.curves([8, 16], shares, level=0.05)
     first, second = figure.axes
@@ -258,7 +258,7 @@ TWO = np.where(RNG.random(800) < 0.25, 0, RNG.lognormal(np.repeat([0, 3], 400), 
 
 
 @pytest.mark.parametrize("fit", [chd.fit.gamma, chd.fit.mixture])
-def test_the_area_below_a_fit_is_the_share_of_positive_samples(fit):
+def test_the_area_below_a_fit_is_its_share(fit):
     found = fit(TWO)
     ax = viz.fit_curve(found)
     x, y = ax.lines[0].get_data()

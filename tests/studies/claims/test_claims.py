@@ -80,7 +80,7 @@ def test_what_is_too_rare_is_not_claimed():
     assert found.verdict == "cannot tell"
 
 
-def test_a_dark_surface_has_the_shape_of_the_pale_one_beside_it():
+def test_a_dark_surface_has_the_pale_one_s_shape():
     tests = look(7, worlds.texture(pair=0.5)).tests
     assert [test.verdict for test in tests] == ["supported"] * 4
     assert tests[-1].name == "distance between the shapes of dark and pale"
@@ -95,7 +95,7 @@ def test_borderline_findings_say_how_many_decide():
 
 
 @pytest.mark.parametrize(("sigma", "same"), [(0.8, True), (1.0, False)])
-def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
+def test_integrators_differ_by_test_and_size(sigma, same):
     """Where they are the same, another seed would have a p-value of 0.001 once in a thousand."""
     found = look(12, worlds.scenes(0.8, 2.4, sigma))
     (test,) = (q for q in found.tests if "integrators" in q.name)
@@ -143,7 +143,7 @@ def test_few_positive_samples_are_noisiest():
         assert look(19, world[19], spp=256).tests[0].verdict == verdict
 
 
-def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
+def test_the_night_room_needs_more_nulls():
     (dark,) = worlds.nulls(0.7)(np.random.default_rng(0), 64)
     expected = {"night-room": "supported", "gallery": "not supported"}
     assert {n: BY_NUMBER[1].find(replace(dark, name=n)).verdict for n in expected} == expected

@@ -57,7 +57,7 @@ DRAWS = {
 }
 
 
-def test_of_independent_samples_in_their_place_nothing_is_found():
+def test_of_independent_samples_nothing_is_found():
     """At the level 5 %: each count of 6 exceeds 3 with a probability of 1 in 10,000."""
     verdicts, found_any = [], 0
     for seed in range(2):
@@ -70,7 +70,7 @@ def test_of_independent_samples_in_their_place_nothing_is_found():
     assert found_any <= 3
 
 
-def test_variances_are_unbiased_whatever_the_correlation():
+def test_variances_are_unbiased():
     rng = np.random.default_rng(1)
     x = rng.normal(10, 1, size=(20, 20, 8, N)) + rng.normal(0, 1, size=(20, 20, 8, 1))
     averages, single = variances(scene(x).spread)
@@ -97,7 +97,7 @@ def test_p_values_of_independent_samples_are_uniform(name):
     assert p_of_independence(stratified(np.random.default_rng(2), (50, 12), 8)) == 0.002
 
 
-def test_pixels_without_a_spread_of_samples_are_not_tested():
+def test_pixels_without_spread_are_not_tested():
     x = np.ones((3, 12, 8))
     x[1, 0, 0] = np.nan
     x[2] = 0

@@ -46,7 +46,7 @@ def pixels(blocks, level=0.95):
     return PixelSet(("image",), none, none, none, blocks, level)
 
 
-def test_slopes_with_an_instrument_are_not_flattened_by_noise():
+def test_an_instrument_keeps_slopes_steep():
     rng = np.random.default_rng(0)
     true = rng.normal(size=1600)
     x, z = true + rng.normal(size=(2, 1600))
@@ -59,7 +59,7 @@ def test_slopes_with_an_instrument_are_not_flattened_by_noise():
 
 
 @pytest.mark.parametrize("n", [110, 128, 199, 200])
-def test_quantiles_of_few_samples_are_not_drawn_to_the_median(n):
+def test_few_samples_keep_their_quantiles(n):
     """The tail of an exponential distribution is as long in 110 samples as in 200, to 6 %."""
     x = np.random.default_rng(n).exponential(size=(4000, n))
     middle, high = positive_quantiles(x, (0.5, 0.99))
@@ -108,7 +108,7 @@ def test_histograms_count_nulls_below_every_edge():
     assert len(EDGES) == 161
 
 
-def test_regions_of_different_shape_are_each_of_one_shape():
+def test_different_regions_have_one_shape_each():
     sigma = np.repeat([0.4, 1.5], 64)[:, np.newaxis]
     shapes = aligned(np.random.default_rng(0).lognormal(0, sigma, size=(128, 512)))
     apart = shape_spread(shapes, pixels(Blocks.join([Blocks.grid(8, 8), Blocks.grid(8, 8)])))
@@ -211,7 +211,7 @@ def test_what_cannot_be_tested_has_no_p_value():
     assert p_of_uniform_noise(np.ones((64, 12))) is None
 
 
-def test_features_that_fix_the_variance_explain_all_but_noise():
+def test_features_explain_all_but_noise():
     rng = np.random.default_rng(0)
     depth = rng.uniform(0, 1, size=(40, 40)).astype(np.float32)
     flat = np.zeros((40, 40, 3), dtype=np.float32)
@@ -310,7 +310,7 @@ def test_the_whole_interval_has_to_be_on_one_side(low, high, verdict):
     assert ClaimTest("x", Interval(0.3, low, high), least=0.1, most=0.5).verdict == verdict
 
 
-def test_an_open_interval_supports_and_refutes_nothing_above():
+def test_an_open_interval_refutes_nothing_above():
     test = ClaimTest("tail", Interval(4.0, 3.5, np.inf), least=6)
     assert test.verdict == "cannot tell"
     assert "3.5 or more" in str(test)
@@ -319,7 +319,7 @@ def test_an_open_interval_supports_and_refutes_nothing_above():
     assert ClaimTest("tail", Interval(8.0, 7.5, np.inf), least=6).verdict == "supported"
 
 
-def test_advice_looks_at_the_side_that_reaches_over_the_border():
+def test_advice_looks_at_the_side_of_the_border():
     """The interval would not reach the border with a third of its upper arm; the lower is short."""
     test = ClaimTest("share", Interval(0.3, 0.29, 0.51), most=0.5)
     assert test.margin == pytest.approx(0.2 / 0.21)
