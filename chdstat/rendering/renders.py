@@ -31,7 +31,7 @@ from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import GROWING, GUIDE, differing, part_folder
-from chdstat.samples.ledger import counts_of, missing_of
+from chdstat.samples.ledger import Ledger, counts_of
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, Work, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
@@ -220,7 +220,7 @@ def _captured(
     partial = _cut_paths(renderer, depths) | {n: replace(renderer.job, light=n) for n in lights}
     with _writer(renderer, out, how) as writer:  # which refuses a store of another scene
         is_less = spp < writer.attrs["spp"] and (how is None or how.error is None)
-        if is_less and not writer.pending():
+        if is_less and not writer.ledger.pending():
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, writer.attrs["spp"], spp)
         with _features_restored(renderer, writer, work):
@@ -513,11 +513,11 @@ def _features_restored(renderer: MitsubaRenderer, writer: Writer, work: Work) ->
 
 def _fill(renderer: MitsubaRenderer, writer: Writer, work: Work) -> None:
     """Render what is missing, and write each chunk as it arrives."""
-    chunks = writer.pending()
+    chunks = writer.ledger.pending()
     if not chunks:
         return
     start, name = time.monotonic(), renderer.job.scene.name
-    samples = writer.lacking
+    samples = writer.ledger.lacking
     # This process adds the missing samples of chunks to the existing ones.
     store = writer if isinstance(writer, Store) and writer.adaptive is None else None
     with track(f"rendering {name}", samples, unit="S", show=work["progress"]) as advance:
@@ -544,44 +544,31 @@ class _MemoryWriter:
         self.attrs, self._features = attrs, dict[str, Image]()
         self.density: Image | None = None
         self._array = np.full((height, width, 3, spp), np.nan, np.float32)
-        self._counts = np.full((height, width), spp, np.int32)
-        self._done = 0
-
-    def pending(self) -> list[Chunk]:
-        """Return the chunks that are still missing."""
-        height, width, _, spp = self._array.shape
-        return list(chunk_grid(height, width, spp))
-
-    @property
-    def lacking(self) -> int:
-        """Samples that are still missing, over all pixels."""
-        return int(self._counts.sum()) - self._done
+        counts = np.full((height, width), spp, np.int32) if "adaptive" in attrs else None
+        self.ledger = Ledger((height, width, 3, spp), counts)
 
     def to_draw(self, chunk: Chunk) -> Chunk:
         """Return a chunk with its missing samples marked, if counts differ on purpose."""
-        if "adaptive" not in self.attrs:
-            return chunk
-        held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
-        wanted = self._counts[chunk.ys, chunk.xs] - chunk.ss.start
-        return replace(chunk, missing=missing_of(held, wanted))
+        return self.ledger.to_draw(chunk, lambda c: self._array[c.ys, c.xs, :, c.ss])
 
     def write(self, chunk: Chunk, block: Image) -> None:
         """Keep the samples of a chunk."""
         held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
         where = True if chunk.missing is None else chunk.missing[:, :, np.newaxis]
         np.copyto(held, block, where=where)
-        self._done += chunk.size
+        self.ledger.note(chunk)
 
     def decide(self, density: Image, spp: float, noise: Mapping[str, Any]) -> None:
         """Let pixels have different numbers of samples from now on, `spp` on average."""
         first, self.density = self._array, density
         self.attrs |= {"spp": spp, "noise": dict(noise)}
-        self._counts = counts_of(density, spp, self.attrs["adaptive"]["first"])
-        shape = (*first.shape[:3], int(self._counts.max()))
+        counts = counts_of(density, spp, self.attrs["adaptive"]["first"])
+        shape = (*self.ledger.shape[:3], int(counts.max()))
         what = f"up to {shape[3]} samples for each of {shape[1]} x {shape[0]} pixels"
         check_memory(4 * math.prod(shape), what, "give a store to write to, or use fewer samples")
         self._array = np.full(shape, np.nan, np.float32)
         self._array[..., : first.shape[3]] = first
+        self.ledger = self.ledger.grown(shape, counts)
 
     @property
     def lacks_features(self) -> bool:
@@ -605,7 +592,7 @@ class _MemoryWriter:
     def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples, with the parts of their light."""
         about: Any = {"attrs": self.attrs, "features": self._features, "parts": parts}
-        return Samples(self._array, counts=self._counts, **about)
+        return Samples(self._array, counts=self.ledger.counts, **about)
 
 
 Writer = _MemoryWriter | Store

@@ -8,7 +8,7 @@ only ever lacks samples at the end of some of its pixels: `missing_of` says whic
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -122,8 +122,22 @@ class Ledger:
         stored = 0 if self.counts is not None else int(self.held[..., batch].min())
         return int(BATCH * batch + stored)
 
-    def marked(self, chunk: Chunk, held: Image) -> Chunk:
-        """Return a chunk with its missing samples marked; `held` has those that it holds."""
-        assert self.counts is not None, "a chunk of equal counts is drawn as a whole"
+    def to_draw(self, chunk: Chunk, read: Callable[[Chunk], Image]) -> Chunk:
+        """Return a chunk with its missing samples marked, if counts differ on purpose.
+
+        `read` returns the samples that a chunk holds, NaN for the others.
+        """
+        if self.counts is None:
+            return chunk
+        height, width, samples = chunk.shape
+        held = np.full((height, width, 1, samples), np.nan, np.float32)
+        if self.held[chunk.index]:
+            held = read(chunk)
         wanted = self.counts[chunk.ys, chunk.xs] - chunk.ss.start
         return replace(chunk, missing=missing_of(held, wanted))
+
+    def grown(self, shape: tuple[int, int, int, int], counts: PixelCounts | None) -> Ledger:
+        """Return the ledger of a store with more room, in which as much is stored."""
+        found = Ledger(shape, counts)
+        found.held[..., : self.held.shape[2]] = self.held
+        return found

@@ -224,18 +224,17 @@ class Store:
             return None
         return self._read_feature(layout.COUNTS).astype(np.int32)
 
-    def _empty(self) -> Ledger:
-        """Return the ledger of a store in which nothing is stored."""
-        counts = None
-        if self.adaptive is not None:
-            counts = None if self.density is None else self.counts()
-            if counts is None:  # the first samples, which all pixels have
-                counts = np.full(self.shape[:2], self.shape[3], np.int32)
-        return Ledger(self.shape, counts)
+    def _wanted(self) -> PixelCounts | None:
+        """Return the samples that each pixel should have, if counts differ on purpose."""
+        if self.adaptive is None:
+            return None
+        counts = None if self.density is None else self.counts()
+        # The first samples, which all pixels have, decide about the others.
+        return np.full(self.shape[:2], self.shape[3], np.int32) if counts is None else counts
 
     def _stored(self) -> Ledger:
         """Return the ledger: the leading samples that are known, and those with labels."""
-        known, ledger = int(self._manifest["complete"]), self._empty()
+        known, ledger = int(self._manifest["complete"]), Ledger(self.shape, self._wanted())
         ledger.note_first(known)
         for chunk in ledger.chunks(ss=slice(known, self.shape[3])):
             if self.chunk_file(chunk).exists():
@@ -258,20 +257,9 @@ class Store:
         """Return the chunks that are not safely stored yet, in the order of rendering."""
         return self.ledger.pending()
 
-    @property
-    def lacking(self) -> int:
-        """Samples that are not stored yet, over all pixels."""
-        return self.ledger.lacking
-
     def to_draw(self, chunk: Chunk) -> Chunk:
         """Return a chunk with its missing samples marked, if counts differ on purpose."""
-        if self.ledger.counts is None:
-            return chunk
-        height, width, samples = chunk.shape
-        held = np.full((height, width, 1, samples), np.nan, np.float32)
-        if self.ledger.held[chunk.index]:
-            held = self.read(chunk.ys, chunk.xs, chunk.ss)
-        return self.ledger.marked(chunk, held)
+        return self.ledger.to_draw(chunk, lambda c: self.read(c.ys, c.xs, c.ss))
 
     def chunk_file(self, chunk: Chunk) -> Path:
         """Return the file that holds a chunk."""
@@ -503,8 +491,7 @@ class Store:
     def _grow(self, spp: int) -> None:
         """Make room for more samples of every pixel, or of some pixels."""
         self.shape = (*self.shape[:3], max(spp, self.shape[3]))
-        before, self.ledger = self.ledger.held, self._empty()
-        self.ledger.held[..., : before.shape[2]] = before
+        self.ledger = self.ledger.grown(self.shape, self._wanted())
         self._lay_out()
         complete = self.ledger.complete_spp  # of counts that grew, fewer than before
         self._change({"shape": list(self.shape), "complete": complete})
