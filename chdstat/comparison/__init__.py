@@ -19,7 +19,7 @@ from chdstat.comparison.comparisons import (
     compare,
     error_curve,
 )
-from chdstat.comparison.entries import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
+from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
 from chdstat.comparison.judges import Judge
 from chdstat.comparison.metrics import MEASURES
 

@@ -23,7 +23,7 @@ from chdstat._core.display import Card, Shown, Tabled, Width, png
 from chdstat._core.doors import draw
 from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
-from chdstat.comparison.entries import Entry, choose, curve_sizes, notes
+from chdstat.comparison.estimator_choice import Entry, choose, curve_sizes, notes
 from chdstat.comparison.judges import Judge, check_samples_for_judge
 from chdstat.comparison.judging import (
     Models,

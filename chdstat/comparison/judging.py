@@ -22,7 +22,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Array, block_numbers, flag_attributes, flag_names, whole
 from chdstat._core.resampling import Interval
 from chdstat._core.work import in_order, track
-from chdstat.comparison.entries import (
+from chdstat.comparison.estimator_choice import (
     Chosen,
     Denoised,
     Entry,

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Image, is_bad
 from chdstat.comparison import DEFAULT_ESTIMATORS
-from chdstat.comparison.entries import choose, estimate_by, takes
+from chdstat.comparison.estimator_choice import choose, estimate_by, takes
 from chdstat.estimators import registry
 from chdstat.estimators.training import TrainedModel
 from chdstat.explorer.address import PixelIndex

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.comparison.entries import notes
+from chdstat.comparison.estimator_choice import notes
 from chdstat.explorer import batch_estimates, tables
 from chdstat.explorer.address import Box, PixelIndex, View
 from chdstat.explorer.batch_estimates import BATCHES_AROUND, PlaceEstimates

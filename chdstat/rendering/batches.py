@@ -17,7 +17,7 @@ from chdstat._core.arrays import Image, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.work import Interrupts, track
 from chdstat.rendering.backend import activate
-from chdstat.rendering.jobs import Job, RenderSettings, showing_settings
+from chdstat.rendering.jobs import Job, RenderSettings, with_settings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.renders import checked_renderer
 from chdstat.rendering.workers import at_once, render_remote, rendered
@@ -30,7 +30,7 @@ _AT_ONCE = 4
 """Samples that a scalar thread draws of a tile, so that few tiles keep all threads busy."""
 
 
-@showing_settings
+@with_settings
 def render_batches(
     scene: SceneLike,
     *,

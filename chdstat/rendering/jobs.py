@@ -162,7 +162,7 @@ TYPED = {name: setting.typed or SETTINGS[name].annotation for name, setting in _
 """Types of the settings on the command line, where they may be texts of that."""
 
 
-def showing_settings(function: Function) -> Function:
+def with_settings(function: Function) -> Function:
     """Show the settings of a render in the signature of a function that takes them by keyword.
 
     Editors know them from `RenderSettings`; this is for `help`, notebooks and the documentation.

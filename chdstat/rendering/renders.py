@@ -25,7 +25,7 @@ from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, Look, decided, error_of, more
 from chdstat.rendering.backend import activate
-from chdstat.rendering.jobs import Job, RenderSettings, checked_settings, showing_settings
+from chdstat.rendering.jobs import Job, RenderSettings, checked_settings, with_settings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
@@ -46,7 +46,7 @@ _MOST_COMPRESSION = 10
 """Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
 
 
-@showing_settings
+@with_settings
 def render(
     scene: SceneLike,
     *,

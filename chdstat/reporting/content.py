@@ -21,7 +21,7 @@ from chdstat.analysis import (
     pooled_shares,
 )
 from chdstat.comparison import Comparison
-from chdstat.comparison.entries import DEFAULT_ESTIMATE
+from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
 from chdstat.comparison.metrics import in_words, shown_ratio
 from chdstat.estimators import Combination
 from chdstat.estimators.default_estimate.error import spp_in_words

@@ -23,7 +23,7 @@ from chdstat._core.files import replacing, unused, writing
 from chdstat._core.image_scales import worst_parts
 from chdstat.analysis import save
 from chdstat.comparison import Comparison, ErrorCurve
-from chdstat.comparison.entries import DEFAULT_ESTIMATE
+from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
 from chdstat.errors import StoreError
 from chdstat.estimators.registry import Estimates
 from chdstat.estimators.training import TrainedModel

@@ -19,7 +19,7 @@ from chdstat._core.arrays import whole
 from chdstat._core.files import checked_target, kept_until_written
 from chdstat.analysis import NoiseShares, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
-from chdstat.comparison.entries import (
+from chdstat.comparison.estimator_choice import (
     DEFAULT_ESTIMATORS,
     Entry,
     choose,

@@ -23,7 +23,14 @@ from chdstat._core.display import Card, Tabled, number, percent
 from chdstat._core.files import replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat._core.work import track
-from chdstat.comparison.entries import Entry, choose, estimate_by, notes, takes, without_denoiser
+from chdstat.comparison.estimator_choice import (
+    Entry,
+    choose,
+    estimate_by,
+    notes,
+    takes,
+    without_denoiser,
+)
 from chdstat.comparison.judges import PARTS, Judge, PartialSums
 from chdstat.comparison.metrics import (
     HAS_FLIP,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from chdstat._core.files import Cache, digest_of, kept_until_written, release, room
 from chdstat.analysis import analyze, save
 from chdstat.comparison import DEFAULT_ESTIMATORS, Comparison, compare
-from chdstat.comparison.entries import Entry, entry_of, without_denoiser
+from chdstat.comparison.estimator_choice import Entry, entry_of, without_denoiser
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model

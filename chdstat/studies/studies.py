@@ -21,7 +21,7 @@ from chdstat._core.doors import report
 from chdstat._core.files import checked_target, writing
 from chdstat.analysis import NoiseShares, Overview, noise_of, overview
 from chdstat.comparison import Comparison
-from chdstat.comparison.entries import Entry, entry_of
+from chdstat.comparison.estimator_choice import Entry, entry_of
 from chdstat.errors import InputError, StoreError
 from chdstat.patterns import Atlas, atlas, choose_regions
 from chdstat.rendering import refuse_render

@@ -34,7 +34,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator
 
 from chdstat._core.display import Width
-from chdstat.comparison.entries import DEFAULT_ESTIMATE
+from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
 from chdstat.errors import InputError, check_option
 from chdstat.estimators.registry import LABELS
 from chdstat.fit.families import FAMILIES

@@ -9,7 +9,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import DEFAULT_ESTIMATORS
-from chdstat.comparison.entries import DEFAULT_ESTIMATE, choose, entry_of
+from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE, choose, entry_of
 from chdstat.errors import InputError
 from chdstat.estimators import lookup, registry
 from chdstat.explorer.batch_estimates import (

@@ -22,7 +22,7 @@ from chdstat._core.arrays import Array, Floats, generator, is_bad
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison, compare
-from chdstat.comparison.entries import entry_of, estimate_by
+from chdstat.comparison.estimator_choice import entry_of, estimate_by
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names
 from chdstat.estimators.denoiser import denoise
