@@ -1,4 +1,4 @@
-"""Entries: the estimators of a comparison, looked up by name and checked.
+"""Choice of the estimators of a comparison: looked up by name and checked.
 
 `DEFAULT_ESTIMATORS` are compared by default. `Denoised` is an estimator followed by Open Image
 Denoise: use it to see whether a denoiser profits from a better input. `denoised` makes one;

@@ -23,8 +23,7 @@ from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished
 from chdstat.errors import Reason, check_probability
-from chdstat.inference.references import Reference
-from chdstat.inference.render_pairs import Pair
+from chdstat.inference.render_pairs import Pair, Reference
 from chdstat.inference.windows import (
     CHANCE_TO_MISS,
     LEAST_LIGHT,
@@ -356,7 +355,7 @@ def contrast(
     file and of a conversion of colours explains is no difference, nor is what its noise explains,
     if that is known. Unless there is an image of variances, it does not say how rare its light is.
     Pixels of A without any sample of that light are evidence only as far as their neighbours show
-    how bright its samples can be (`chdstat.inference.references`). If A is darker, the conclusion
+    how bright its samples can be (`chdstat.inference.render_pairs`). If A is darker, the conclusion
     says what it may have missed.
 
     **Regions.** Small differences show in sums over windows of all sizes up to the whole image. The
