@@ -25,7 +25,6 @@ from chdstat.estimators.estimates import (
     estimate,
 )
 from chdstat.estimators.neighbourhood import Fireflies
-from chdstat.estimators.outliers import Cascade
 from chdstat.estimators.registry import (
     Estimates,
     Estimator,
@@ -41,7 +40,6 @@ from chdstat.estimators.training import History, load_model, train_model
 __all__ = [
     "MLP",
     "PRESETS",
-    "Cascade",
     "Combination",
     "CombinationStream",
     "Estimates",

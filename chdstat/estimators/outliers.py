@@ -3,8 +3,7 @@
 `zirr2018` and `zirr2018_pixel` split each sample between the two nearest layers of brightness. A
 layer counts more if more samples of its brightness have fallen into the pixel or around it, so
 fireflies count less. `zirr2018` looks at 3 x 3 pixels, `zirr2018_pixel` at the pixel alone.
-`Cascade` keeps the layers, so that a sweep of kappa splits the samples only once. `decoro2010`
-averages the samples that have enough similar samples in the pixels around.
+`decoro2010` averages the samples that have enough similar samples in the pixels around.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from chdstat._core.arrays import Floats, Reals, as_pixels, luminance, spans, whole
+from chdstat._core.arrays import Floats, Reals, luminance, spans, whole
 from chdstat._core.image_scales import BASE, LAYERS, exposure_unit, layer_weights
-from chdstat.errors import InputError
 from chdstat.estimators import registry
 from chdstat.estimators.registry import register
 from chdstat.estimators.similarity import window_sum
@@ -56,7 +54,6 @@ def zirr2018(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -> Real
         darker and smoother. The paper leaves it to the user; the authors' viewer starts at 32 for
         1024 samples per pixel, which corresponds to 1 for 32. Values up to 1e-6 switch the
         reweighting off: the result is then the mean, except for radiance above the top layer.
-        `Cascade.resolve` sweeps it.
     unit
         Radiance of the lowest layer's brightness, B_0; None exposes the image so that the
         log-average of its pixels is 0.18.
@@ -121,7 +118,7 @@ def zirr2018_pixel(x: Reals, *, kappa: float = 1.0, unit: float | None = None) -
 
 
 @dataclass(frozen=True)
-class Cascade:
+class _Cascade:
     """Samples as layers of brightness.
 
     Attributes
@@ -139,9 +136,8 @@ class Cascade:
     unit: float
 
     @classmethod
-    def of(cls, x: npt.ArrayLike, *, unit: float | None = None) -> Cascade:
-        """Split samples (..., channel, sample), as `zirr2018` takes them."""
-        samples = as_pixels(x)
+    def of(cls, samples: Reals, unit: float | None) -> _Cascade:
+        """Split samples (..., channel, sample)."""
         channels, n = samples.shape[-2:]
         rows = samples.reshape(-1, channels, n)
         # The exposure follows from the mean, before anything is reweighted.
@@ -159,55 +155,31 @@ class Cascade:
         split = np.moveaxis(np.concatenate(layers), -1, 0).reshape(LAYERS, *shape, channels)
         return cls(split, np.concatenate(counts).reshape(shape), found)
 
-    def resolve(self, kappa: npt.ArrayLike, *, radius: int = 1) -> Floats:
-        """Add the layers up by their reliability, for one kappa or many.
+    def resolve(self, kappa: float, *, radius: int) -> Floats:
+        """Add the layers up by their reliability, shape (..., channel).
 
         Parameters
         ----------
         kappa
-            Number of samples that confirm a brightness, larger than 0, shape () or (kappa,).
+            Number of samples that confirm a brightness, larger than 0.
         radius
             1 for 3 x 3 pixels, which needs an image (y, x, channel); 0 for the pixel alone.
-
-        Returns
-        -------
-        ndarray
-            Radiance, shape (..., channel) or (..., channel, kappa).
-
-        Raises
-        ------
-        InputError
-            If a kappa is not positive, or `radius` is not 0 and the samples are not an image.
-
-        Examples
-        --------
-        >>> cascade = Cascade.of([[1.0] * 31 + [900.0]], unit=1.0)
-        >>> cascade.resolve([1e-9, 0.1, 1.0, 10.0], radius=0).round(1).tolist()
-        [[29.1, 8.2, 1.5, 1.2]]
         """
-        kappas = np.asarray(kappa, dtype=np.float64)
-        if kappas.ndim > 1 or not (kappas > 0).all():
-            message = f"kappa must be one or more numbers larger than 0, got {kappa!r}"
-            raise InputError(message)
-        if radius and self.layers.ndim != 4:
-            message = f"neighbours need an image (y, x, channel), got {self.layers.shape[1:]}"
-            raise InputError(message)
-        k = kappas.reshape(-1, *(1,) * self.count.ndim)
+        registry.check_positive(kappa=kappa)
         near, around = self._luminances(0), self._luminances(radius)
-        accepted = np.zeros((kappas.size, *self.layers.shape[1:]))
+        accepted = np.zeros(self.layers.shape[1:])
         # For a large kappa, which asks for a small error, one sample may hold more energy.
-        slack = 1 + 0.6 * (BASE - 1) * (1 - np.minimum(1 / k, 1))
-        hits = self.count / k
+        slack = 1 + 0.6 * (BASE - 1) * (1 - np.minimum(1 / kappa, 1))
+        hits = self.count / kappa
         for index, layer in enumerate(self.layers):
             rows = slice(max(index - 1, 0), index + 2)
-            reliable, own = (hits * part[rows].sum(axis=0) - 1 / k for part in (around, near))
+            reliable, own = (hits * part[rows].sum(axis=0) - 1 / kappa for part in (around, near))
             reliable = np.where(reliable >= 0, own, reliable)
             bright = np.maximum(luminance(accepted, channel_axis=-1), _DARKEST)
             colour = bright * hits / BASE**index * slack
-            weight = np.clip((reliable + colour) / 2, k <= _OFF, 1)
+            weight = np.clip((reliable + colour) / 2, kappa <= _OFF, 1)
             accepted += weight[..., np.newaxis] * layer
-        found = np.moveaxis(accepted * self.unit, 0, -1)
-        return np.asarray(found.reshape(*self.layers.shape[1:], *kappas.shape))
+        return np.asarray(accepted * self.unit)
 
     def _luminances(self, radius: int) -> Floats:
         """Return luminances of the layers, averaged over a window, in units of their brightness."""
@@ -220,7 +192,7 @@ class Cascade:
 
 
 def _estimate(x: Reals, kappa: float, unit: float | None, *, radius: int) -> Reals:
-    cascade = Cascade.of(x, unit=unit)
+    cascade = _Cascade.of(x, unit)
     return np.where(
         cascade.count[..., np.newaxis] > 0, cascade.resolve(kappa, radius=radius), np.nan
     )

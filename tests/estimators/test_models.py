@@ -14,6 +14,8 @@ from chdstat.comparison import denoised, error_curve
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, LearnedEstimator, names, register_learned, registry, train_model
 from chdstat.estimators.training import (
+    Trained,
+    TrainedModel,
     first_samples,
     load_model,
     read_model,
@@ -227,3 +229,42 @@ def test_what_cannot_be_saved_is_not_trained_alone(calls):
     with pytest.raises(InputError, match="share .*Share"):
         train_model(deep_image(), "share", progress=False)
     assert calls == [{"seed": 0, "iterations": None, "progress": False}]
+
+
+class Factor(TrainedModel[Trained]):
+    """A factor of the mean, as a learned estimator of one file would be."""
+
+    kind = name = "factor"
+
+    def __init__(self, factor, state):
+        self.factor, self._trained = factor, state
+
+    @classmethod
+    def train(cls, samples, *, pixels=((0, 0),), **_):
+        found = {"train_pixels": np.array(pixels), "train_shape": samples.shape[:2]}
+        return cls(2.0, Trained(history=np.ones((1, 5)), provenance={"scene": "any"}, **found))
+
+    def predict(self, x):
+        return (self.factor * np.asarray(x).mean(axis=-1)).astype(np.float32)
+
+    def _to_file(self, _):
+        return {"factor": np.array(self.factor)}, {}
+
+    @classmethod
+    def _from_file(cls, arrays, _, common):
+        return cls(arrays["factor"], Trained(**common))
+
+
+def test_a_class_and_its_entry_make_a_learned_estimator(tmp_path):
+    register_learned(LearnedEstimator("factor", Factor.train, "this test", inputs=None, pixels=64))
+    try:
+        train_model(image(), "factor", progress=False).save(tmp_path / "a.safetensors")
+        model = load_model(tmp_path / "a.safetensors")
+        twice = 2 * image().first(8).read().mean(axis=-1)
+        assert chd.estimate(image(), model, spp=8).radiance == pytest.approx(twice, rel=1e-5)
+        found = chd.compare(image(), ["factor"], n=8, progress=False)
+        assert found.estimates[0] == pytest.approx(twice, rel=1e-5)
+        assert len(found.models["factor"].train_pixels) == 64
+    finally:
+        registry.forget("factor")
+        del TrainedModel.kinds["factor"]
