@@ -35,9 +35,8 @@ def radiance():
     return x.astype(np.float32)
 
 
-@pytest.fixture
-def documents(monkeypatch):
-    """Yield what is typeset, document by document."""
+def keep_documents(monkeypatch):
+    """Return a list of what is typeset from now on, document by document."""
     given = []
 
     def kept(document, *where):
@@ -48,17 +47,30 @@ def documents(monkeypatch):
     return given
 
 
-def test_a_short_report_is_read_in_minutes(radiance, tmp_path, documents):
-    """Of a remake, which it says first and once; nothing is trained, and no claim tested."""
+@pytest.fixture
+def documents(monkeypatch):
+    return keep_documents(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def short(radiance, tmp_path_factory):
+    """Return the path of a short report of a remake, and its document."""
     samples = chd.Samples.from_array(radiance, scene="bathroom", scene_source="chdstat")
-    path = chd.report(samples, tmp_path / "noise.pdf")
+    with pytest.MonkeyPatch.context() as patch:
+        documents = keep_documents(patch)
+        path = chd.report(samples, tmp_path_factory.mktemp("short") / "noise.pdf")
+    return path, documents[0]
+
+
+def test_a_short_report_is_read_in_minutes(radiance, short):
+    """Of a remake, which it says first and once; nothing is trained, and no claim tested."""
+    path, document = short
     text = text_of(path)
     assert pages_of(path) <= 4
     note = "bathroom remakes the paper's Bathroom: "
     assert note in text_of(path, last=1)
     assert text.count(note) == 1
     assert remake_note([chd.Samples.from_array(radiance, scene="bathroom")]) == ""
-    (document,) = documents
     assert [*document.figures] == ["regions", "noise", "estimates"]
     rows = [row["name"] for row in document.content["estimators"]["rows"]]
     assert rows[:2] == ["default estimate (combination) *", "sample mean"]
@@ -68,12 +80,11 @@ def test_a_short_report_is_read_in_minutes(radiance, tmp_path, documents):
     assert "The paper’s claims" not in text
     assert "50 % of all samples find no light" in text_of(path, last=1)
     assert path.stat().st_size < 2e6
-    assert list(tmp_path.iterdir()) == [path]
+    assert list(path.parent.iterdir()) == [path]
 
 
-def test_each_number_of_a_report_has_one_value(radiance, tmp_path, documents):
-    chd.report(chd.Samples.from_array(radiance), tmp_path / "a.pdf")
-    content = documents[0].content
+def test_each_number_of_a_report_has_one_value(radiance, short):
+    content = short[1].content
     ratio = content["estimators"]["rows"][0]["mse_ratio"].split()[0]
     nulls = content["key_figures"][0]["value"]
     (said,) = (f for f in content["findings"] if "find no light" in f["finding"])
