@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 _VERSION = 1
 """Version of the schema."""
-SUFFIX = ".npz"
+_SUFFIX = ".npz"
 _FILE = Path(__file__).parent / "certified.npz"
 _SE_BITS = 8
 """Bits of the mantissa of a standard error that are kept: more do not mean anything."""
@@ -168,7 +168,7 @@ def certified(path: str | Path | None = None) -> xr.Dataset:
         raise StoreError(message) from error
 
 
-def dataset_of(
+def _dataset_of(
     numbers: Numbers, known: Mapping[str, Array], attrs: Mapping[str, Any]
 ) -> xr.Dataset:
     """Return a dataset of the numbers of pixels and what is `known` of them, see `SCHEMA`."""
@@ -186,7 +186,7 @@ def save(dataset: xr.Dataset, path: str | Path) -> Path:
     InputError
         If the file has another suffix.
     """
-    target = checked_target(path, SUFFIX)
+    target = checked_target(path, _SUFFIX)
     arrays: dict[str, Any] = {"attrs": np.array(json.dumps(dataset.attrs))}
     for name in (*SCHEMA, *Numbers.declared()):
         values = dataset[name].to_numpy()
@@ -330,7 +330,7 @@ def certify(
         **provenance(looked_at, seed, count),
         **{name: np.concatenate([part[1][name] for part in parts]) for name in parts[0][1]},
     }
-    return dataset_of(joined([part[0] for part in parts]), known, about())
+    return _dataset_of(joined([part[0] for part in parts]), known, about())
 
 
 def of_scenes(
@@ -367,7 +367,7 @@ def of_scenes(
     options: dict[str, Any] = {"spp": spp or _CERTIFIED_SPP, "size": size or _SIZE}
     parts = []
     for name in scenes or BUILTIN:
-        if name.endswith(SUFFIX):
+        if name.endswith(_SUFFIX):
             parts.append(certified(name))
         elif name in BUILTIN and spp is None and size is None:
             known = certified()
@@ -383,7 +383,7 @@ def _kept(
     """Return certified pixels of a scene, from the folder if they are there."""
     if folder is None:
         return certify(scene, **options, progress=progress)
-    file = folder / f"{scene.name}{SUFFIX}"
+    file = folder / f"{scene.name}{_SUFFIX}"
     if not file.exists():
         folder.mkdir(parents=True, exist_ok=True)
         return certified(save(certify(scene, **options, progress=progress), file))

@@ -230,7 +230,7 @@ def huber(x: Reals, *, c: float = 1.345) -> Reals:
         inside = np.count_nonzero(np.abs(deviation) < limit, axis=-1)
         np.minimum(deviation, limit, out=deviation)
         np.maximum(deviation, -limit, out=deviation)
-        total = row_sums(deviation)
+        total = _row_sums(deviation)
         # Between two samples the sum may stay 0; rounding must not move the estimate there.
         total[np.abs(total) <= 1e-15 * rows.shape[-1] * reach] = 0
         return total, inside.astype(np.float64)
@@ -329,12 +329,12 @@ def catoni(x: Reals, *, delta: float = 0.01) -> Reals:
         t = (rows - theta[:, np.newaxis]) * a[:, np.newaxis]
         size = np.abs(t)
         inner = 1 + size + 0.5 * t * t
-        slope = a * row_sums((1 + size) / inner)
-        return row_sums(np.copysign(np.log(inner), t)), slope
+        slope = a * _row_sums((1 + size) / inner)
+        return _row_sums(np.copysign(np.log(inner), t)), slope
 
     def kernel(rows: Floats) -> Floats:
         n = rows.shape[-1]
-        mean = row_sums(rows) / n
+        mean = _row_sums(rows) / n
         if n <= 2 * level:
             return np.asarray(mean)
         deviation = rows - mean[:, np.newaxis]
@@ -379,7 +379,7 @@ def balance(
     return registry.converge(update, start, near, rows, low, high, *beside)
 
 
-def row_sums(rows: Floats) -> Floats:
+def _row_sums(rows: Floats) -> Floats:
     """Return the sums of rows; for short rows, a product with ones is faster than a sum."""
     return np.asarray(rows @ np.ones(rows.shape[-1]))
 
@@ -393,7 +393,7 @@ def _without_ends(x: Reals, share: float, *, pulled_in: bool) -> Reals:
     def kernel(rows: Floats) -> Floats:
         m = rows.shape[-1]
         cut = int(share * m)
-        inner = row_sums(rows[:, cut : m - cut])
+        inner = _row_sums(rows[:, cut : m - cut])
         if pulled_in:
             return np.asarray((inner + cut * (rows[:, cut] + rows[:, m - 1 - cut])) / m)
         return np.asarray(inner / (m - 2 * cut))
@@ -434,7 +434,7 @@ def _biweight(rows: Floats, start: Floats, reach: Floats) -> Floats:
         np.square(weight, out=weight)
         # At least half of the samples lie within a MAD of the median, so the weights never vanish
         # for c >= 0.7. For smaller c they may all be 0; then the estimate stays.
-        total = row_sums(weight)
+        total = _row_sums(weight)
         there = np.divide(np.vecdot(weight, rows), total, out=here.copy(), where=total > 0)
         return there, rows, reach
 
@@ -625,10 +625,10 @@ def bayesian_median_of_means(x: Reals, *, alpha: float = 1.0) -> Reals:
     registry.check_positive(alpha=alpha)
 
     def kernel(rows: Floats) -> Floats:
-        mean = row_sums(rows) / rows.shape[-1]
+        mean = _row_sums(rows) / rows.shape[-1]
         deviation = rows - mean[:, np.newaxis]
         square = deviation * deviation
-        second, third = row_sums(square), np.vecdot(square, deviation)
+        second, third = _row_sums(square), np.vecdot(square, deviation)
         # sigma times skewness is M3 / M2. Both are 0 for equal samples.
         shift = np.divide(third, second, out=np.zeros_like(mean), where=second > 1e-30)
         # A tiny alpha would correct too much: weighted means lie within the range of the samples.

@@ -11,7 +11,7 @@ A's.
 A `Reference` is an image of another program instead of B. Such an image has no samples. It is a
 mean, known to the precision of its file; its noise is known if there is an image of variances, or a
 number of samples. What it never shows is how rare its light is: a pixel whose samples are all null
-may have missed light that comes in one of 1000 samples. `unseen_variance` bounds how much the
+may have missed light that comes in one of 1000 samples. `_unseen_variance` bounds how much the
 samples of a pixel may vary beyond what they show, so that such a pixel is no evidence, whatever the
 unit of radiance.
 """
@@ -219,7 +219,7 @@ class Reference(Shown):
         return largest / math.sqrt(spp * (self.spp or _GRANTED * spp))
 
 
-def with_luminance(x: Array) -> Array:
+def _with_luminance(x: Array) -> Array:
     """Return bands (y, x, band, ...): luminance before R, G and B; other channels as they are."""
     if x.shape[2] != 3:
         return x
@@ -227,7 +227,7 @@ def with_luminance(x: Array) -> Array:
     return np.concatenate([light[:, :, np.newaxis], x], axis=2)
 
 
-def unseen_variance(
+def _unseen_variance(
     mean: Floats, variance: Floats, shift: Floats, lowest: Floats, highest: Floats
 ) -> tuple[Floats, Mask]:
     """Return how much samples may vary of which hardly any shows light that their pixel has.
@@ -483,7 +483,7 @@ class Pair:
         each = number / self.terms
         own = moments.central2 * moments.scale**2 / moments.n * each
         shift = moments.total * moments.scale / moments.n
-        unseen, hidden = unseen_variance(
+        unseen, hidden = _unseen_variance(
             np.nan_to_num(maps["mean_a"][..., band]),
             own / averaged,
             shift,
@@ -494,7 +494,7 @@ class Pair:
         more = np.where(moments.few_outliers, unseen * averaged, 0)
         if self.b.variance is not None:
             # Of luminance, the largest that those of the channels allow.
-            variance = with_luminance(np.sqrt(self.b.variance))[..., band] ** 2
+            variance = _with_luminance(np.sqrt(self.b.variance))[..., band] ** 2
             known, spp = np.isfinite(variance), np.asarray(self.b.spp or number)
             of_sample, more = np.where(known, variance, own), np.where(known, variance - own, more)
             hidden = hidden & ~known
@@ -550,14 +550,14 @@ class Pair:
         """Return the maps and sums of some rows."""
         sums = self._read(ys, left_out)
         missing = ((sums[0].number == 0) | (sums[1].number == 0))[:, :, np.newaxis]
-        of_terms = [with_luminance(render.of_terms()) for render in sums]
+        of_terms = [_with_luminance(render.of_terms()) for render in sums]
         if missing.any():
             of_terms = [np.where(missing, 0, x) for x in of_terms]
         one, other = of_terms
         d = other - one
         known = self.terms - missing.sum(axis=-1)
         means = [sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b.mean[ys]]
-        mean_a, mean_b = map(with_luminance, means)
+        mean_a, mean_b = map(_with_luminance, means)
         tested, constant, of_reference = d, np.ones(d.shape[:-1], bool), {}
         if isinstance(self.b, Reference):
             # What rounding explains is no difference of a pixel.
@@ -645,7 +645,7 @@ class Pair:
         ordered = sums if self.units[0] == short else sums[::-1]
         total = np.concatenate([render.unit_total for render in ordered], axis=-1)
         number = np.concatenate([render.unit_number for render in ordered], axis=-1)
-        x, good = with_luminance(total / np.maximum(number, 1)[:, :, np.newaxis]), number > 0
+        x, good = _with_luminance(total / np.maximum(number, 1)[:, :, np.newaxis]), number > 0
         for band in range(x.shape[2]):
             small = p[..., band] <= _SMALL
             rows, known = x[:, :, band][small], good[small]
