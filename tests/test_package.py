@@ -32,9 +32,7 @@ LAYERS = [*reversed(PROJECT["importlinter"]["contracts"][0]["layers"])]
 FOLDERS = sorted(m for m in chd.__all__ if m in LAYERS and m != "errors")
 """Folders that users see."""
 
-SAME_MODULES = {
-    *("errors", "estimators", "maps", "samples", "selection"),
-}
+SAME_MODULES = {"selection"}
 """Names that two modules still share. Take out what is renamed; add none."""
 
 HEAVY = (

@@ -1,4 +1,4 @@
-"""Samples: the commands that render, import, export and describe them."""
+"""Sampling: the commands that render, import, export and describe samples."""
 
 from __future__ import annotations
 
