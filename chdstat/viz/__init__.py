@@ -25,7 +25,6 @@ from chdstat.viz.chd import (
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
 from chdstat.viz.estimators import (
     averages,
-    curves,
     error_curves,
     estimator_measures,
     pattern_breakdown,
@@ -60,7 +59,6 @@ __all__ = [
     "chd_pair",
     "claim_intervals",
     "contrast",
-    "curves",
     "error_curves",
     "estimator_measures",
     "finding_plots",

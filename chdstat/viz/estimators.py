@@ -1,9 +1,8 @@
-"""Comparisons of estimators, and curves against the number of samples.
+"""Comparisons of estimators, and errors against the number of samples.
 
 `pattern_breakdown` draws relMSE by pattern, `estimator_measures` all measures side by side,
 `pixel_estimates` a few pixels one by one, and `error_curves` errors against the number of samples.
-`training` draws losses. `curves` draws any quantity against the number of samples, `averages` how
-averages become Gaussian.
+`training` draws losses, `averages` how averages become Gaussian.
 """
 
 from __future__ import annotations
@@ -43,7 +42,6 @@ from chdstat.viz.styling import (
     qualitative,
     style,
     verbatim,
-    within,
 )
 
 _GREY = "#888888"
@@ -340,89 +338,6 @@ def _by_number(ax: Axes, numbers: npt.ArrayLike) -> None:
     ax.set_xscale("log", base=2)
     ax.set_xticks(np.asarray(numbers), [str(n) for n in np.asarray(numbers).tolist()])
     ax.minorticks_off()
-
-
-@style()
-def curves(
-    numbers: npt.ArrayLike,
-    panels: Mapping[str, Mapping[str, npt.ArrayLike]],
-    *,
-    ylabel: str = "",
-    level: float | None = None,
-    columns: int = 2,
-    log: bool = False,
-    width: Width = "page",
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw shares, or other quantities, against the number of samples.
-
-    Parameters
-    ----------
-    numbers
-        Numbers of samples, shape (number,).
-    panels
-        For each title, curves of shape (number,) by name. A curve has the same colour and mark in
-        all panels.
-    ylabel
-        Label of the y axis.
-    level
-        Level of a dotted line.
-    columns
-        Panels side by side; fewer if they do not fit.
-    log
-        Give each panel its own logarithmic axis, as for errors; otherwise all share one from 0 to
-        1.
-    width
-        Width of the figure: "column", "page" or inches.
-    fig
-        Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If there is no panel.
-
-    Examples
-    --------
-    >>> figure = curves([8, 16], {"gamma": {"one test": [0.2, 0.4], "another": [0.3, 0.5]}})
-    >>> len(figure.axes)
-    1
-    """
-    names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
-    labels = [verbatim(called(name)) for name in names]
-    looks = [
-        {"color": _COLORS[i % len(_COLORS)], "marker": _MARKERS[i % len(_MARKERS)]}
-        for i in range(len(names))
-    ]
-    across, alone = inches(width, fig), len(panels) == 1
-    columns = fitting(across, min(columns, len(panels)), 1.6)
-    height = 2.8 if alone else 1.85 * -(-len(panels) // columns) + 0.4
-    figure, axes = panels_in(fig, len(panels), columns, height, width, sharey=not log)
-    for ax, (title, panel) in zip(axes, panels.items(), strict=True):
-        for name, values in panel.items():
-            i = names.index(name)
-            look: dict[str, Any] = {**looks[i], "markersize": 3.5, "label": labels[i]}
-            ax.plot(np.asarray(numbers), np.asarray(values), **look)
-        if level is not None:
-            ax.axhline(level, color=_GREY, linewidth=0.8, linestyle=":")
-        ax.set_title(within(title, across / columns - 0.3))
-        if log:
-            ax.set_yscale("log", nonpositive="mask")
-            name_ticks(ax.yaxis)
-        else:
-            ax.set_ylim(0, 1.03)
-        _by_number(ax, numbers)
-    for ax in axes[-columns:]:
-        ax.set_xlabel("samples")
-    for ax in axes[::columns]:
-        ax.set_ylabel(ylabel)
-    lines = {str(line.get_label()): line for ax in axes for line in ax.lines}
-    handles = [lines[label] for label in labels]
-    if alone and not narrow(across):
-        figure.legend(handles=handles, loc="outside right center")
-    else:
-        figure.legend(handles=handles, loc="outside upper center", ncols=fitting(across, 4, 1.6))
-    return figure
 
 
 @style()

@@ -17,6 +17,7 @@ import chdstat as chd
 from chdstat import viz
 from chdstat.fit.goodness_of_fit import FIT_TESTS
 from chdstat.inference import TESTS
+from chdstat.inference.findings import PlotData
 
 rng = np.random.default_rng(5)
 shapes = {
@@ -45,11 +46,13 @@ def power(draw, transform):
     return dict(zip(TESTS, (np.array(p) < LEVEL).mean(axis=1).T, strict=True))
 
 
-viz.curves(
-    sizes,
-    {name: power(draw, transform) for name, (transform, draw) in shapes.items()},
-    ylabel="share of rejections",
-    level=LEVEL,
+def panel(sizes, shares):
+    curves = {test: (np.log2(sizes), share) for test, share in shares.items()}
+    return PlotData("curves", curves, "log2 of the samples", "share of rejections")
+
+
+viz.finding_plots(
+    {name: panel(sizes, power(draw, transform)) for name, (transform, draw) in shapes.items()}
 )
 
 # %%
@@ -86,12 +89,8 @@ def fit_power(draw, family):
     return dict(zip(FIT_TESTS, (np.array(p) <= LEVEL).mean(axis=1).T, strict=True))
 
 
-viz.curves(
-    few,
-    {name: fit_power(draw, family) for name, (family, draw) in bodies.items()},
-    ylabel="share of rejections",
-    level=LEVEL,
-    columns=3,
+viz.finding_plots(
+    {name: panel(few, fit_power(draw, family)) for name, (family, draw) in bodies.items()}
 )
 
 # %%

@@ -53,7 +53,6 @@ def examples():
         "chd_grid": partial(viz.chd_grid, [PANEL]),
         "chd_pair": partial(viz.chd_pair, PANEL),
         "claim_intervals": partial(viz.claim_intervals, {NAME: [test]}),
-        "curves": partial(viz.curves, [8, 16], {NAME: {"a": [0, 1]}, "log": {NAME: [1, 1]}}),
         "contrast": partial(viz.contrast, chd.contrast(samples, samples.read() * 0.9)),
         "error_curves": partial(
             viz.error_curves, error_curve(samples, ["mean"], sizes=[4, 8], progress=False)
@@ -137,7 +136,6 @@ LONG = "the wall beside the window, at night"
 MARKS = [replace(MARK, ys=slice(y, y + 2), xs=slice(y, y + 2)) for y in (1, 5, 9)]
 CROWDED = {
     "batches": lambda w: viz.batch_histograms({LONG + i: np.ones((8, 4)) for i in "abcd"}, width=w),
-    "curves": lambda w: viz.curves([8, 16], {LONG: {"a": [0, 1]}, "b": {LONG: [1, 1]}}, width=w),
     "images": lambda w: viz.side_by_side({LONG: IMAGE, "b": IMAGE, "reference": IMAGE}, width=w),
     "findings": lambda w: viz.finding_plots(
         {
@@ -173,7 +171,7 @@ def test_clashing_texts_are_seen(monkeypatch):
     assert clashes(figure, monkeypatch) == ["three", "two / one"]
 
 
-@pytest.mark.parametrize("name", ["averages", "curves", "error_curves", "fits", "finding_plots"])
+@pytest.mark.parametrize("name", ["averages", "error_curves", "fits", "finding_plots"])
 def test_series_differ_by_more_than_their_colour(examples, name):
     if name == "finding_plots":
         series = {str(i): (np.arange(3), np.arange(3)) for i in range(4)}

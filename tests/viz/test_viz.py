@@ -124,22 +124,6 @@ def test_a_panel_counts_nulls_and_no_bad_samples():
     assert viz.Panel.of("dark", np.full((1, 4), np.nan)).mean == ()
 
 
-def test_curves_share_looks_and_a_legend():
-    shares = {"gamma": {"a": [0, 1], "b": [1, 1]}, "log-normal": {"b": [0.5, 0.5]}}
-    figure = viz.curves([8, 16], shares, level=0.05)
-    first, second = figure.axes
-    assert first.lines[1].get_color() == second.lines[0].get_color()
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
-    assert [tick.get_text() for tick in second.get_xticklabels()] == ["8", "16"]
-    errors = {"dark": {"a": [1e-4, -1e-5]}, "bright": {"a": [10, 5]}}
-    dark, bright = viz.curves([8, 16], errors, log=True).axes
-    assert dark.get_yscale() == "log"
-    bright.figure.draw_without_rendering()
-    assert {"5", "10"} <= {tick.get_text() for tick in bright.get_yticklabels()}  # within a decade
-    assert dark.get_ylim()[1] < bright.get_ylim()[0]
-
-
 def test_parts_of_images_are_magnified_below_each(image):
     parts = [(slice(0, 2), slice(0, 2)), (slice(2, 4), slice(1, 3))]
     images = {name: image * k for k, name in enumerate("abcd", 1)}
