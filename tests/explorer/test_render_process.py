@@ -57,7 +57,7 @@ def test_a_scene_that_cannot_be_read_is_an_error_here():
 
 def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
     """From one sample per pixel, then four: both have the mean of the image within 6 errors."""
-    job = replace(job, options=replace(job.options, size=(300, 200)))
+    job = replace(job, options=job.options | {"size": (300, 200)})
     render, startup = RenderProcess(job), Startup("box")
     assert startup.text == "loading box"
     texts = []
