@@ -525,7 +525,7 @@ STATISTICS: Table = {
         ({"support": (np.nan, 1)}, "finite"),
         ({"support": ([1, 2, 3], 4)}, "batch shape"),
         ({"null": np.array([True, False])}, "exactly 0"),
-        ({"bad": np.array([True, False, False])}, "bad"),
+        ({"bad": np.array([True, False, False])}, "(2, 2)", "(3,)"),
     ],
     (InputError, partial(chd.histogram, SAMPLES)): [({"null": np.zeros(8, bool)}, "null")],
     (InputError, Histogram.of_dataset): [(LINEAR, "log_counts")],
