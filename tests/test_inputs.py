@@ -114,7 +114,7 @@ ROWS = {
     "fit.select": lambda x: fit.select(x).margin,
     "fit.mixture": lambda x: fit.mixture(x, k=1).log_likelihood,
     "fit.tail_index": lambda x: fit.tail_index(x).n,
-    "fit.goodness": lambda x: fit.goodness(x, fit.gamma(x), resamples=9).statistic,
+    "fit.goodness": lambda x: fit.goodness(x, "gamma", resamples=9).statistic,
     "modality": lambda x: chd.modality(x).dip,
     "gaussianity": lambda x: chd.gaussianity(x).p_value,
     "gaussianity_of_means": lambda x: gaussianity_of_means(x, n_means=8).p_value,
