@@ -18,10 +18,10 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
+from chdstat._core.denoiser import run_network
 from chdstat.comparison import error_curve
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, StoreError
 from chdstat.estimators import MLP, CombinationStream
-from chdstat.estimators.denoiser import run_network
 from chdstat.estimators.training import load_model, write_model
 from chdstat.inference import difference, gaussianity_of_means
 from chdstat.inference.render_pairs import Reference

@@ -324,7 +324,7 @@ def doctor(asked: CommonOptions, fresh: bool = False) -> None:
     fresh : bool
         Ignore cached results and test the backends again.
     """
-    from chdstat.estimators import denoiser
+    from chdstat._core import denoiser
     from chdstat.rendering.backend import examine
 
     found = examine(fresh=fresh) | {"denoiser": denoiser.library()}

@@ -32,6 +32,7 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import Image, Reals, as_pixels
+from chdstat._core.denoiser import denoise as run_denoiser
 from chdstat._core.files import checkpoints
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, check_probability
@@ -40,7 +41,6 @@ from chdstat.estimators.default_estimate.error import ErrorOfEstimate, error_of,
 from chdstat.estimators.default_estimate.light import lost_light
 from chdstat.estimators.default_estimate.weighting_network import proposed
 from chdstat.estimators.default_estimate.weights import weight_of_mean
-from chdstat.estimators.denoiser import denoise as run_denoiser
 from chdstat.estimators.held_out import reordered
 from chdstat.estimators.registry import (
     Estimates,

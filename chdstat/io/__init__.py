@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from chdstat.estimators.denoiser import denoise
+from chdstat._core.denoiser import denoise
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.reading import read
 from chdstat.io.stream import get_include

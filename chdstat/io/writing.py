@@ -18,14 +18,6 @@ from chdstat._core.display import channel_names, png
 from chdstat._core.files import checked_target, local, writing
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators.estimates import (
-    AnyModel,
-    Combination,
-    Estimated,
-    EstimateOptions,
-    estimates_of,
-)
-from chdstat.estimators.registry import check_positive
 from chdstat.io.exr import write_exr
 from chdstat.samples import ImageLike
 from chdstat.samples.samples import SampleStream
@@ -33,6 +25,8 @@ from chdstat.samples.samples import SampleStream
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
+
+    from chdstat.estimators.estimates import AnyModel, Estimated
 
 _log = logging.getLogger("chdstat")
 _USUAL_CHANNELS = (1, 3)
@@ -293,6 +287,10 @@ def write_estimates(
     ...     sorted(chd.io.read_exr(file).extra)[:4]
     ['certainty', 'high', 'low', 'mean']
     """
+    # Estimators are not loaded to write an image.
+    from chdstat.estimators.estimates import Combination, EstimateOptions, estimates_of
+    from chdstat.estimators.registry import check_positive
+
     target = checked_target(path, *IMAGES)
     options = EstimateOptions(spp, level, denoise, progress, client, checkpoint)
     if relative_error is not None:
@@ -320,6 +318,8 @@ def write_estimates(
 
 
 def _layers(image: Estimated) -> dict[str, npt.NDArray[Any]]:
+    from chdstat.estimators.estimates import Combination
+
     layers: dict[str, npt.NDArray[Any]] = {"mean": image.mean}
     if not np.isnan(image.found.level):
         layers |= {name: getattr(image.found, name) for name in ("certainty", "low", "high")}
@@ -330,6 +330,8 @@ def _layers(image: Estimated) -> dict[str, npt.NDArray[Any]]:
 
 
 def _header(image: Estimated) -> dict[str, str]:
+    from chdstat.estimators.estimates import Combination
+
     found, model = image.found, image.model
     training, known = "before", {} if model is None else model.provenance
     if isinstance(found, Combination):

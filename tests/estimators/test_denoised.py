@@ -32,7 +32,7 @@ def network(monkeypatch):
         seen.append((images["color"].copy(), sorted(images.keys() - {"color"})))
         return 2 * images["color"]
 
-    monkeypatch.setattr("chdstat.estimators.denoiser.run_network", double)
+    monkeypatch.setattr("chdstat._core.denoiser.run_network", double)
     return seen
 
 

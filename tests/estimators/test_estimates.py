@@ -45,7 +45,7 @@ def test_samples_beyond_memory_are_refused(monkeypatch, model):
 @pytest.fixture
 def doubling(monkeypatch):
     monkeypatch.setattr(
-        "chdstat.estimators.denoiser.run_network", lambda images, **_: 2 * images["color"]
+        "chdstat._core.denoiser.run_network", lambda images, **_: 2 * images["color"]
     )
 
 

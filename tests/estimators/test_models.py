@@ -200,9 +200,7 @@ def test_features_reach_those_who_look_at_them(calls):
 
 
 def test_denoised_shares_the_training(calls, monkeypatch):
-    monkeypatch.setattr(
-        "chdstat.estimators.denoiser.run_network", lambda images, **_: images["color"]
-    )
+    monkeypatch.setattr("chdstat._core.denoiser.run_network", lambda images, **_: images["color"])
     found = chd.compare(deep_image(), ["share", denoised("share")], n=16, progress=False)
     assert len(calls) == 1
     assert list(found.models) == ["share"]

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from chdstat._core.arrays import Image, Reals, spans
+from chdstat._core.denoiser import denoise, works
 from chdstat._core.work import in_order
-from chdstat.estimators.denoiser import denoise, works
 from chdstat.estimators.registry import interval_of_mean
 from chdstat.estimators.shapes import RADIUS, PowerSums, ShapeStatistics
 from chdstat.samples import Samples

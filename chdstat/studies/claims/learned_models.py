@@ -19,13 +19,13 @@ import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, Floats, generator, is_bad
+from chdstat._core.denoiser import denoise
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison, compare
 from chdstat.comparison.estimator_choice import entry_of, estimate_by
 from chdstat.errors import ChdstatError
 from chdstat.estimators import names
-from chdstat.estimators.denoiser import denoise
 from chdstat.inference.findings import ClaimTest, Finding, PlotData, level_of, require, required
 from chdstat.samples import Samples
 from chdstat.studies.claim import claim

@@ -32,7 +32,7 @@ def calls(monkeypatch):
         seen.append((color, {**images, **options}))
         return color / 2
 
-    monkeypatch.setattr("chdstat.estimators.denoiser.run_network", network)
+    monkeypatch.setattr("chdstat._core.denoiser.run_network", network)
     return seen
 
 
