@@ -3,7 +3,8 @@
 Samples are simulated, in a store of 96 x 96 pixels; CHDSTAT_SIZE sets another size, CHDSTAT_SPP,
 such as ``64,2048``, the numbers of samples. A failure: the last takes more than 1.1 times the
 memory of the first in `analyze`, or of the one before it in the others, some of which hold a batch
-at 64 and several later. Run with ``--benchmark-only -s -n 0``.
+at 64 and several later. Training may take more: the samples of the pixels that train. Run with
+``--benchmark-only -s -n 0``.
 """
 
 import os
@@ -80,7 +81,11 @@ def test_memory_does_not_follow_spp(as_benchmark, stage, stores, tmp_path):
         of = {"store": stores / f"{spp}.zarr", "drawn": drawn, "out": tmp_path / f"{spp}"}
         found[spp] = peak(stage, **of)
     base = SPP[0] if stage == "analyze" else SPP[-2]
-    ratio = found[SPP[-1]][0] / found[base][0]
+    least, most = found[base][0], found[SPP[-1]][0]
+    trains = min(6400, WIDTH * HEIGHT // 2) * 3 * SPP[-1] * 4 / 1e6 if stage == "train" else 0
     told = ", ".join(f"{mb:.0f} MB, {s:.1f} s at {spp} spp" for spp, (mb, s) in found.items())
-    print(f"\n{stage} of {WIDTH} x {HEIGHT}: {told}; {SPP[-1]} over {base}: {ratio:.2f}", end="")
-    assert ratio <= MOST
+    print(
+        f"\n{stage} of {WIDTH} x {HEIGHT}: {told}; {SPP[-1]} over {base}: {most / least:.2f}",
+        end="",
+    )
+    assert most <= MOST * least + trains
