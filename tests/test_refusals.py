@@ -530,6 +530,11 @@ STATISTICS: Table = {
     (InputError, partial(chd.histogram, SAMPLES)): [({"null": np.zeros(8, bool)}, "null")],
     (InputError, Histogram.of_dataset): [(LINEAR, "log_counts")],
     (InputError, chd.fit.gamma): [(chd.histogram([1.0, 2.0], scale="linear"), "linear")],
+    (InputError, StreamingHistogram.merge): [
+        ((stream([1.0, 2.0], scale="linear"), stream([1.0, 3.0], scale="linear")), "support"),
+        ((stream(scale="linear", support=(0, 9)), stream([1.0, 2.0], scale="linear")), "support"),
+        ((stream([1.0, 2.0], scale="linear"), stream(scale="log")), "bins"),
+    ],
     (InputError, stream): [(([1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]]), "batch shape")],
     (InputError, lambda made: made().read()): [
         (StreamingHistogram, "update"),
@@ -540,6 +545,11 @@ STATISTICS: Table = {
         ({"max_batches": 7}, "max_batches", "7"),
         ([1.0, 2.0], "channel"),
         ((np.ones((3, 4)), np.ones((1, 4))), "shape"),
+    ],
+    (InputError, Summary.merge): [
+        ((summary(np.ones((3, 4))), summary(np.ones((1, 4)))), "shape"),
+        ((summary(np.ones((3, 4))), summary(2 * np.ones((3, 4)))), "support"),
+        ((Summary(), summary(np.ones((3, 4)), batch_size=9)), "batch_size"),
     ],
     (InputError, partial(chd.summarize, SAMPLES)): [({"max_batches": 1}, "max_batches", "1")],
     (InputError, partial(chd.atlas, SAMPLES)): [

@@ -7,6 +7,7 @@ mean drifts over consecutive samples. Batches double in size when there would be
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -168,7 +169,14 @@ class PixelMoments:
             counts["inf_count"] = count(np.isinf(x))
         if not x.min(initial=0) >= 0:
             counts["negative_count"] = count(x < 0 if bad is None else (x < 0) & ~bad)
-        moments = Moments.of(x, None if bad is None else ~bad)
+        self._add(Moments.of(x, None if bad is None else ~bad), counts)
+
+    def merge(self, other: PixelMoments) -> None:
+        """Add the samples of `other`."""
+        if other.moments is not None:
+            self._add(other.moments, other.counts)
+
+    def _add(self, moments: Moments, counts: dict[str, Counts]) -> None:
         if self.moments is not None:
             moments = self.moments.merge(moments)
             counts = {name: self.counts[name] + counts[name] for name in COUNTS}
@@ -192,7 +200,7 @@ class Batches:
         self._options = (size, limit)
         self.size = size
         self.draws: npt.NDArray[np.int64] = np.zeros(limit, dtype=np.int64)
-        """Draws per slot, good or not: `size` in a complete one."""
+        """Draws per slot, good or not: `size` in a complete one, or more after a merge."""
         self._sums = np.zeros((*shape, limit))
         self._counts = np.zeros((*shape, limit), dtype=np.int64)
 
@@ -215,6 +223,26 @@ class Batches:
         self.draws[slots] += lengths
         self._counts[..., slots] += lengths if good is None else lengths_good
         self._sums[..., slots] += np.add.reduceat(x, starts, axis=-1, dtype=np.float64)
+
+    def check(self, other: Batches) -> None:
+        """Raise InputError unless `other` began with the same size and limit."""
+        if self._options != other._options:
+            message = (
+                "summaries merge only with the same batch_size and max_batches, "
+                f"got {self._options} and {other._options}"
+            )
+            raise InputError(message)
+
+    def merge(self, other: Batches) -> None:
+        """Append the batches of `other`; the two open batches become one."""
+        self.check(other)
+        other = copy.deepcopy(other)
+        while self.size != other.size:
+            (self if self.size < other.size else other)._double()
+        while self.total + other.total > self.size * len(self.draws):
+            self._double()
+            other._double()
+        self._append(other)
 
     def read(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
         """Return the batch means, shape (..., batch), and the draws of each batch, shape (batch,).
@@ -242,8 +270,22 @@ class Batches:
 
     def _double(self) -> None:
         self.size *= 2
-        arrays: tuple[npt.NDArray[Any], ...] = (self.draws, self._counts, self._sums)
-        for array in arrays:
+        for array in self._arrays:
             half = array.shape[-1] // 2
             array[..., :half] = array[..., ::2] + array[..., 1::2]
             array[..., half:] = 0
+
+    def _append(self, other: Batches) -> None:
+        # All fit: a complete batch holds at least `size` draws, and the draws fit the slots.
+        mine, theirs = self._complete, other._complete
+        both = mine + theirs
+        for ours, others in zip(self._arrays, other._arrays, strict=True):
+            tail = ours[..., mine:].sum(axis=-1) + others[..., theirs:].sum(axis=-1)
+            ours[..., mine:both] = others[..., :theirs]
+            ours[..., both:] = 0
+            if both < ours.shape[-1]:
+                ours[..., both] = tail
+
+    @property
+    def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
+        return self.draws, self._counts, self._sums

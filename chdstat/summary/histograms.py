@@ -437,10 +437,10 @@ def histogram(
 
 
 class StreamingHistogram:
-    """A histogram that takes its samples block by block.
+    """A histogram that takes its samples block by block and merges with others.
 
     The first block fixes the linear support, so it should hold 50 draws or more; otherwise, give a
-    `support`.
+    `support`. Only histograms with the same support merge.
 
     Parameters
     ----------
@@ -533,6 +533,37 @@ class StreamingHistogram:
             position[bad] = self.bins + 2
         slots: npt.NDArray[np.intp] = position.astype(np.intp)
         return slots
+
+    def merge(self, other: StreamingHistogram) -> StreamingHistogram:
+        """Add the counts of `other`.
+
+        Raises
+        ------
+        InputError
+            If the two differ in scale, bins or support.
+        """
+        if (self.scale, self.bins) != (other.scale, other.bins):
+            message = (
+                f"histograms merge only with the same bins: these have {self.bins} {self.scale} "
+                f"and {other.bins} {other.scale} bins"
+            )
+            raise InputError(message)
+        theirs = other._support
+        if theirs is None:
+            return self
+        mine = self._support or self._begin(self._given or theirs, theirs.low.shape)
+        ends = (mine.low, theirs.low), (mine.high, theirs.high)
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in ends):
+            message = (
+                "histograms merge only with the same support, and these differ; "
+                "give both the support of the first draws (linear_support)"
+            )
+            raise InputError(message)
+        self._counts += other._counts
+        self._null_count += other._null_count
+        self._negative += other._negative
+        self._n += other._n
+        return self
 
     def read(self) -> Histogram:
         """Return the histogram of all samples so far.

@@ -1,7 +1,8 @@
 """Summary: what each pixel's samples look like, in memory that does not grow with spp.
 
-Use `summarize` on an image. Use `Summary` on samples that come in blocks: update, read. The result
-is that of all samples at once, up to rounding.
+Use `summarize` on an image. Use `Summary` on samples that come in blocks, from several renderers or
+from workers that see a part each: update, merge, read. Merging gives the same result as summarising
+everything at once, up to rounding.
 """
 
 from __future__ import annotations
@@ -92,10 +93,10 @@ _MOMENTS = [n for n, (_, about) in Statistics.declared().items() if about.dims =
 
 
 class Summary:
-    """Statistics of samples that come in blocks.
+    """Statistics of samples that come in blocks; `merge` adds those of other blocks.
 
     The first block fixes the support of the linear histogram, so it should hold 50 draws or more;
-    otherwise, give a `support`.
+    otherwise, give a `support`. Only summaries with the same support merge.
 
     Parameters
     ----------
@@ -123,11 +124,12 @@ class Summary:
     --------
     >>> import numpy as np
     >>> red, black = np.array([[2.0], [0.0], [0.0]]), np.zeros((3, 1))
-    >>> summary = Summary(support=(0, 4)).update(np.hstack([red, black]))
-    >>> found = summary.update(np.hstack([red, red])).read()
-    >>> found.mean
+    >>> one = Summary(support=(0, 4)).update(np.hstack([red, black]))
+    >>> two = Summary(support=(0, 4)).update(np.hstack([red, red]))
+    >>> both = one.merge(two).read()
+    >>> both.mean
     array([1.5, 0. , 0. ])
-    >>> int(found.count), float(found.null_share)
+    >>> int(both.count), float(both.null_share)
     (4, 0.25)
     """
 
@@ -174,6 +176,30 @@ class Summary:
             self._batches = self._batches.empty(x.shape[:-1])
         self._pixels.update(x, null, bad)
         self._batches.update(x, None if bad is None else ~bad)
+        return self
+
+    def merge(self, other: Summary) -> Summary:
+        """Add the samples of `other`; its batches come after those of this summary.
+
+        Raises
+        ------
+        InputError
+            If the two differ in shape, options or the support of the linear histogram.
+        """
+        if other.shape is None:
+            return self
+        if self.shape not in (None, other.shape):
+            message = (
+                f"summaries merge only with the same shape, got {self.shape} and {other.shape}"
+            )
+            raise InputError(message)
+        self._batches.check(other._batches)
+        self._linear.merge(other._linear)
+        self._log.merge(other._log)
+        if self.shape is None:
+            self._batches = self._batches.empty(other.shape)
+        self._pixels.merge(other._pixels)
+        self._batches.merge(other._batches)
         return self
 
     def read(self) -> Statistics:

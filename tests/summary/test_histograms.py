@@ -136,15 +136,19 @@ def test_a_bad_mask_takes_the_whole_sample_out():
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_blocks_equal_all_at_once(radiance, scale):
+def test_blocks_and_merges_equal_all_at_once(radiance, scale):
     support = linear_support(radiance) if scale == "linear" else None
     whole = histogram(radiance, scale=scale)
-    stream = StreamingHistogram(scale=scale, support=support)
-    for block in np.split(radiance, [1, 2, 250], axis=-1):
-        stream.update(block)
-    found = stream.read()
+    streams = [StreamingHistogram(scale=scale, support=support) for _ in range(3)]
+    for stream, part in zip(streams, np.split(radiance, [1, 250], axis=-1), strict=True):
+        stream.update(part[..., :1])
+        if part.shape[-1] > 1:
+            stream.update(part[..., 1:])
+    empty = StreamingHistogram(scale=scale, support=support)
+    merged = empty.merge(streams[2]).merge(streams[0]).merge(streams[1]).read()
     for name in ("counts", "underflow", "overflow", "null_count", "bad_count", "n"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(merged, name), getattr(whole, name), err_msg=name)
+    assert streams[2].read().n == 150
 
 
 def test_chunks_do_not_show():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from scipy import stats
 
 from chdstat.samples import Samples
-from chdstat.summary.histograms import linear_support
+from chdstat.summary.histograms import Histogram, linear_support
 from chdstat.summary.statistics import Summary, summarize
 
 MOMENTS = ("mean", "variance", "skewness", "kurtosis", "minimum", "maximum", "standard_error")
@@ -30,6 +31,16 @@ def with_bad(x):
     x = x.copy()
     x[0, 0, 3], x[0, 2, 3], x[1, 1, 200], x[2, :, 70:80] = np.nan, -np.inf, np.inf, np.nan
     return x
+
+
+def assert_same(a, b):
+    """Compare two Statistics: counts exactly, moments to rounding."""
+    for field in fields(a):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if isinstance(one, Histogram):
+            np.testing.assert_array_equal(one.counts, other.counts, err_msg=field.name)
+        else:
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg=field.name)
 
 
 def test_moments_are_those_of_scipy():
@@ -60,12 +71,9 @@ def nist_data(case):
     return np.concatenate([[case["first"]], cycle])
 
 
-def seen(x, step=None):
-    """Summarise samples (channel, sample) that lie between -1000 and 10^8, `step` at a time."""
-    summary = Summary(support=(-1e3, 1e8), bins=1)
-    for start in range(0, x.shape[1], step or x.shape[1]):
-        summary.update(x[:, start : start + step] if step else x)
-    return summary
+def seen(x):
+    """Summarise samples (channel, sample) that lie between -1000 and 10^8."""
+    return Summary(support=(-1e3, 1e8), bins=1).update(x)
 
 
 def exact_deviation(x):
@@ -75,9 +83,18 @@ def exact_deviation(x):
     return math.sqrt(sum((number - mean) ** 2 for number in numbers) / (len(numbers) - 1))
 
 
+def merged_at_random(parts, rng):
+    """Merge parts two by two, in random order, until one is left."""
+    parts = list(parts)
+    while len(parts) > 1:
+        one, other = (parts.pop(rng.integers(len(parts))) for _ in range(2))
+        parts.append(one.merge(other))
+    return parts[0]
+
+
 @pytest.mark.parametrize("name", sorted(NIST.keys() - {"source"}))
 @pytest.mark.parametrize("step", [7, 100, 2000])
-def test_nist_digits_in_blocks(name, step):
+def test_nist_digits_in_any_order(name, step):
     """Mean and deviation have 12 digits, but where double precision rounds the data themselves.
 
     The decimals of NumAcc3 and NumAcc4 are rounded by 1e-10 and 1e-9, a share of 1e-9 and 1e-8 of
@@ -86,7 +103,8 @@ def test_nist_digits_in_blocks(name, step):
     case = NIST[name]
     x = nist_data(case)[np.newaxis]
     digits = {"NumAcc3": 1e-9, "NumAcc4": 2e-8}.get(name, 1e-12)
-    found = seen(x, step).read()
+    parts = [seen(x[:, start : start + step]) for start in range(0, x.shape[1], step)]
+    found = merged_at_random(parts, np.random.default_rng(0)).read()
     np.testing.assert_allclose(found.mean, case["mean"], rtol=2e-15)
     deviation = np.sqrt(found.variance)
     np.testing.assert_allclose(deviation, case["standard_deviation"], rtol=digits)
@@ -100,17 +118,16 @@ def test_rounded_nist_data_lose_nothing_more_at_once(name):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_random_blocks_are_one_summary(seed):
+def test_random_trees_of_merges_are_one_summary(seed):
     rng = np.random.default_rng(seed)
     x = radiance((3, 3, 400), seed=seed)
     x = with_bad(x) if seed % 2 else x
     support = linear_support(x)
     whole = Summary(support=support).update(x).read()
     cuts = np.sort(rng.choice(np.arange(1, 400), rng.integers(1, 40), replace=False))
-    summary = Summary(support=support)
-    for block in np.split(x, cuts, axis=-1):
-        summary.update(block)
-    found = summary.read()
+    parts = [Summary(support=support).update(p) for p in np.split(x, cuts, axis=-1)]
+    parts += [Summary(support=support) for _ in range(seed % 3)]  # that have seen nothing
+    found = merged_at_random(parts, rng).read()
     for name in COUNTS:
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
     for name in MOMENTS:
@@ -119,6 +136,15 @@ def test_random_blocks_are_one_summary(seed):
     for one, other in ((found.linear, whole.linear), (found.log, whole.log)):
         for name in ("counts", "underflow", "overflow", "null_count", "bad_count"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def test_merging_at_batch_bounds_keeps_the_batches():
+    x = radiance(seed=3)
+    support = linear_support(x)
+    one, two = (Summary(support=support).update(p) for p in np.split(x, [96], axis=-1))
+    before = two.read()
+    assert_same(one.merge(two).read(), Summary(support=support).update(x).read())
+    assert_same(two.read(), before)
 
 
 def test_bad_samples_are_as_if_they_had_not_been_drawn():
@@ -178,6 +204,20 @@ def test_batches_double_when_they_are_full(spp, expected):
     assert s.batch_spp.tolist() == expected
     first = x[..., : expected[0]].mean(axis=-1, dtype=np.float64)
     np.testing.assert_allclose(s.batch_means[..., 0], first, rtol=1e-12)
+
+
+@pytest.mark.parametrize("split", [1, 40, 100, 130, 700, 990])
+def test_merged_batches_hold_every_draw_of_a_complete_batch(split):
+    x = radiance((1, 1, 1000), seed=split).astype(np.float64)
+    one, two = (
+        Summary(max_batches=8, support=(0, 9)).update(part)
+        for part in np.split(x, [split], axis=-1)
+    )
+    s = one.merge(two).read()
+    assert s.draws == 1000
+    assert len(s.batch_spp) <= 8
+    assert (s.batch_spp >= 128).all()
+    assert 1000 - s.batch_spp.sum() < 128
 
 
 def test_batch_means_tell_correlation():
