@@ -25,7 +25,7 @@ DATASETS = {
     "gamma": chd.fit.gamma,
     "gamma of a summary": lambda s: chd.fit.gamma(chd.summarize(s)),
     "mixture": chd.fit.mixture,
-    "select": lambda s: chd.fit.select(s, held_out=True),
+    "select": lambda s: chd.fit.select(s, criterion="held_out"),
     "goodness": lambda s: chd.fit.goodness(s, "gamma", resamples=19),
     "gaussianity": chd.gaussianity,
     "gaussianity of means": gaussianity_of_means,

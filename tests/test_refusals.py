@@ -508,6 +508,7 @@ STATISTICS: Table = {
     (InputError, partial(chd.fit.gamma, [1.0, 2.0])): [({"null": [True] * 3}, "broadcastable")],
     (InputError, partial(chd.fit.gamma, chd.histogram(UP))): [({"null": [False]}, "null")],
     (InputError, partial(chd.fit.select, [1.0, 2.0])): [
+        ({"criterion": "r2"}, "criterion", "'r2'"),
         ({"families": "gamma"}, "families"),
     ],
     (InputError, partial(chd.fit.select, chd.histogram(UP))): [({"held_out": True}, "samples")],

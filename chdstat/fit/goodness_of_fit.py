@@ -99,7 +99,8 @@ class GoodnessOfFit(Statistic[Goodness]):
     alpha: float = 0.05
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.tests, tuple) and set() < set(self.tests) <= set(FIT_TESTS)):
+        known = isinstance(self.tests, tuple) and set() < set(self.tests) <= set(FIT_TESTS)
+        if not known:
             message = f"tests must be some of {', '.join(FIT_TESTS)}, got {self.tests!r}"
             raise InputError(message)
         check_probability(alpha=self.alpha)

@@ -247,7 +247,8 @@ class ChosenMixtures:
         self._likelihoods[piece.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
         log_n = log_samples(piece.corrected.n)
         scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
-        best = np.where(allowed & ~np.isnan(scores), scores, -np.inf).argmax(axis=-1)
+        compared = np.where(allowed & ~np.isnan(scores), scores, -np.inf)
+        best = compared.argmax(axis=-1)
         if self.k is not None:
             best[:] = self.k - 1
         for k in np.unique(best):

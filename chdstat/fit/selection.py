@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from chdstat._core.arrays import (
 from chdstat._core.display import Card, as_p, number, reasons
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.statistic import MapKind, Quantity, Result, Statistic, result, variable
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.families import (
     FAMILIES,
     FamilyFit,
@@ -43,8 +43,11 @@ from chdstat.summary.runner import Source, measured, of_source, run
 if TYPE_CHECKING:
     import xarray as xr
 
+_Criterion = Literal["aic", "bic", "held_out"]
+
 FEWEST_SHOWN = 16
 """Positive samples from which a fit is worth showing: any curve describes fewer."""
+_NAMES = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}
 
 
 @result
@@ -86,13 +89,16 @@ class Selection(Result):
     ----------
     families
         Their names.
+    criterion
+        'aic', 'bic' or 'held_out'.
     values
-        BIC, shape (..., family); smaller is better.
+        The criterion, shape (..., family); smaller is better. For 'held_out', it is the loss per
+        positive sample, in nats.
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin
-        BIC of the runner-up minus that of the best family, shape (...); NaN with fewer than two
-        fits. Evidence above 10 is very strong (Kass and Raftery 1995,
+        Criterion of the runner-up minus that of the best family, shape (...); NaN with fewer than
+        two fits. For BIC, evidence above 10 is very strong (Kass and Raftery 1995,
         doi:10.1080/01621459.1995.10476572).
     vuong_z, vuong_p_value
         Vuong's statistic of gamma against log-normal and its two-sided p-value, shape (...). The
@@ -104,9 +110,10 @@ class Selection(Result):
     """
 
     families: tuple[str, ...]
+    criterion: _Criterion
     values: Floats
-    best: npt.NDArray[np.int8] = variable("family with the smallest BIC", name="best_family")
-    margin: Floats = variable("BIC of the runner-up minus that of the best family")
+    best: npt.NDArray[np.int8] = variable("family with the smallest {}", name="best_family")
+    margin: Floats = variable("{} of the runner-up minus that of the best family")
     vuong_z: Floats = variable("Vuong's z of gamma against log-normal")
     vuong_p_value: Floats = variable("two-sided p-value of Vuong's z")
     fits: Mapping[str, Fit]
@@ -131,14 +138,15 @@ class Selection(Result):
         return take_rows(fit, row, axis=0)
 
     def _card(self) -> Card:
+        criterion = _NAMES[self.criterion]
         facts = {
             "best": self.names,
             "margin": self.margin,
-            **{f"BIC of {n}": self.values[..., i] for i, n in enumerate(self.families)},
+            **{f"{criterion} of {n}": self.values[..., i] for i, n in enumerate(self.families)},
             "Vuong's z of gamma against log-normal": self.vuong_z,
             "not fitted": reasons(self.reason),
         }
-        return Card("Selection by BIC", facts)
+        return Card(f"Selection by {criterion}", facts)
 
 
 @dataclass(frozen=True)
@@ -212,6 +220,7 @@ class FamilySelection(Statistic[Selection]):
     )
 
     families: tuple[Family, ...] = tuple(FAMILIES.values())
+    criterion: _Criterion = "bic"
     held_out: bool = False
 
     def maps(self) -> tuple[MapKind, ...]:
@@ -224,25 +233,37 @@ class FamilySelection(Statistic[Selection]):
             ),
         )  # fmt: skip
 
+    @property
+    def subject(self) -> str:
+        """The criterion in words."""
+        return _NAMES[self.criterion]
+
     def measure(self, part: Part) -> Selection:
         """Fit the families to each row, and compare them."""
         if self.held_out:
             found = measured(part, replace(self, held_out=False))
             return replace(found, held_out=measured(part, _HeldOutLikelihood(self.families)))
         fits = {family.name: measured(part, FamilyFit(family)) for family in self.families}
-        values = np.stack([fit.bic for fit in fits.values()], axis=-1)
+        split: HeldOut | None = None
+        if self.criterion == "held_out":
+            split = measured(part, _HeldOutLikelihood(self.families))
+            values = split.loss
+        else:
+            values = np.stack([getattr(fit, self.criterion) for fit in fits.values()], axis=-1)
         _, best, margin = _ranked(values)
         z, p_value = np.full((2, *part.n.shape), np.nan)
         if {"gamma", "lognormal"} <= fits.keys():
             z, p_value = _vuong(part, fits["gamma"], fits["lognormal"])
         return Selection(
             families=tuple(fits),
+            criterion=self.criterion,
             values=values,
             best=best,
             margin=margin,
             vuong_z=z,
             vuong_p_value=p_value,
             fits=fits,
+            held_out=split,
         )
 
     def variables(self, found: Selection) -> Mapped:
@@ -270,6 +291,7 @@ class FamilySelection(Statistic[Selection]):
 def select(
     x: Source,
     families: Sequence[str | Family] = tuple(FAMILIES),
+    criterion: _Criterion = "bic",
     *,
     held_out: bool = False,
     null: npt.ArrayLike | None = None,
@@ -277,10 +299,9 @@ def select(
 ) -> Selection | xr.Dataset:
     """Fit several families and select the one that describes the samples best.
 
-    The best family has the smallest ``BIC = (k - 1) log n + log m - 2 log L``. Here k counts the
-    mass at 0 as one parameter of every family, estimated from all m good samples; the other k - 1
-    are estimated from the n positive samples. All likelihoods are those of linear radiance. Every
-    fit also has its ``aic``, ``2 k - 2 log L``.
+    ``AIC = 2 k - 2 log L`` and ``BIC = (k - 1) log n + log m - 2 log L``. Here k counts the mass at
+    0 as one parameter of every family, estimated from all m good samples; the other k - 1 are
+    estimated from the n positive samples. All likelihoods are those of linear radiance.
 
     The held-out loss is minus the log-likelihood per positive sample: the even samples, in stored
     order, are scored by a fit to the odd samples, and the other way round.
@@ -289,8 +310,8 @@ def select(
     the family with the data.
 
     Prefer BIC where one of the families may be true and its name is what matters: with many
-    samples, it finds the smallest family that holds the truth. Prefer the held-out loss where all
-    families are approximations and the likelihood of further samples matters.
+    samples, it finds the smallest family that holds the truth. Prefer AIC or the held-out loss
+    where all families are approximations and the likelihood of further samples matters.
 
     A split in two is noisy. For 512 gamma or Weibull samples, Burr has the smaller held-out loss in
     up to one pixel in six, since it has one more parameter and comes close to both. So count only
@@ -303,8 +324,10 @@ def select(
         As for `chdstat.fit.fit`.
     families
         Names of the families to compare.
+    criterion
+        'aic', 'bic' or 'held_out'.
     held_out
-        Also compare by held-out likelihood. A histogram cannot be split.
+        Also compare by held-out likelihood, whatever the criterion. A histogram cannot be split.
 
     Returns
     -------
@@ -317,7 +340,7 @@ def select(
     Raises
     ------
     InputError
-        If a family is unknown, there is no family, or a histogram would be split.
+        If a family or the criterion is unknown, there is no family, or a histogram would be split.
 
     References
     ----------
@@ -334,11 +357,12 @@ def select(
     >>> str(selection.names), bool(selection.vuong_z < -2)
     ('lognormal', True)
     """
+    check_option("criterion", criterion, get_args(_Criterion))
     if isinstance(families, str) or not families:
         message = f"families must be a sequence of one or more families, got {families!r}"
         raise InputError(message)
     chosen = tuple(get_family(family) for family in families)
-    return run(FamilySelection(chosen, held_out), x, null=null, progress=progress)
+    return run(FamilySelection(chosen, criterion, held_out), x, null=null, progress=progress)
 
 
 _LOOSE = 1e-2
