@@ -489,12 +489,12 @@ STATISTICS: Table = {
     ],
     (InputError, partial(chd.fit.goodness, np.ones(100))): [
         ("normal", "normal"),
-        ({"family": "gamma", "tests": ("lilliefors",)}, "'lilliefors'"),
-        ({"family": "gamma", "tests": "chi-square"}, "chi-square"),
-        ({"family": "gamma", "resamples": -1}, "resamples", "got -1"),
-        ({"family": "gamma", "resamples": 9.5}, "resamples", "9.5"),
-        ({"family": "gamma", "seed": -1}, "seed", "got -1"),
-        ({"family": "gamma", "alpha": 2}, "alpha", "2"),
+        ({"fit": "gamma", "tests": ("lilliefors",)}, "'lilliefors'"),
+        ({"fit": "gamma", "tests": "chi-square"}, "chi-square"),
+        ({"fit": "gamma", "resamples": -1}, "resamples", "got -1"),
+        ({"fit": "gamma", "resamples": 9.5}, "resamples", "9.5"),
+        ({"fit": "gamma", "seed": -1}, "seed", "got -1"),
+        ({"fit": "gamma", "alpha": 2}, "alpha", "2"),
     ],
     (InputError, partial(chd.fit.mixture, UP)): [
         ({"family": "weibull"}, "lognormal, gamma", "'weibull'"),

@@ -28,7 +28,7 @@ from chdstat._core.arrays import Counts, Floats, Mask, Seed, chunks, seed_number
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat._core.statistic import Result, Statistic, result, variable
 from chdstat.errors import InputError, Reason, check_probability
-from chdstat.fit.families import FAMILIES, FamilyFit, estimate_part, get_family
+from chdstat.fit.families import FAMILIES, FamilyFit, Fit, estimate_part, get_family
 from chdstat.fit.family import Family, Parameters, take, take_part, width_of
 from chdstat.fit.selection import FamilySelection
 from chdstat.summary.runner import Source, measured, of_source, run
@@ -230,7 +230,7 @@ _EQUAL = 1e-9
 @of_source
 def goodness(
     x: Source,
-    family: str | Family,
+    fit: str | Family | Fit,
     *,
     tests: Sequence[FitTest] = FIT_TESTS,
     resamples: int = 99,
@@ -250,8 +250,8 @@ def goodness(
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
-    family
-        Name of a family, or a `Family`.
+    fit
+        Name of a family, or a `Family`. A `Fit` stands for its family, which is fitted to x again.
     tests
         Any of 'kolmogorov-smirnov', 'cramer-von-mises', 'anderson-darling', 'chi-square'.
     resamples
@@ -303,7 +303,8 @@ def goodness(
     """
     names: Any = tests if isinstance(tests, str) else tuple(tests)
     count, root = whole("resamples", resamples, least=0), seed_number(seed)
-    statistic = GoodnessOfFit(get_family(family), names, count, root, alpha)
+    family = get_family(fit.name if isinstance(fit, Fit) else fit)
+    statistic = GoodnessOfFit(family, names, count, root, alpha)
     return run(statistic, x, null=null, progress=progress)
 
 

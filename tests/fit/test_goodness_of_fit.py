@@ -6,7 +6,7 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat._core.positive import PositivePart
-from chdstat.errors import Reason
+from chdstat.errors import InputError, Reason
 from chdstat.fit import FAMILIES, goodness, select
 from chdstat.fit.distributions import Gamma
 from chdstat.fit.goodness_of_fit import FIT_TESTS, GoodnessOfFit
@@ -139,6 +139,15 @@ def test_image_has_coordinates_and_its_level():
     assert tuple(dataset["fit_test"].to_numpy()) == tests
     assert dataset["gamma_goodness_rejected"].attrs["false_discovery_rate"] == 0.1
     assert set(np.unique(dataset["gamma_goodness_rejected"])) <= {0, 1}
+
+
+def test_a_fit_stands_for_its_family():
+    x = draw("weibull", (3, 200), 81)
+    by_name = goodness(x, "weibull", resamples=9)
+    by_fit = goodness(x, chd.fit.weibull(x), resamples=9)
+    np.testing.assert_array_equal(by_name.p_value, by_fit.p_value)
+    with pytest.raises(InputError, match="family"):
+        goodness(x, chd.fit.mixture(x, 2))
 
 
 def test_a_family_of_ones_own():
