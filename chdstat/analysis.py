@@ -32,7 +32,14 @@ from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
 from chdstat._core.resampling import Blocks, Interval, mean_of, quantile_of, wilson
-from chdstat._core.statistic import RADIANCE, Result, Statistic, result, variable
+from chdstat._core.statistic import (
+    RADIANCE,
+    Result,
+    Statistic,
+    result,
+    shown_statistics,
+    variable,
+)
 from chdstat._core.work import in_order
 from chdstat.errors import InputError
 from chdstat.fit.goodness_of_fit import GoodnessOfFit
@@ -127,6 +134,7 @@ def analyze(
         ``best_goodness_``      `fit.goodness` for the best family of each pixel
         ======================  ==========================================================
 
+        All other statistics that maps or the tables of a pixel show follow, under their own names.
         ``luminance_mean`` and ``coefficient_of_variation`` (y, x) describe luminance. `atlas`,
         which looks at the image as a whole, is not included.
 
@@ -171,7 +179,7 @@ def analyze(
     if hasattr(given, "data_vars"):
         return _of_summary(given, goodness, progress, client)
     samples, thresholds = samples_of(given), thresholds or Thresholds()
-    statistics: dict[str, Statistic[Any]] = {
+    statistics: dict[str, Statistic[Any] | None] = {
         "luminance": _LuminanceMoments(),
         "selection": FamilySelection(held_out=held_out),
         "goodness": goodness,
@@ -180,9 +188,12 @@ def analyze(
         "modality": Modes(),
         "normality": Normality(("log", "sqrt", "linear"), tuple(TESTS)),
         "patterns": Classification(thresholds),
-        **_of_averages(samples),
+        "averages": NormalityOfMeans.of_pixel(samples.spp),
     }
-    known = thresholds, held_out, resamples, seed
+    own = {type(statistic) for statistic in statistics.values()}
+    others = {k.__name__: k.of_pixel(samples.spp) for k in shown_statistics() if k not in own}
+    statistics |= others
+    known = thresholds, held_out, resamples, seed, *filter(None, others.values())
     return _measured(samples, statistics, known, checkpoint, progress=progress, client=client)
 
 
@@ -200,7 +211,7 @@ def patterns_of(
     channel, families and their distance from the samples, tails, and the normality of logarithms
     and averages. The numbers are those of `analyze`.
     """
-    statistics: dict[str, Statistic[Any]] = {
+    statistics: dict[str, Statistic[Any] | None] = {
         "luminance": _LuminanceMoments(),
         "patterns": Classification(),
     }
@@ -210,27 +221,25 @@ def patterns_of(
             "goodness": GoodnessOfFit(tests=("kolmogorov-smirnov",)),
             "tail": TailIndex(),
             "normality": Normality(),
-            **_of_averages(samples),
+            "averages": NormalityOfMeans.of_pixel(samples.spp),
         }
     return _measured(samples, statistics, ("patterns", families), checkpoint, progress=progress)
 
 
-def _of_averages(samples: Samples) -> dict[str, Statistic[Any]]:
-    """Return the stage of averages, if there are enough samples."""
-    averages = NormalityOfMeans.of_pixel(samples.spp)
-    return {} if averages is None else {"averages": averages}
-
-
 def _measured(
     samples: Samples,
-    statistics: Mapping[str, Statistic[Any]],
+    asked: Mapping[str, Statistic[Any] | None],
     known: tuple[Any, ...],
     folder: str | Path | None,
     **work: Unpack[Work],
 ) -> xr.Dataset:
-    """Return the summary of samples with the variables of all statistics, by stage."""
+    """Return the summary of samples with the variables of all statistics, by stage.
+
+    None stands for a statistic that has too few samples.
+    """
     import xarray as xr
 
+    statistics = {stage: statistic for stage, statistic in asked.items() if statistic is not None}
     key = functools.partial(checkpoint_key, samples)
     with checkpoints(folder, key, *known) as kept:
         work["checkpoint"] = kept

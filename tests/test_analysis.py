@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import chdstat as chd
+from chdstat._core import statistic
+from chdstat._core.statistic import Quantity, Result, Statistic, result, variable
 from chdstat.analysis import noise_of, overview, patterns_of, save
 from chdstat.errors import StoreError
 from chdstat.samples import tiles
@@ -65,6 +69,35 @@ def test_what_is_found_at_once_is_what_is_found_alone(samples, found):
         for name in names:
             values = found[f"{prefix}{name}"]
             np.testing.assert_allclose(values, alone[name], rtol=1e-9, err_msg=name)
+
+
+def test_a_statistic_that_tables_show_is_in_an_analysis(samples, found, monkeypatch):
+    """With no line about it in `analyze`, and with every other number as before."""
+    monkeypatch.setattr(statistic, "_SHOWN", [*statistic.shown_statistics()])
+
+    @result
+    class Largest(Result):
+        value: np.ndarray = variable("largest positive sample")
+
+    @dataclass(frozen=True)
+    class LargestSample(Statistic[Largest]):
+        result: ClassVar = Largest
+        prefix: ClassVar = "largest_"
+        quantities: ClassVar = (Quantity("largest", lambda found, i: str(found.value[i])),)
+
+        @classmethod
+        def of_pixel(cls, spp):
+            return cls() if spp >= 100 else None
+
+        def measure(self, part):
+            return Largest(np.where(np.isfinite(part.sorted), part.sorted, 0).max(axis=-1))
+
+    grown = chd.analyze(samples)
+    np.testing.assert_array_equal(grown["largest_value"], samples.read().max(axis=-1))
+    assert grown["largest_value"].attrs["long_name"] == "largest positive sample"
+    xr.testing.assert_identical(grown.drop_vars("largest_value"), found)
+    few = chd.analyze(samples.read()[:1, :1, :, :64])
+    assert "largest_value" not in few
 
 
 def test_patterns_alone_are_those_of_the_analysis(samples, found):
