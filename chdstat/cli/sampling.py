@@ -23,16 +23,15 @@ from chdstat.cli.arguments import (
 )
 from chdstat.cli.program import command
 from chdstat.errors import ChdstatError, InputError
+from chdstat.rendering.jobs import SETTINGS
 
 _NOT_REACHED = 3
 """Exit code of a render whose error is larger than what was asked for."""
-_OF_RENDER = ("sensor", "integrator", "crop", "color", "sampler", "sequence")
 
 
 @command(
     "render bathroom -o bathroom.zarr --spp 512 --size 128x128",
-    *VIEW,
-    *_OF_RENDER,
+    *dict.fromkeys((*VIEW, *SETTINGS)),
     *("error", "scheduler", "workers", "overwrite"),
     *OUTPUT,
     spp="256",

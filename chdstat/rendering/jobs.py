@@ -92,11 +92,13 @@ class _Setting:
     """The default of a setting, which needs no check, and what checks other values.
 
     `typed` is the type of its value on the command line, if the annotation does not tell.
+    `of_integrator` says that it is a setting of the integrator, which then holds its value.
     """
 
     default: Any = None
     check: Callable[[Any], Any] = lambda value: value
     typed: type | None = None
+    of_integrator: bool = False
 
 
 class RenderSettings(TypedDict, total=False):
@@ -137,7 +139,7 @@ class RenderSettings(TypedDict, total=False):
     spp: Annotated[int, _Setting(256, partial(whole, "spp", least=1))]
     size: Annotated[tuple[int, int] | None, _Setting(check=_checked_size)]
     seed: Annotated[Seed, _Setting(0, _checked_seed)]
-    max_depth: Annotated[int | None, _Setting(check=_checked_depth)]
+    max_depth: Annotated[int | None, _Setting(check=_checked_depth, of_integrator=True)]
     sensor: Annotated[int, _Setting(0, partial(whole, "sensor", least=0))]
     integrator: Annotated[_IntegratorLike | None, _Setting(check=_checked_integrator)]
     crop: Annotated[_Crop | None, _Setting(check=_checked_crop)]
@@ -160,6 +162,8 @@ SETTINGS = {
 """Parameters of functions that take `RenderSettings`, by name, with defaults and types."""
 TYPED = {name: setting.typed or SETTINGS[name].annotation for name, setting in _DECLARED.items()}
 """Types of the settings on the command line, where they may be texts of that."""
+# Settings that the integrator of a render holds, by the same names.
+OF_INTEGRATOR = {name for name, setting in _DECLARED.items() if setting.of_integrator}
 
 
 def with_settings(function: Function) -> Function:
@@ -252,14 +256,14 @@ class Job:
             or does not work here.
         """
         found, settings = load_scene(scene), checked_settings(options)
-        color, depth = settings["color"], settings["max_depth"]
         if isinstance(found.source, LiveScene):
-            settings["backend"] = _own_backend(found.source.value, settings["backend"], color)
-        job = cls(found, settings, resolve(settings["backend"], color))
-        if (built := job.built_integrator) is not None and depth is not None:
+            settings["backend"] = _own_backend(found.source.value, settings)
+        job = cls(found, settings, resolve(settings["backend"], settings["color"]))
+        if (built := job.built_integrator) is not None and job.for_integrator:
             message = (
-                f"max_depth={depth} cannot be given to a {built_kind(built)} that is there "
-                "already; build the scene with it, or give an integrator as a dict"
+                f"{', '.join(f'{n}={v}' for n, v in job.for_integrator.items())} cannot be given "
+                f"to a {built_kind(built)} that is there already; build the scene with it, or give "
+                "an integrator as a dict"
             )
             raise InputError(message)
         needs_waves = job.guided == "guided" and job.backend.name == "scalar"
@@ -280,9 +284,13 @@ class Job:
     @property
     def guided(self) -> str | None:
         """Which of `GUIDED` is asked for, if any: always guided, or if it pays."""
-        given = self.options["integrator"]
-        kind = given["type"] if isinstance(given, Mapping) else None
-        return kind if kind in GUIDED else None
+        given: Any = self.options["integrator"] or {"type": None}
+        return given["type"] if given["type"] in GUIDED else None
+
+    @property
+    def for_integrator(self) -> dict[str, Any]:
+        """Settings of the render that the integrator holds, where they are given, by name."""
+        return {n: v for n, v in self.options.items() if n in OF_INTEGRATOR and v is not None}
 
     @property
     def built_integrator(self) -> Any:
@@ -306,9 +314,10 @@ class Job:
         if given is not None and not self.guided:
             instead = parsed.sole(given)
         asked = asked_for(parsed, self.options["sensor"], instead, self.options["sampler"])
-        if self.guided:  # the scene's own integrator, with what was given for it
-            for name in given.keys() - {"type"}:
-                asked.integrator.node(0).props[name] = given[name]
+        # If guided, it is the scene's own integrator, with what was given for it.
+        changes = {**(given if self.guided else {}), **self.for_integrator}
+        for name in changes.keys() - {"type"}:
+            asked.integrator.node(0).props[name] = changes[name]
         return asked
 
 
@@ -341,7 +350,7 @@ def _view_of(scene: SceneLike) -> tuple[tuple[int, int], str]:
         return asked.film.crop_size, asked.integrator.plugin(0)
 
 
-def _own_backend(scene: Any, backend: str, color: str) -> Backend:
+def _own_backend(scene: Any, settings: RenderSettings) -> Backend:
     """Return the backend of the variant in which a Mitsuba scene was made.
 
     Raises
@@ -349,7 +358,7 @@ def _own_backend(scene: Any, backend: str, color: str) -> Backend:
     InputError
         If another backend or another colour is asked for.
     """
-    own = str(scene.variant_name())
+    own, backend, color = str(scene.variant_name()), settings["backend"], settings["color"]
     wanted = TriedBackend(
         own.partition("_")[0] if backend == "auto" else backend, True, "", color=color
     )

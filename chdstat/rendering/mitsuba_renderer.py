@@ -36,7 +36,7 @@ from chdstat.errors import (
     did_you_mean,
 )
 from chdstat.rendering.backend import activate
-from chdstat.rendering.jobs import Job, built_kind, in_python
+from chdstat.rendering.jobs import OF_INTEGRATOR, Job, built_kind, in_python
 from chdstat.rendering.seeds import STREAMS, Streams
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 from chdstat.scenes.plugins import code_of, failure, plugins_made, used
@@ -82,8 +82,6 @@ class MitsubaRenderer:
             if options["crop"] is not None:
                 self.film = self.film.cropped(options["crop"])
             self.size = self.film.crop_size
-            if options["max_depth"] is not None:
-                asked.integrator.node(0).props["max_depth"] = options["max_depth"]
             self._built = built = job.built_integrator
             kind = asked.integrator.plugin(0) if built is None else built_kind(built)
             self.integrator: dict[str, Any] = {"type": kind}
@@ -135,14 +133,12 @@ class MitsubaRenderer:
     def provenance(self) -> dict[str, Any]:
         """Origin of the samples, ready for JSON."""
         job, sequences = self.job, self._sequences
-        # The integrator has the longest path.
-        options = {n: v for n, v in job.options.items() if n not in ("max_depth", "sequence")}
         return {
             "scene": job.scene.name,
             **self.identity,
             "scene_source": job.scene.origin,
             "scene_parameters": dict(job.scene.parameters),
-            **options,
+            **{n: v for n, v in job.options.items() if n not in {*OF_INTEGRATOR, "sequence"}},
             **({"sequence": sequences.length} if sequences else {}),
             "integrator": self.integrator,
             "guide": job.guide.digest if job.guide else None,
