@@ -489,6 +489,7 @@ STATISTICS: Table = {
     ],
     (InputError, partial(chd.fit.goodness, np.ones(100))): [
         ("normal", "normal"),
+        (chd.fit.select(np.ones(100)), "gamma, lognormal", "'Selection'"),
         ({"fit": "gamma", "tests": ("lilliefors",)}, "'lilliefors'"),
         ({"fit": "gamma", "tests": "chi-square"}, "chi-square"),
         ({"fit": "gamma", "resamples": -1}, "resamples", "got -1"),

@@ -61,7 +61,8 @@ def get_family(family: str | Family) -> Family:
     """
     if isinstance(family, Family):
         return family
-    check_option("family", family, FAMILIES)
+    given = type(family).__name__ if isinstance(family, Result) else family
+    check_option("family", given, FAMILIES)
     return FAMILIES[family]
 
 

@@ -11,7 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar, Unpack, cast, get_type_hints
 
 from chdstat._core.arrays import Seed, seed_number, whole
-from chdstat.errors import InputError, RenderError
+from chdstat.errors import InputError, RenderError, did_you_mean
 from chdstat.rendering.backend import BACKENDS, Backend, Color, TriedBackend, activate, resolve
 from chdstat.rendering.seeds import SEEDS, SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
@@ -185,17 +185,22 @@ def checked_settings(given: RenderSettings) -> RenderSettings:
     ------
     InputError
         If a value is out of range.
+    TypeError
+        If a render has no such setting.
 
     Examples
     --------
     >>> checked_settings({"spp": 16, "integrator": "direct"})["integrator"]
     {'type': 'direct'}
     """
-    bound = inspect.Signature([*SETTINGS.values()]).bind(**given)
-    bound.apply_defaults()
-    values = {
+    for name in given:
+        if name not in SETTINGS:
+            message = f"render() got an unexpected keyword argument {name!r}"
+            raise TypeError(message + did_you_mean(name, SETTINGS))
+    values: dict[str, Any] = {name: setting.default for name, setting in _DECLARED.items()}
+    values |= {
         name: value if value is (setting := _DECLARED[name]).default else setting.check(value)
-        for name, value in bound.arguments.items()
+        for name, value in given.items()
     }
     Sequences.of(values["sampler"], values["sequence"])
     return cast("RenderSettings", values)

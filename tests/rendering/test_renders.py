@@ -451,6 +451,7 @@ def test_settings_are_declared_once():
     for function in (chd.render, chd.rendering.render_batches):
         taken = signature(function).parameters
         assert {name: taken[name].default for name in SETTINGS} == defaults
-        with pytest.raises(TypeError, match="unexpected keyword argument 'ssp'"):
+        told = r"^render\(\) got an unexpected keyword argument 'ssp'; did you mean 'spp'\?$"
+        with pytest.raises(TypeError, match=told):
             function("cornell-box", ssp=4)
     assert Job.of("cornell-box", backend="scalar").options == defaults | {"backend": "scalar"}
