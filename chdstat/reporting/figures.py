@@ -144,9 +144,13 @@ def report_figures(shown: ReportData) -> tuple[dict[str, Figure], list[dict[str,
 
 
 def scene_figures(study: SceneStudy) -> dict[str, Figure]:
-    """Draw the figures of a scene of a study that it has data for, by name."""
-    of_scene = ("regions", "case study", "shapes")
-    return drawn(ReportData(study), [figure for figure in FIGURES if figure.part in of_scene])
+    """Draw the figures of a scene of a study that it has data for, by name.
+
+    A study shows the regions that claims are about, however few their samples are.
+    """
+    of_scene = ("case study", "shapes")
+    found = drawn(ReportData(study), [figure for figure in FIGURES if figure.part in of_scene])
+    return ({"regions": _region_study(study.data)} if study.data.regions else {}) | found
 
 
 # --- one scene ------------------------------------------------------------------------------------
@@ -170,11 +174,16 @@ def _alone(shown: ReportData) -> Figure | None:
 
 
 def _regions(shown: ReportData) -> Figure | None:
-    """Draw the regions of a scene, each with the CHD of its central pixel."""
+    """Draw the regions of a scene, if there is enough to see."""
     data = shown.data
-    image = data.summary["mean"].values
-    if shown.small or not shown.enough or not data.regions or not (image > 0).any():
+    seen = bool((data.summary["mean"].values > 0).any())
+    if shown.small or not shown.enough or not data.regions or not seen:
         return None
+    return _region_study(data)
+
+
+def _region_study(data: SceneData) -> Figure:
+    """Draw the regions of a scene, each with the CHD of its central pixel."""
     marks, notes = _marks(data), []
     pixels = [data.samples.pixel(*mark.pixel) for mark in marks]
     for mark, pixel in zip(marks, pixels, strict=True):
@@ -184,7 +193,7 @@ def _regions(shown: ReportData) -> Figure | None:
         room = len(mark.name) + len(note) + len(words) < _TITLE
         notes.append(note + f", {words}" * (bool(words) and room))
     panels = [panel_of(pixel, mark.name) for mark, pixel in zip(marks, pixels, strict=True)]
-    return viz.region_study(image, marks, panels, notes=notes)
+    return viz.region_study(data.summary["mean"].values, marks, panels, notes=notes)
 
 
 def _noise_maps(shown: ReportData) -> Figure | None:

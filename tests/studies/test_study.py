@@ -213,6 +213,14 @@ def test_the_pdf_has_all_claims(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_study_shows_regions_of_few_samples_and_of_few_pixels():
+    for shape in ((12, 12, 3, 16), (6, 6, 3, 64)):
+        x = noise("bathroom", shape=shape).read()
+        samples = chd.Samples.from_array(x, scene="bathroom", scene_source="chdstat")
+        few = study([samples, noise("noise", shape=shape)], estimators=["mean"])
+        assert {"scene0-regions", "scene1-regions"} <= study_document(few).figures.keys()
+
+
 HOPELESS = {
     "all null": lambda x: x * 0,
     "all bad": lambda x: x * np.nan,
