@@ -1,4 +1,4 @@
-"""Documents: text, tables and figures as a PDF, by Typst; for studies and benchmarks, too."""
+"""Documents: text, tables and figures as a PDF, by Typst; of scenes and of studies."""
 
 from __future__ import annotations
 
