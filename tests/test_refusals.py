@@ -24,7 +24,7 @@ from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, St
 from chdstat.estimators import MLP, CombinationStream
 from chdstat.estimators.training import load_model, write_model
 from chdstat.inference import difference, gaussianity_of_means
-from chdstat.inference.render_pairs import Reference
+from chdstat.inference.references import Reference
 from chdstat.io import denoise, read_exr, write_estimates, write_exr
 from chdstat.patterns import Thresholds, agreement, attribute
 from chdstat.rendering import render_batches, render_pixels

@@ -21,7 +21,7 @@ from chdstat.inference.contrasts import Contrast, contrast
 from chdstat.inference.differences import Difference, difference
 from chdstat.inference.modes import MODES, Modality, modality
 from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
-from chdstat.inference.render_pairs import Reference
+from chdstat.inference.references import Reference
 
 __all__ = [
     "MODES",

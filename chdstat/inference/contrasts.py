@@ -23,7 +23,8 @@ from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished
 from chdstat.errors import Reason, check_probability
-from chdstat.inference.render_pairs import Pair, Reference
+from chdstat.inference.references import Reference
+from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import (
     CHANCE_TO_MISS,
     LEAST_LIGHT,
@@ -102,7 +103,7 @@ class Contrast(Shown):
         The same in words, such as "16 to 64" if pixels differ.
     reference
         "" if B has samples. Otherwise how the noise of the image B is known: by a "variance", by
-        its "spp" alone, or not at all, so that B is taken as "exact".
+        its "spp" alone, by means of "batches", or not at all, so that B is taken as "exact".
     seconds
         Rendering time of one sample in every pixel, for A and B; NaN if it is unknown.
     correlation
@@ -129,7 +130,7 @@ class Contrast(Shown):
     efficiency_ratio: Interval[float]
     spp: tuple[int, int | None]
     spp_range: tuple[str, str]
-    reference: Literal["", "exact", "spp", "variance"]
+    reference: Literal["", "exact", "spp", "variance", "batches"]
     seconds: tuple[float, float]
     correlation: float
     paired: bool

@@ -11,7 +11,8 @@ from chdstat.errors import Reason
 from chdstat.inference import contrast
 from chdstat.inference.contrasts import contrasting
 from chdstat.inference.permutations import p_of_signs
-from chdstat.inference.render_pairs import Pair, Reference
+from chdstat.inference.references import Reference
+from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import Cells, scan_windows, window_sums
 from chdstat.io import read_exr, write_exr
 from tests.luminance import LUMINANCE

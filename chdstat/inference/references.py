@@ -1,0 +1,268 @@
+"""References: images to compare renders with, and how well they are known.
+
+Such an image is a mean, known to the precision of its file. Its noise is known if it comes with an
+image of variances, or with a number of samples. What neither shows is how rare its light is. Means
+of batches of its samples do, and a render is compared with them as with samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from chdstat._core.arrays import Array, Floats, is_bad, whole
+from chdstat._core.display import Shown
+from chdstat._core.doors import read_image
+from chdstat.errors import InputError
+from chdstat.samples import samples_of
+
+_PRECISION = 5.2 * 2.0**-11
+"""Largest error of R, G or B over the largest of them, if X, Y and Z of a grey were rounded to half
+floats before their conversion: 5.2 is what R adds up of their errors, 3.24 X + 1.54 Y + 0.50 Z."""
+SINGLE = 2.0**-22
+"""Relative errors of samples in single precision, and of their sums."""
+_SUBNORMAL = 2.0**-25
+"""Largest error of half floats that are nearly 0."""
+BATCHES = 48
+"""Batches of a reference. It has thrice as many samples as a test, which has 16 of them then."""
+_FEWEST_BATCHES = 8
+_GRANTED = 16
+"""Samples of a reference that are taken for granted, as a multiple of those of the render."""
+
+
+@dataclass(frozen=True, repr=False)
+class Reference(Shown):
+    """An image to compare a render with, and how well it is known.
+
+    Attributes
+    ----------
+    mean
+        Linear radiance, shape (y, x, channel); NaN or infinite where nothing is known.
+    variance
+        Variance of one sample, same shape, not of the mean; NaN or None where it is unknown.
+        Negative ones, of rounded squares, count as 0.
+    spp
+        Number of samples of each pixel; None if unknown. With a variance and no number, the mean is
+        taken to be as noisy as the render that is compared with it. With a number and no variance,
+        its samples are taken to vary as those of the render. With neither, it has no noise but one
+        bright sample of at least 16 times as many as those of the render.
+    precision
+        Largest rounding error of a value over the largest channel of its pixel. The default,
+        0.25 %, is that of half floats that were converted from CIE XYZ to R, G and B, as many
+        images have been; 0 takes the image as it is.
+    name
+        What it is called.
+    batches
+        Means of as many batches of its samples, each of spp / batches, shape (y, x, channel,
+        batch); None if they are unknown. NaN where a batch has no good sample.
+    bad
+        Share of bad samples, which are left out of all means, shape (y, x); None if it is unknown.
+    attrs
+        Provenance: scene, scene hash, seed, versions and so on.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(1).gamma(2.0, size=(8, 8, 3, 4096))
+    >>> reference = Reference(x.mean(axis=-1), x.var(axis=-1, ddof=1), spp=4096)
+    >>> reference.shape, reference.known
+    ((8, 8, 3), 'variance')
+    """
+
+    mean: Array
+    variance: Array | None = None
+    spp: int | None = None
+    precision: float = _PRECISION
+    name: str = field(default="image", kw_only=True)
+    batches: Array | None = field(default=None, kw_only=True)
+    bad: Array | None = field(default=None, kw_only=True)
+    attrs: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers.
+
+        Raises
+        ------
+        InputError
+            If the mean is not (y, x, channel), the variance has another shape, or a number is out
+            of range.
+        """
+        mean = np.asarray(self.mean, np.float64)
+        if mean.ndim != 3 or 0 in mean.shape:
+            message = f"the mean of a reference must have shape (y, x, channel), got {mean.shape}"
+            raise InputError(message)
+        object.__setattr__(self, "mean", mean)
+        if self.variance is not None:
+            variance = np.asarray(self.variance, np.float64)
+            if variance.shape != mean.shape:
+                message = (
+                    f"the variance of a reference must have the shape of its mean, {mean.shape}, "
+                    f"got {variance.shape}"
+                )
+                raise InputError(message)
+            object.__setattr__(self, "variance", np.maximum(variance, 0))
+        if self.spp is not None:
+            object.__setattr__(self, "spp", whole("spp", self.spp, least=1))
+        if not 0 <= self.precision < 1:
+            message = f"precision must lie between 0 and 1, got {self.precision}"
+            raise InputError(message)
+        if self.batches is not None:
+            object.__setattr__(self, "batches", self._checked_batches(self.batches))
+
+    def _checked_batches(self, given: Array) -> Array:
+        batches, shape = np.asarray(given), self.mean.shape
+        if batches.shape[:-1] != shape or batches.shape[-1] < _FEWEST_BATCHES:
+            message = (
+                f"the batches of a reference must have shape {shape} and at least "
+                f"{_FEWEST_BATCHES} batches, got {batches.shape}"
+            )
+            raise InputError(message)
+        if self.spp is None or self.spp % batches.shape[-1]:
+            message = (
+                f"a reference of {batches.shape[-1]} batches of equal size needs spp, a multiple "
+                f"of their number, got {self.spp}"
+            )
+            raise InputError(message)
+        return batches
+
+    @classmethod
+    def of_samples(cls, samples: Any, *, batches: int = BATCHES, name: str = "") -> Reference:
+        """Return what a test needs of samples: means of batches, a hundredth of the size.
+
+        Parameters
+        ----------
+        samples
+            `Samples`, the path of a store, or an array (y, x, channel, sample).
+        batches
+            Number of batches, of consecutive samples. Samples that fill no batch are left out.
+        name
+            What the reference is called; by default, as the scene.
+
+        Raises
+        ------
+        InputError
+            If there are fewer samples than batches.
+
+        Examples
+        --------
+        >>> x = np.random.default_rng(1).gamma(2.0, size=(8, 8, 3, 480))
+        >>> reference = Reference.of_samples(x)
+        >>> reference.batches.shape, reference.spp
+        ((8, 8, 3, 48), 480)
+        """
+        found = samples_of(samples, averages=True)
+        whole("batches", batches, least=_FEWEST_BATCHES)
+        size = found.spp // batches
+        if not size:
+            message = f"a reference of {batches} batches needs as many samples, got {found.spp}"
+            raise InputError(message)
+        shape = (*found.shape[:3], batches)
+        means, bad = np.empty(shape), np.zeros(shape[:2])
+        for k in range(batches):
+            x = found.read(ss=slice(k * size, (k + 1) * size)).astype(float)
+            good = np.asarray(~is_bad(x).any(axis=2))
+            total = np.where(good[:, :, np.newaxis], x, 0).sum(axis=-1)
+            with np.errstate(invalid="ignore"):
+                means[..., k] = total / good.sum(axis=-1)[..., np.newaxis]
+            bad += (~good).sum(axis=-1)
+        averaged = int(found.attrs.get("averaged", 1))
+        spp = batches * size * averaged
+        return cls(
+            np.nanmean(means, axis=-1),
+            np.nanvar(means, axis=-1, ddof=1) * size * averaged,
+            spp,
+            precision=0,
+            name=name or found.name,
+            batches=means,
+            bad=bad / (batches * size),
+            attrs=found.attrs,
+        )
+
+    @classmethod
+    def read(
+        cls,
+        mean: str | Path,
+        *,
+        variance: str | Path | None = None,
+        spp: int | None = None,
+        precision: float = _PRECISION,
+    ) -> Reference:
+        """Return a reference from EXR files: an image, and its variances if they are known.
+
+        Parameters
+        ----------
+        mean, variance
+            EXR files, read by `chdstat.io.read_exr`.
+        spp, precision
+            As the attributes.
+
+        Raises
+        ------
+        InputError
+            If the files differ in size or channels.
+        StoreError
+            If a file is missing or damaged.
+        """
+        variances = None if variance is None else read_image(variance)
+        return cls(read_image(mean), variances, spp, precision, name=str(mean))
+
+    @classmethod
+    def of(cls, image: Any) -> Reference | None:
+        """Return a reference of an image without samples; None if it is something else."""
+        if isinstance(image, Reference):
+            return image
+        if isinstance(image, str | Path):
+            return cls.read(image) if Path(image).suffix.lower() == ".exr" else None
+        if np.ndim(image) == 3 and "sample" not in getattr(image, "dims", ()):
+            return cls(image)
+        return None
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(y, x, channel)."""
+        height, width, channels = self.mean.shape
+        return height, width, channels
+
+    @property
+    def known(self) -> Literal["exact", "spp", "variance", "batches"]:
+        """How its noise is known: not at all (as exact), by spp, a variance, or batches."""
+        if self.batches is not None:
+            return "batches"
+        return "variance" if self.variance is not None else "spp" if self.spp else "exact"
+
+    @cached_property
+    def rounding(self) -> Floats:
+        """How far rounding may have moved each mean, shape (y, x, band).
+
+        Luminance comes first if there are R, G and B. Images of half floats have absolute errors
+        near 0, too.
+        """
+        mean = np.where(np.isfinite(self.mean), self.mean, 0)
+        size = np.abs(mean).max(axis=-1, keepdims=True)
+        with np.errstate(over="ignore"):
+            halves = bool(self.precision) and np.array_equal(mean, mean.astype(np.float16))
+        found = (self.precision + SINGLE) * size + _SUBNORMAL * halves
+        bands = mean.shape[-1] + (mean.shape[-1] == 3)
+        return np.asarray(np.broadcast_to(found, (*mean.shape[:2], bands)))
+
+    def outlier(self, excess: Floats, spp: int) -> float:
+        """Return by how much its brightest sample may have raised the mean of one pixel.
+
+        If its variances are known, they know that. Otherwise, M samples per pixel have a brightest
+        one that is about sqrt(M / spp) times that of `spp`, if variances are just finite. A
+        reference without a number is taken to have 16 times as many samples.
+
+        Parameters
+        ----------
+        excess
+            Largest sample of each pixel minus its mean, of a render with so many `spp`.
+        """
+        if self.variance is not None:
+            return 0.0
+        largest = float(np.max(excess, initial=0, where=np.isfinite(excess)))
+        return largest / math.sqrt(spp * (self.spp or _GRANTED * spp))
