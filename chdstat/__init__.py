@@ -50,7 +50,7 @@ _MODULES = (
 DOORS = {
     "draw": "viz.results",
     "pixel_of": "patterns.pixel",
-    "read_image": "io.exr",
+    "read_reference": "io.reference_files",
     "regions_of": "patterns.pixel",
     "report": "reporting.documents",
 }

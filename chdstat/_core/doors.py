@@ -76,8 +76,8 @@ draw: Door[Figure] = Door("draw", "drawn")
 """Draw a result; takes its options, and returns the figure."""
 report: Door[Path] = Door("report", "typeset as a report")
 """Typeset a result as PDF; takes the path, and returns it."""
-read_image: Door[Any] = Door("read_image", "read as an image")
-"""Read an image from the path of an EXR file, as `chdstat.io.read_exr`."""
+read_reference: Door[Any] = Door("read_reference", "read as a reference")
+"""Return the `chdstat.inference.Reference` in a file; takes the options of `Reference.read`."""
 pixel_of: Door[Any] = Door("pixel_of", "looked at pixel by pixel")
 """Return the `chdstat.patterns.Pixel` of samples at row y and column x."""
 regions_of: Door[Any] = Door("regions_of", "looked at region by region")

@@ -18,7 +18,7 @@ import numpy as np
 
 from chdstat._core.arrays import Array, Floats, is_bad, whole
 from chdstat._core.display import Shown
-from chdstat._core.doors import read_image
+from chdstat._core.doors import read_reference
 from chdstat.errors import InputError
 from chdstat.samples import samples_of
 
@@ -172,9 +172,10 @@ class Reference(Shown):
             bad += (~good).sum(axis=-1)
         averaged = int(found.attrs.get("averaged", 1))
         spp = batches * size * averaged
+        mean = mean_of_batches(means)
         return cls(
-            np.nanmean(means, axis=-1),
-            np.nanvar(means, axis=-1, ddof=1) * size * averaged,
+            mean,
+            _variance_of_batches(means, mean) * size * averaged,
             spp,
             precision=0,
             name=name or found.name,
@@ -190,26 +191,28 @@ class Reference(Shown):
         *,
         variance: str | Path | None = None,
         spp: int | None = None,
-        precision: float = _PRECISION,
+        precision: float | None = None,
     ) -> Reference:
-        """Return a reference from EXR files: an image, and its variances if they are known.
+        """Return the reference in an EXR file, whatever it holds.
+
+        That is what `chdstat.io.write_reference` wrote, or an image of another program.
 
         Parameters
         ----------
         mean, variance
-            EXR files, read by `chdstat.io.read_exr`.
+            EXR files: the image, and variances of a sample if they are known.
         spp, precision
-            As the attributes.
+            As the attributes; by default, as the files say.
 
         Raises
         ------
         InputError
-            If the files differ in size or channels.
+            If the files differ in size or channels, or have what is given here already.
         StoreError
             If a file is missing or damaged.
         """
-        variances = None if variance is None else read_image(variance)
-        return cls(read_image(mean), variances, spp, precision, name=str(mean))
+        found: Reference = read_reference(mean, variance=variance, spp=spp, precision=precision)
+        return found
 
     @classmethod
     def of(cls, image: Any) -> Reference | None:
@@ -266,3 +269,21 @@ class Reference(Shown):
             return 0.0
         largest = float(np.max(excess, initial=0, where=np.isfinite(excess)))
         return largest / math.sqrt(spp * (self.spp or _GRANTED * spp))
+
+
+@np.errstate(invalid="ignore")
+def mean_of_batches(batches: Array) -> Floats:
+    """Return the mean of the known batches, (y, x, channel, batch); NaN where there are none."""
+    known = np.isfinite(batches)
+    return np.asarray(
+        batches.sum(axis=-1, where=known, dtype=float) / known.sum(axis=-1, dtype=float)
+    )
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _variance_of_batches(batches: Array, mean: Floats) -> Floats:
+    """Return their variance around their mean; NaN where fewer than 2 are known."""
+    known = np.isfinite(batches)
+    squares = (batches - mean[..., np.newaxis]) ** 2
+    freedom = known.sum(axis=-1) - 1.0
+    return np.where(freedom > 0, squares.sum(axis=-1, where=known) / freedom, np.nan)

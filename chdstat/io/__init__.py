@@ -4,6 +4,7 @@
   header with which a renderer writes such files.
 - `write_exr` and `read_exr` keep images with their layers in EXR files. `write_image` writes an
   image in the format of the file's suffix. `write_maps` and `write_netcdf` write results per pixel.
+  `write_reference` writes what tests of a renderer compare with.
 - `write_estimates` estimates the radiance of an image and writes it to a file. `denoise` denoises
   an image of estimates with Open Image Denoise.
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 from chdstat._core.denoiser import denoise
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.reading import read
+from chdstat.io.reference_files import write_reference
 from chdstat.io.stream import get_include
 from chdstat.io.writing import write_estimates, write_image, write_maps, write_netcdf
 
@@ -27,6 +29,7 @@ __all__ = [
     "write_image",
     "write_maps",
     "write_netcdf",
+    "write_reference",
 ]
 
 

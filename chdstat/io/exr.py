@@ -22,7 +22,9 @@ the Color Interop Forum, "Color space encodings for texture assets and CG render
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +36,6 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Array, Image, warn_caller
 from chdstat._core.display import Card, Shown, png
-from chdstat._core.doors import read_image
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
@@ -44,13 +45,22 @@ Rectangle = tuple[int, int, int, int]
 """Left, top, right and bottom of the pixels of an image, all inclusive."""
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
+_IMAGE_CHANNELS = "imageChannels"
+"""Attribute that names the channels of the image, in JSON, if they have unusual names."""
 _TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}
 _LONGEST_NAME = 255
 _MAGIC = b"\x76\x2f\x31\x01"
 """First bytes of every EXR file."""
 _OF_THE_FORMAT = {
     *("channels", "chromaticities", "chunkCount", "compression", "dataWindow", "displayWindow"),
-    *("lineOrder", "name", "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth"),
+    *(
+        _IMAGE_CHANNELS,
+        "lineOrder",
+        "name",
+        "pixelAspectRatio",
+        "screenWindowCenter",
+        "screenWindowWidth",
+    ),
     *("tiles", "type", "version", "view"),
 }
 """Attributes that describe the layout of the file, and nothing else."""
@@ -84,12 +94,15 @@ class ExrImage(Shown):
         image. float32, or uint32 if the file holds whole numbers.
     attributes
         Text in the header of the file.
+    averaged
+        Samples of each pixel that the header says the image to be the mean of; 1 if it says none.
     """
 
     image: Image
     channels: tuple[str, ...]
     extra: Mapping[str, Array]
     attributes: Mapping[str, str]
+    averaged: int = 1
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Array:
         """Return the image."""
@@ -155,7 +168,11 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
         warn_caller(note)
     shown = _USUAL[3] if "xyz" in planes.notes else names
     return ExrImage(
-        image=image, channels=shown, extra=planes.others(names), attributes=planes.texts()
+        image=image,
+        channels=shown,
+        extra=planes.others(names),
+        attributes=planes.texts(),
+        averaged=_averaged(planes.attributes),
     )
 
 
@@ -249,6 +266,8 @@ class _Planes:
         StoreError
             If they are of a kind that cannot be read.
         """
+        if radiance and (named := self._named()):
+            return self._readable(named)
         every = [*self.channels, *self.unread]
         top, layers = self._inside(""), sorted({n.rpartition(".")[0] for n in every} - {""})
         coloured = [layer for layer in layers if _coloured(self._inside(layer))]
@@ -280,6 +299,13 @@ class _Planes:
             advice = "its channels are whole numbers, as those of objects are"
         message = f"{self.path} has no channels R, G, B or Y; {advice} {offered}".rstrip()
         raise InputError(message)
+
+    def _named(self) -> tuple[str, ...]:
+        """Return the channels that the header names as those of the image; () if it names none."""
+        with contextlib.suppress(TypeError, ValueError):
+            names = tuple(json.loads(self.attributes.get(_IMAGE_CHANNELS, "")))
+            return names if names and {*names} <= {*self.channels, *self.unread} else ()
+        return ()
 
     def _holds_numbers(self, name: str) -> bool:
         """Return whether a layer or channel can be read as samples."""
@@ -741,11 +767,11 @@ def write_exr(
         Linear radiance, shape (y, x, channel). NaN and infinite values are kept.
     channels
         Names of the channels; by default R, G, B, or Y for one channel. Viewers show R, G, B as an
-        image in linear sRGB.
+        image in linear sRGB. The header keeps other names, so that `read_exr` finds the image.
     extra
         Layers by name. Shape (y, x) makes a channel of that name. Shape (y, x, channel) makes a
-        layer with channels such as ``low.R``, ``low.G``, ``low.B``. uint32 is kept, for object
-        numbers.
+        layer with channels such as ``low.R``, ``low.G``, ``low.B``. float16 is kept, and uint32,
+        for object numbers.
     attributes
         Text for the header, such as the provenance of the image.
     pixel_type
@@ -793,6 +819,7 @@ def write_exr(
     header = {
         **(attributes or {}),
         **({"chromaticities": REC709} if names == _USUAL[3] else {}),
+        **({} if names in _USUAL.values() else {_IMAGE_CHANNELS: json.dumps(names)}),
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
     }
@@ -863,7 +890,7 @@ def _check_name(what: str, name: str) -> None:
 
 def _stored(name: str, plane: Array, pixel_type: str) -> Array:
     """Convert to the type of the file; infinity stays, but no finite value may become infinite."""
-    if plane.dtype == np.uint32:
+    if plane.dtype in (np.uint32, np.float16):
         return np.ascontiguousarray(plane)
     kind = _TYPES[pixel_type]
     with np.errstate(over="ignore", under="ignore"):
@@ -889,7 +916,3 @@ def _check_attributes(attributes: Mapping[str, Any]) -> None:
         if not isinstance(value, str):
             message = f"attribute {name!r} must be text, got {type(value).__name__}"
             raise InputError(message)
-
-
-for _path in (str, Path):
-    read_image.register(_path, lambda path: read_exr(path).image)

@@ -77,10 +77,24 @@ def test_channels_have_usual_names_or_those_given(tmp_path, count, names):
     x = image((4, 3, count))
     given = None if count in (1, 3) else names
     path = write_exr(tmp_path / "x.exr", x, channels=given, extra={"low": x})
-    found = read_exr(path, channels=given)
-    assert found.channels == names
-    np.testing.assert_array_equal(found.image, x)
-    np.testing.assert_array_equal(found.extra["low"], x)
+    for found in (read_exr(path, channels=given), read_exr(path)):
+        assert found.channels == names
+        np.testing.assert_array_equal(found.image, x)
+        np.testing.assert_array_equal(found.extra["low"], x)
+
+
+@pytest.mark.parametrize("said", ["", "u", '["u", "w"]', "[[]]", "3", "{}"])
+def test_a_header_that_names_no_channels_is_ignored(tmp_path, said):
+    planes = planes_of(image((4, 3, 3)))
+    path = exr(tmp_path / "x.exr", planes, imageChannels=said)
+    assert read_exr(path).channels == ("R", "G", "B")
+
+
+def test_half_layers_stay_half(tmp_path):
+    x = image()
+    path = write_exr(tmp_path / "x.exr", x, extra={"one": x[..., 0].astype(np.float16)})
+    assert channels_of(path)["one"].dtype == np.float16
+    assert channels_of(path)["R"].dtype == np.float32
 
 
 @pytest.mark.parametrize(
