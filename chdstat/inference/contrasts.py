@@ -45,7 +45,6 @@ _LEAST_TERMS = 8
 """With fewer terms, no p-value is small enough."""
 _OF_WINDOWS = 0.8
 """Share of alpha for windows; single pixels get the rest."""
-_TENTH = 0.1
 _ROUNDING = 1e-6
 _MANY_TIMES = 10
 _STANDARD_ERRORS = 4
@@ -93,7 +92,7 @@ class Contrast(Shown):
         How much darker B is in this channel of the window.
     detectable
         Smallest relative difference that would have been found with a probability of 90 %: in the
-        whole ``image``, and in a window of about a ``tenth`` of it.
+        whole ``image``, and in a square of about a ``tenth`` of it, wherever it lies.
     efficiency_ratio
         1 / (relative variance x time) of B over that of A, with its 95 % interval. NaN if a time is
         unknown, or A or B has no variance.
@@ -439,13 +438,15 @@ def contrasting(
     p = maps["p_value"]
     height, width, bands = p.shape
     q = maps["q_value"] = q_values(p.reshape(height, width * bands)).reshape(p.shape)
-    scan = yield from scan_windows(cells, seed=seed)
+    scan = yield from scan_windows(cells, alpha=alpha * _OF_WINDOWS, seed=seed)
     smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
     parts = scan.p_value / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
     image_p_value = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
     y, x, rows, columns = (edge * size for size in scan.window)
-    loss, window_loss, detectable = _losses(cells, pair.terms, scan)
-    unseen = _hidden(maps, pair, detectable) if pair.of_image else scan.unseen
+    (loss, window_loss), detectable = _losses(cells, pair.terms, scan), scan.detectable
+    unseen = (
+        scan.unseen if all(pair.units) or not pair.of_image else _hidden(maps, pair, detectable)
+    )
     why, spp_needed = _why_not(maps, pair, detectable, unseen, differ=image_p_value <= alpha)
     dataset = _dataset(maps, pair)
     return Contrast(
@@ -532,7 +533,7 @@ def _hidden(
     None if it is less than would have been found.
     """
     light, total = maps["hidden"].sum(), np.nansum(maps["mean_b"][..., 0])
-    found = detectable["image"] if np.isfinite(detectable["image"]) else 0
+    found = detectable["image"] if detectable["image"] < 1 else 0
     if not light > max(found, LEAST_LIGHT) * total > 0:
         return None
     error = np.sqrt(maps["extra"][maps["hidden"] > 0].sum() / pair.terms)
@@ -540,10 +541,8 @@ def _hidden(
 
 
 @np.errstate(all="ignore")
-def _losses(
-    cells: Cells, terms: int, scan: WindowTest
-) -> tuple[Interval[float], float, dict[str, float]]:
-    """Return how much darker B is, overall and in the window, and what would have been found."""
+def _losses(cells: Cells, terms: int, scan: WindowTest) -> tuple[Interval[float], float]:
+    """Return how much darker B is, overall and in the window."""
     y, x, rows, columns = scan.window
     here = scan.band, slice(y, y + rows), slice(x, x + columns)
     shift = cells.differences[here].sum(dtype=float)
@@ -552,19 +551,9 @@ def _losses(
     edge = max(d.shape[:2])
     value, error = (found.item() for found in _relative(d, both, edge))
     reach = float(stats.t.ppf(0.975, terms - 1)) * error if terms > 1 else np.nan
-    area = _TENTH * d.shape[0] * d.shape[1]
-    near = min(scan.detectable, key=lambda e: abs(np.log(e**2 / area)), default=edge)
-    detectable = {
-        name: float(scan.detectable.get(e, np.inf) * _median(_relative(d, both, e)[1]))
-        for name, e in (("image", edge), ("tenth", near))
-    }
-    if cells.slack is not None:  # which no sum of differences exceeds for certain
-        rounding = float(cells.slack[0].sum() / both.mean(axis=-1).sum())
-        detectable = {name: value + rounding for name, value in detectable.items()}
     return (
         Interval(-value, -value - reach, -value + reach, standard_error=error),
         float(-shift / level) if level > _ROUNDING * np.abs(shift) else np.nan,
-        detectable,
     )
 
 

@@ -198,7 +198,7 @@ def _p_of_divisions(x: Reals, good: Mask, first: int) -> Floats:
     return p
 
 
-def _log_choices(n: Array, k: Array) -> Floats:
+def log_choices(n: Array, k: Array) -> Floats:
     """Return log(n choose k), -inf where there is no choice."""
     possible = (k >= 0) & (k <= n)
     k = np.where(possible, k, 0)
@@ -218,9 +218,7 @@ def _enumerated_divisions(x: Reals, good: Mask, n: Counts, count: Counts, first:
     # The other samples are equal: only the number of chosen ones counts.
     others = count - real.sum(axis=1)
     left = n[:, np.newaxis] - np.arange(width + 1)
-    weight = np.exp(
-        _log_choices(others[:, np.newaxis], left) - _log_choices(count, n)[:, np.newaxis]
-    )
+    weight = np.exp(log_choices(others[:, np.newaxis], left) - log_choices(count, n)[:, np.newaxis])
     weight = weight[:, chosen.sum(axis=1).astype(int)] * ~((~real).astype(float) @ chosen.T > 0)
     return np.asarray((weight * as_far).sum(axis=1))
 
@@ -231,7 +229,7 @@ def _share_of_largest(ordered: Reals, n: Counts, count: Counts) -> Floats:
     last = np.arange(ordered.shape[1]) < count[:, np.newaxis]
     above = (last & (ordered > border + _EQUAL)).sum(axis=1)
     tied = (last & (np.abs(ordered - border) <= _EQUAL)).sum(axis=1)
-    return np.exp(_log_choices(tied, n - above) - _log_choices(count, n))
+    return np.exp(log_choices(tied, n - above) - log_choices(count, n))
 
 
 def _beyond_divisions(z: Reals, good: Mask, total: Floats, n: Counts, count: Counts) -> Floats:
@@ -370,8 +368,8 @@ class Shuffles:
         """Return p-values, none below the share of one division, or of two that are mirrored."""
         n, m = map(np.asarray, self.n)
         mirrored = np.log(2) * (self.paired or n == m)
-        choices = n * np.log(2) if self.paired else _log_choices(n + m, n)
-        return np.asarray(np.maximum(_p_of_tail(statistic, shuffled), np.exp(mirrored - choices)))
+        choices = n * np.log(2) if self.paired else log_choices(n + m, n)
+        return np.asarray(np.maximum(p_of_tail(statistic, shuffled), np.exp(mirrored - choices)))
 
     def _correlation(self, a: Reals, b: Reals) -> tuple[Reals, Reals]:
         total, apart = a + b, a - b
@@ -418,7 +416,63 @@ class Shuffles:
         return found, shuffled
 
 
-def _p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
+@dataclass(frozen=True)
+class Tail:
+    """What shuffles say of large statistics: an exponential or heavier tail beyond a border.
+
+    A generalised Pareto distribution is fitted to the largest fifth of the shuffles. A tail lighter
+    than an exponential counts as exponential.
+
+    Attributes
+    ----------
+    border, scale, k
+        Largest statistic below the tail, and the scale and shape of the excesses over it, shape
+        (row,). `k` is minus the tail index, as by Hosking and Wallis.
+    share
+        Share of the shuffles in the tail.
+
+    References
+    ----------
+    Knijnenburg, Wessels, Reinders and Shmulevich, "Fewer permutations, more accurate P-values",
+    2009, doi:10.1093/bioinformatics/btp211. Hosking and Wallis, "Parameter and quantile estimation
+    for the generalized Pareto distribution", 1987, doi:10.1080/00401706.1987.10488243: the fit, by
+    probability-weighted moments.
+    """
+
+    border: Floats
+    scale: Floats
+    k: Floats
+    share: float
+
+    @classmethod
+    @np.errstate(all="ignore")
+    def of(cls, shuffled: Reals) -> Tail:
+        """Fit the tails of statistics under the hypothesis, shape (row, shuffle)."""
+        count = shuffled.shape[1]
+        kept = max(_EXCEEDING, int(_TAIL * count))
+        largest = -np.partition(-shuffled, kept, axis=1)[:, : kept + 1].astype(np.float64)
+        largest.sort(axis=1)
+        excess = largest[:, 1:] - largest[:, :1]
+        rank = (np.arange(kept) + 0.65) / kept
+        first, second = excess.mean(axis=1), (excess * (1 - rank)).mean(axis=1)
+        k = first / (first - 2 * second) - 2
+        scale = np.where(k < 0, 2 * first * second / (first - 2 * second), first)
+        return cls(largest[:, 0], scale, np.minimum(k, -1e-6), kept / count)
+
+    @np.errstate(all="ignore")
+    def beyond(self, statistic: Reals) -> Floats:
+        """Return the share beyond statistics (row,); 1 where they are not in the tail."""
+        over = statistic - self.border
+        found = self.share * (1 - self.k * over / self.scale) ** (1 / self.k)
+        return np.where(np.isfinite(found) & (over > 0), found, 1.0)
+
+    def quantile(self, share: float) -> Floats:
+        """Return the statistics beyond which such a share lies, one smaller than `self.share`."""
+        more = 1 - (share / self.share) ** self.k
+        return np.asarray(self.border + self.scale / self.k * more)
+
+
+def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     """Return p-values of statistics that are large if the hypothesis is wrong.
 
     Parameters
@@ -432,40 +486,26 @@ def _p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     -------
     ndarray
         (b + 1) / (B + 1), where b of B shuffles are at least as large. That is too coarse for
-        thousands of pixels. If b < 10, it is the share of a generalised Pareto distribution beyond
-        the statistic, fitted to the largest fifth of the shuffles, if that share is smaller. A tail
-        lighter than an exponential counts as exponential.
-
-    References
-    ----------
-    Knijnenburg, Wessels, Reinders and Shmulevich, "Fewer permutations, more accurate P-values",
-    2009, doi:10.1093/bioinformatics/btp211. Hosking and Wallis, "Parameter and quantile estimation
-    for the generalized Pareto distribution", 1987, doi:10.1080/00401706.1987.10488243: the fit, by
-    probability-weighted moments.
+        thousands of pixels, or for small levels. If b < 10, it is the share beyond the statistic in
+        the `Tail` of the shuffles, if that is smaller.
 
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> p = _p_of_tail(np.array([0.5, 12.0]), rng.exponential(size=(2, 999)))
+    >>> p = p_of_tail(np.array([0.5, 12.0]), rng.exponential(size=(2, 999)))
     >>> round(float(p[0]), 2), bool(1e-7 < p[1] < 1e-4)
     (0.64, True)
     """
     # Values that are equal up to rounding count as equally large.
     exceeding = (shuffled >= (statistic * (1 - 1e-5))[:, np.newaxis]).sum(axis=1)
-    count = shuffled.shape[1]
-    p = np.asarray((exceeding + 1) / (count + 1), np.float64)
+    p = np.asarray((exceeding + 1) / (shuffled.shape[1] + 1), np.float64)
     few = np.flatnonzero(exceeding < _EXCEEDING)
-    kept = max(_EXCEEDING, int(_TAIL * count))
-    largest = -np.partition(-shuffled[few], kept, axis=1)[:, : kept + 1].astype(np.float64)
-    largest.sort(axis=1)
-    excess, over = largest[:, 1:] - largest[:, :1], statistic[few] - largest[:, 0]
-    rank = (np.arange(kept) + 0.65) / kept
-    first, second = excess.mean(axis=1), (excess * (1 - rank)).mean(axis=1)
-    with np.errstate(all="ignore"):
-        # Hosking and Wallis' k is minus the tail index.
-        k = first / (first - 2 * second) - 2
-        scale = np.where(k < 0, 2 * first * second / (first - 2 * second), first)
-        heavy = np.minimum(k, -1e-6)
-        found = kept / count * (1 - heavy * over / scale) ** (1 / heavy)
-    p[few] = np.minimum(p[few], np.where(np.isfinite(found) & (over > 0), found, 1.0))
+    p[few] = np.minimum(p[few], Tail.of(shuffled[few]).beyond(statistic[few]))
     return p
+
+
+def quantile_of_tail(shuffled: Reals, share: float) -> Floats:
+    """Return the statistics whose p-values by `p_of_tail` are about `share`, shape (row,)."""
+    if share * shuffled.shape[1] < _EXCEEDING:
+        return Tail.of(shuffled).quantile(share)
+    return np.asarray(np.quantile(shuffled, 1 - share, axis=1))

@@ -123,6 +123,8 @@ _TERMS = 256
 _UNITS, _TIMES = 1024, 16
 """Most units of the longer render: this number, or this many times the units of the other. More
 change the standard error of the difference by less than 3 %."""
+_FEWEST_UNITS = 4
+"""With fewer, no division of units is rare enough."""
 _SMALL = 0.1
 """Pixels with p-values up to this are also compared by units."""
 _AT_ONCE = 2**22
@@ -226,15 +228,28 @@ class Pair:
 
     @property
     def unit_size(self) -> int:
-        """Number of samples of a unit."""
-        return min(self.spp) // self.terms
+        """Number of samples of a unit; those of a batch of a reference, 0 if A cannot fill it."""
+        if not isinstance(self.b, Reference):
+            return min(self.spp) // self.terms
+        if self.b.batches is None or self.b.spp is None:
+            return 0
+        size, rest = divmod(self.b.spp, _averaged(self.a) * self.b.batches.shape[-1])
+        return 0 if rest else size
 
     @property
     def units(self) -> tuple[int, int]:
-        """Units of A and B that are compared; 0 if both have the same number of samples."""
+        """Units of A and B that are compared; 0 if both have the same number of samples.
+
+        Those of a reference are its batches.
+        """
+        most = max(_UNITS, _TIMES * self.terms)
+        if isinstance(self.b, Reference):
+            count = min(self.spp[0] // self.unit_size, most) if self.unit_size else 0
+            if self.b.batches is None or count < _FEWEST_UNITS:
+                return 0, 0
+            return count, self.b.batches.shape[-1]
         if self.spp[0] == self.spp[1] or _averaged(self.a) != _averaged(self.b):
             return 0, 0
-        most = max(_UNITS, _TIMES * self.terms)
         one, other = (min(spp // self.unit_size, most) for spp in self.spp)
         return one, other
 
@@ -244,6 +259,8 @@ class Pair:
         Sample k of both is in term k, and thus in the same one of the first units, as far as they
         go.
         """
+        if self.of_image:
+            return np.arange(self.units[i] * self.unit_size) % max(self.units[i], 1)
         block, within = np.divmod(
             np.arange(self.units[i] * self.unit_size), self.terms * self.unit_size
         )
@@ -470,7 +487,8 @@ class Pair:
             for i, (x, good) in parts.items():
                 sums[i].add(x, good, numbers[i][ss])
         if not isinstance(self.b, Samples):
-            sums.append(_Sums.exact(self.b.mean[ys]))
+            batches = self.b.batches if all(self.units) else None
+            sums.append(_Sums.exact(self.b.mean[ys], None if batches is None else batches[ys]))
         return sums
 
     def _of_units(self, sums: list[_Sums], p: Floats, cell: int) -> dict[str, Any]:
@@ -529,9 +547,13 @@ class _Sums:
         self.lowest, self.highest = np.zeros((2, height, width, channels + (channels == 3)))
 
     @classmethod
-    def exact(cls, image: Floats) -> _Sums:
-        """Return an image without noise (y, x, channel) as sums of one sample."""
+    def exact(cls, image: Floats, batches: Floats | None) -> _Sums:
+        """Return an image (y, x, channel) as sums of one sample, and its batches as units."""
         found = cls((*image.shape, 0), 0)
+        if batches is not None:
+            good = np.asarray(np.isfinite(batches).all(axis=2))
+            found.unit_total = np.where(good[:, :, np.newaxis], batches, 0).astype(np.float32)
+            found.unit_number = np.asarray(good, np.int32)
         found.total = image[..., np.newaxis]
         known = np.asarray(np.isfinite(image).all(axis=-1, keepdims=True))
         found.number = known.astype(np.int32)

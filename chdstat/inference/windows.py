@@ -22,6 +22,7 @@ import numpy as np
 from scipy import ndimage, sparse, special
 
 from chdstat._core.arrays import Array, Floats, Image, Mask, Reals, Seed, generator
+from chdstat.inference.permutations import log_choices, p_of_tail, quantile_of_tail
 
 CHANCE_TO_MISS = 0.05
 """Probability of missing the light that `Contrast.spp_needed` is about."""
@@ -48,6 +49,12 @@ _OF_WINDOWS = 7
 _ROUNDING = 1e-9
 _ROUNDING_OF_SUMS = 1e-13
 _TINY = 1e-300
+_TENTH = 0.1
+_POWER = 0.9
+_NOISES = 200
+"""Flips that show which losses are found."""
+_Z_90 = 1.2816
+"""Quantile of a normal distribution: with so many standard errors more, 90 % are found."""
 
 
 @dataclass(frozen=True)
@@ -259,8 +266,9 @@ class WindowTest:
     band
         Band of this window.
     detectable
-        Sum of terms in a window over its standard error that is found with a probability of 90 %,
-        by the edge of the windows in cells.
+        Smallest relative losses that are found with a probability of 90 %: of the whole ``image``,
+        and of a square of about a ``tenth`` of it, at any place. Infinite if no loss is; NaN
+        without light.
     unseen
         Light of the longer render that the shorter one may have missed, if it is more than the loss
         that the shorter one would have shown: its share of the light of the image, and the samples
@@ -270,11 +278,80 @@ class WindowTest:
     p_value: float
     window: tuple[int, int, int, int]
     band: int
-    detectable: dict[int, float]
+    detectable: dict[str, float]
     unseen: tuple[float, int] | None = None
 
 
-def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float], None, WindowTest]:
+@dataclass(frozen=True)
+class _Losses:
+    """Relative losses that make windows of one edge exceed a critical value.
+
+    Attributes
+    ----------
+    edge, starts
+        Edge of the windows, and where they begin, in cells.
+    windows
+        Number of independent windows.
+    noise
+        Sums of terms for some flips, shape (flip, y, x).
+    root
+        Standard error of these sums, shape (y, x).
+    least
+        What a sum must exceed beside its standard error, shape (y, x).
+    light
+        Sum of the terms of all light, shape (y, x).
+    """
+
+    edge: int
+    starts: list[Array]
+    windows: float
+    noise: Floats
+    root: Floats
+    least: Floats
+    light: Floats
+
+    @np.errstate(all="ignore")
+    def needed(self, log_p: float, terms: int) -> Floats:
+        """Return the loss by which each window crosses a critical value, shape (flip, y, x)."""
+        sums = _crossing(log_p, self.windows, terms) * self.root + self.least - self.noise
+        return np.where(self.light > 0, np.maximum(sums, 0) / self.light, np.inf)
+
+    def within(self, needed: Floats, y: int, x: int, edge: int) -> Floats:
+        """Return the least loss of the windows within a square, shape (flip,)."""
+        rows, columns = (
+            (start >= at) & (start + self.edge <= at + edge)
+            for start, at in zip(self.starts, (y, x), strict=True)
+        )
+        return np.asarray(needed[:, rows][:, :, columns].min(axis=(1, 2), initial=np.inf))
+
+
+def _detectable(found: list[_Losses], log_p: float, cells: Cells) -> dict[str, float]:
+    """Return the losses of the image, and of squares of a tenth of it, that 90 % of noise shows."""
+    (_, height, width, terms), light = cells.levels.shape, cells.levels[0].sum(axis=-1)
+    if light.sum() <= 0:
+        return {"image": np.nan, "tenth": np.nan}
+    needed = [of.needed(log_p, terms) for of in found]
+    of_image = np.min([loss.min(axis=(1, 2)) for loss in needed], axis=0)
+    edge = max(1, round(np.sqrt(_TENTH * height * width)))
+    squares = window_sums(light[..., np.newaxis], edge)
+    lit = squares[0][..., 0] > LEAST_LIGHT * edge**2 * max(float(light.mean()), 0)
+    of_tenth = [
+        np.min(
+            [of.within(loss, y, x, edge) for of, loss in zip(found, needed, strict=True)], axis=0
+        )
+        for i, y in enumerate(squares[1][0])
+        for j, x in enumerate(squares[1][1])
+        if lit[i, j]
+    ]
+    return {
+        name: float(np.quantile(losses, _POWER, method="higher")) if np.size(losses) else np.inf
+        for name, losses in (("image", of_image), ("tenth", of_tenth))
+    }
+
+
+def scan_windows(
+    cells: Cells, *, alpha: float = 0.05, seed: Seed = 0
+) -> Generator[tuple[str, float], None, WindowTest]:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
     The statistic of a window is its sum over the root of its sum of squares. The largest statistic
@@ -290,8 +367,9 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float]
     for renders of one distribution; flips are right for many samples if only the means agree. The
     larger p-value counts.
 
-    `seed` is the seed of flips and divisions. Yields what is being done, and the share that is
-    done.
+    `alpha` is the level at which losses are found, `seed` the seed of flips and divisions. P-values
+    below those of all flips are those of the tail fitted to them. Yields what is being done, and
+    the share that is done.
 
     References
     ----------
@@ -308,13 +386,13 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float]
     divisions = None if cells.units is None else _divisions(cells, seed)
     # Powers of 2, and the whole image last.
     edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
-    scores, of_divisions, places, crossings = [], [], [], []
+    scores, of_divisions, places, losses = [], [], [], []
     weightings = (lambda _, mean: np.ones_like(mean)), _weights
     total, done = len(d) * len(weightings) * len(edges), 0
     for band in range(len(d)):
         for weigh in weightings:
             weights = weigh(d[band], mean[band])
-            values, moved = d[band] * weights, None
+            values, light, moved = d[band] * weights, mean[band] * weights, None
             if cells.slack is not None and cells.outlier is not None:
                 heavy = weights.sum(axis=-1)
                 moved = np.stack([cells.slack[band] * heavy, cells.outlier[band] * heavy])
@@ -326,25 +404,30 @@ def scan_windows(cells: Cells, *, seed: Seed = 0) -> Generator[tuple[str, float]
                 if divisions is not None:
                     divided = _divided(divisions, window_sums(units, edge)[0]).max(axis=1)
                     of_divisions.append(_log_p(divided, _independent(divided[1:])))
-                largest, place = _largest(values, mean[band], edge, flips, moved)
-                if largest is None:
+                found = _largest(values, mean[band], light, edge, flips, moved)
+                if found is None:
                     continue
-                windows = _independent(largest[1:])
-                scores.append(_log_p(largest, windows))
+                largest, place, loss = found
+                scores.append(_log_p(largest, loss.windows))
                 places.append((largest[0], band, place, edge))
-                crossings.append((edge, windows))
+                losses.append(loss)
     if not scores:
-        return WindowTest(np.nan, (0, 0, *size), 0, {})
-    least = [np.min(found, axis=0) for found in (scores, of_divisions) if found]
+        return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
+    least = [-np.min(found, axis=0)[np.newaxis] for found in (scores, of_divisions) if found]
     _, band, (y, x), edge = max(places)
-    critical = float(np.quantile(least[0][1:], 0.05))
-    detectable = {e: _detectable(critical, windows, terms) for e, windows in crossings[::-1]}
+    critical = -float(quantile_of_tail(least[0][:, 1:], alpha)[0])
+    count = 0 if cells.units is None else cells.units.shape[-1]
+    floors = 2.0 ** (1 - terms), np.exp(-log_choices(np.array(count), np.array(cells.short)))
+    crossing = _crossing(critical, losses[-1].windows, terms) + _Z_90
     return WindowTest(
-        p_value=max(float(np.mean(p <= p[0] + _ROUNDING)) for p in least),
+        p_value=max(
+            max(float(p_of_tail(p[:, 0], p[:, 1:])[0]), float(floor))
+            for p, floor in zip(least, floors, strict=False)
+        ),
         window=(y, x, min(edge, size[0]), min(edge, size[1])),
         band=band,
-        detectable=detectable,
-        unseen=_unseen(cells, detectable.get(max(size), np.inf)),
+        detectable=_detectable(losses, critical, cells),
+        unseen=_unseen(cells, crossing),
     )
 
 
@@ -366,18 +449,18 @@ def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
 
 @np.errstate(all="ignore")
 def _largest(
-    d: Array, mean: Array, edge: int, flips: Image, moved: Array | None
-) -> tuple[Any, tuple[int, int]]:
-    """Return the largest standardised sum over windows for each flip, None without any term.
+    d: Array, mean: Array, light: Array, edge: int, flips: Image, moved: Array | None
+) -> tuple[Floats, tuple[int, int], _Losses] | None:
+    """Return the largest standardised sum over windows for each flip, its window, and losses.
 
-    Against a reference, all sums of cells may be `moved` by rounding, and one by an outlier, shape
-    (2, y, x).
+    None without any term. `light` are the terms of all light. Against a reference, all sums of
+    cells may be `moved` by rounding, and one by an outlier, shape (2, y, x).
     """
     sums, starts = window_sums(d, edge)
     moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
     known = moments.square > 0
     if not known.any():
-        return None, (0, 0)
+        return None
     # As for pixels, the terms of neighbours count, too; the whole image has none.
     square = moments.square
     if known.size > 1:
@@ -387,9 +470,13 @@ def _largest(
         )
         square = np.maximum(square, moments.n * near)
     unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
-    z = np.abs(flips @ unit.astype(np.float32).T)
+    z = flips @ unit.astype(np.float32).T
+    noise = np.zeros((min(len(z) - 1, _NOISES), *known.shape))
+    noise[:, known] = z[1 : 1 + _NOISES] * (moments.scale * np.sqrt(moments.square))[known]
+    z = np.abs(z)
     missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
     least = np.abs(moments.total) - missed
+    rounding = np.zeros_like(least)
     if moved is not None:
         rounding = window_sums(moved[0][..., np.newaxis], edge)[0][..., 0]
         outlier = np.where(moments.total > 0, _highest(moved[1], edge, starts), 0)
@@ -397,7 +484,17 @@ def _largest(
     seen = np.maximum(least, 0) / np.sqrt(np.where(square > 0, square + missed**2, 1))
     z[0] = (seen if moved is None else _without_skewness(seen, moments))[known]
     at = np.argwhere(known)[int(z[0].argmax())]
-    return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
+    largest = z.max(axis=1).astype(float)
+    losses = _Losses(
+        edge,
+        starts,
+        _independent(largest[1:]),
+        noise,
+        moments.scale * np.sqrt(np.where(square > 0, square, 0) + missed**2),
+        missed * moments.scale + rounding,
+        np.where(known, window_sums(light.sum(axis=-1, keepdims=True), edge)[0][..., 0], 0),
+    )
+    return largest, (int(starts[0][at[0]]), int(starts[1][at[1]])), losses
 
 
 def _without_skewness(z: Floats, moments: FlipMoments) -> Floats:
@@ -537,12 +634,12 @@ def _log_p(largest: Floats, windows: float) -> Floats:
     return np.asarray(np.log(-np.expm1(windows * below)))
 
 
-def _detectable(log_p: float, windows: float, terms: int) -> float:
-    """Return the mean, in standard errors, whose sum crosses a critical value in 90 %."""
+@np.errstate(all="ignore")
+def _crossing(log_p: float, windows: float, terms: int) -> float:
+    """Return the mean, in standard errors, whose sum has this log probability in `windows`."""
     tail = -np.expm1(np.log1p(-np.exp(log_p)) / windows) / 2
     z = float(-special.ndtri(tail))
-    t = z * np.sqrt((terms - 1) / (terms - z * z)) if z * z < terms else np.inf
-    return float(t + special.ndtri(0.9))
+    return z * np.sqrt((terms - 1) / (terms - z * z)) if z * z < terms else np.inf
 
 
 def _weights(d: Array, mean: Array) -> Array:
