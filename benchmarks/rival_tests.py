@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 from scipy.ndimage import gaussian_filter
 
 XYZ = np.array(
@@ -61,7 +61,8 @@ class Means:
 
     @cached_property
     def luminance(self) -> Means:
-        return Means(self.xyz.batches[:, :, 1:2], self.size)
+        light = np.einsum("c,yxck->yxk", XYZ[1], self.batches, optimize=True)
+        return Means(light[:, :, np.newaxis], self.size)
 
     @cached_property
     def tiles(self) -> Means:
@@ -73,10 +74,9 @@ class Means:
 
 def mitsuba(a: Means, b: Means) -> float:
     """Return the z of which .25 % are larger: of X, Y and Z, from the reference's variance."""
-    a, b = a.xyz, b.xyz
-    sample = np.maximum(b.error * b.number * b.size, 1e-4)
+    sample = np.maximum(b.xyz.error * b.number * b.size, 1e-4)
     error = sample * (1 / (a.number * a.size) + 1 / (b.number * b.size))
-    z = np.sort((np.abs(a.mean - b.mean) / np.sqrt(error)).ravel())
+    z = np.sort((np.abs((a.mean - b.mean) @ XYZ.T) / np.sqrt(error)).ravel())
     return float(z[int(np.ceil(0.9975 * z.size)) - 1])
 
 
@@ -86,7 +86,7 @@ def _welch(a: Means, b: Means) -> np.ndarray:
     with np.errstate(all="ignore"):
         freedom = (one + other) ** 2 / (one**2 / (a.number - 1) + other**2 / (b.number - 1))
         t = np.abs(a.mean - b.mean) / np.sqrt(one + other)
-    p = 2 * stats.t.sf(t, freedom)
+    p = 2 * special.stdtr(freedom, -t)
     near = np.abs(a.mean - b.mean) <= 1e-5 * np.abs(b.mean)
     return np.where(one + other > 0, p, np.where(near, 1, 1e-300))
 

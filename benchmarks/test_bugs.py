@@ -129,14 +129,15 @@ def at_budget(render: Render, budget: str) -> Means:
 
 def mixed(samples: np.ndarray, budget: str) -> Iterator[Means]:
     """Yield right renders: mixed batches of samples (y, x, channel, sample), or parts of them."""
-    batches, count = means_of(samples, SPP // MEANS).batches, samples.shape[-1]
+    batches = means_of(samples, SPP // MEANS).batches
+    # Not the first tenth of a render, which faults of samples change.
+    starts = [s for s in range(0, samples.shape[-1], TENTH) if s % SPP]
     for k in range(LIMITS):
         if budget == "2e6":
             chosen = np.random.default_rng(k).choice(batches.shape[-1], MEANS, replace=False)
             yield Means(batches[..., chosen], SPP // MEANS)
         else:
-            start = TENTH * (k * (count // TENTH) // LIMITS)
-            yield Means(samples[..., start : start + TENTH], 1)
+            yield Means(samples[..., starts[2 * k] :][..., :TENTH], 1)
 
 
 def scores(a: Means, b: Means) -> dict[str, float]:
