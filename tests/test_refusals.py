@@ -25,7 +25,14 @@ from chdstat.estimators import MLP, CombinationStream
 from chdstat.estimators.training import load_model, write_model
 from chdstat.inference import difference, gaussianity_of_means
 from chdstat.inference.references import Reference
-from chdstat.io import denoise, read_exr, write_estimates, write_exr
+from chdstat.io import (
+    denoise,
+    read_exr,
+    write_estimates,
+    write_exr,
+    write_image,
+    write_reference,
+)
 from chdstat.patterns import Thresholds, agreement, attribute
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
@@ -242,6 +249,17 @@ def window_of(data: Any, shown: Any = (0, 0, 13, 10)) -> Any:
     return read_exr(exr("x.exr", planes, **header))
 
 
+def referred(images: dict[str, Any], header: dict[str, str] | None = None, **options: Any) -> Any:
+    """Write images, and read the first one as a reference."""
+    paths = [
+        write_image(name, image, attributes=header if name.endswith(".exr") else None)
+        for name, image in images.items()
+    ]
+    return Reference.read(paths[0], **options)
+
+
+OWN = {"chdstatReference": "1", "spp": "48"}
+
 FILES: Table = {
     (InputError, written): [
         ({"image": np.ones((4, 4))}, "(y, x, channel)", "(4, 4)"),
@@ -284,6 +302,34 @@ FILES: Table = {
         (((0, -20, 13, -1),), "display window"),
         (((0, 0, 13, 10), (0, 0, 2**20, 2**20)), "header claims"),
     ],
+    (InputError, referred): [
+        ({"images": {"a.exr": BLOCK, "a_var.exr": BLOCK[:3]}}, "(4, 4, 3)", "(3, 4, 3)", "a_var"),
+        ({"images": {"a.exr": BLOCK}, "spp": 0}, "spp", "got 0"),
+        ({"images": {"a.exr": BLOCK}, "precision": 1}, "precision", "1"),
+        ({"images": {"a.exr": BLOCK}, "header": OWN, "spp": 64}, "a.exr", "leave out spp"),
+        (
+            {
+                "images": dict.fromkeys(("a-t0-b0-film-mean.pfm", "a-t0-b0-film-m2.pfm"), BLOCK)
+                | {"a-t0-b0-n.pfm": BLOCK[..., :1]}
+            },
+            "at least 2 samples",
+            "t0-b0-n.pfm",
+        ),
+    ],
+    (StoreError, referred): [
+        ({"images": {"a.exr": BLOCK}, "variance": "none.exr"}, "none.exr"),
+        ({"images": {"a-t0-b0-film-mean.exr": BLOCK}}, "film-m2", "t0-b0-n.exr"),
+        ({"images": {"a.exr": BLOCK}, "header": OWN | {"batches": "8"}}, "a.exr", "batchScale"),
+        ({"images": {"a.exr": BLOCK}, "header": {"chdstatReference": "3"}}, "layout 3", "reads 1"),
+    ],
+    (StoreError, Reference.read): [
+        ("none.exr", "none.exr"),
+        ("none.pfm", "none.pfm"),
+        ("x.txt", "x.txt", "not an EXR file"),
+        ("folder", "folder", "empty"),
+    ],
+    (InputError, partial(write_reference, Reference(BLOCK))): [("out.png", ".exr", "out.png")],
+    (InputError, write_reference): [((Reference(1e39 * BLOCK), "out.exr"), "3.40282e+38")],
     (InputError, denoised): [
         ({"estimate": np.ones((4, 4))}, "(4, 4)"),
         ({"estimate": np.ones((4, 4, 2))}, "1 or 3", "(4, 4, 2)"),
@@ -478,6 +524,9 @@ STATISTICS: Table = {
         ((np.ones((4, 4, 3)), np.ones((4, 4, 1))), "shape", "(4, 4, 1)"),
         ({"mean": np.ones((4, 4, 3)), "spp": 0}, "spp", "got 0"),
         ({"mean": np.ones((4, 4, 3)), "precision": 1.0}, "precision", "1"),
+        ({"mean": np.ones((4, 4, 3)), "bad": np.zeros((4, 3))}, "bad", "(4, 4)", "(4, 3)"),
+        ({"mean": np.ones((4, 4, 3)), "spp": 16, "batches": np.ones((4, 4, 3, 4))}, "8 batches"),
+        ({"mean": np.ones((4, 4, 3)), "spp": 9, "batches": np.ones((4, 4, 3, 8))}, "multiple"),
     ],
     (InputError, difference): [
         ((SAMPLES, SAMPLES[:2, :]), "pixels"),

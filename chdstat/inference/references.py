@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from chdstat._core.arrays import Array, Floats, is_bad, whole
-from chdstat._core.display import Shown
+from chdstat._core.display import Shown, percent
 from chdstat._core.doors import read_reference
 from chdstat.errors import InputError
 from chdstat.samples import samples_of
@@ -65,6 +65,8 @@ class Reference(Shown):
         Share of bad samples, which are left out of all means, shape (y, x); None if it is unknown.
     attrs
         Provenance: scene, scene hash, seed, versions and so on.
+    limits
+        Sentences on what its file does not hold, beside what `cannot_show` says of any reference.
 
     Examples
     --------
@@ -82,6 +84,7 @@ class Reference(Shown):
     batches: Array | None = field(default=None, kw_only=True)
     bad: Array | None = field(default=None, kw_only=True)
     attrs: Mapping[str, Any] = field(default_factory=dict, kw_only=True)
+    limits: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         """Check shapes and numbers.
@@ -108,6 +111,12 @@ class Reference(Shown):
             object.__setattr__(self, "variance", np.maximum(variance, 0))
         if self.spp is not None:
             object.__setattr__(self, "spp", whole("spp", self.spp, least=1))
+        if self.bad is not None and np.shape(self.bad) != mean.shape[:2]:
+            message = (
+                f"the share of bad samples of a reference must have shape {mean.shape[:2]}, got "
+                f"{np.shape(self.bad)}"
+            )
+            raise InputError(message)
         if not 0 <= self.precision < 1:
             message = f"precision must lie between 0 and 1, got {self.precision}"
             raise InputError(message)
@@ -193,14 +202,17 @@ class Reference(Shown):
         spp: int | None = None,
         precision: float | None = None,
     ) -> Reference:
-        """Return the reference in an EXR file, whatever it holds.
+        """Return the reference in a file, whatever it holds.
 
-        That is what `chdstat.io.write_reference` wrote, or an image of another program.
+        That is what `chdstat.io.write_reference` wrote, or images of other programs, with their
+        variances in the same file or in one beside it. `cannot_show` says what they lack.
 
         Parameters
         ----------
-        mean, variance
-            EXR files: the image, and variances of a sample if they are known.
+        mean
+            EXR or PFM file of the image; or a folder of such files, each of a pass.
+        variance
+            File of variances of a sample; by default, as ``NAME_var.exr`` beside ``NAME.exr``.
         spp, precision
             As the attributes; by default, as the files say.
 
@@ -220,7 +232,8 @@ class Reference(Shown):
         if isinstance(image, Reference):
             return image
         if isinstance(image, str | Path):
-            return cls.read(image) if Path(image).suffix.lower() == ".exr" else None
+            known = Path(image).suffix.lower() in (".exr", ".pfm")
+            return cls.read(image) if known else None
         if np.ndim(image) == 3 and "sample" not in getattr(image, "dims", ()):
             return cls(image)
         return None
@@ -237,6 +250,38 @@ class Reference(Shown):
         if self.batches is not None:
             return "batches"
         return "variance" if self.variance is not None else "spp" if self.spp else "exact"
+
+    @property
+    def cannot_show(self) -> tuple[str, ...]:
+        """What no test with this reference can tell, a sentence for each.
+
+        Examples
+        --------
+        >>> for sentence in Reference(np.ones((4, 4, 3)), spp=4096, precision=0).cannot_show:
+        ...     print(sentence)
+        Without variances, its samples are taken to vary as those of the render.
+        Without batches, it does not show how rare its light is.
+        """
+        noise = {
+            "exact": "Without a variance or a number of samples, it is taken to have no noise but "
+            "that of one bright sample.",
+            "spp": "Without variances, its samples are taken to vary as those of the render.",
+            "variance": "Without a number of samples, it is taken to be as noisy as the render."
+            if self.spp is None
+            else "",
+            "batches": "",
+        }
+        found = [
+            noise[self.known],
+            "Without batches, it does not show how rare its light is."
+            if self.batches is None
+            else "",
+            f"It is known to {percent(self.precision)} of a pixel's brightest channel: smaller "
+            "differences of single pixels are not told from rounding."
+            if self.precision
+            else "",
+        ]
+        return (*filter(None, found), *self.limits)
 
     @cached_property
     def rounding(self) -> Floats:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,12 @@ from chdstat import __version__
 from chdstat._core.arrays import Array, Floats, Image, whole
 from chdstat._core.display import channel_names
 from chdstat._core.doors import read_reference
-from chdstat._core.files import checked_target
+from chdstat._core.files import checked_target, local
 from chdstat.errors import ChdstatError, InputError, StoreError
-from chdstat.inference.references import Reference, mean_of_batches
-from chdstat.io.exr import ExrImage, read_exr, write_exr
+from chdstat.inference.references import BATCHES, Reference, mean_of_batches
+from chdstat.io.exr import ExrImage, write_exr
+from chdstat.io.other_references import of_image, read_image
+from chdstat.io.reading import read
 
 _LAYOUT = "chdstatReference"
 """Attribute that marks a file of a reference; its text is the version of the layout."""
@@ -88,6 +91,7 @@ def write_reference(reference: Reference, path: str | Path) -> Path:
         "software": f"chdstat {__version__}",
         "spp": reference.spp,
         "precision": reference.precision,
+        **({"limits": reference.limits} if reference.limits else {}),
         **{name: reference.attrs[name] for name in _PROVENANCE if name in reference.attrs},
     }
     layers: dict[str, Array] = {}
@@ -170,18 +174,37 @@ def _read(
     precision: float | None = None,
 ) -> Reference:
     """Return the reference in a file, as `Reference.read`."""
-    found = read_exr(path)
-    options: dict[str, Any] = {} if precision is None else {"precision": precision}
-    if _LAYOUT in found.attributes:
-        if given := [n for n, v in (("variance", variance), ("spp", spp)) if v is not None]:
-            message = f"{path} says how well it is known: leave out {' and '.join(given)}"
+    place = local(path)
+    image = None if place.is_dir() else read_image(place)
+    if image is None or _LAYOUT in image.attributes:
+        given = {"variance": variance, "spp": spp}
+        if told := [name for name, value in given.items() if value is not None]:
+            message = f"{path} says how well it is known: leave out {' and '.join(told)}"
             raise InputError(message)
-        return _of_own(path, found, options)
-    variances = None if variance is None else read_exr(variance).image
-    return Reference(found.image, variances, spp, name=str(path), **options)
+        found = _of_passes(place) if image is None else _of_own(place, image)
+    else:
+        found = of_image(place, image, variance)
+    return replace(
+        found,
+        name=str(path),
+        spp=found.spp if spp is None else spp,
+        precision=found.precision if precision is None else precision,
+    )
 
 
-def _of_own(path: str | Path, found: ExrImage, options: Mapping[str, Any]) -> Reference:
+def _of_passes(folder: Path) -> Reference:
+    """Return a reference of images, each of as many samples, in a folder.
+
+    Raises
+    ------
+    InputError
+        If they are too few for batches.
+    """
+    passes = read(folder, format="exr")
+    return Reference.of_samples(passes, batches=min(passes.spp, BATCHES), name=str(folder))
+
+
+def _of_own(path: Path, found: ExrImage) -> Reference:
     """Return what `write_reference` wrote.
 
     Raises
@@ -198,11 +221,11 @@ def _of_own(path: str | Path, found: ExrImage, options: Mapping[str, Any]) -> Re
             found.image,
             found.extra.get("variance"),
             text.get("spp"),
+            text.get("precision", 0),
             batches=_batches(found, text),
             bad=found.extra.get("bad"),
-            name=str(path),
             attrs={name: text[name] for name in _PROVENANCE if name in text},
-            **{"precision": text.get("precision", 0), **options},
+            limits=tuple(map(str, text.get("limits", ()))),
         )
     except (ChdstatError, KeyError, TypeError, ValueError) as error:
         why = f"it lacks {error}" if isinstance(error, KeyError) else error
