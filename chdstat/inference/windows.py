@@ -51,6 +51,7 @@ _ROUNDING_OF_SUMS = 1e-13
 _TINY = 1e-300
 _TENTH = 0.1
 _POWER = 0.9
+_STEPS = 60
 _NOISES = 200
 """Flips that show which losses are found."""
 _Z_90 = 1.2816
@@ -283,6 +284,35 @@ class WindowTest:
 
 
 @dataclass(frozen=True)
+class _Crossing:
+    """Mean of sums, in standard errors, that reaches a critical value of a test.
+
+    Attributes
+    ----------
+    log_p
+        Critical log probability.
+    count
+        Number of terms or units. A shift of the mean adds to their sum of squares.
+    power
+        Power of that sum of squares which divides the sum: 1/2 for terms; 1/3 for units, whose
+        standard error is only in part that of all of them (`_divided`).
+    """
+
+    log_p: float
+    count: int
+    power: float
+
+    @np.errstate(all="ignore")
+    def __call__(self, windows: float) -> float:
+        """Return it for the largest of so many independent windows."""
+        tail = -np.expm1(np.log1p(-np.exp(self.log_p)) / windows) / 2
+        z = found = float(-special.ndtri(tail))
+        for _ in range(_STEPS):
+            found = z * (1 + found**2 / (self.count - 1)) ** self.power
+        return found
+
+
+@dataclass(frozen=True)
 class _Losses:
     """Relative losses that make windows of one edge exceed a critical value.
 
@@ -291,7 +321,7 @@ class _Losses:
     edge, starts
         Edge of the windows, and where they begin, in cells.
     windows
-        Number of independent windows.
+        Number of independent windows, by flips and by divisions.
     noise
         Sums of terms for some flips, shape (flip, y, x).
     root
@@ -304,16 +334,17 @@ class _Losses:
 
     edge: int
     starts: list[Array]
-    windows: float
+    windows: list[float]
     noise: Floats
     root: Floats
     least: Floats
     light: Floats
 
     @np.errstate(all="ignore")
-    def needed(self, log_p: float, terms: int) -> Floats:
-        """Return the loss by which each window crosses a critical value, shape (flip, y, x)."""
-        sums = _crossing(log_p, self.windows, terms) * self.root + self.least - self.noise
+    def needed(self, tests: list[_Crossing]) -> Floats:
+        """Return the loss of each window that all tests find, shape (flip, y, x)."""
+        errors = max(test(n) for test, n in zip(tests, self.windows, strict=True))
+        sums = errors * self.root + self.least - self.noise
         return np.where(self.light > 0, np.maximum(sums, 0) / self.light, np.inf)
 
     def within(self, needed: Floats, y: int, x: int, edge: int) -> Floats:
@@ -325,12 +356,13 @@ class _Losses:
         return np.asarray(needed[:, rows][:, :, columns].min(axis=(1, 2), initial=np.inf))
 
 
-def _detectable(found: list[_Losses], log_p: float, cells: Cells) -> dict[str, float]:
+def _detectable(found: list[_Losses], tests: list[_Crossing], cells: Cells) -> dict[str, float]:
     """Return the losses of the image, and of squares of a tenth of it, that 90 % of noise shows."""
-    (_, height, width, terms), light = cells.levels.shape, cells.levels[0].sum(axis=-1)
+    light = cells.levels[0].sum(axis=-1)
+    height, width = light.shape
     if light.sum() <= 0:
         return {"image": np.nan, "tenth": np.nan}
-    needed = [of.needed(log_p, terms) for of in found]
+    needed = [of.needed(tests) for of in found]
     of_image = np.min([loss.min(axis=(1, 2)) for loss in needed], axis=0)
     edge = max(1, round(np.sqrt(_TENTH * height * width)))
     squares = window_sums(light[..., np.newaxis], edge)
@@ -401,24 +433,29 @@ def scan_windows(
             for edge in edges:
                 yield "contrasting regions", done / total
                 done += 1
+                independent = []
                 if divisions is not None:
                     divided = _divided(divisions, window_sums(units, edge)[0]).max(axis=1)
-                    of_divisions.append(_log_p(divided, _independent(divided[1:])))
+                    independent.append(_independent(divided[1:]))
+                    of_divisions.append(_log_p(divided, independent[0]))
                 found = _largest(values, mean[band], light, edge, flips, moved)
                 if found is None:
                     continue
                 largest, place, loss = found
-                scores.append(_log_p(largest, loss.windows))
+                loss.windows.extend([_independent(largest[1:]), *independent])
+                scores.append(_log_p(largest, loss.windows[0]))
                 places.append((largest[0], band, place, edge))
                 losses.append(loss)
     if not scores:
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
     least = [-np.min(found, axis=0)[np.newaxis] for found in (scores, of_divisions) if found]
     _, band, (y, x), edge = max(places)
-    critical = -float(quantile_of_tail(least[0][:, 1:], alpha)[0])
     count = 0 if cells.units is None else cells.units.shape[-1]
+    tests = [
+        _Crossing(-float(quantile_of_tail(logs[:, 1:], alpha)[0]), of, power)
+        for logs, of, power in zip(least, (terms, count), (1 / 2, 1 / 3), strict=False)
+    ]
     floors = 2.0 ** (1 - terms), np.exp(-log_choices(np.array(count), np.array(cells.short)))
-    crossing = _crossing(critical, losses[-1].windows, terms) + _Z_90
     return WindowTest(
         p_value=max(
             max(float(p_of_tail(p[:, 0], p[:, 1:])[0]), float(floor))
@@ -426,8 +463,8 @@ def scan_windows(
         ),
         window=(y, x, min(edge, size[0]), min(edge, size[1])),
         band=band,
-        detectable=_detectable(losses, critical, cells),
-        unseen=_unseen(cells, crossing),
+        detectable=_detectable(losses, tests, cells),
+        unseen=_unseen(cells, tests[0](losses[-1].windows[0]) + _Z_90),
     )
 
 
@@ -488,7 +525,7 @@ def _largest(
     losses = _Losses(
         edge,
         starts,
-        _independent(largest[1:]),
+        [],
         noise,
         moments.scale * np.sqrt(np.where(square > 0, square, 0) + missed**2),
         missed * moments.scale + rounding,
@@ -632,14 +669,6 @@ def _log_p(largest: Floats, windows: float) -> Floats:
     below = np.log1p(-2 * special.ndtr(-np.maximum(largest, _ROUNDING)))
     # A probability that is too small for a float becomes 0.
     return np.asarray(np.log(-np.expm1(windows * below)))
-
-
-@np.errstate(all="ignore")
-def _crossing(log_p: float, windows: float, terms: int) -> float:
-    """Return the mean, in standard errors, whose sum has this log probability in `windows`."""
-    tail = -np.expm1(np.log1p(-np.exp(log_p)) / windows) / 2
-    z = float(-special.ndtri(tail))
-    return z * np.sqrt((terms - 1) / (terms - z * z)) if z * z < terms else np.inf
 
 
 def _weights(d: Array, mean: Array) -> Array:
