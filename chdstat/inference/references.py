@@ -16,11 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from chdstat._core.arrays import Array, Floats, is_bad, whole
+from chdstat._core.arrays import Array, Floats, all_good, is_bad, spans, whole
 from chdstat._core.display import Shown, percent
 from chdstat._core.doors import read_reference
 from chdstat.errors import InputError
-from chdstat.samples import samples_of
+from chdstat.samples import Samples, samples_of
+from chdstat.samples.tiles import BATCH
 
 _PRECISION = 5.2 * 2.0**-11
 """Largest error of R, G or B over the largest of them, if X, Y and Z of a grey were rounded to half
@@ -46,7 +47,7 @@ class Reference(Shown):
         Linear radiance, shape (y, x, channel); NaN or infinite where nothing is known.
     variance
         Variance of one sample, same shape, not of the mean; NaN or None where it is unknown.
-        Negative ones, of rounded squares, count as 0.
+        Negative ones, of rounded squares, count as 0. By default, that of the batches.
     spp
         Number of samples of each pixel; None if unknown. With a variance and no number, the mean is
         taken to be as noisy as the render that is compared with it. With a number and no variance,
@@ -122,6 +123,8 @@ class Reference(Shown):
             raise InputError(message)
         if self.batches is not None:
             object.__setattr__(self, "batches", self._checked_batches(self.batches))
+            if self.variance is None:
+                object.__setattr__(self, "variance", self._variance_of_batches())
 
     def _checked_batches(self, given: Array) -> Array:
         batches, shape = np.asarray(given), self.mean.shape
@@ -138,6 +141,20 @@ class Reference(Shown):
             )
             raise InputError(message)
         return batches
+
+    @np.errstate(invalid="ignore", divide="ignore")
+    def _variance_of_batches(self) -> Floats:
+        """Return the variance of a sample, from that of the batches; NaN if fewer than 2 are known.
+
+        Their own mean counts here.
+        """
+        assert self.batches is not None
+        assert self.spp is not None
+        known = np.isfinite(self.batches)
+        squares = (self.batches - mean_of_batches(self.batches)[..., np.newaxis]) ** 2
+        freedom = known.sum(axis=-1) - 1.0
+        found = squares.sum(axis=-1, where=known) / freedom * (self.spp / known.shape[-1])
+        return np.where(freedom > 0, found, np.nan)
 
     @classmethod
     def of_samples(cls, samples: Any, *, batches: int = BATCHES, name: str = "") -> Reference:
@@ -170,26 +187,15 @@ class Reference(Shown):
         if not size:
             message = f"a reference of {batches} batches needs as many samples, got {found.spp}"
             raise InputError(message)
-        shape = (*found.shape[:3], batches)
-        means, bad = np.empty(shape), np.zeros(shape[:2])
-        for k in range(batches):
-            x = found.read(ss=slice(k * size, (k + 1) * size)).astype(float)
-            good = np.asarray(~is_bad(x).any(axis=2))
-            total = np.where(good[:, :, np.newaxis], x, 0).sum(axis=-1)
-            with np.errstate(invalid="ignore"):
-                means[..., k] = total / good.sum(axis=-1)[..., np.newaxis]
-            bad += (~good).sum(axis=-1)
+        means, bad = _means_of_batches(found, batches, size)
         averaged = int(found.attrs.get("averaged", 1))
-        spp = batches * size * averaged
-        mean = mean_of_batches(means)
         return cls(
-            mean,
-            _variance_of_batches(means, mean) * size * averaged,
-            spp,
+            mean_of_batches(means),
+            spp=batches * size * averaged,
             precision=0,
             name=name or found.name,
             batches=means,
-            bad=bad / (batches * size),
+            bad=bad,
             attrs=found.attrs,
         )
 
@@ -325,10 +331,18 @@ def mean_of_batches(batches: Array) -> Floats:
     )
 
 
-@np.errstate(invalid="ignore", divide="ignore")
-def _variance_of_batches(batches: Array, mean: Floats) -> Floats:
-    """Return their variance around their mean; NaN where fewer than 2 are known."""
-    known = np.isfinite(batches)
-    squares = (batches - mean[..., np.newaxis]) ** 2
-    freedom = known.sum(axis=-1) - 1.0
-    return np.where(freedom > 0, squares.sum(axis=-1, where=known) / freedom, np.nan)
+def _means_of_batches(samples: Samples, batches: int, size: int) -> tuple[Floats, Floats]:
+    """Return means of batches of consecutive samples, and the share of bad ones, (y, x)."""
+    total = np.zeros((*samples.shape[:3], batches))
+    number = np.zeros((*samples.shape[:2], batches), np.int64)
+    for ss in spans(batches * size, BATCH):
+        x = samples.read(ss=ss)
+        good = None if all_good(x) else np.asarray(~is_bad(x).any(axis=2))
+        if good is not None:
+            x = np.where(good[:, :, np.newaxis], x, 0)
+        for k in range(ss.start // size, (ss.stop - 1) // size + 1):
+            own = slice(max(k * size - ss.start, 0), (k + 1) * size - ss.start)
+            total[..., k] += x[..., own].sum(axis=-1, dtype=float)
+            number[..., k] += x[..., own].shape[-1] if good is None else good[..., own].sum(axis=-1)
+    with np.errstate(invalid="ignore"):
+        return total / number[:, :, np.newaxis], 1 - number.sum(axis=-1) / (batches * size)
