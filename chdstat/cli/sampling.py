@@ -22,7 +22,7 @@ from chdstat.cli.arguments import (
     Words,
 )
 from chdstat.cli.program import command
-from chdstat.errors import ChdstatError, InputError
+from chdstat.errors import ChdstatError, InputError, StoreError
 from chdstat.rendering.jobs import SETTINGS
 
 _NOT_REACHED = 3
@@ -227,24 +227,47 @@ def include(asked: CommonOptions) -> None:
         typer.echo(folder)
 
 
-@command("export maps.zarr -o maps.exr", "overwrite", *OUTPUT)
+@command("export bathroom.zarr -o bathroom.exr", "overwrite", *OUTPUT)
 def export(source: Location, out: Path, asked: CommonOptions) -> None:
-    """Write maps in the formats of other programs.
+    """Write maps in the formats of other programs, or a store as a reference for tests.
+
+    A reference is an EXR file that shows the mean, and holds what 'chdstat contrast' needs of the
+    samples: means of 48 batches. It has a hundredth of the size of the store.
 
     Parameters
     ----------
-    source : MAPS
-        What 'chdstat analyze -o' wrote.
+    source : MAPS|STORE
+        What 'chdstat analyze -o' wrote, or a finished store.
     out : path
-        Layers of an EXR file (.exr), or netCDF (.nc).
+        Layers of an EXR file (.exr); of maps, or netCDF (.nc).
     """
     import chdstat
     from chdstat.io.writing import open_maps
+    from chdstat.samples import is_store
 
     target = asked.target(out, ".exr", ".nc")
     exr = target.suffix.lower() == ".exr"
-    file = (chdstat.io.write_maps if exr else chdstat.io.write_netcdf)(open_maps(source), target)
+    try:
+        maps = open_maps(source)
+    except StoreError as error:
+        if not is_store(source):
+            message = f"{error}, or a finished store"
+            raise StoreError(message) from error
+        _export_reference(source, asked.target(out, ".exr"), asked)
+        return
+    file = (chdstat.io.write_maps if exr else chdstat.io.write_netcdf)(maps, target)
     output.say_written(file, as_json=asked.as_json)
+
+
+def _export_reference(store: Path, target: Path, asked: CommonOptions) -> None:
+    """Write what tests need of the samples of a store."""
+    import chdstat
+
+    reference = chdstat.inference.Reference.of_samples(store)
+    file = chdstat.io.write_reference(reference, target)
+    about = {"spp": reference.spp, "kB": round(file.stat().st_size / 1000)}
+    output.say_written(file, as_json=asked.as_json, **about)
+    output.say_next(asked.quiet, ("contrast", "RENDER.zarr", file))
 
 
 @command("info bathroom.zarr", *OUTPUT)

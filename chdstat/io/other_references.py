@@ -155,7 +155,7 @@ _STATMC = re.compile(r"(.*-t\d+-b\d+)-film-mean")
 
 
 def _of_named_pair(path: Path, image: ExrImage) -> Reference | None:
-    """Return an image with the file ``NAME_var`` beside it."""
+    """Return an image with variances of a sample; of ``_ref_rgb``, Mitsuba's, those of X, Y, Z."""
     variance = path.with_name(f"{path.stem}_var{path.suffix}")
     return _of_pair(path, image, variance) if is_file(variance) else None
 
@@ -185,7 +185,7 @@ def _of_pair(path: Path, image: ExrImage, variance: Path) -> Reference:
 
 
 def _of_statmc(path: Path, image: ExrImage) -> Reference | None:
-    """Return the mean of a buffer of StatMC, with its second moment and its number of samples."""
+    """Return the mean in a buffer of StatMC, with its variance and its number of samples."""
     name = _STATMC.fullmatch(path.stem)
     if name is None:
         return None

@@ -1,4 +1,4 @@
-"""The directive ``formats``: the formats that are read, from their table and their readers."""
+"""The directive ``formats``: what is read, from the tables of formats and of their readers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from docutils import nodes
 from numpydoc.docscrape import NumpyDocString
 from sphinx.util.docutils import SphinxDirective
 
+from chdstat.io.other_references import KINDS
 from chdstat.io.reading import FORMATS, Format
 
 __all__ = ["Formats", "fate"]
@@ -19,12 +20,14 @@ _OPTIONS = {"axes": "``--axes``", "variable": "``--variable``", "features": "fea
 
 
 class Formats(SphinxDirective):
-    """List the formats, or with the argument ``details`` what becomes of the content of files."""
+    """List the formats; with ``details``, what becomes of their content; or ``references``."""
 
     optional_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        lines = _details() if self.arguments else _overview()
+        lines = {"details": _details, "references": _references, "": _overview}[
+            "".join(self.arguments)
+        ]()
         return self.parse_text_to_nodes("\n".join(lines))
 
 
@@ -51,6 +54,16 @@ def _details() -> Iterator[str]:
         for row in fate(known).items():
             yield from _row(*row)
         yield ""
+
+
+def _references() -> Iterator[str]:
+    yield from (".. list-table::", "   :header-rows: 1", "   :widths: 46 54", "")
+    yield from _row("In the file, or beside it", "What is read")
+    for files, reader in KINDS.items():
+        said = (
+            (inspect.getdoc(reader) or "").partition(".\n")[0].removeprefix("Return ").rstrip(".")
+        )
+        yield from _row(files, f"{said[0].upper()}{said[1:]}.")
 
 
 def _row(*cells: str) -> Sequence[str]:

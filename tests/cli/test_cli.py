@@ -18,6 +18,7 @@ from typer.main import get_command
 import chdstat as chd
 import chdstat.samples
 from chdstat.cli import arguments, main, output, program
+from chdstat.inference import Reference
 from chdstat.rendering.jobs import SETTINGS
 from chdstat.rendering.seeds import SamplerName
 
@@ -251,6 +252,22 @@ def test_nothing_but_an_output_is_overwritten(run, store, tmp_path):
     code, _, err = run("render", "cornell-box", "-o", store, "--overwrite")
     assert code == 2
     assert "a store of samples is resumed or appended to" in err
+
+
+def test_a_store_is_exported_as_a_reference(run, stored, tmp_path):
+    path, file = stored(spp=96, size=(12, 10)), tmp_path / "box.exr"
+    code, out, err = run("export", path, "-o", file, "--json")
+    assert (code, json.loads(out)["spp"], json.loads(out)["path"]) == (0, 96, str(file))
+    assert f"next: chdstat contrast RENDER.zarr {file}" in err
+    found = Reference.read(file)
+    assert (found.known, found.attrs["scene"]) == ("batches", "cornell-box")
+    assert found.attrs["integrator"]["type"] == "path"
+    code, _, err = run("export", path, "-o", tmp_path / "box.nc")
+    assert code == 2
+    assert "must end in .exr" in err
+    code, _, err = run("export", tmp_path / "none", "-o", tmp_path / "none.exr")
+    assert code == 2
+    assert "or a finished store" in err
 
 
 def test_contrast_has_an_exit_code_and_a_page(run, store, tmp_path):
