@@ -215,6 +215,11 @@ def test_importing_loads_nothing_heavy():
     assert not set(HEAVY) & loaded
 
 
+def test_the_plugin_of_pytest_loads_nothing_heavy():
+    loaded = loaded_by("import chdstat.render_tests.plugin")
+    assert not {*HEAVY, "numpy"} & loaded
+
+
 def test_statistics_need_no_renderer():
     loaded = loaded_by(
         "import numpy as np, chdstat as chd\n"

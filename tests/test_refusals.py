@@ -34,6 +34,8 @@ from chdstat.io import (
     write_reference,
 )
 from chdstat.patterns import Thresholds, agreement, attribute
+from chdstat.render_tests.checks import answer
+from chdstat.render_tests.verdicts import Question
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
 from chdstat.rendering.jobs import scene_size
@@ -753,6 +755,37 @@ REPORTS: Table = {
     ],
 }
 
+# --- render tests -------------------------------------------------------------------------------
+
+
+def answered(render: Any = PLAIN, spp: int | None = None, **asked: Any) -> Any:
+    """Ask whether a render has the light of a reference."""
+    about = {"name": "box", "reference": Path("box.exr"), "page": "box", "test": "t", "alpha": 0.01}
+    return answer(render, Question(**{**about, "spp": spp, **asked}))
+
+
+RENDER_TESTS: Table = {
+    (StoreError, answered): [({}, "no reference", "box.exr", "pytest --render-update")],
+    (InputError, answered): [
+        ({"seed": -1}, "seed", "0", "-1"),
+        ({"spp": 0}, "spp", "1", "0"),
+        ({"finds": 1.5}, "finds", "1.5"),
+        ({"render": np.ones((4, 4, 3))}, "shape (4, 4, 3)", "function of a seed"),
+        ({"render": []}, "no pass"),
+        ({"render": [np.ones((4, 4, 3)), np.ones((4, 5, 3))]}, "(4, 5, 3, 1)"),
+    ],
+    (InputError, partial(answered, update=True)): [
+        ({"spp": 4}, "spp=4", "functions and scenes"),
+        (lambda _: np.ones((4, 4, 3)), "box", "spp="),
+        ((lambda _: np.ones((4, 4, 3), int), 4), "whole numbers", "int64"),
+        ((lambda _: np.ones((4, 4)), 4), "(y, x, channel)", "(4, 4)"),
+        ((lambda _: [[1.0], [1.0, 2.0]], 4), "no array"),
+        ((lambda seed: np.ones((4, 4 + seed % 2, 3)), 4), "another seed"),
+        ((lambda _: np.ones((3, 64, 64)), 4), "(3, 64, 64)", "(y, x, channel)"),
+    ],
+    (SceneError, answered): [("cornel-box", "did you mean 'cornell-box'")],
+}
+
 
 # --- the sentences ------------------------------------------------------------------------------
 
@@ -764,6 +797,7 @@ TABLES = {
     "statistics": STATISTICS,
     "estimators": ESTIMATORS,
     "reports": REPORTS,
+    "render tests": RENDER_TESTS,
 }
 STATES = re.compile(
     r"\b(must|expected|needs?|cannot|can|not?|none|only|got|outside|takes?|holds?|has|is|are|names|failed)\b"

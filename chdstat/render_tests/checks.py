@@ -20,7 +20,7 @@ from chdstat._core.arrays import whole
 from chdstat._core.display import percent
 from chdstat.errors import InputError, StoreError, check_probability
 from chdstat.inference import Contrast, contrast
-from chdstat.inference.references import Reference
+from chdstat.inference.references import BATCHES, Reference
 from chdstat.io import write_reference
 from chdstat.render_tests.draws import OF_TEST, Render, Seeds, render_of
 from chdstat.render_tests.pages import make_folder, numbers_of, thumbnails, write_page
@@ -206,7 +206,7 @@ def _update(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict
         about = {"scene": asked.name, **new.attrs, "seed": seeds.of_reference(0, other=other)}
         new = replace(new, attrs=about)
     outcome: Outcome = "written"
-    found, sentence = None, why or "written"
+    found, sentence = None, why or f"{BATCHES} batches, {new.spp} samples per pixel"
     if old is not None:
         outcome, sentence, found = _renewed(new, old, asked)
     if outcome in ("written", "replaced"):

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from chdstat._core.arrays import Array, Floats
-from chdstat._core.display import number, percent, png, with_interval
+from chdstat._core.display import colour, number, percent, png, with_interval
 from chdstat._core.files import writing
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import StoreError
@@ -94,6 +94,7 @@ def write_page(verdict: RenderVerdict, found: Contrast, folder: Path, name: str)
         kind=_kind(verdict),
         layers=_layers(found),
         window={**window, "shown": found.outcome == "differ"},
+        middle=window["left"] + window["width"] / 2,
         height=height,
         width=width,
     )
@@ -190,7 +191,7 @@ def _layers(found: Contrast) -> list[_Layer]:
         edge: f"render minus reference over reference, in {size}",
     }
     layers = [_Layer("Reference", _url(reference)), _Layer("Render", _url(render))]
-    for title, width in (("Difference", edge), ("Noise", 1)):
+    for title, width in (("Difference", edge), ("Difference per pixel", 1)):
         values = _relative(render_mean, reference_mean, width)
         limit = _limit(values)
         scale = _Scale(
@@ -257,13 +258,13 @@ def numbers_of(verdict: RenderVerdict, found: Contrast) -> dict[str, str]:
         "level": f"{number(verdict.alpha)}, this test's share of alpha",
         "render over reference": with_interval(value, low, high, partial(percent, sign=True)),
         "clearest window": f"{width} x {height} pixels at y {y}, x {x}",
-        "its channel": found.window_channel,
+        "its channel": colour(found.window_channel),
         "pixels that differ": percent(found.share),
     }
     if verdict.image is not None and verdict.tenth is not None:
         rows["smallest loss found"] = (
-            f"{percent(verdict.image)} in the image, {percent(verdict.tenth)} in a tenth of it "
-            "(90 %)"
+            f"{percent(verdict.image)} in the image, {percent(verdict.tenth)} in a tenth of it, "
+            f"with a probability of {percent(0.9)}"
         )
     bad = [float(found.maps[f"bad_{name}"].mean()) for name in "ab"]
     if any(bad):

@@ -5,7 +5,7 @@ for the fixture gets an equal share, and the k-th call within a test 1 / 2^k of 
 shares add up to at most alpha, however many calls a test makes. Tests are counted after
 deselection; each process of pytest-xdist collects all of them, and counts the same.
 
-Nothing heavy is loaded until a test calls the fixture.
+Nothing heavy is loaded until a test calls the fixture. PYTEST_DONT_REWRITE: there is no assertion.
 """
 
 from __future__ import annotations
@@ -131,21 +131,26 @@ class _Asking:
         check_option("cannot_tell", cannot_tell, ("fail", "skip"))
         named = self._name(name)
         asked = self._session.question(self._item, named, self._calls, spp, seed, finds)
-        refused: ChdstatError | None = None
         try:
             verdict, found = answer(render, asked)
         except ChdstatError as error:
-            found, refused = None, error
-            verdict = RenderVerdict(named, asked.test, asked.alpha, "refused", str(error))
-        self._verdicts.append(verdict)
-        self._item.user_properties.extend(verdict.properties().items())
-        if refused is not None:
-            raise refused.with_traceback(None)
+            self._note(RenderVerdict(named, asked.test, asked.alpha, "refused", str(error)))
+            raise error.with_traceback(None) from None
+        except Exception as error:
+            said = f"{type(error).__name__}: {error}"
+            self._note(RenderVerdict(named, asked.test, asked.alpha, "refused", said))
+            raise
+        self._note(verdict)
         if verdict.outcome == "cannot tell" and cannot_tell == "skip":
             pytest.skip(f"{named}: {verdict.sentence}")
         if not verdict.passed:
             raise AssertionError(self._session.failure(verdict, asked))
+        self._item.add_report_section("call", "same_light", f"{named}: {verdict.sentence}\n")
         return found
+
+    def _note(self, verdict: RenderVerdict) -> None:
+        self._verdicts.append(verdict)
+        self._item.user_properties.extend(verdict.properties().items())
 
     def _name(self, name: str | None) -> str:
         """Return the name of the reference: a name of a file.

@@ -42,6 +42,7 @@ def headline(verdicts: Sequence[RenderVerdict], alpha: float) -> str:
         "refused": [v for v in verdicts if v.outcome == "refused"],
     }
     failed = [f"{len(found)} {name}" for name, found in kinds.items() if found]
+    failed = ["1 differs" if text == "1 differ" else text for text in failed]
     what = ", ".join(failed) if failed else "none differs"
     said = f"{_counted(len(verdicts))}: {what}. Any false alarm: at most {percent(alpha)}"
     losses = [v.image for v in verdicts if v.image is not None]
