@@ -78,16 +78,6 @@ def xyz_of(path: Path) -> np.ndarray:
     return np.asarray(chd.io.read_exr(path).image @ np.linalg.inv(from_xyz()).T)
 
 
-def reference_of(mean: Path, spp: int) -> Reference:
-    """Return a mean with the variances of R, G and B.
-
-    The file has those of X, Y and Z, converted as if they were colours. As the samples of a pixel
-    have nearly one colour, the standard deviations are converted instead.
-    """
-    variance = (np.sqrt(np.maximum(xyz_of(variance_of(mean)), 0)) @ from_xyz().T) ** 2
-    return Reference(chd.io.read_exr(mean).image, variance, spp, name=str(mean))
-
-
 def z_test(image: np.ndarray, spp: int, mean: Path) -> tuple[bool, float]:
     """Return whether Mitsuba's test accepts an image (y, x, channel), and the share that fails."""
     variance = np.maximum(xyz_of(variance_of(mean)), _LEAST_VARIANCE)
@@ -152,8 +142,8 @@ def contrasts(scene: Path, mean: Path, asked: argparse.Namespace) -> list[dict[s
             rows.append({"integrator": integrator, "outcome": "not rendered", "words": str(error)})
             continue
         number = samples.spp * int(samples.attrs.get("averaged", 1))
-        b = reference_of(mean, asked.reference_spp)
-        found = chd.contrast(samples, b, alpha=asked.alpha, seed=asked.seed)
+        reference = Reference.read(mean, spp=asked.reference_spp)
+        found = chd.contrast(samples, reference, alpha=asked.alpha, seed=asked.seed)
         accepted, failed = z_test(found.maps["mean_a"].to_numpy()[..., -3:], number, mean)
         rows.append(
             {
