@@ -17,7 +17,7 @@ from chdstat.inference.averages import (
     gaussianity_of_means,
     sizes_of_means,
 )
-from chdstat.inference.contrasts import Contrast, contrast
+from chdstat.inference.contrasts import Contrast, Contrasts, contrast
 from chdstat.inference.differences import Difference, difference
 from chdstat.inference.modes import MODES, Modality, modality
 from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
@@ -31,6 +31,7 @@ __all__ = [
     "TRANSFORMS",
     "UNTESTED",
     "Contrast",
+    "Contrasts",
     "Difference",
     "Gaussianity",
     "GaussianityOfMeans",

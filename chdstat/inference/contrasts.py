@@ -6,23 +6,43 @@ converged image. It compares pixels, and regions, which show differences that no
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import Array, Floats, Seed, label_variables, plain, seed_number
-from chdstat._core.display import Card, Shown, Width, colour, number, percent, png, with_interval
+from chdstat._core.arrays import (
+    Array,
+    Floats,
+    Seed,
+    check_real,
+    label_variables,
+    plain,
+    seed_number,
+    whole,
+)
+from chdstat._core.display import (
+    Card,
+    Shown,
+    Tabled,
+    Width,
+    colour,
+    number,
+    percent,
+    png,
+    with_interval,
+)
 from chdstat._core.doors import draw
 from chdstat._core.image_scales import relative_scale, tonemap
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished
-from chdstat.errors import Reason, check_probability
+from chdstat.errors import InputError, Reason, check_probability
 from chdstat.inference.references import Reference
 from chdstat.inference.render_pairs import Pair
 from chdstat.inference.windows import (
@@ -39,6 +59,10 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+Image: TypeAlias = ImageLike | Reference | npt.ArrayLike
+"""A render, or an image without samples."""
+Draw: TypeAlias = Callable[[int], npt.ArrayLike]
+"""Returns samples of every pixel from a seed, shape (y, x, channel) or (y, x, channel, sample)."""
 _Outcome = Literal["no difference found", "differ", "cannot tell"]
 
 _LEAST_TERMS = 8
@@ -47,6 +71,10 @@ _OF_WINDOWS = 0.8
 """Share of alpha for windows; single pixels get the rest."""
 _ROUNDING = 1e-6
 _MANY_TIMES = 10
+_OUTCOMES = ("no difference found", "cannot tell", "differ")
+"""From the best to the worst."""
+_LOOKS = (0.25, 0.5, 1.0)
+"""Shares of the samples at which a render that is drawn is looked at."""
 _STANDARD_ERRORS = 4
 """Difference that is surely found, in standard errors."""
 
@@ -103,6 +131,8 @@ class Contrast(Shown):
     reference
         "" if B has samples. Otherwise how the noise of the image B is known: by a "variance", by
         its "spp" alone, by means of "batches", or not at all, so that B is taken as "exact".
+    cannot_show
+        What no test with the image B can tell, in sentences; none if B has samples.
     seconds
         Rendering time of one sample in every pixel, for A and B; NaN if it is unknown.
     correlation
@@ -130,6 +160,7 @@ class Contrast(Shown):
     spp: tuple[int, int | None]
     spp_range: tuple[str, str]
     reference: Literal["", "exact", "spp", "variance", "batches"]
+    cannot_show: tuple[str, ...]
     seconds: tuple[float, float]
     correlation: float
     paired: bool
@@ -260,6 +291,7 @@ class Contrast(Shown):
             "detectable": self.detectable,
             "spp": self.spp,
             "reference": self.reference,
+            "cannot_show": self.cannot_show,
             "bad_samples": {n: float(self.maps[f"bad_{n}"].mean()) for n in "ab"},
             "pixels_left_out": {n: int(self._lost(n).sum()) for n in "ab"},
             "seconds_per_sample": self.seconds,
@@ -285,6 +317,7 @@ class Contrast(Shown):
             "exact": "an image taken as exact",
             "spp": f"a mean of {counts[1]} spp",
             "variance": f"a mean and a variance of {counts[1]} spp",
+            "batches": f"means of batches, {counts[1]} spp",
         }
         ends = -self.loss.value, -self.loss.high, -self.loss.low
         bad = [float(self.maps[f"bad_{name}"].mean()) for name in "ab"]
@@ -298,6 +331,8 @@ class Contrast(Shown):
             found["scenes"] = f"{self.scenes[0]} and {self.scenes[1]}"
         if any(bad):
             found["bad samples"] = f"{percent(bad[0])} of A, {percent(bad[1])} of B"
+        if self.cannot_show:
+            found["what B cannot show"] = " ".join(self.cannot_show)
         if not self.reference:
             shared = "the same" if self.paired else "independent"
             found["random numbers"] = f"{shared}, correlation {number(self.correlation)}"
@@ -325,15 +360,89 @@ class Contrast(Shown):
         return Card("Contrast", facts, images={n: png(tonemap(i)) for n, i in shown.items()})
 
 
+@dataclass(frozen=True, repr=False)
+class Contrasts(Tabled):
+    """Contrasts of several renders with one, of which `alpha` bounds the chance of any false alarm.
+
+    Attributes
+    ----------
+    contrasts
+        `Contrast` of each render, by its name; each at the level alpha / number of renders.
+    alpha
+        Level of all of them together.
+    """
+
+    contrasts: Mapping[str, Contrast]
+    alpha: float
+
+    def __getitem__(self, name: str) -> Contrast:
+        return self.contrasts[name]
+
+    @property
+    def outcome(self) -> _Outcome:
+        """The worst of all: "differ", or else "cannot tell", or else "no difference found"."""
+        return max((of.outcome for of in self.contrasts.values()), key=_OUTCOMES.index)
+
+    @property
+    def conclusion(self) -> str:
+        """What was found, in words."""
+        counts = [sum(c.outcome == name for c in self.contrasts.values()) for name in _OUTCOMES]
+        alarm = f"chance of any false alarm {percent(self.alpha)}"
+        found = f"{counts[2]} of {sum(counts)} renders differ ({alarm})"
+        return f"{found}; of {counts[1]}, the samples cannot tell." if counts[1] else f"{found}."
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return a row for each render."""
+        return [
+            {
+                "render": name,
+                "outcome": of.outcome,
+                "p": of.image_p_value,
+                "loss": of.loss.value,
+                "smallest_loss_image": of.detectable["image"],
+                "smallest_loss_tenth": of.detectable["tenth"],
+                "conclusion": of.conclusion,
+            }
+            for name, of in self.contrasts.items()
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers of all contrasts, ready for JSON."""
+        of_each = {name: of.to_dict() for name, of in self.contrasts.items()}
+        about = {"outcome": self.outcome, "conclusion": self.conclusion, "alpha": self.alpha}
+        return dict(plain(about | {"contrasts": of_each}))
+
+    def _card(self) -> Card:
+        return Card("Contrasts", {"conclusion": self.conclusion} | self._in_words())
+
+    def _in_words(self) -> dict[str, str]:
+        return {name: of.conclusion for name, of in self.contrasts.items()}
+
+
+class _Options(TypedDict, total=False):
+    alpha: float
+    spp: int | None
+    finds: float | None
+    seconds: float | None
+    distributions: bool
+    seed: Seed
+
+
+@overload
+def contrast(a: Mapping[str, Any], b: Image, **options: Unpack[_Options]) -> Contrasts: ...
+@overload
+def contrast(a: Image | Draw, b: Image, **options: Unpack[_Options]) -> Contrast: ...
 def contrast(
-    a: ImageLike,
-    b: ImageLike | Reference | npt.ArrayLike,
+    a: Image | Draw | Mapping[str, Any],
+    b: Image,
     *,
     alpha: float = 0.05,
+    spp: int | None = None,
+    finds: float | None = None,
     seconds: float | None = None,
     distributions: bool = False,
     seed: Seed = 0,
-) -> Contrast:
+) -> Contrast | Contrasts:
     """Test whether two renders of a view have the same mean, pixel by pixel and over regions.
 
     **Equal numbers of samples.** Sample i of A and sample i of B make a term, B - A. If both
@@ -362,17 +471,32 @@ def contrast(
     largest such sum is compared with the largest sums that flips of signs give. This test has four
     fifths of `alpha`, and the smallest q-value of a pixel has one fifth; either decides "differ".
 
+    **References with batches** are compared by units of their size, too: any division of them into
+    A's and B's is as likely as the real one.
+
+    **Renders drawn as needed.** A function `draw` is asked for samples until they tell the renders
+    apart, or `spp` are drawn. It is looked at after a quarter, a half and all of them, with levels
+    that add up to `alpha`.
+
     Parameters
     ----------
     a
-        A render: `Samples`, the path of a store, or an array (y, x, channel, sample).
+        A render: `Samples`, the path of a store, or an array (y, x, channel, sample). Or a function
+        that draws one from a seed, as an array (y, x, channel) or (y, x, channel, sample). Or a
+        `Reference` or an image, as `b`. Or several renders by their names.
     b
         Another render of the same view and size, or an image without samples: a `Reference`, which
         says how well its means are known; or else the path of an EXR file, the result of
         `chdstat.io.read_exr`, or an array (y, x, channel), which count as exact up to the precision
         of half floats.
     alpha
-        Level of the outcome and of the share of pixels, between 0 and 1.
+        Level of the outcome and of the share of pixels, between 0 and 1; of several renders, the
+        level of all together.
+    spp
+        Largest number of samples per pixel to draw; only for a function.
+    finds
+        Stop drawing as soon as no difference is found and a loss of this share of the image would
+        have been found.
     seconds
         Compare as many samples of each render as it makes in this time. By default, compare all
         samples; if the renders share random numbers, the same number of both.
@@ -380,12 +504,13 @@ def contrast(
         Also test in each pixel whether the variances and the whole distributions of luminance
         differ, by permutation. That takes twice as long.
     seed
-        Seed of the 499 flips for windows; p-values of pixels need no seed.
+        Seed of the 499 flips for windows; p-values of pixels need no seed. Also the first seed of
+        `draw`, which counts up from it.
 
     Returns
     -------
-    Contrast
-        The conclusion in words, the numbers, and maps.
+    Contrast or Contrasts
+        The conclusion in words, the numbers, and maps; for several renders, one for each.
 
     Raises
     ------
@@ -414,13 +539,30 @@ def contrast(
     >>> found.outcome, found.window
     ('differ', (0, 0, 16, 16))
     """
-    options: dict[str, Any] = {"alpha": alpha, "seconds": seconds, "seed": seed}
-    return finished(contrasting(a, b, **options, distributions=distributions))
+    options: dict[str, Any] = {"seconds": seconds, "seed": seed, "distributions": distributions}
+    if isinstance(a, Mapping):
+        if not a:
+            message = "contrast needs a render, got an empty mapping"
+            raise InputError(message)
+        each = alpha / len(a)
+        b = Reference.of(b) or b
+        drawn: dict[str, Any] = {"spp": spp, "finds": finds}
+        found: dict[str, Contrast] = {
+            str(name): contrast(of, b, alpha=each, **options, **(drawn if callable(of) else {}))
+            for name, of in a.items()
+        }
+        return Contrasts(found, alpha)
+    if callable(a):
+        return finished(_drawing(a, b, alpha=alpha, spp=spp, finds=finds, **options))
+    if (spp, finds) != (None, None):
+        message = "spp and finds are for a function that draws samples, got a finished render"
+        raise InputError(message)
+    return finished(contrasting(a, b, alpha=alpha, **options))
 
 
 def contrasting(
-    a: ImageLike,
-    b: ImageLike | Reference | npt.ArrayLike,
+    a: Image,
+    b: Image,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,
@@ -471,11 +613,68 @@ def contrasting(
         spp=(pair.spp[0], pair.b.spp if isinstance(pair.b, Reference) else pair.spp[1]),
         spp_range=pair.spp_range,
         reference=pair.b.known if isinstance(pair.b, Reference) else "",
+        cannot_show=pair.b.cannot_show if isinstance(pair.b, Reference) else (),
         seconds=pair.seconds,
         correlation=np.nan if pair.of_image else _median(maps["correlation"]),
         paired=pair.paired,
         alpha=alpha,
     )
+
+
+def _drawing(
+    draw: Draw,
+    b: Image,
+    *,
+    alpha: float,
+    spp: int | None,
+    finds: float | None,
+    seed: Seed,
+    **options: Any,
+) -> Generator[tuple[str, float], None, Contrast]:
+    """Return the contrast of a render that is drawn until it can be told from B.
+
+    References
+    ----------
+    Lan and DeMets, "Discrete sequential boundaries for clinical trials", 1983,
+    doi:10.1093/biomet/70.3.659, with Pocock's spending of the level.
+    """
+    check_probability(alpha=alpha)
+    if spp is None:
+        message = "a function that draws samples needs spp, the most to draw, got None"
+        raise InputError(message)
+    most, first = whole("spp", spp, least=_LEAST_TERMS), seed_number(seed)
+    other = Reference.of(b) or b
+    parts: list[Array] = []
+    seeds, drawn, smallest, spent = itertools.count(first), 0, 1.0, 0.0
+    for look in _LOOKS:
+        while drawn < look * most:
+            x = _samples_of(draw, next(seeds), parts)
+            parts.append(x[..., : most - drawn])
+            drawn += parts[-1].shape[-1]
+            yield "drawing samples", drawn / most
+        share = float(np.log1p((np.e - 1) * look)) - spent
+        spent += share
+        samples = np.concatenate(parts, axis=-1)
+        parts = [samples]
+        found = yield from contrasting(samples, other, alpha=alpha * share, seed=first, **options)
+        smallest = min(smallest, found.image_p_value / share)
+        told = finds is not None and found.detectable["image"] <= finds
+        if drawn == most or found.outcome == "differ" or (told and not found.why):
+            break
+    return replace(found, image_p_value=smallest, alpha=alpha)
+
+
+def _samples_of(draw: Draw, seed: int, others: list[Array]) -> Array:
+    """Return what a function draws from a seed, shape (y, x, channel, sample)."""
+    drawn = np.asarray(draw(seed))
+    check_real(drawn.dtype, f"what draw({seed}) returned")
+    x = drawn[..., np.newaxis] if drawn.ndim == 3 else drawn
+    shape = others[0].shape[:3] if others else x.shape[:3]
+    if x.ndim != 4 or 0 in x.shape or x.shape[:3] != shape:
+        wanted = "(y, x, channel) or (y, x, channel, sample)" if x.ndim != 4 else f"{shape}"
+        message = f"draw must return an array of shape {wanted}, got {drawn.shape} for seed {seed}"
+        raise InputError(message)
+    return x
 
 
 def _why_not(

@@ -33,6 +33,8 @@ _SUBNORMAL = 2.0**-25
 BATCHES = 48
 """Batches of a reference. It has thrice as many samples as a test, which has 16 of them then."""
 _FEWEST_BATCHES = 8
+_MADE = 64
+"""Terms that stand for a mean and a variance."""
 _GRANTED = 16
 """Samples of a reference that are taken for granted, as a multiple of those of the render."""
 
@@ -288,6 +290,47 @@ class Reference(Shown):
             else "",
         ]
         return (*filter(None, found), *self.limits)
+
+    def to_samples(self, variance: Array | None = None) -> Samples:
+        """Return samples of averages with this mean and noise: its batches, or made ones.
+
+        Those are the mean plus and minus one standard deviation, as many of one as of the other,
+        with the same signs in all channels.
+
+        Parameters
+        ----------
+        variance
+            Variance of a sample, if the reference has none.
+
+        Raises
+        ------
+        InputError
+            If its noise is unknown.
+
+        Examples
+        --------
+        >>> image = np.ones((4, 4, 3))
+        >>> Reference(image, variance=image, spp=6400).to_samples().read().var(axis=-1)[0, 0, 0]
+        np.float32(0.01)
+        """
+        batches = self.batches
+        if batches is None:
+            variance = self.variance if self.variance is not None else variance
+            if variance is None or self.spp is None or self.spp < _FEWEST_BATCHES:
+                message = (
+                    f"{self.name} has no samples, and its noise is unknown: give its variance and "
+                    f"spp, {_FEWEST_BATCHES} or more, as a Reference"
+                )
+                raise InputError(message)
+            count = min(self.spp, _MADE)
+            signs = np.ones((*self.shape[:2], 1, count))
+            signs[..., 1::2] = -1
+            signs = np.random.default_rng(0).permuted(signs, axis=-1)
+            root = np.sqrt(variance * count / self.spp)[..., np.newaxis]
+            batches = self.mean[..., np.newaxis] + root * (signs - signs.mean(axis=-1)[..., None])
+        about = {name: self.attrs.get(name) for name in ("scene", "scene_hash")}
+        averaged = (self.spp or 0) // batches.shape[-1]
+        return Samples.from_array(batches, averaged=averaged, **about)
 
     @cached_property
     def rounding(self) -> Floats:

@@ -166,8 +166,16 @@ class Pair:
 
     @classmethod
     def of(cls, one: Any, two: Any, seconds: float | None) -> Pair:
-        """Return a pair, with all samples, or those that each renders in the given seconds."""
-        a, b = _independent(one), Reference.of(two) or _independent(two)
+        """Return a pair, with all samples, or those that each renders in the given seconds.
+
+        An image whose noise is unknown is B, whichever is given first.
+        """
+        first, second = Reference.of(one), Reference.of(two)
+        variance = second.variance if first and second and first.shape == second.shape else None
+        if first and (first.spp is None or first.variance is variance is None):
+            one, two, first, second = two, one, second, first
+        a = first.to_samples(variance) if first else _independent(one)
+        b = second or _independent(two)
         if a.shape[:2] != b.shape[:2]:
             (height, width), (rows, columns) = a.shape[:2], b.shape[:2]
             message = (
@@ -196,7 +204,7 @@ class Pair:
         return cls(
             a,
             b,
-            (_name(one, a), b.name if isinstance(b, Reference) else _name(two, b)),
+            (_name(one, first or a), _name(two, b)),
             (counts[0], counts[-1]),
             (each[0], each[1] if len(each) > 1 else np.nan),
             paired,
@@ -656,7 +664,9 @@ def _averaged(samples: Samples | Reference) -> int:
     return int(samples.attrs.get("averaged", 1)) if isinstance(samples, Samples) else 1
 
 
-def _name(source: Any, samples: Samples) -> str:
+def _name(source: Any, samples: Samples | Reference) -> str:
+    if isinstance(samples, Reference):
+        return samples.name
     of = f", averages of {_averaged(samples)}" if _averaged(samples) > 1 else ""
     return f"{source if isinstance(source, str | Path) else samples.path or samples.name}{of}"
 
