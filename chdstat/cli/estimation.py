@@ -2,30 +2,53 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from chdstat._core.display import number, percent
+from chdstat._core.files import is_remote, place_of
 from chdstat.cli import output
 from chdstat.cli.arguments import (
     OUTPUT,
     VIEW,
     CommonOptions,
-    Location,
     OptionalWords,
     SceneOrStore,
     StorePath,
+    Words,
     pairs_of,
 )
 from chdstat.cli.program import command
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
+    from chdstat._core.arrays import Image
     from chdstat.comparison import Comparison, ErrorCurve
+    from chdstat.inference import Contrast, Contrasts, Reference
     from chdstat.rendering import Rendering
     from chdstat.samples import Samples
+    from chdstat.scenes import Scene
 
+_FINISHED = (".exr", ".pfm", ".zarr")
+"""Suffixes of renders that are finished; other names are those of scenes."""
+_OF_A_RENDER = 3
+"""A reference has thrice the samples of a render: then it has thrice as many batches of a size."""
+_UNKNOWN_SPP = 512
+"""Most samples of a scene to draw if those of the reference are unknown."""
+_CONTRASTED = {
+    "render": "render",
+    "outcome": "outcome",
+    "p": "p",
+    "loss": "B darker by",
+    "smallest_loss_image": "would have found in the image",
+    "smallest_loss_tenth": "in a tenth",
+}
+"""Columns of the table of contrasts."""
 _ENDLESS = 2**20
 """Samples per pixel of a render that is stopped by time or error."""
 _COMPARED = {
@@ -231,63 +254,187 @@ def compare(
     output.say_next(asked.quiet, ("estimate", store, "-o", store.with_suffix(".exr")))
 
 
-@command("contrast path.zarr changed.zarr -o contrast.pdf", "seed", "overwrite", *OUTPUT)
+@command(
+    "contrast path.zarr changed.zarr reference.exr --junit found.xml",
+    *("spp", "seed", "max_depth", "backend", "define", "plugin", "overwrite", *OUTPUT),
+    spp="a third of the reference's, or 512",
+)
 def contrast(
-    a: Location,
-    b: Location,
+    sources: Words,
     asked: CommonOptions,
     variance: Path | None = None,
     reference_spp: int | None = None,
     alpha: float = 0.05,
+    finds: float | None = None,
     seconds: float | None = None,
+    junit: Path | None = None,
     out: Path | None = None,
     distributions: bool = False,
 ) -> None:
-    """Test whether two renders have the same mean, and which is more efficient.
+    """Test whether renders have the same mean as another one, and which is more efficient.
+
+    A render is a finished store, an EXR or PFM image, a folder of EXR passes, or a scene. A scene
+    is drawn at the size of the reference until its samples tell, or --spp of them are drawn.
 
     The exit code is 0 if no difference was found, 3 if one was, and 4 if the samples cannot tell,
-    for example because they are too few. An error ends with 2.
+    for example because they are too few; of several renders, the worst counts. An error ends with
+    2.
 
     Parameters
     ----------
-    a : A
-        A finished store.
-    b : B
-        Another store, or a reference as EXR.
-    variance : path, default unknown
-        Variances of a sample of the reference, an EXR.
-    reference_spp : int, default unknown
+    sources : RENDER... REFERENCE
+        Renders, and what to compare them with: a store, an image, or what 'chdstat export' wrote.
+    variance : path, default as the files say
+        Variances of a sample of the reference, an image.
+    reference_spp : int, default as the files say
         Samples per pixel of the reference.
     alpha : float
-        Probability of a difference found where there is none.
+        Probability of any difference found where there is none.
+    finds : float, default --spp decides
+        Stop drawing a scene that does not differ when a loss of this share of its light would have
+        been found, .01 for 1 %.
     seconds : float, default all samples
         Compare what each renders in this time.
+    junit : FILE
+        Results as JUnit XML for continuous integration, .xml.
     out : path
-        A page with maps to write, .pdf.
+        A page with maps to write, .pdf, for one render.
     distributions : bool
         Test variances and distributions of pixels, too.
     """
     import chdstat
+    from chdstat.inference import Contrasts
     from chdstat.reporting.figures import save_figure
 
-    target = None if out is None else asked.target(out, ".pdf")  # refused before the work
-    other: Path | chdstat.inference.Reference = b
-    if variance is not None or reference_spp is not None:
-        other = chdstat.inference.Reference.read(b, variance=variance, spp=reference_spp)
-    found = chdstat.contrast(
-        a, other, alpha=alpha, seconds=seconds, distributions=distributions, seed=asked.seed or 0
-    )
-    if target is not None:
-        save_figure(chdstat.viz.contrast(found), target)
-    if asked.as_json:
-        output.print_json(found.to_dict())
-    else:
-        output.print_sentences([found.conclusion])
-        typer.echo()
-        output.print_table(found.table())
-    output.say_next(asked.quiet, ("explore", a, b))
-    if code := _CODES[found.outcome]:
+    *names, last = sources
+    page = None if out is None else asked.target(out, ".pdf")  # refused before the work
+    table = None if junit is None else output.junit_target(junit, asked)
+    _check_renders(names, page)
+    other = _reference_of(last, variance, reference_spp)
+    options = {"alpha": alpha / len(names), "seconds": seconds, "distributions": distributions}
+    contrasts: dict[str, Contrast] = {}
+    times: dict[str, float] = {}
+    for name, (a, drawn) in _renders_of(names, other, asked, finds).items():
+        begin = time.monotonic()
+        found = chdstat.contrast(a, other, **options, **drawn)
+        contrasts[name] = replace(found, names=(name, found.names[1])) if drawn else found
+        times[name] = time.monotonic() - begin
+    together = Contrasts(contrasts, alpha)
+    if page is not None:
+        save_figure(chdstat.viz.contrast(found), page)
+    if table is not None:
+        output.write_junit(table, contrasts, times)
+    _print_contrasts(together, asked)
+    output.say_next(asked.quiet, ("explore", *names, last))
+    if code := _CODES[together.outcome]:
         raise typer.Exit(code)
+
+
+def _check_renders(names: list[str], page: Path | None) -> None:
+    """Refuse renders that cannot be compared together."""
+    if not names:
+        message = "contrast needs a render and what to compare it with, got one path"
+        raise InputError(message)
+    if twice := next((name for name in names if names.count(name) > 1), ""):
+        message = f"expected several renders, got {twice} twice"
+        raise InputError(message)
+    if page is not None and len(names) > 1:
+        message = f"-o writes a page about one render, got {len(names)}; leave it out, or --junit"
+        raise InputError(message)
+
+
+def _reference_of(name: str, variance: Path | None, spp: int | None) -> Path | Reference:
+    """Return what renders are compared with: an image, or the place of a store."""
+    from chdstat.inference import Reference
+
+    given = variance is not None or spp is not None
+    if given or _is_folder_of_passes(name):
+        return Reference.read(name, variance=variance, spp=spp)
+    place = place_of(name)
+    return Reference.of(place) or place
+
+
+def _is_folder_of_passes(name: str) -> bool:
+    from chdstat.samples import is_store
+
+    return not is_store(name) and Path(name).is_dir() and Path(name).suffix != ".zarr"
+
+
+def _renders_of(
+    names: list[str], other: Path | Reference, asked: CommonOptions, finds: float | None
+) -> dict[str, tuple[Any, dict[str, Any]]]:
+    """Return renders by name, each with the options of `contrast` that it takes."""
+    from chdstat.inference import Reference
+    from chdstat.rendering import refuse_render
+    from chdstat.samples import is_store
+
+    found: dict[str, tuple[Any, dict[str, Any]]] = {}
+    seed = {"seed": asked.seed or 0}
+    for name in names:
+        place = place_of(name)
+        if _is_folder_of_passes(name):
+            found[name] = Reference.read(name), seed
+        elif is_store(name) or is_remote(place) or place.suffix.lower() in _FINISHED:
+            found[name] = place, seed
+        else:
+            found[name] = _draws(asked.scene(name), other, asked, finds)
+    if not any(callable(a) for a, _ in found.values()):
+        settings = {n: v for n, v in asked.settings.items() if n != "seed"}
+        refuse_render(names[0], settings | {"-D": asked.define or None, "--finds": finds})
+    return found
+
+
+def _draws(
+    scene: Scene, other: Path | Reference, asked: CommonOptions, finds: float | None
+) -> tuple[Callable[[int], Image], dict[str, Any]]:
+    """Return what draws samples of a scene at the size of a reference, and the options for it."""
+    import chdstat
+    from chdstat.inference import Reference
+    from chdstat.rendering import render_batches
+    from chdstat.samples.tiles import BATCH
+
+    held = other if isinstance(other, Reference) else chdstat.open(other)
+    height, width = held.shape[:2]
+    seed = held.attrs.get("seed") if asked.seed is None else asked.seed
+    seed = (seed or 0) + (asked.seed is None)
+    if seed == held.attrs.get("seed"):
+        message = (
+            f"the reference has the seed {seed}, so that its samples are those of {scene.name}: "
+            "give another --seed"
+        )
+        raise InputError(message)
+    spp = asked.spp or (held.spp // _OF_A_RENDER if held.spp else _UNKNOWN_SPP)
+    settings = asked.settings | {"size": (width, height), "spp": spp, "seed": seed}
+    batch = min(BATCH, max(1, spp // 4))  # so that it can be looked at after a quarter
+    batches = iter(render_batches(scene, batch=batch, progress=asked.progress, **settings))
+    return lambda _: next(batches), {"spp": spp, "seed": seed, "finds": finds}
+
+
+def _print_contrasts(found: Contrasts, asked: CommonOptions) -> None:
+    """Print one contrast in full, or several as a table and what is not in order."""
+    contrasts = list(found.contrasts.values())
+    one = contrasts[0] if len(contrasts) == 1 else None
+    if asked.as_json:
+        output.print_json((one or found).to_dict())
+        return
+    output.print_sentences([(one or found).conclusion])
+    typer.echo()
+    if one is not None:
+        output.print_table(one.table())
+        return
+    shares = ("loss", "smallest_loss_image", "smallest_loss_tenth")
+    rows = [
+        row | {"p": number(row["p"])} | {name: percent(row[name]) for name in shares}
+        for row in found.table()
+    ]
+    output.print_rows(rows, _CONTRASTED)
+    output.print_notes(
+        {
+            name: of.conclusion
+            for name, of in found.contrasts.items()
+            if of.outcome != "no difference found"
+        }
+    )
 
 
 @command(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -13,12 +14,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import typer
 
+from chdstat._core.files import checked_target, writing
 from chdstat.samples.dependence import sequence_of
 
 if TYPE_CHECKING:
+    from chdstat.cli.arguments import CommonOptions
+    from chdstat.inference import Contrast
     from chdstat.samples import Samples
 
 _WIDE = 200
@@ -156,3 +161,58 @@ def _readable(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(_readable(v) for v in value) or "none"
     return "unknown" if value is None else str(value)
+
+
+# --- JUnit XML ------------------------------------------------------------------------------------
+
+_JUNIT = "<testsuites"
+"""What files of results begin with, behind the XML declaration."""
+_NO_XML = re.compile(r"[^\t\n\r\x20-\uD7FF\uE000-\uFFFD\U00010000-\U0010FFFF]")
+"""Characters that XML cannot hold."""
+
+
+def junit_target(path: Path, asked: CommonOptions) -> Path:
+    """Return a file to write results to; those of an earlier run are replaced.
+
+    Raises
+    ------
+    InputError, StoreError
+        As `CommonOptions.target`: other files are kept, such as scenes.
+    """
+    target = checked_target(path, ".xml")
+    earlier = target.is_file() and _JUNIT in target.read_text("utf-8", "replace")[:200]
+    return target if earlier else asked.target(path, ".xml")
+
+
+def write_junit(path: Path, found: Mapping[str, Contrast], seconds: Mapping[str, float]) -> None:
+    """Write results as JUnit XML, a test for each render.
+
+    One that differs has failed, and one of which the samples cannot tell was skipped.
+    """
+    outcomes = [of.outcome for of in found.values()]
+    counts = {
+        "tests": f"{len(found)}",
+        "failures": f"{outcomes.count('differ')}",
+        "skipped": f"{outcomes.count('cannot tell')}",
+        "errors": "0",
+        "time": f"{sum(seconds.values()):.3f}",
+    }
+    suites = Element("testsuites", counts)
+    suite = SubElement(suites, "testsuite", {"name": "chdstat contrast", **counts})
+    for name, of in found.items():
+        about = {"classname": "chdstat contrast", "name": _xml(name)}
+        case = SubElement(suite, "testcase", about | {"time": f"{seconds[name]:.3f}"})
+        table = _xml("\n".join(f"{key}: {value}" for key, value in of.table().items()))
+        if of.outcome == "differ":
+            failure = {"message": _xml(of.conclusion), "type": of.outcome}
+            SubElement(case, "failure", failure).text = table
+        elif of.outcome == "cannot tell":
+            SubElement(case, "skipped", {"message": _xml(of.conclusion)})
+        SubElement(case, "system-out").text = f"{_xml(of.conclusion)}\n{table}"
+    indent(suites)
+    with writing(path) as partial:
+        partial.write_bytes(tostring(suites, "utf-8", xml_declaration=True) + b"\n")
+
+
+def _xml(text: str) -> str:
+    return _NO_XML.sub("?", text)

@@ -9,6 +9,7 @@ import sys
 from inspect import signature
 from pathlib import Path
 from typing import get_args
+from xml.etree.ElementTree import parse
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ import chdstat as chd
 import chdstat.samples
 from chdstat.cli import arguments, main, output, program
 from chdstat.inference import Reference
+from chdstat.io import write_exr, write_reference
 from chdstat.rendering.jobs import SETTINGS
 from chdstat.rendering.seeds import SamplerName
 
@@ -287,6 +289,115 @@ def test_contrast_has_an_exit_code_and_a_page(run, store, tmp_path):
     code, out, err = run("contrast", store, again, "--seconds", "1e9")
     assert (code, out) == (2, "")
     assert "render more of them" in err
+
+
+@pytest.fixture(scope="module")
+def compared(stored, tmp_path_factory):
+    """Return the paths of a right render, a darker one, and a reference."""
+    folder = tmp_path_factory.mktemp("compared")
+    right, other = (stored(spp=96, size=(12, 10), seed=seed) for seed in (0, 3))
+    dark = chd.Samples.from_array(0.7 * chd.open(right).read()).save(folder / "dark.zarr").path
+    reference = write_reference(Reference.of_samples(other), folder / "reference.exr")
+    return right, dark, reference
+
+
+def test_several_renders_are_compared_with_one_reference(run, compared, tmp_path):
+    right, dark, reference = compared
+    table = tmp_path / "found.xml"
+    code, out, err = run("contrast", right, dark, reference, "--junit", table)
+    assert code == 3
+    assert out.startswith("1 of 2 renders differ")
+    assert f"- {dark}: The means differ" in out
+    assert "next: chdstat explore" in err
+    suite = parse(table).getroot()[0]
+    assert {name: suite.get(name) for name in ("tests", "failures", "skipped")} == {
+        "tests": "2",
+        "failures": "1",
+        "skipped": "0",
+    }
+    passed, failed = suite
+    assert (passed.get("name"), failed.get("name")) == (str(right), str(dark))
+    assert passed.find("failure") is None
+    assert failed.find("failure").get("message").startswith("The means differ")
+    assert "would have found a loss" in passed.findtext("system-out")
+    assert float(passed.get("time")) > 0
+    code, out, _ = run("contrast", right, dark, reference, "--junit", table, "--json", "-q")
+    found = json.loads(out)
+    assert (code, found["outcome"], found["alpha"]) == (3, "differ", 0.05)
+    assert {name: of["alpha"] for name, of in found["contrasts"].items()} == {
+        str(right): 0.025,
+        str(dark): 0.025,
+    }
+
+
+def test_a_render_of_few_samples_is_skipped(run, compared, stored, tmp_path):
+    few = stored(spp=4, size=(12, 10))
+    code, _, _ = run("contrast", few, compared[2], "--junit", tmp_path / "a.xml", "-q")
+    assert code == 4
+    (case,) = parse(tmp_path / "a.xml").getroot()[0]
+    assert case.find("skipped").get("message").startswith("Cannot tell")
+
+
+def test_a_scene_is_drawn_until_it_tells(run, compared):
+    asked = ("contrast", "cornell-box", compared[2], "--backend", "scalar", "--json", "-q")
+    code, out, _ = run(*asked, "--spp", 64)
+    found = json.loads(out)
+    assert (code, found["outcome"], found["spp"][0]) == (0, "no difference found", 64)
+    assert found["a"] == "cornell-box"
+    code, out, _ = run(*asked, "--spp", 128, "--max-depth", 1)
+    assert code == 3
+    assert json.loads(out)["spp"][0] < 128
+    code, _, err = run(*asked, "--seed", 3)
+    assert code == 2
+    assert "give another --seed" in err
+
+
+def test_images_and_passes_are_renders_and_references(run, compared, tmp_path):
+    right, _, reference = compared
+    x = chd.open(right).read()
+    (tmp_path / "passes").mkdir()
+    for k in range(12):
+        batch = x[..., 8 * k : 8 * k + 8].mean(axis=-1)
+        write_exr(tmp_path / f"passes/{k:02}.exr", batch, attributes={"samplesPerPixel": "8"})
+    code, out, _ = run("contrast", tmp_path / "passes", reference, "--json", "-q")
+    assert (code, json.loads(out)["outcome"]) == (0, "no difference found")
+    code, out, _ = run("contrast", right, tmp_path / "passes", "--json", "-q")
+    assert json.loads(out)["reference"] == "batches"
+    mean = write_exr(tmp_path / "mean.exr", x.mean(axis=-1))
+    variance = write_exr(tmp_path / "spread.exr", x.var(axis=-1))
+    asked = ("--variance", variance, "--reference-spp", 96)
+    code, out, _ = run("contrast", right, mean, *asked, "--json", "-q")
+    found = json.loads(out)
+    assert (found["reference"], found["spp"][1]) == ("variance", 96)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("RIGHT",), "a render and what to compare it with"),
+        (("RIGHT", "RIGHT", "REFERENCE"), "twice"),
+        (("RIGHT", "DARK", "REFERENCE", "-o", "page.pdf"), "about one render, got 2"),
+        (("RIGHT", "REFERENCE", "--spp", "64"), "spp"),
+        (("RIGHT", "REFERENCE", "--finds", ".01"), "--finds"),
+        (("RIGHT", "REFERENCE", "--junit", "scene.xml"), "scene.xml exists"),
+        (("RIGHT", "REFERENCE", "--junit", "found.txt"), ".xml"),
+        (("RIGHT", "REFERENCE", "--reference-spp", "64"), "leave out spp"),
+        (("cornel-box", "REFERENCE"), "did you mean 'cornell-box'"),
+        (("none.exr", "REFERENCE"), "none.exr"),
+        (("RIGHT", "none.exr"), "none.exr"),
+        (("RIGHT", "none"), "none"),
+    ],
+)
+def test_contrasts_that_make_no_sense_are_refused(
+    run, compared, tmp_path, monkeypatch, arguments, named
+):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.xml").write_text("<scene version='3.0.0'/>")
+    paths = dict(zip(("RIGHT", "DARK", "REFERENCE"), compared, strict=True))
+    code, out, err = run("contrast", *(paths.get(one, one) for one in arguments), "-q")
+    assert (code, out) == (2, "")
+    assert named in err
+    assert Path("scene.xml").read_text() == "<scene version='3.0.0'/>"
 
 
 def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
