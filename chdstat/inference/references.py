@@ -387,5 +387,6 @@ def _means_of_batches(samples: Samples, batches: int, size: int) -> tuple[Floats
             own = slice(max(k * size - ss.start, 0), (k + 1) * size - ss.start)
             total[..., k] += x[..., own].sum(axis=-1, dtype=float)
             number[..., k] += x[..., own].shape[-1] if good is None else good[..., own].sum(axis=-1)
+    there = np.minimum(samples.counts, batches * size)
     with np.errstate(invalid="ignore"):
-        return total / number[:, :, np.newaxis], 1 - number.sum(axis=-1) / (batches * size)
+        return total / number[:, :, np.newaxis], 1 - number.sum(axis=-1) / there

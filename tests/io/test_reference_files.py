@@ -121,6 +121,17 @@ def test_bad_samples_stay_in_their_pixel(tmp_path):
     assert np.argwhere(np.isnan(found.mean).any(axis=-1)).tolist() == [[4, 4]]
 
 
+def test_samples_that_a_pixel_lacks_are_not_bad():
+    samples = heavy((2, 3, 3, 96))
+    samples[0, 1, 0, 5] = np.nan
+    counts = np.full((2, 3), 96)
+    counts[1, 2] = 48
+    found = Reference.of_samples(chd.Samples.from_array(samples, counts=counts))
+    assert found.bad[0, 1] == pytest.approx(1 / 96)
+    assert found.bad.sum() == pytest.approx(1 / 96)
+    assert np.isnan(found.batches[1, 2, 0]).sum() == 24
+
+
 def test_equal_references_are_equal_files(tmp_path):
     files = [write_reference(made(heavy()), tmp_path / name) for name in ("a.exr", "b.exr")]
     assert files[0].read_bytes() == files[1].read_bytes()
