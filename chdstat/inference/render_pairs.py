@@ -44,7 +44,7 @@ from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
 from chdstat.inference.permutations import Shuffles, p_of_means, p_of_signs
 from chdstat.inference.references import SINGLE, Reference
-from chdstat.inference.windows import Cells, FlipMoments, guarded
+from chdstat.inference.windows import FEWEST_FLIPS, Cells, FlipMoments, guarded
 from chdstat.samples import Samples, samples_of
 from chdstat.samples.dependence import sequence_of
 
@@ -510,7 +510,8 @@ class Pair:
             small = p[..., band] <= _SMALL
             rows, known = x[:, :, band][small], good[small]
             found = p_of_means(rows[:, :short], rows[:, short:], known[:, :short], known[:, short:])
-            p[small, band] = np.fmax(p[small, band], found)
+            alone = self.of_image and self.terms < FEWEST_FLIPS
+            p[small, band] = found if alone else np.fmax(p[small, band], found)
         number_of_good = np.maximum(good.sum(axis=-1), 1)[:, :, np.newaxis, np.newaxis]
         level = (x.sum(axis=-1, keepdims=True, dtype=float) / number_of_good).astype(x.dtype)
         x = np.where(good[:, :, np.newaxis], x - level, 0)

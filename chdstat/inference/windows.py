@@ -44,6 +44,8 @@ _DARK = 1e-3
 LEAST_LIGHT = 1e-3
 """Share of the image's light below which light is not worth more samples."""
 _FLIPS = 499
+FEWEST_FLIPS = 32
+"""Terms from which on flips can be as rare as the level of one of many tests."""
 _OF_WINDOWS = 7
 """Edge of the neighbourhood of a window, in windows, which overlap by two thirds."""
 _ROUNDING = 1e-9
@@ -397,7 +399,8 @@ def scan_windows(
 
     With units, random divisions of the units of both renders are compared, too. Divisions are exact
     for renders of one distribution; flips are right for many samples if only the means agree. The
-    larger p-value counts.
+    larger p-value counts. Against a reference, fewer than 32 terms have no flips that are rare
+    enough: then divisions decide alone.
 
     `alpha` is the level at which losses are found, `seed` the seed of flips and divisions. P-values
     below those of all flips are those of the tail fitted to them. Yields what is being done, and
@@ -442,30 +445,42 @@ def scan_windows(
                 if found is None:
                     continue
                 largest, place, loss = found
-                loss.windows.extend([_independent(largest[1:]), *independent])
-                scores.append(_log_p(largest, loss.windows[0]))
+                windows = _independent(largest[1:])
+                loss.windows.extend([windows, *independent])
+                scores.append(_log_p(largest, windows))
                 places.append((largest[0], band, place, edge))
                 losses.append(loss)
     if not scores:
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
-    least = [-np.min(found, axis=0)[np.newaxis] for found in (scores, of_divisions) if found]
     _, band, (y, x), edge = max(places)
-    count = 0 if cells.units is None else cells.units.shape[-1]
-    tests = [
-        _Crossing(-float(quantile_of_tail(logs[:, 1:], alpha)[0]), of, power)
-        for logs, of, power in zip(least, (terms, count), (1 / 2, 1 / 3), strict=False)
-    ]
-    floors = 2.0 ** (1 - terms), np.exp(-log_choices(np.array(count), np.array(cells.short)))
+    p_values, tests = [], []
+    if terms >= FEWEST_FLIPS or divisions is None or cells.slack is None:
+        p, critical = _of_all(scores, np.log(2) * (terms - 1), alpha)
+        p_values, tests = [p], [_Crossing(critical, terms, 1 / 2)]
+    if divisions is not None:
+        count = units.shape[-1]
+        choices = log_choices(np.array(count), np.array(cells.short))
+        p, critical = _of_all(of_divisions, float(choices), alpha)
+        p_values, tests = [*p_values, p], [*tests, _Crossing(critical, count, 1 / 3)]
+    for loss in losses:
+        del loss.windows[: -len(tests)]
     return WindowTest(
-        p_value=max(
-            max(float(p_of_tail(p[:, 0], p[:, 1:])[0]), float(floor))
-            for p, floor in zip(least, floors, strict=False)
-        ),
+        p_value=max(p_values),
         window=(y, x, min(edge, size[0]), min(edge, size[1])),
         band=band,
         detectable=_detectable(losses, tests, cells),
         unseen=_unseen(cells, tests[0](losses[-1].windows[0]) + _Z_90),
     )
+
+
+def _of_all(log_p: list[Floats], choices: float, alpha: float) -> tuple[float, float]:
+    """Return the p-value of the smallest of all log probabilities, and the one of level alpha.
+
+    `choices` is the log of the number of flips or divisions: none is rarer than one of them.
+    """
+    least = -np.min(log_p, axis=0)[np.newaxis]
+    p = float(p_of_tail(least[:, 0], least[:, 1:])[0])
+    return max(p, float(np.exp(-choices))), -float(quantile_of_tail(least[:, 1:], alpha)[0])
 
 
 def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
