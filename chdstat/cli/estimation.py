@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from chdstat.samples import Samples
     from chdstat.scenes import Scene
 
-_FINISHED = (".exr", ".pfm", ".zarr")
-"""Suffixes of renders that are finished; other names are those of scenes."""
 _OF_A_RENDER = 3
 """A reference has thrice the samples of a render: then it has thrice as many batches of a size."""
 _UNKNOWN_SPP = 512
@@ -264,6 +262,7 @@ def contrast(
     asked: CommonOptions,
     variance: Path | None = None,
     reference_spp: int | None = None,
+    render_spp: int | None = None,
     alpha: float = 0.05,
     finds: float | None = None,
     seconds: float | None = None,
@@ -288,6 +287,8 @@ def contrast(
         Variances of a sample of the reference, an image.
     reference_spp : int, default as the files say
         Samples per pixel of the reference.
+    render_spp : int, default as the files say
+        Samples per pixel of renders that are images.
     alpha : float
         Probability of any difference found where there is none.
     finds : float, default --spp decides
@@ -314,7 +315,7 @@ def contrast(
     options = {"alpha": alpha / len(names), "seconds": seconds, "distributions": distributions}
     contrasts: dict[str, Contrast] = {}
     times: dict[str, float] = {}
-    for name, (a, drawn) in _renders_of(names, other, asked, finds).items():
+    for name, (a, drawn) in _renders_of(names, other, asked, finds, render_spp).items():
         begin = time.monotonic()
         found = chdstat.contrast(a, other, **options, **drawn)
         contrasts[name] = replace(found, names=(name, found.names[1])) if drawn else found
@@ -361,10 +362,15 @@ def _is_folder_of_passes(name: str) -> bool:
 
 
 def _renders_of(
-    names: list[str], other: Path | Reference, asked: CommonOptions, finds: float | None
+    names: list[str],
+    other: Path | Reference,
+    asked: CommonOptions,
+    finds: float | None,
+    spp: int | None,
 ) -> dict[str, tuple[Any, dict[str, Any]]]:
     """Return renders by name, each with the options of `contrast` that it takes."""
     from chdstat.inference import Reference
+    from chdstat.inference.references import IMAGES
     from chdstat.rendering import refuse_render
     from chdstat.samples import is_store
 
@@ -372,12 +378,15 @@ def _renders_of(
     seed = {"seed": asked.seed or 0}
     for name in names:
         place = place_of(name)
-        if _is_folder_of_passes(name):
-            found[name] = Reference.read(name), seed
-        elif is_store(name) or is_remote(place) or place.suffix.lower() in _FINISHED:
+        if _is_folder_of_passes(name) or place.suffix.lower() in IMAGES:
+            found[name] = Reference.read(name, spp=spp), seed
+        elif is_store(name) or is_remote(place) or place.suffix == ".zarr":
             found[name] = place, seed
         else:
             found[name] = _draws(asked.scene(name), other, asked, finds)
+    if spp is not None and not any(isinstance(a, Reference) for a, _ in found.values()):
+        message = f"--render-spp is for images, got {', '.join(names)}; leave it out"
+        raise InputError(message)
     if not any(callable(a) for a, _ in found.values()):
         settings = {n: v for n, v in asked.settings.items() if n != "seed"}
         refuse_render(names[0], settings | {"-D": asked.define or None, "--finds": finds})

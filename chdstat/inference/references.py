@@ -30,6 +30,8 @@ SINGLE = 2.0**-22
 """Relative errors of samples in single precision, and of their sums."""
 _SUBNORMAL = 2.0**-25
 """Largest error of half floats that are nearly 0."""
+IMAGES = (".exr", ".pfm")
+"""Suffixes of files of references."""
 BATCHES = 48
 """Batches of a reference. It has thrice as many samples as a test, which has 16 of them then."""
 _FEWEST_BATCHES = 8
@@ -240,7 +242,7 @@ class Reference(Shown):
         if isinstance(image, Reference):
             return image
         if isinstance(image, str | Path):
-            known = Path(image).suffix.lower() in (".exr", ".pfm")
+            known = Path(image).suffix.lower() in IMAGES
             return cls.read(image) if known else None
         if np.ndim(image) == 3 and "sample" not in getattr(image, "dims", ()):
             return cls(image)

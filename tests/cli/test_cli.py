@@ -369,6 +369,9 @@ def test_images_and_passes_are_renders_and_references(run, compared, tmp_path):
     code, out, _ = run("contrast", right, mean, *asked, "--json", "-q")
     found = json.loads(out)
     assert (found["reference"], found["spp"][1]) == ("variance", 96)
+    variance.rename(tmp_path / "mean_var.exr")
+    code, out, _ = run("contrast", mean, reference, "--render-spp", 96, "--json", "-q")
+    assert (code, json.loads(out)["outcome"]) == (0, "no difference found")
 
 
 @pytest.mark.parametrize(
@@ -379,6 +382,7 @@ def test_images_and_passes_are_renders_and_references(run, compared, tmp_path):
         (("RIGHT", "DARK", "REFERENCE", "-o", "page.pdf"), "about one render, got 2"),
         (("RIGHT", "REFERENCE", "--spp", "64"), "spp"),
         (("RIGHT", "REFERENCE", "--finds", ".01"), "--finds"),
+        (("RIGHT", "REFERENCE", "--render-spp", "64"), "--render-spp is for images"),
         (("RIGHT", "REFERENCE", "--junit", "scene.xml"), "scene.xml exists"),
         (("RIGHT", "REFERENCE", "--junit", "found.txt"), ".xml"),
         (("RIGHT", "REFERENCE", "--reference-spp", "64"), "leave out spp"),
