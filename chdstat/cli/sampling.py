@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from chdstat._core.display import percent
 from chdstat._core.files import is_remote
 from chdstat.cli import output
 from chdstat.cli.arguments import (
@@ -274,14 +275,20 @@ def _export_reference(store: Path, target: Path, asked: CommonOptions) -> None:
 def info(store: StorePath, asked: CommonOptions, verify: bool = False) -> None:
     """Describe a store, and say whether it is complete and sound.
 
+    Of a reference, an EXR or PFM file, it says what is known and what no test with it can show.
+
     Parameters
     ----------
     verify : bool
         Read everything and list damaged files.
     """
+    from chdstat.inference.references import IMAGES
     from chdstat.samples import inspect
     from chdstat.samples.samples import provenance
 
+    if store.suffix.lower() in IMAGES:
+        _describe_reference(store, asked)
+        return
     found = inspect(store, verify=verify)
     if asked.as_json:
         output.print_json(found)
@@ -295,6 +302,33 @@ def info(store: StorePath, asked: CommonOptions, verify: bool = False) -> None:
         raise ChdstatError(message)
     if not found["pending_chunks"]:
         output.say_next(asked.quiet, *output.after_render(found, store))
+
+
+def _describe_reference(path: Path, asked: CommonOptions) -> None:
+    """Print what a reference holds, and what it cannot show."""
+    from chdstat.inference import Reference
+
+    found = Reference.read(path)
+    height, width, channels = found.shape
+    noise = {
+        "exact": "unknown",
+        "spp": "unknown, but for its spp",
+        "variance": "by variances of a sample",
+        "batches": f"by means of {0 if found.batches is None else found.batches.shape[-1]} batches",
+    }
+    about = {
+        "size": f"{width} x {height} pixels, {channels} channels",
+        "spp": found.spp,
+        "noise": noise[found.known],
+        "bad samples": None if found.bad is None else percent(float(found.bad.mean())),
+        **found.attrs,
+        "cannot show": list(found.cannot_show),
+    }
+    if asked.as_json:
+        output.print_json(about)
+    else:
+        output.print_table(about | {"cannot show": " ".join(found.cannot_show) or "nothing known"})
+        output.say_next(asked.quiet, ("contrast", "RENDER.zarr", path))
 
 
 def _state(found: Mapping[str, Any]) -> dict[str, str]:

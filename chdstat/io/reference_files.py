@@ -216,6 +216,7 @@ def _of_own(path: Path, found: ExrImage) -> Reference:
         message = f"{path} is a reference of layout {version}, and this chdstat reads {_VERSION}"
         raise StoreError(message)
     text = {name: _parsed(name, value) for name, value in found.attributes.items()}
+    none = np.zeros(found.image.shape[:2], np.float32)
     try:
         return Reference(
             found.image,
@@ -223,7 +224,7 @@ def _of_own(path: Path, found: ExrImage) -> Reference:
             text.get("spp"),
             text.get("precision", 0),
             batches=_batches(found, text),
-            bad=found.extra.get("bad"),
+            bad=found.extra.get("bad", none if "batches" in text else None),
             attrs={name: text[name] for name in _PROVENANCE if name in text},
             limits=tuple(map(str, text.get("limits", ()))),
         )

@@ -374,6 +374,19 @@ def test_images_and_passes_are_renders_and_references(run, compared, tmp_path):
     assert (code, json.loads(out)["outcome"]) == (0, "no difference found")
 
 
+def test_info_says_what_a_reference_cannot_show(run, compared, tmp_path):
+    code, out, err = run("info", compared[2])
+    assert code == 0
+    assert "by means of 48 batches" in out
+    assert "cornell-box" in out
+    assert f"next: chdstat contrast RENDER.zarr {compared[2]}" in err
+    image = write_exr(tmp_path / "a.exr", np.ones((4, 5, 3)))
+    code, out, _ = run("info", image, "--json")
+    found = json.loads(out)
+    assert (code, found["spp"], found["noise"]) == (0, None, "unknown")
+    assert "no noise" in found["cannot show"][0]
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
