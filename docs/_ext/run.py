@@ -16,6 +16,7 @@ import functools
 import io
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,7 @@ from docutils import nodes
 from docutils.parsers.rst import directives
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL.Image import Image
 from sphinx.util.docutils import SphinxDirective
 
 from chdstat.viz import style
@@ -39,17 +41,21 @@ _COLUMNS = "88"
 class Run(SphinxDirective):
     """Show Python, or with the argument ``console`` commands, and their output.
 
-    The output is what was printed, then the value of the last expression: a figure as an image,
-    anything else by its ``repr``. The option ``alt`` describes the image, ``figure`` folds the code
-    below it (``open``: unfolded), ``hide`` leaves it out, ``file`` takes it from a file.
+    The output is what was printed, then the value of the last expression: a picture as an image,
+    the path of a page in a frame, anything else by its ``repr``. The option ``alt`` describes the
+    image, ``figure`` folds the code below it (``open``: unfolded), ``hide`` leaves it out, ``file``
+    takes it from a file. ``files`` names files beside the page that are copied first; ``exit`` is
+    the exit code of a command.
     """
 
     has_content = True
     optional_arguments = 1
     option_spec: ClassVar = {
         "alt": directives.unchanged,
+        "exit": directives.nonnegative_int,
         "figure": directives.unchanged,
         "file": directives.path,
+        "files": directives.unchanged,
         "hide": directives.flag,
     }
 
@@ -60,9 +66,13 @@ class Run(SphinxDirective):
             file = page.parent / self.options["file"]
             self.env.note_dependency(str(file))
             code = file.read_text(encoding="utf-8").rstrip()
+        for name in self.options.get("files", "").split():
+            self.env.note_dependency(str(page.parent / name))
+            shutil.copy(page.parent / name, _folder().name)
         with contextlib.chdir(_folder().name):
             if self.arguments == ["console"]:
-                return [_literal(f"$ {code}", "console"), *_shown(_command(code))]
+                output = _command(code, self.options.get("exit", 0))
+                return [_literal(f"$ {code}", "console"), *_shown(output)]
             new = {"__name__": "__main__", "__file__": str(page)}
             variables = self.env.temp_data.setdefault("run_variables", new)
             printed, value = _execute(code, variables, page.name)
@@ -72,8 +82,10 @@ class Run(SphinxDirective):
         if self.options.keys() & {"figure", "file"}:
             return [self._image(value), *self._folded(code)]
         shown = [_literal(code, "python")]
-        if isinstance(value, Figure):
+        if isinstance(value, Figure | Image):
             return [*shown, *_shown(printed), self._image(value)]
+        if isinstance(value, Path):
+            return [*shown, *_shown(printed), self._page(value)]
         return [*shown, *_shown(printed if value is None else f"{printed}{value!r}")]
 
     def _folded(self, code: str) -> list[nodes.Node]:
@@ -84,13 +96,26 @@ class Run(SphinxDirective):
             f"{textwrap.indent(block, '   ')}"
         )
 
-    def _image(self, figure: Figure) -> nodes.image:
+    def _page(self, page: Path) -> nodes.raw:
+        """Return a frame that shows a page, which is copied to the built documentation."""
+        name = f"{self.env.docname.replace('/', '-')}-{page.name}"
+        (pages := Path(self.env.srcdir, "_run")).mkdir(exist_ok=True)
+        with contextlib.chdir(_folder().name):
+            shutil.copy(page, pages / name)
+        up, title = "../" * self.env.docname.count("/"), self.options.get("alt", page.name)
+        frame = f'<iframe src="{up}_run/{name}" title="{title}" class="page" loading="lazy">'
+        return nodes.raw("", f"{frame}</iframe>", format="html")
+
+    def _image(self, shown: Figure | Image) -> nodes.image:
         serial = self.env.new_serialno("run")
         name = f"{self.env.docname.replace('/', '-')}-{serial}.png"
         path = Path(self.env.srcdir, "_run", name)
         path.parent.mkdir(exist_ok=True)
-        with style():
-            figure.savefig(path, dpi=200)
+        if isinstance(shown, Image):
+            shown.save(path)
+        else:
+            with style():
+                shown.savefig(path, dpi=200)
         return nodes.image(uri=f"/_run/{name}", alt=self.options.get("alt", ""), classes=["result"])
 
 
@@ -105,14 +130,14 @@ def _execute(code: str, variables: dict[str, Any], name: str) -> tuple[str, Any]
     return printed.getvalue(), value
 
 
-def _command(line: str) -> str:
+def _command(line: str, expected: int) -> str:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "COLUMNS": _COLUMNS, "NO_COLOR": "1"}
     done = subprocess.run(  # noqa: S603 - the documentation's own commands
         shlex.split(line), capture_output=True, text=True, env=environment, check=False
     )
-    if done.returncode:
-        message = f"{line}\n{done.stdout}{done.stderr}"
+    if done.returncode != expected:
+        message = f"{line}\n{done.stdout}{done.stderr}exit code {done.returncode}"
         raise RuntimeError(message)
     return done.stdout
 
@@ -130,7 +155,11 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory()
 
 
-def _clean_up(*_: Any) -> None:
+def _clean_up(app: Any, _: Any) -> None:
+    for page in Path(app.srcdir, "_run").glob("*.html"):
+        target = Path(app.outdir, "_run")
+        target.mkdir(exist_ok=True)
+        shutil.copy(page, target)
     _folder().cleanup()
     _folder.cache_clear()
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from docutils import nodes
+from PIL import Image
 from sphinx.testing.util import SphinxTestApp
 
 import chdstat as chd
@@ -161,7 +162,7 @@ def test_commands_on_the_pages_name_tests_that_exist() -> None:
     named = {
         path
         for page in PAGES.values()
-        for path in re.findall(r"\b(?:tests|benchmarks)/[\w/.]+\w", page)
+        for path in re.findall(r"(?<![\w/-])(?:tests|benchmarks)/[\w/.]+\w", page)
     }
     assert len(named) > 15
     assert [name for name in named if not (ROOT / name).exists()] == []
@@ -232,6 +233,27 @@ def test_figures_and_axes_are_shown_as_images(pages):
     )
     (image,) = pages(page).findall(nodes.image)
     assert image["alt"] == "A map."
+
+
+def test_files_beside_the_page_are_there_and_shown(pages, tmp_path):
+    Image.new("RGB", (3, 2)).save(tmp_path / "red.png")
+    page = ".. run::\n   :files: red.png\n\n   from PIL import Image\n   Image.open('red.png')\n"
+    (image,) = pages(page).findall(nodes.image)
+    with Image.open(tmp_path / image["uri"].lstrip("/")) as shown:
+        assert shown.size == (3, 2)
+
+
+def test_pages_that_code_writes_are_shown_in_a_frame(pages, tmp_path):
+    code = "from pathlib import Path\nPath('a.html').write_text('six')\nPath('a.html')"
+    (frame,) = pages(f".. run::\n\n{textwrap.indent(code, '   ')}\n").findall(nodes.raw)
+    source = re.search('src="([^"]+)"', frame.astext())[1]
+    assert Path(tmp_path, "_build", "html", source).read_text() == "six"
+
+
+def test_commands_may_have_another_exit_code(pages):
+    assert texts(pages(".. run:: console\n   :exit: 1\n\n   false\n")) == ["$ false"]
+    with pytest.raises(Exception, match="exit code 0"):
+        pages(".. run:: console\n   :exit: 1\n\n   true\n")
 
 
 @pytest.mark.parametrize("page", [".. run::\n\n   1 / 0\n", ".. run:: console\n\n   false\n"])
