@@ -36,6 +36,7 @@ ELSEWHERE = {
     "python3.11 -m venv": ".ci/run",
     "pip install": ".ci/wheels",
     "sphinx-build": ".ci/run",
+    "pytest --render-update": "tests/docs/test_render_tests.py",
     "study -o study.pdf": "tests/studies/test_study.py",  # the same with every scene
     "fog -o study.pdf": "tests/studies/test_study.py",
     "fog -o two.pdf": "tests/studies/test_study.py",
@@ -44,7 +45,7 @@ ELSEWHERE = {
 }
 SMALL = {
     "bench": "--size 8x8 --reference-spp 16",
-    "render": "--spp 16 --size 12x12 --backend scalar",
+    "render": "--spp 48 --size 12x12 --backend scalar",  # as many as a reference has batches
     "report": "--iterations 2",
     "train": "--iterations 2",
     "compare": "--estimator mean --n 2",
