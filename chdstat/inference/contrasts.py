@@ -610,7 +610,7 @@ def contrasting(
         window_loss=window_loss,
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
-        spp=(pair.spp[0], pair.b.spp if isinstance(pair.b, Reference) else pair.spp[1]),
+        spp=pair.counts,
         spp_range=pair.spp_range,
         reference=pair.b.known if isinstance(pair.b, Reference) else "",
         cannot_show=pair.b.cannot_show if isinstance(pair.b, Reference) else (),
@@ -706,15 +706,17 @@ def _why_not(
         return "", None
     if unseen is not None:
         share, needed = unseen
-        if pair.of_image:
+        if pair.of_image and not all(pair.units):
             why = (
                 f"B has {percent(share)} of its light in pixels where A and its neighbours show "
                 f"none of it in {spp} samples, which may be too rare: render "
             )
             return (f"{why}{needed} of A", needed) if needed > spp else (f"{why}more of A", None)
-        short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
+        short, longer, seen = "A", "B", pair.spp[0]
+        if pair.units[0] > pair.units[1]:
+            short, longer, seen = "B", "A", pair.counts[1] or pair.spp[1]
         why = (
-            f"{longer} has {percent(share)} of its light in samples so rare that {spp} per "
+            f"{longer} has {percent(share)} of its light in samples so rare that {seen} per "
             f"pixel are likely to miss them, and {short} has none: render {needed} of {short}"
         )
         return why, needed

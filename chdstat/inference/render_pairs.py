@@ -188,6 +188,11 @@ class Pair:
                 f"expected as many channels in both, got {a.shape[2]} in A and {b.shape[2]} in B"
             )
             raise InputError(message)
+        if isinstance(b, Reference) and a.attrs.get("seed", b) == b.attrs.get("seed"):
+            warn_caller(
+                f"A was rendered with the seed of the reference, {a.attrs['seed']}: the same "
+                "random numbers hide differences; render A with another seed"
+            )
         renders = [x for x in (a, b) if isinstance(x, Samples)]
         times = [float(x.attrs.get("render_seconds") or np.nan) / x.spp for x in renders]
         if seconds is not None:
@@ -222,6 +227,11 @@ class Pair:
                 fewest = min(of.fewest, most)
                 found.append(str(most) if fewest == most else f"{fewest} to {most}")
         return found[0], found[1]
+
+    @property
+    def counts(self) -> tuple[int, int | None]:
+        """Samples of A and B; None for an image that does not say it."""
+        return self.spp[0], self.b.spp if isinstance(self.b, Reference) else self.spp[1]
 
     @property
     def of_image(self) -> bool:
