@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from chdstat._core.arrays import LUMINANCE, Array, Floats
+from chdstat._core.display import percent
 from chdstat._core.files import is_file
 from chdstat.errors import InputError, StoreError
 from chdstat.inference.references import Reference
@@ -33,6 +34,8 @@ from chdstat.io.sources import readable
 
 _HALF = 2.0**-11
 """Relative rounding error of half floats."""
+_MOST = 0.5
+"""Share of negative values of which an image is not taken for variances."""
 _FILTER = (
     "If its filter is wider than a pixel, it mixes samples of neighbours, and its mean differs."
 )
@@ -63,7 +66,7 @@ def of_image(path: Path, image: ExrImage, variance: str | Path | None) -> Refere
     Raises
     ------
     InputError
-        If variances are given and the file has some, or they are of another size.
+        If variances are given and the file has some, they are of another size, or most are below 0.
     StoreError
         If something is missing or damaged.
     """
@@ -174,6 +177,12 @@ def _of_pair(path: Path, image: ExrImage, variance: Path) -> Reference:
         raise InputError(message)
     kind = _MITSUBA.fullmatch(path.stem)
     if kind is None or held.shape[2] != 3:
+        if (held < 0).mean() > _MOST:  # a few are rounding errors
+            message = (
+                f"expected variances of a sample in {variance}, got {percent((held < 0).mean())} "
+                "negative values"
+            )
+            raise InputError(message)
         return _alone(image, held)
     to_xyz = np.linalg.inv(from_xyz()).T
     xyz = np.maximum(held @ to_xyz, 0)

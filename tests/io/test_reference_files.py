@@ -213,3 +213,17 @@ def test_what_a_file_says_is_not_given_again(tmp_path):
     for options in ({"spp": 48}, {"variance": path}):
         with pytest.raises(InputError, match=next(iter(options))):
             Reference.read(path, **options)
+
+
+def test_a_contrast_with_a_file_is_that_in_memory(tmp_path):
+    """Rounded batches move p-values by less than the permutations themselves do."""
+    rng = np.random.default_rng(4)
+    samples = rng.gamma(0.3, size=(16, 16, 3, 384)).astype(np.float32)
+    reference = Reference.of_samples(samples[..., 96:])
+    for light in (1, 0.8):
+        one = chd.contrast(light * samples[..., :96], reference)
+        other = chd.contrast(light * samples[..., :96], through(reference, tmp_path))
+        assert other.outcome == one.outcome
+        assert other.image_p_value == pytest.approx(one.image_p_value, rel=0.2)
+        assert other.detectable == pytest.approx(one.detectable, rel=0.02)
+        np.testing.assert_allclose(other.p_value, one.p_value, atol=0.02, rtol=0.05)
