@@ -110,7 +110,7 @@ class _Tile(NamedTuple):
     """Equal passes in a tile.
 
     `surprise` is minus the log probability that they are equal by chance. `rough` is how much
-    neighbouring pixels differ. `always` is whether all passes are equal.
+    pixels differ from their neighbours. `always` is whether all passes are equal.
     """
 
     y: int
@@ -198,7 +198,12 @@ class _Repeats(NamedTuple):
                 f"ignored its seed, or one file was copied: {_ADVICE}"
             )
         least = _SURPRISE + np.log(self.looked * number**2)
-        sure = [t for t in self.tiles if t.surprise > least or t.rough >= _ROUGH * self.noise]
+        # Where passes differ, roughness may be that of things; only their surprise counts.
+        sure = [
+            t
+            for t in self.tiles
+            if t.surprise > least or (t.always and t.rough >= _ROUGH * self.noise)
+        ]
         surely = {number for tile in sure for number in tile.equal}
         _, firsts, of_hash = np.unique(self.whole, return_index=True, return_inverse=True)
         first = firsts[of_hash].tolist()
@@ -253,14 +258,21 @@ def _verdict(tile: Image, y: int, x: int) -> Iterator[_Tile]:
             continue
         same = (tile[kept] == image[kept][..., np.newaxis]) | np.isnan(image[kept])[..., np.newaxis]
         share = same.all(axis=1).mean(axis=-1)
-        rough = _difference(
-            *(
-                np.concatenate([a.reshape(-1, a.shape[2]) for a in beside])
-                for beside in ((image[1:], image[:, 1:]), (image[:-1], image[:, :-1]))
-            )
-        )
+        rough = _roughness(image)
         equals = tuple(map(int, equal))
         yield _Tile(y, x, equals, float(-np.log(share).sum()), rough, len(values) == 1)
+
+
+def _roughness(image: Image) -> float:
+    """Return how much pixels differ from the mean of those on both sides: 0 for smooth shading."""
+    middle, around = (
+        np.concatenate([x.reshape(-1, image.shape[2]) for x in of_both])
+        for of_both in (
+            (image[1:-1], image[:, 1:-1]),
+            ((image[:-2] + image[2:]) / 2, (image[:, :-2] + image[:, 2:]) / 2),
+        )
+    )
+    return _difference(middle, around)
 
 
 def _difference(one: Image, other: Image) -> float:
