@@ -310,7 +310,7 @@ class _Crossing:
         tail = -np.expm1(np.log1p(-np.exp(self.log_p)) / windows) / 2
         z = found = float(-special.ndtri(tail))
         for _ in range(_STEPS):
-            found = z * (1 + found**2 / (self.count - 1)) ** self.power
+            found = z * (1 + found**2 / max(self.count - 1, 1)) ** self.power
         return found
 
 
