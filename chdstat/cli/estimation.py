@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from chdstat._core.arrays import warn_caller
 from chdstat._core.display import number, percent
 from chdstat._core.files import is_remote, place_of
 from chdstat.cli import output
@@ -415,7 +418,15 @@ def _draws(
     spp = asked.spp or (held.spp // _OF_A_RENDER if held.spp else _UNKNOWN_SPP)
     settings = asked.settings | {"size": (width, height), "spp": spp, "seed": seed}
     batch = min(BATCH, max(1, spp // 4))  # so that it can be looked at after a quarter
-    batches = iter(render_batches(scene, batch=batch, progress=asked.progress, **settings))
+    rendering = render_batches(scene, batch=batch, progress=asked.progress, **settings)
+    one, their = (attrs.get("integrator") for attrs in (rendering.attrs, held.attrs))
+    if their and one != their:
+        told = partial(json.dumps, sort_keys=True)
+        warn_caller(
+            f"{scene.name} is drawn by the integrator {told(one)}, and the reference was by "
+            f"{told(their)}: their means differ if these do"
+        )
+    batches = iter(rendering)
     return lambda _: next(batches), {"spp": spp, "seed": seed, "finds": finds}
 
 

@@ -19,6 +19,7 @@ from typer.main import get_command
 import chdstat as chd
 import chdstat.samples
 from chdstat.cli import arguments, main, output, program
+from chdstat.errors import InputWarning
 from chdstat.inference import Reference
 from chdstat.io import write_exr, write_reference
 from chdstat.rendering.jobs import SETTINGS
@@ -344,7 +345,8 @@ def test_a_scene_is_drawn_until_it_tells(run, compared):
     found = json.loads(out)
     assert (code, found["outcome"], found["spp"][0]) == (0, "no difference found", 64)
     assert found["a"] == "cornell-box"
-    code, out, _ = run(*asked, "--spp", 128, "--max-depth", 1)
+    with pytest.warns(InputWarning, match=r'drawn by the integrator \{"max_depth": 1.*_depth": 8'):
+        code, out, _ = run(*asked, "--spp", 128, "--max-depth", 1)
     assert code == 3
     assert json.loads(out)["spp"][0] < 128
     code, _, err = run(*asked, "--seed", 3)
