@@ -370,3 +370,77 @@ def test_cost_against_that_of_rendering(as_benchmark):
             flush=True,
         )
     assert max(shares) < 0.1
+
+
+# --- samples drawn as needed ----------------------------------------------------------------------
+
+MOST = 64
+"""Largest number of samples that a function draws."""
+RUNS = int(os.environ.get("CHDSTAT_RUNS", "500"))
+DRAWN: dict[str, Draw] = {
+    "gamma": _gamma,
+    "fireflies, 1 of 2000 x 1000": _fireflies(1 / 2000, 1000),
+    "90 % nulls": _nulls(0.9),
+    "log-normal, sigma 1.5": lambda rng, size: rng.lognormal(0, 1.5, size) * _level(*size[:2]),
+}
+
+
+def _drawing(kind: str, seed: int, loss: float = 0) -> tuple[Callable, chd.inference.Reference]:
+    """Return a function that draws one sample of each pixel from a seed, and a reference."""
+    size = (24, 24, 3)
+    rng = np.random.default_rng([seed, *map(ord, kind)])
+    reference = DRAWN[kind](rng, (*size, 3 * MOST)).astype(np.float32)
+
+    def draw(number: int) -> np.ndarray:
+        own = np.random.default_rng([number, seed, *map(ord, kind)])
+        return ((1 - loss) * DRAWN[kind](own, (*size, 1))).astype(np.float32)
+
+    return draw, chd.inference.Reference.of_samples(reference)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.InputWarning")  # few samples without any noise
+def test_samples_drawn_as_needed_keep_alpha(as_benchmark):
+    """At most .05 of the right renders differ, surely, and of each kind not surely more."""
+    total = 0
+    print()
+    for kind in DRAWN:
+        runs = RUNS // len(DRAWN)
+        p = np.array(
+            [
+                chd.contrast(*_drawing(kind, seed), spp=MOST, alpha=0.05, seed=seed).image_p_value
+                for seed in range(runs)
+            ]
+        )
+        total += int((p <= 0.05).sum())
+        line = f"{kind:32}{runs:4}{_shares(p)}{int((p <= 0.05).sum()):9} differ"
+        print(line, flush=True)
+        _check(p, line)
+    assert total <= 0.05 * RUNS
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.InputWarning")
+def test_samples_drawn_as_needed_for_clear_differences(as_benchmark):
+    """Losses of 2 to 4 times the smallest that all samples find take at most half of them."""
+    print(f"\n{'loss over the smallest':32}  used   found")
+    used: list[float] = []
+    for kind in DRAWN:
+        for factor in (2, 3, 4):
+            spent, hits = [], 0
+            for seed in range(max(5, RUNS // 50)):
+                draw, reference = _drawing(kind, seed)
+                every = np.concatenate([draw(number) for number in range(MOST)], axis=-1)
+                loss = factor * chd.contrast(every, reference, alpha=0.05).detectable["image"]
+                if not loss < 1:
+                    continue
+                found = chd.contrast(
+                    _drawing(kind, seed, loss)[0], reference, spp=MOST, alpha=0.05, seed=0
+                )
+                spent.append(found.spp[0] / MOST)
+                hits += found.outcome == "differ"
+            if spent:
+                print(
+                    f"{kind:28}{factor:4}{np.mean(spent):6.2f}{hits / len(spent):8.2f}", flush=True
+                )
+                used += spent
+    print(f"all: {np.mean(used):.2f}")
+    assert np.mean(used) <= 0.5
