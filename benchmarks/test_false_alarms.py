@@ -31,6 +31,7 @@ from benchmarks.render_pools import (
     pools,
     sources,
 )
+from chdstat.inference import Contrast, Reference
 
 ALPHA = 0.01
 LEVELS = np.array([0.1, 0.01, 1e-3, 1e-4])
@@ -64,9 +65,6 @@ class Pool:
         self.parts = [np.load(path) for path in pools()[name]]
         self.size = batch_size(*self.parts[0].shape[:2])
 
-    def samples(self, batches: np.ndarray) -> chd.Samples:
-        return chd.Samples.from_array(batches, averaged=self.size)
-
     def draw(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the batches of a test and of its reference."""
         rng = np.random.default_rng([seed, *map(ord, self.name)])
@@ -76,10 +74,15 @@ class Pool:
         both = _some(rng, self.parts[rng.integers(len(self.parts))], TEST + REFERENCE)
         return both[..., :TEST], both[..., TEST:]
 
-    def contrast(
-        self, test: np.ndarray, reference: np.ndarray, **options
-    ) -> chd.inference.Contrast:
-        return chd.contrast(self.samples(test), self.samples(reference), **options)
+    def contrast(self, test: np.ndarray, reference: np.ndarray, **options) -> Contrast:
+        return _contrast(test, reference, self.size, **options)
+
+
+def _contrast(test: np.ndarray, reference: np.ndarray, size: int, **options) -> Contrast:
+    """Contrast batches of so many samples with those of a reference."""
+    spp = size * reference.shape[-1]
+    known = Reference(reference.mean(axis=-1, dtype=float), None, spp, 0, batches=reference)
+    return chd.contrast(chd.Samples.from_array(test, averaged=size), known, **options)
 
 
 def _some(rng: np.random.Generator, batches: np.ndarray, count: int) -> np.ndarray:
@@ -87,7 +90,7 @@ def _some(rng: np.random.Generator, batches: np.ndarray, count: int) -> np.ndarr
 
 
 def right() -> list[str]:
-    """Return the scenes that have pools, but for an image whose tests would take most of the time."""
+    """Return the scenes that have pools, but for one whose large images would take all the time."""
     return [name for name in sources() if name in pools() and name != "various_shapes_path"]
 
 
@@ -252,16 +255,10 @@ def test_p_values_of_other_kinds(as_benchmark, kind):
     p, differ = np.ones(draws), 0
     for seed in range(draws):
         rng = np.random.default_rng([seed, *map(ord, kind)])
-        a, b = (
-            chd.Samples.from_array(
-                np.stack(
-                    [draw(rng, (*size, each)).mean(axis=-1) for _ in range(count)], axis=-1
-                ).astype(np.float32),
-                averaged=each,
-            )
-            for count in (TEST, REFERENCE)
-        )
-        found = chd.contrast(a, b, alpha=ALPHA, seed=seed)
+        x = np.stack(
+            [draw(rng, (*size, each)).mean(axis=-1) for _ in range(TEST + REFERENCE)], axis=-1
+        ).astype(np.float32)
+        found = _contrast(x[..., :TEST], x[..., TEST:], each, alpha=ALPHA, seed=seed)
         p[seed], differ = found.image_p_value, differ + (found.outcome == "differ")
     line = f"{kind:32}{draws:4}{_shares(p)}{differ:9} differ"
     print(f"\n{line}", flush=True)
@@ -335,11 +332,10 @@ def _cost(scene: str, edge: int, spp: int) -> tuple[float, float]:
     reference = test.mean(axis=-1, keepdims=True) + spread * rng.normal(
         size=(*test.shape[:3], REFERENCE)
     )
-    a = chd.Samples.from_array(test, averaged=each)
-    b = chd.Samples.from_array(reference.astype(np.float32), averaged=each)
-    chd.contrast(a.isel(y=slice(8), x=slice(8)), b.isel(y=slice(8), x=slice(8)))  # imports
+    reference = reference.astype(np.float32)
+    _contrast(test[:8, :8], reference[:8, :8], each)  # imports
     start = time.process_time()
-    chd.contrast(a, b, alpha=ALPHA / 40)
+    _contrast(test, reference, each, alpha=ALPHA / 40)
     return render, time.process_time() - start
 
 
@@ -375,7 +371,7 @@ DRAWN: dict[str, Draw] = {
 }
 
 
-def _drawing(kind: str, seed: int, loss: float = 0) -> tuple[Callable, chd.inference.Reference]:
+def _drawing(kind: str, seed: int, loss: float = 0) -> tuple[Callable, Reference]:
     """Return a function that draws one sample of each pixel from a seed, and a reference."""
     size = (24, 24, 3)
     rng = np.random.default_rng([seed, *map(ord, kind)])
@@ -385,7 +381,7 @@ def _drawing(kind: str, seed: int, loss: float = 0) -> tuple[Callable, chd.infer
         own = np.random.default_rng([number, seed, *map(ord, kind)])
         return ((1 - loss) * DRAWN[kind](own, (*size, 1))).astype(np.float32)
 
-    return draw, chd.inference.Reference.of_samples(reference)
+    return draw, Reference.of_samples(reference)
 
 
 def test_samples_drawn_as_needed_keep_alpha(as_benchmark):
