@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -46,7 +46,7 @@ _CONTRASTED = {
     "outcome": "outcome",
     "p": "p",
     "loss": "B darker by",
-    "smallest_loss_image": "would have found in the image",
+    "smallest_loss_image": "finds in the image",
     "smallest_loss_tenth": "in a tenth",
 }
 """Columns of the table of contrasts."""
@@ -320,8 +320,11 @@ def contrast(
     times: dict[str, float] = {}
     for name, (a, drawn) in _renders_of(names, other, asked, finds, render_spp).items():
         begin = time.monotonic()
-        found = chdstat.contrast(a, other, **options, **drawn)
-        contrasts[name] = replace(found, names=(name, found.names[1])) if drawn else found
+        with closing(a) if isinstance(a, _Drawn) else nullcontext():
+            found = chdstat.contrast(a, other, **options, **drawn)
+        contrasts[name] = (
+            replace(found, names=(name, found.names[1])) if isinstance(a, _Drawn) else found
+        )
         times[name] = time.monotonic() - begin
     together = Contrasts(contrasts, alpha)
     if page is not None:
@@ -390,7 +393,7 @@ def _renders_of(
     if spp is not None and not any(isinstance(a, Reference) for a, _ in found.values()):
         message = f"--render-spp is for images, got {', '.join(names)}; leave it out"
         raise InputError(message)
-    if not any(callable(a) for a, _ in found.values()):
+    if not any(isinstance(a, _Drawn) for a, _ in found.values()):
         settings = {n: v for n, v in asked.settings.items() if n != "seed"}
         refuse_render(names[0], settings | {"-D": asked.define or None, "--finds": finds})
     return found
@@ -398,7 +401,7 @@ def _renders_of(
 
 def _draws(
     scene: Scene, other: Path | Reference, asked: CommonOptions, finds: float | None
-) -> tuple[Callable[[int], Image], dict[str, Any]]:
+) -> tuple[_Drawn, dict[str, Any]]:
     """Return what draws samples of a scene at the size of a reference, and the options for it."""
     import chdstat
     from chdstat.inference import Reference
@@ -426,8 +429,22 @@ def _draws(
             f"{scene.name} is drawn by the integrator {told(one)}, and the reference was by "
             f"{told(their)}: their means differ if these do"
         )
-    batches = iter(rendering)
-    return lambda _: next(batches), {"spp": spp, "seed": seed, "finds": finds}
+    return _Drawn(rendering), {"spp": spp, "seed": seed, "finds": finds}
+
+
+class _Drawn:
+    """Draws the batches of a render, one after the other; its seed is that of the render."""
+
+    def __init__(self, rendering: Rendering) -> None:
+        self._batches: Any = iter(rendering)
+
+    def __call__(self, seed: int) -> Image:  # noqa: ARG002
+        batch: Image = next(self._batches)
+        return batch
+
+    def close(self) -> None:
+        """End the render, and its progress bar."""
+        self._batches.close()
 
 
 def _print_contrasts(found: Contrasts, asked: CommonOptions) -> None:
