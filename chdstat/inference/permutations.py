@@ -56,7 +56,7 @@ def p_of_signs(d: Reals) -> Floats:
 
     References
     ----------
-    Daniels, "Discussion of the paper by G.E.P. Box and S.L. Andersen", 1955, and "Tail probability
+    Daniels, "Discussion of the paper by G.E.P. Box and S.L. Andersen", 1955, and "PermutationTail probability
     approximations", 1987, doi:10.2307/1403269. Robinson, "Saddlepoint approximations for
     permutation tests and confidence intervals", 1982, doi:10.1111/j.2517-6161.1982.tb01191.x.
 
@@ -417,7 +417,7 @@ class Shuffles:
 
 
 @dataclass(frozen=True)
-class Tail:
+class PermutationTail:
     """What shuffles say of large statistics: an exponential or heavier tail beyond a border.
 
     A generalised Pareto distribution is fitted to the largest fifth of the shuffles. A tail lighter
@@ -446,7 +446,7 @@ class Tail:
 
     @classmethod
     @np.errstate(all="ignore")
-    def of(cls, shuffled: Reals) -> Tail:
+    def of(cls, shuffled: Reals) -> PermutationTail:
         """Fit the tails of statistics under the hypothesis, shape (row, shuffle)."""
         count = shuffled.shape[1]
         kept = max(_EXCEEDING, int(_TAIL * count))
@@ -487,7 +487,7 @@ def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     ndarray
         (b + 1) / (B + 1), where b of B shuffles are at least as large. That is too coarse for
         thousands of pixels, or for small levels. If b < 10, it is the share beyond the statistic in
-        the `Tail` of the shuffles, if that is smaller.
+        the `PermutationTail` of the shuffles, if that is smaller.
 
     Examples
     --------
@@ -500,12 +500,12 @@ def p_of_tail(statistic: Reals, shuffled: Reals) -> Floats:
     exceeding = (shuffled >= (statistic * (1 - 1e-5))[:, np.newaxis]).sum(axis=1)
     p = np.asarray((exceeding + 1) / (shuffled.shape[1] + 1), np.float64)
     few = np.flatnonzero(exceeding < _EXCEEDING)
-    p[few] = np.minimum(p[few], Tail.of(shuffled[few]).beyond(statistic[few]))
+    p[few] = np.minimum(p[few], PermutationTail.of(shuffled[few]).beyond(statistic[few]))
     return p
 
 
 def quantile_of_tail(shuffled: Reals, share: float) -> Floats:
     """Return the statistics whose p-values by `p_of_tail` are about `share`, shape (row,)."""
     if share * shuffled.shape[1] < _EXCEEDING:
-        return Tail.of(shuffled).quantile(share)
+        return PermutationTail.of(shuffled).quantile(share)
     return np.asarray(np.quantile(shuffled, 1 - share, axis=1))

@@ -8,7 +8,7 @@ from scipy import stats
 
 from chdstat.errors import InputError, InputWarning
 from chdstat.inference import Contrast, Contrasts, Reference, contrast
-from chdstat.inference.permutations import Tail, p_of_tail, quantile_of_tail
+from chdstat.inference.permutations import PermutationTail, p_of_tail, quantile_of_tail
 from chdstat.samples import Samples
 
 EDGE = 16
@@ -54,7 +54,7 @@ def test_quantiles_of_tails_have_their_p_values(share):
 
 def test_tails_heavier_than_exponentials_stay_so():
     shuffled = stats.genpareto(0.5).rvs((50, 499), random_state=3)
-    assert (Tail.of(shuffled).k < -0.1).mean() > 0.9
+    assert (PermutationTail.of(shuffled).k < -0.1).mean() > 0.9
 
 
 # --- references with batches ----------------------------------------------------------------------
