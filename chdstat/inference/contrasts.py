@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-RenderLike: TypeAlias = ImageLike | Reference | npt.ArrayLike
+_RenderLike: TypeAlias = ImageLike | Reference | npt.ArrayLike
 """A render, or an image without samples."""
 Draw: TypeAlias = Callable[[int], npt.ArrayLike]
 """Returns samples of every pixel from a seed, shape (y, x, channel) or (y, x, channel, sample)."""
@@ -429,12 +429,12 @@ class _Options(TypedDict, total=False):
 
 
 @overload
-def contrast(a: Mapping[str, Any], b: RenderLike, **options: Unpack[_Options]) -> Contrasts: ...
+def contrast(a: Mapping[str, Any], b: _RenderLike, **options: Unpack[_Options]) -> Contrasts: ...
 @overload
-def contrast(a: RenderLike | Draw, b: RenderLike, **options: Unpack[_Options]) -> Contrast: ...
+def contrast(a: _RenderLike | Draw, b: _RenderLike, **options: Unpack[_Options]) -> Contrast: ...
 def contrast(
-    a: RenderLike | Draw | Mapping[str, Any],
-    b: RenderLike,
+    a: _RenderLike | Draw | Mapping[str, Any],
+    b: _RenderLike,
     *,
     alpha: float = 0.05,
     spp: int | None = None,
@@ -561,8 +561,8 @@ def contrast(
 
 
 def contrasting(
-    a: RenderLike,
-    b: RenderLike,
+    a: _RenderLike,
+    b: _RenderLike,
     *,
     alpha: float = 0.05,
     seconds: float | None = None,
@@ -623,7 +623,7 @@ def contrasting(
 
 def _drawing(
     draw: Draw,
-    b: RenderLike,
+    b: _RenderLike,
     *,
     alpha: float,
     spp: int | None,

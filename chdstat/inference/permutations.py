@@ -56,7 +56,7 @@ def p_of_signs(d: Reals) -> Floats:
 
     References
     ----------
-    Daniels, "Discussion of the paper by G.E.P. Box and S.L. Andersen", 1955, and "PermutationTail probability
+    Daniels, "Discussion of the paper by G.E.P. Box and S.L. Andersen", 1955, and "Tail probability
     approximations", 1987, doi:10.2307/1403269. Robinson, "Saddlepoint approximations for
     permutation tests and confidence intervals", 1982, doi:10.1111/j.2517-6161.1982.tb01191.x.
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 import numpy as np
-from scipy import ndimage, sparse, special
+from scipy import ndimage, sparse, special, stats
 
 from chdstat._core.arrays import Array, Floats, Image, Mask, Reals, Seed, generator
 from chdstat.inference.permutations import log_choices, p_of_tail, quantile_of_tail
@@ -298,11 +298,14 @@ class _Crossing:
     power
         Power of that sum of squares which divides the sum: 1/2 for terms; 1/3 for units, whose
         standard error is only in part that of all of them (`_divided`).
+    freedom
+        Degrees of freedom of Welch's test, which must agree.
     """
 
     log_p: float
     count: int
     power: float
+    freedom: float = np.inf
 
     @np.errstate(all="ignore")
     def __call__(self, windows: float) -> float:
@@ -311,7 +314,7 @@ class _Crossing:
         z = found = float(-special.ndtri(tail))
         for _ in range(_STEPS):
             found = z * (1 + found**2 / max(self.count - 1, 1)) ** self.power
-        return found
+        return max(found, float(stats.t.isf(tail, self.freedom)))
 
 
 @dataclass(frozen=True)
@@ -400,7 +403,7 @@ def scan_windows(
     With units, random divisions of the units of both renders are compared, too. Divisions are exact
     for renders of one distribution; flips are right for many samples if only the means agree. The
     larger p-value counts. Against a reference, fewer than 32 terms have no flips that are rare
-    enough: then divisions decide alone.
+    enough: then divisions decide, as far as Welch's test agrees.
 
     `alpha` is the level at which losses are found, `seed` the seed of flips and divisions. P-values
     below those of all flips are those of the tail fitted to them. Yields what is being done, and
@@ -419,6 +422,7 @@ def scan_windows(
     flips = (1.0 - 2.0 * generator(seed).integers(0, 2, (_FLIPS + 1, terms))).astype(np.float32)
     flips[0] = 1
     divisions = None if cells.units is None else _divisions(cells, seed)
+    alone = divisions is not None and cells.slack is not None and terms < FEWEST_FLIPS
     # Powers of 2, and the whole image last.
     edges = [*(2**i for i in range(8) if 2**i < max(size)), max(size)]
     scores, of_divisions, places, losses = [], [], [], []
@@ -438,7 +442,8 @@ def scan_windows(
                 done += 1
                 independent = []
                 if divisions is not None:
-                    divided = _divided(divisions, window_sums(units, edge)[0]).max(axis=1)
+                    sums = window_sums(units, edge)[0]
+                    divided = _divided(divisions, sums, alone=alone).max(axis=1)
                     independent.append(_independent(divided[1:]))
                     of_divisions.append(_log_p(divided, independent[0]))
                 found = _largest(values, mean[band], light, edge, flips, moved)
@@ -454,14 +459,15 @@ def scan_windows(
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
     _, band, (y, x), edge = max(places)
     p_values, tests = [], []
-    if terms >= FEWEST_FLIPS or divisions is None or cells.slack is None:
+    if not alone:
         p, critical = _of_all(scores, np.log(2) * (terms - 1), alpha)
         p_values, tests = [p], [_Crossing(critical, terms, 1 / 2)]
     if divisions is not None:
         count = units.shape[-1]
         choices = log_choices(np.array(count), np.array(cells.short))
         p, critical = _of_all(of_divisions, float(choices), alpha)
-        p_values, tests = [*p_values, p], [*tests, _Crossing(critical, count, 1 / 3)]
+        p_values.append(p)
+        tests.append(_Crossing(critical, count, 1 / 3, _freedom(cells) if alone else np.inf))
     for loss in losses:
         del loss.windows[: -len(tests)]
     return WindowTest(
@@ -610,12 +616,21 @@ def _divisions(cells: Cells, seed: Seed) -> sparse.csr_matrix:
     )
 
 
-def _divided(divisions: sparse.csr_matrix, sums: Array) -> Array:
+@np.errstate(all="ignore")
+def _divided(divisions: sparse.csr_matrix, sums: Array, *, alone: bool) -> Array:
     """Return sizes of differences between both groups of units (y, x, unit), for each division.
 
     They are divided by a standard error: the geometric mean of Welch's, with weight 1/3, and that
     of all units. For skewed samples, Welch's gives the ratio twice the skewness that the other
     gives it, with the opposite sign.
+
+    If nothing else looks at the means, the real division is at most as unlikely as by Welch's test,
+    since the groups may have other variances.
+
+    References
+    ----------
+    Welch, "The generalization of 'Student's' problem when several different population variances
+    are involved", 1947, doi:10.1093/biomet/34.1-2.28.
     """
     x = sums.reshape(-1, sums.shape[-1])
     x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), _TINY)).astype(np.float32)
@@ -626,14 +641,29 @@ def _divided(divisions: sparse.csr_matrix, sums: Array) -> Array:
         np.asarray(divisions @ np.ascontiguousarray(y.T), dtype=float) for y in (x, x * x)
     )
     other = total - one
-    welch = sum(
+    welch = [
         np.maximum(s - t**2 / k, 0) / max(k - 1, 1) / k
         for s, t, k in zip((squares, square - squares), (one, other), n, strict=True)
-    )
+    ]
     pooled = (square - total**2 / sum(n)) / (sum(n) - 1) * (1 / n[0] + 1 / n[1])
     pooled = np.where(pooled > 0, pooled, 1)
-    ratio = np.maximum(welch / pooled, _ROUNDING) ** (1 / 3)
-    return np.asarray(np.abs(one / n[0] - other / n[1]) / np.sqrt(pooled * ratio))
+    ratio = np.maximum(sum(welch) / pooled, _ROUNDING) ** (1 / 3)
+    size = np.abs(one / n[0] - other / n[1])
+    found = size / np.sqrt(pooled * ratio)
+    if alone:
+        a, b = (of[0] for of in welch)
+        freedom = (a + b) ** 2 / (a**2 / max(n[0] - 1, 1) + b**2 / max(n[1] - 1, 1))
+        normal = -special.ndtri(special.stdtr(freedom, -size[0] / np.sqrt(a + b)))
+        found[0] = np.fmin(found[0], normal)
+    return np.asarray(found)
+
+
+def _freedom(cells: Cells) -> float:
+    """Return the degrees of freedom of Welch's test, if both groups have the same variance."""
+    assert cells.units is not None
+    n = cells.short, cells.units.shape[-1] - cells.short
+    squares = sum((1 / k) ** 2 / max(k - 1, 1) for k in n)
+    return float((1 / n[0] + 1 / n[1]) ** 2 / squares)
 
 
 @np.errstate(all="ignore")
