@@ -22,10 +22,9 @@ from chdstat.errors import InputError, StoreError, check_probability
 from chdstat.inference import Contrast, contrast
 from chdstat.inference.references import BATCHES, Reference
 from chdstat.io import write_reference
-from chdstat.render_tests.draws import OF_TEST, Render, Seeds, render_of
+from chdstat.render_tests.draws import OF_TEST, Render, Seeds, render_of, unlike
 from chdstat.render_tests.pages import make_folder, numbers_of, thumbnails, write_page
 from chdstat.render_tests.verdicts import PASSED, Outcome, Question, RenderVerdict
-from chdstat.samples import Samples
 
 _SIDES = (r"\b(?:render )?A\b", r"\b(?:render )?B\b")
 
@@ -59,15 +58,14 @@ def _check(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict,
             message = f"give spp=: {asked.reference} does not say how many samples it has"
             raise InputError(message)
         spp = max(1, reference.spp // OF_TEST)
-    passes = map(seeds.of_test, count())
-    samples = drawn.look(spp, passes)
-    _check_shape(samples.shape, reference, asked)
-    if not drawn.again and _same(samples, reference):
+    if not drawn.again and _same(drawn, reference):
         sentence = "its samples are those of the reference: nothing has changed"
-        return _verdict(asked, "no difference found", sentence, reference, 1, samples.spp), None
-    found, looks = contrast(samples, reference, alpha=asked.alpha), 1
+        return _verdict(asked, "no difference found", sentence, reference, 1, reference.spp), None
+    passes, looks = map(seeds.of_test, count()), 1
+    options = {"alpha": asked.alpha, "finds": asked.finds}
+    found = drawn.compare(reference, spp, passes, **options)
     if drawn.again and spp is not None and _outcome(found, asked) not in (*PASSED, "too weak"):
-        found, looks = contrast(drawn.look(2 * spp, passes), reference, alpha=asked.alpha), 2
+        found, looks = drawn.compare(reference, 2 * spp, passes, **options), 2
     outcome = _outcome(found, asked)
     said = _in_words(found, "the render", "the reference")
     if outcome == "too weak":
@@ -163,22 +161,13 @@ def _read(asked: Question) -> Reference:
         raise StoreError(message) from error
 
 
-def _check_shape(shape: tuple[int, ...], reference: Reference, asked: Question) -> None:
-    if shape[:3] != reference.shape:
-        one, other = (f"{w} x {h} pixels, {c} channels" for h, w, c in (shape[:3], reference.shape))
-        message = (
-            f"{asked.name}: the render has {one}, and its reference {other}: render it as before, "
-            "or renew the reference with pytest --render-update"
-        )
-        raise InputError(message)
-
-
-def _same(samples: Samples, reference: Reference) -> bool:
+def _same(drawn: Render, reference: Reference) -> bool:
     """Return whether a reference was made of these very samples."""
-    if reference.batches is None or samples.spp < reference.batches.shape[-1]:
+    try:
+        own = drawn.reference(None, iter(()))
+    except InputError:  # too few for a reference
         return False
-    own = Reference.of_samples(samples, batches=reference.batches.shape[-1])
-    return own.spp == reference.spp and _equal(own, reference)
+    return own.spp == reference.spp and own.shape == reference.shape and _equal(own, reference)
 
 
 def _equal(one: Reference, other: Reference) -> bool:
@@ -233,11 +222,11 @@ def _renewed(
 ) -> tuple[Outcome, str, Contrast | None]:
     """Return whether a reference takes the place of another one, and why."""
     if new.shape != old.shape:
-        one, other = (f"{w} x {h} pixels, {c} channels" for h, w, c in (new.shape, old.shape))
-        return "replaced", f"it had {other}, and now has {one}", None
+        said = unlike("the new render has", new.shape, old.shape, "in the old reference")
+        return "replaced", said, None
     if _equal(new, old) and new.spp == old.spp:
         return "kept", "the samples are the same: nothing has changed", None
-    found = contrast(_as_samples(new), old, alpha=asked.alpha)
+    found = contrast(new, old, alpha=asked.alpha)
     said = _in_words(found, "the new render", "the old reference")
     if found.outcome == "differ":
         return "replaced", said, found
@@ -247,11 +236,3 @@ def _renewed(
     if old.spp is None or old.batches is None or (new.spp or 0) > old.spp:
         return "replaced", f"it now has {new.spp} samples per pixel. {said}", found
     return "kept", said, found
-
-
-def _as_samples(reference: Reference) -> Samples:
-    batches = reference.batches
-    if batches is None or reference.spp is None:
-        message = "expected a reference with batches"
-        raise InputError(message)
-    return Samples.from_array(batches, averaged=reference.spp // batches.shape[-1])

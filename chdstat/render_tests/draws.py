@@ -16,6 +16,7 @@ import hashlib
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -25,6 +26,7 @@ from chdstat._core.arrays import Array, Image, is_bad
 from chdstat._core.display import channel_names
 from chdstat._core.files import is_exr, is_path, place_of
 from chdstat.errors import InputError, InputWarning, brief
+from chdstat.inference import Contrast, contrast
 from chdstat.inference.references import BATCHES, Reference
 from chdstat.samples import Samples, is_store, samples_of
 from chdstat.samples.samples import single
@@ -74,8 +76,10 @@ class Render(Protocol):
     again: ClassVar[bool]
     """Whether other samples can be drawn."""
 
-    def look(self, spp: int | None, seeds: Iterator[int]) -> Samples:
-        """Return samples for a look, drawn with the next seeds."""
+    def compare(
+        self, reference: Reference, spp: int | None, seeds: Iterator[int], **options: Any
+    ) -> Contrast:
+        """Return its contrast with a reference, from samples drawn with the next seeds."""
         ...
 
     def reference(self, spp: int | None, seeds: Iterator[int]) -> Reference:
@@ -142,10 +146,16 @@ class _Fixed:
     samples: Samples
     again: ClassVar[bool] = False
 
-    def look(self, spp: int | None, seeds: Iterator[int]) -> Samples:  # noqa: ARG002
-        """Return them."""
+    def compare(
+        self,
+        reference: Reference,
+        spp: int | None,
+        seeds: Iterator[int],  # noqa: ARG002
+        **options: Any,
+    ) -> Contrast:
+        """Compare them, all in one look."""
         self._refuse(spp)
-        return self.samples
+        return _compare(self.samples, reference, **options)
 
     def reference(self, spp: int | None, seeds: Iterator[int]) -> Reference:  # noqa: ARG002
         """Return a reference of them."""
@@ -165,16 +175,20 @@ class _SceneRender:
     scene: Scene
     again: ClassVar[bool] = True
 
-    def look(self, spp: int | None, seeds: Iterator[int]) -> Samples:
-        """Render it."""
-        from chdstat.rendering import render
-
-        found: Samples = render(self.scene, spp=spp or 0, seed=next(seeds), progress=False)
-        return found
+    def compare(
+        self, reference: Reference, spp: int | None, seeds: Iterator[int], **options: Any
+    ) -> Contrast:
+        """Render it, and compare all samples in one look."""
+        return _compare(self._samples(spp or 0, seeds), reference, **options)
 
     def reference(self, spp: int | None, seeds: Iterator[int]) -> Reference:
         """Render it with more samples."""
-        return Reference.of_samples(self.look(_of_reference(spp), seeds))
+        return Reference.of_samples(self._samples(_of_reference(spp), seeds))
+
+    def _samples(self, spp: int, seeds: Iterator[int]) -> Samples:
+        from chdstat.rendering import render
+
+        return render(self.scene, spp=spp, seed=next(seeds), progress=False)
 
 
 @dataclass(frozen=True)
@@ -185,42 +199,69 @@ class _FunctionRender:
     name: str
     again: ClassVar[bool] = True
 
-    def look(self, spp: int | None, seeds: Iterator[int]) -> Samples:
-        """Draw samples."""
-        return _checked_repeats(self._values(spp or 0, seeds))
+    def compare(
+        self, reference: Reference, spp: int | None, seeds: Iterator[int], **options: Any
+    ) -> Contrast:
+        """Draw until the samples can tell, or until `spp` are drawn."""
+        draw = partial(self._pass, seeds, reference.shape, "in the reference")
+        with _refusing_repeats():
+            return contrast(lambda _: draw(), reference, spp=spp, **options)
 
     def reference(self, spp: int | None, seeds: Iterator[int]) -> Reference:
         """Draw batch after batch, of which only means are kept."""
         total, means, bad = _of_reference(spp), list[Array](), list[Array]()
+        shape: tuple[int, ...] = ()
         for _ in range(BATCHES):
-            x = self._values(total // BATCHES, seeds)
-            good = np.asarray(~is_bad(x).any(axis=2))
+            x = self._values(total // BATCHES, seeds, shape)
+            shape, good = x.shape[:3], np.asarray(~is_bad(x).any(axis=2))
             with np.errstate(invalid="ignore"):
                 sums = np.where(good[:, :, np.newaxis], x, 0).sum(axis=-1, dtype=float)
                 means.append(sums / good.sum(axis=-1)[..., np.newaxis])
             bad.append(1 - good.mean(axis=-1))
-        batches = _checked_repeats(np.stack(means, axis=-1).astype(np.float32))
-        found = Reference.of_samples(batches, batches=BATCHES)
+        batches = np.stack(means, axis=-1).astype(np.float32)
+        with _refusing_repeats():
+            found = Reference.of_samples(Samples.from_array(batches, axes="yxcs"))
         variance = np.nanvar(np.stack(means, -1), -1, ddof=1) * (total // BATCHES)
         return replace(found, spp=total, variance=variance, bad=np.mean(bad, axis=0), attrs={})
 
-    def _values(self, spp: int, seeds: Iterator[int]) -> Image:
+    def _values(self, spp: int, seeds: Iterator[int], shape: tuple[int, ...]) -> Image:
         """Return `spp` samples of each pixel, float32, shape (y, x, channel, sample)."""
-        found, filled = np.empty(0, np.float32), 0
-        while filled < spp:
-            x = _checked_pass(self.draw(next(seeds)), self.name, "what the function returned")
-            if not filled:
-                found = np.empty((*x.shape[:3], spp), np.float32)
-            elif x.shape[:3] != found.shape[:3]:
-                message = (
-                    f"{self.name}: the function returned shape {found.shape[:3]} at first, and "
-                    f"{x.shape[:3]} for another seed"
-                )
-                raise InputError(message)
-            some = x[..., : spp - filled]
-            found[..., filled : filled + some.shape[-1]] = some
-            filled += some.shape[-1]
-        return found
+        parts, drawn = list[Image](), 0
+        while drawn < spp:
+            x = self._pass(seeds, shape, "for another seed")[..., : spp - drawn]
+            shape, drawn = x.shape[:3], drawn + x.shape[-1]
+            parts.append(x)
+        return np.concatenate(parts, axis=-1)
+
+    def _pass(self, seeds: Iterator[int], shape: tuple[int, ...], where: str) -> Image:
+        """Return what the function draws from the next seed; it must have the shape, if any."""
+        x = _checked_pass(self.draw(next(seeds)), self.name, "what the function returned")
+        if shape and x.shape[:3] != shape:
+            raise InputError(unlike(f"{self.name}: the render has", x.shape, shape, where))
+        return x
+
+
+def unlike(one: str, shape: tuple[int, ...], other: tuple[int, ...], where: str) -> str:
+    """Return what is said of two shapes that must be equal.
+
+    Examples
+    --------
+    >>> unlike("the render has", (4, 6, 3), (4, 8, 3), "in the reference")
+    'the render has 6 x 4 pixels and 3 channels, expected 8 x 4 and 3 as in the reference'
+    """
+    (height, width, channels), (rows, columns, bands) = shape[:3], other[:3]
+    return (
+        f"{one} {width} x {height} pixels and {channels} channels, expected {columns} x {rows} and "
+        f"{bands} as {where}"
+    )
+
+
+def _compare(samples: Samples, reference: Reference, **options: Any) -> Contrast:
+    if samples.shape[:3] != reference.shape:
+        message = unlike("the render has", samples.shape, reference.shape, "in the reference")
+        raise InputError(message)
+    options.pop("finds", None)  # which ends the drawing
+    return contrast(samples, reference, **options)
 
 
 def _of_reference(spp: int | None) -> int:
@@ -239,7 +280,7 @@ def _checked_pass(given: Any, name: str, what: str) -> Image:
     try:
         x = np.asarray(given)
     except Exception as error:  # such as of a tensor on a GPU
-        message = f"{name}: {what} is no array: {brief(error)}"
+        message = f"{name}: {what} is no array: {brief(error).rstrip('.')}"
         raise InputError(message) from error
     if x.dtype.kind in "iub":
         message = (
@@ -277,6 +318,4 @@ class _refusing_repeats(warnings.catch_warnings):  # noqa: N801 - a context
 def _checked_repeats(values: Any) -> Samples:
     """Return samples, or refuse those that repeat each other."""
     with _refusing_repeats():
-        # The axes of an array of few samples are not as plain as those of many.
-        few = isinstance(values, np.ndarray) and values.ndim == 4 and values.dtype == np.float32
-        return Samples.from_array(values, axes="yxcs") if few else samples_of(values)
+        return samples_of(values)

@@ -14,7 +14,7 @@ from scipy import stats
 import chdstat as chd
 from chdstat.inference import Contrast, Reference
 from chdstat.io import write_reference
-from chdstat.render_tests import checks, pages
+from chdstat.render_tests import draws, pages
 from chdstat.render_tests.checks import answer
 from chdstat.render_tests.draws import Seeds, render_of
 from chdstat.render_tests.verdicts import Question
@@ -26,7 +26,7 @@ def draw(seed: int, loss: float = 0) -> np.ndarray[Any, Any]:
     return np.random.default_rng(seed).gamma(4.0, 0.25, SHAPE) * (1 - loss)
 
 
-def draws(spp: int, seed: int = 0) -> np.ndarray[Any, Any]:
+def samples(spp: int, seed: int = 0) -> np.ndarray[Any, Any]:
     rng = np.random.default_rng(seed)
     return rng.gamma(4.0, 0.25, (*SHAPE, spp))
 
@@ -34,7 +34,7 @@ def draws(spp: int, seed: int = 0) -> np.ndarray[Any, Any]:
 @pytest.fixture
 def asked(tmp_path: Path) -> Question:
     """Return a question with a reference of 48 samples."""
-    path = write_reference(Reference.of_samples(draws(48)), tmp_path / "box.exr")
+    path = write_reference(Reference.of_samples(samples(48)), tmp_path / "box.exr")
     return Question("box", path, "box-1", "t.py::test_box", 0.01, report=tmp_path / "report")
 
 
@@ -46,11 +46,11 @@ def outcomes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
         left, spp = iter(given), list[int]()
 
         def contrast(a: Any, b: Any, **options: Any) -> Contrast:
+            spp.append(options.get("spp") or a.spp)
             found = chd.contrast(a, b, **options)
-            spp.append(found.spp[0])
             return replace(found, outcome=next(left))  # type: ignore[arg-type]
 
-        monkeypatch.setattr(checks, "contrast", contrast)
+        monkeypatch.setattr(draws, "contrast", contrast)
         return spp
 
     return let
@@ -88,7 +88,7 @@ def test_the_second_look_decides_what_the_first_does_not_pass(
 
 def test_samples_that_are_there_get_one_look(asked: Question, outcomes: Callable[..., list[int]]):
     spp = outcomes(FAIL)
-    verdict, _ = answer(draws(16, seed=1), asked)
+    verdict, _ = answer(samples(16, seed=1), asked)
     assert (verdict.outcome, spp) == (FAIL, [16])
 
 
@@ -109,7 +109,7 @@ def test_right_renders_fail_as_rarely_as_alpha_says(tmp_path: Path):
     binomial distribution by chance in one of 1000 choices of seeds."""
     failed = 0
     for number in range(80):
-        path = write_reference(Reference.of_samples(draws(48, 1000 + number)), tmp_path / "x.exr")
+        path = write_reference(Reference.of_samples(samples(48, 1000 + number)), tmp_path / "x.exr")
         asked = Question(f"box {number}", path, "box", "t", 0.2, 16, report=tmp_path)
         verdict, _ = answer(draw, asked)
         failed += not verdict.passed
@@ -148,19 +148,21 @@ def test_a_reference_and_its_successor_share_no_seed():
 # --- renders --------------------------------------------------------------------------------------
 
 
-def of(render: Any, spp: int | None = None) -> chd.Samples:
-    return render_of(render, "box").look(spp, iter(range(100)))
+def of(render: Any, spp: int | None = None) -> Reference:
+    return render_of(render, "box").reference(spp, iter(range(100)))
 
 
 def test_a_scene_and_its_name_are_rendered():
     by_name, loaded = of("cornell-box", 2), of(chd.load_scene("cornell-box"), 2)
-    assert by_name.spp == loaded.spp == 2
-    assert (by_name.read() == loaded.read()).all()
+    assert by_name.spp == loaded.spp == 48
+    assert (by_name.mean == loaded.mean).all()
 
 
 def test_passes_may_be_files(tmp_path: Path):
-    paths = [chd.io.write_exr(tmp_path / f"{i}.exr", draw(i)) for i in range(8)]
-    assert np.allclose(of(paths).read()[..., 3], draw(3))
+    paths = [chd.io.write_exr(tmp_path / f"{i}.exr", draw(i)) for i in range(48)]
+    batches = of(paths).batches
+    assert batches is not None
+    np.testing.assert_allclose(batches[..., 3], draw(3), rtol=1e-6)
 
 
 def test_a_reference_of_a_function_is_that_of_its_samples():
@@ -194,9 +196,9 @@ def test_a_page_shows_the_window_where_it_is(page: str):
 
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_pages_show_any_number_of_channels(channels: int, asked: Question):
-    reference = Reference.of_samples(draws(48)[:, :, :channels])
+    reference = Reference.of_samples(samples(48)[:, :, :channels])
     write_reference(reference, asked.reference)
-    verdict, found = answer(draws(16, 1)[:, :, :channels], replace(asked, always=True))
+    verdict, found = answer(samples(16, 1)[:, :, :channels], replace(asked, always=True))
     assert found is not None
     assert (asked.report / verdict.page).exists()
     assert len(pages.thumbnails(found)) == 2
