@@ -105,20 +105,22 @@ def test_looks_have_other_samples(asked: Question, outcomes: Callable[..., list[
 
 
 def test_right_renders_fail_as_rarely_as_alpha_says(tmp_path: Path):
-    """80 right renders at a level of .2: their number of failures exceeds the 99.9 % quantile of a
+    """40 right renders at a level of .2: their number of failures exceeds the 99.9 % quantile of a
     binomial distribution by chance in one of 1000 choices of seeds."""
     failed = 0
-    for number in range(80):
+    for number in range(40):
         path = write_reference(Reference.of_samples(samples(48, 1000 + number)), tmp_path / "x.exr")
         asked = Question(f"box {number}", path, "box", "t", 0.2, 16, report=tmp_path)
         verdict, _ = answer(draw, asked)
         failed += not verdict.passed
-    assert failed <= stats.binom.ppf(0.999, 80, 0.2)
+    assert failed <= stats.binom.ppf(0.999, 40, 0.2)
 
 
 def test_a_loss_fails_in_both_looks(asked: Question):
     verdict, found = answer(lambda seed: draw(seed, 0.3), replace(asked, spp=16))
-    assert (verdict.outcome, verdict.looks, verdict.spp) == ("differ", 2, 32)
+    assert (verdict.outcome, verdict.looks) == ("differ", 2)
+    assert verdict.spp is not None
+    assert verdict.spp < 32  # it draws until it can tell
     assert found is not None
     assert verdict.p_value == found.image_p_value < 0.01
     assert "the reference is" in verdict.sentence
