@@ -312,8 +312,9 @@ class Reference(Shown):
         Examples
         --------
         >>> image = np.ones((4, 4, 3))
-        >>> Reference(image, variance=image, spp=6400).to_samples().read().var(axis=-1)[0, 0, 0]
-        np.float32(0.01)
+        >>> samples = Reference(image, variance=image, spp=6400).to_samples()
+        >>> round(float(samples.read().var(axis=-1)[0, 0, 0]), 6)
+        0.01
         """
         batches = self.batches
         if batches is None:
