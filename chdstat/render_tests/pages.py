@@ -266,6 +266,8 @@ def numbers_of(verdict: RenderVerdict, found: Contrast) -> dict[str, str]:
             f"{percent(verdict.image)} in the image, {percent(verdict.tenth)} in a tenth of it, "
             f"with a probability of {percent(0.9)}"
         )
+    if found.cannot_show:
+        rows["what the reference cannot show"] = " ".join(found.cannot_show)
     bad = [float(found.maps[f"bad_{name}"].mean()) for name in "ab"]
     if any(bad):
         rows["bad samples"] = f"{percent(bad[0])} of the render, {percent(bad[1])} of the reference"

@@ -126,6 +126,32 @@ def test_a_loss_fails_in_both_looks(asked: Question):
     assert "the reference is" in verdict.sentence
 
 
+def test_an_image_alone_may_be_a_reference(asked: Question):
+    chd.io.write_exr(asked.reference, np.ones(SHAPE))
+    verdict, _ = answer(draw, replace(asked, spp=64))
+    assert verdict.passed
+    assert verdict.reference_spp is None
+    assert "noise" in verdict.numbers["what the reference cannot show"]
+    with pytest.raises(chd.errors.InputError, match="give spp="):
+        answer(draw, asked)
+    renewed, _ = answer(draw, replace(asked, spp=64, update=True))
+    assert renewed.outcome == "replaced"
+    assert Reference.read(asked.reference).spp == 192
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+def test_pixels_that_the_reference_lacks_too_do_not_fail(asked: Question):
+    def holed(seed: int) -> np.ndarray[Any, Any]:
+        x = draw(seed)
+        x[2, 3] = np.nan
+        return x
+
+    assert answer(holed, replace(asked, spp=16))[0].outcome == "bad pixels"
+    asked.reference.unlink()
+    answer(holed, replace(asked, spp=16, update=True))
+    assert answer(holed, replace(asked, spp=16))[0].passed
+
+
 # --- seeds ----------------------------------------------------------------------------------------
 
 
