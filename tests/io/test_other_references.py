@@ -170,6 +170,22 @@ def test_variances_of_mitsubas_tests_are_of_xyz(tmp_path, kind):
         assert found.spp is None
 
 
+def test_differences_of_halves_do_not_say_that_nothing_varies(tmp_path):
+    write_exr(tmp_path / "a_ref_rgb_var.exr", np.zeros((6, 8, 3)))
+    found = Reference.read(write_exr(tmp_path / "a_ref_rgb.exr", np.ones((6, 8, 3))))
+    assert (found.variance >= 2.0**-12).all()
+
+
+def test_opposite_primaries_add_variance(tmp_path):
+    """Where only Y varies, R varies by 1.54 times as much, downwards."""
+    rng = np.random.default_rng(5)
+    xyz = np.ones((6, 8, 3, SPP)) * [[[[1.0], [1.0], [1.0]]]]
+    xyz[:, :, 1] += rng.normal(size=(6, 8, SPP))
+    x = np.einsum("ij,yxj...->yxi...", from_xyz(), xyz)
+    found = Reference.read(of_moment(tmp_path / "a.exr", x))
+    assert (found.variance >= 0.99 * x.var(axis=-1)).all()
+
+
 def test_a_file_of_variances_beside_an_image_is_taken(tmp_path):
     x = samples()
     path = write_exr(tmp_path / "a.exr", x.mean(axis=-1))
@@ -219,6 +235,16 @@ def test_moments_of_statmc_give_variances(tmp_path, suffix):
     found = Reference.read(statmc(tmp_path, x, suffix))
     np.testing.assert_allclose(found.variance, x.var(axis=-1, ddof=1), rtol=1e-5)
     assert (found.spp, found.precision) == (64, 0)
+
+
+def test_pixels_of_more_samples_have_less_noise(tmp_path):
+    x = samples(spp=64)
+    count = np.full((6, 8, 1), 64.0)
+    count[2, 3] = 256
+    found = Reference.read(statmc(tmp_path, x, ".pfm", count))
+    squares = x.var(axis=-1) * 64
+    assert found.spp == 64
+    np.testing.assert_allclose(found.variance[2, 3] / 64, squares[2, 3] / 255 / 256, rtol=1e-5)
 
 
 def test_moments_of_statmc_are_needed_together(tmp_path):

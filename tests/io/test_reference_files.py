@@ -159,6 +159,29 @@ def test_references_without_batches_are_written_too(tmp_path, spp, varies):
         np.testing.assert_array_equal(found.variance, variance.astype(np.float32))
 
 
+def test_the_variance_of_a_sample_is_that_of_batches(tmp_path):
+    reference = made(heavy((4, 5, 3, 96)))
+    expected = 2 * reference.batches.var(axis=-1, ddof=1)
+    np.testing.assert_allclose(reference.variance, expected)
+    np.testing.assert_allclose(through(reference, tmp_path).variance, expected, rtol=2.0**-6)
+
+
+def test_infinite_batches_are_unknown_ones(tmp_path):
+    batches = heavy((4, 5, 3, 48))
+    batches[1, 2, 0, 3] = np.inf
+    mean = np.where(np.isfinite(batches), batches, 0).mean(axis=-1)
+    found = through(Reference(mean, spp=48, batches=batches), tmp_path)
+    assert np.argwhere(~np.isfinite(found.batches)).tolist() == [[1, 2, 0, 3]]
+    assert np.isnan(found.batches[1, 2, 0, 3])
+
+
+def test_the_dimmest_batches_are_written(tmp_path):
+    dim = np.zeros((4, 5, 3, 48))
+    dim[..., ::3] = 1e-310
+    found = through(Reference(dim.mean(axis=-1), spp=48, batches=dim), tmp_path)
+    assert np.isfinite(found.batches).all()
+
+
 def test_black_batches_are_black_again(tmp_path):
     found = through(made(np.zeros((4, 5, 3, 48))), tmp_path)
     assert not found.batches.any()
