@@ -218,11 +218,10 @@ class _FunctionRender:
                 sums = np.where(good[:, :, np.newaxis], x, 0).sum(axis=-1, dtype=float)
                 means.append(sums / good.sum(axis=-1)[..., np.newaxis])
             bad.append(1 - good.mean(axis=-1))
-        batches = np.stack(means, axis=-1).astype(np.float32)
+        batches, size = np.stack(means, axis=-1).astype(np.float32), total // BATCHES
         with _refusing_repeats():
-            found = Reference.of_samples(Samples.from_array(batches, axes="yxcs"))
-        variance = np.nanvar(np.stack(means, -1), -1, ddof=1) * (total // BATCHES)
-        return replace(found, spp=total, variance=variance, bad=np.mean(bad, axis=0), attrs={})
+            samples = Samples.from_array(batches, axes="yxcs", averaged=size)
+        return replace(Reference.of_samples(samples), bad=np.mean(bad, axis=0), attrs={})
 
     def _values(self, spp: int, seeds: Iterator[int], shape: tuple[int, ...]) -> Image:
         """Return `spp` samples of each pixel, float32, shape (y, x, channel, sample)."""
