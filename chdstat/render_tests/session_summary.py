@@ -27,7 +27,7 @@ def lines_of(verdicts: Sequence[RenderVerdict], alpha: float, *, verbose: bool) 
 
 
 def headline(verdicts: Sequence[RenderVerdict], alpha: float) -> str:
-    """Return one sentence on all tests.
+    """Return one sentence on all tests; the losses are those of tests that pass.
 
     Examples
     --------
@@ -45,7 +45,7 @@ def headline(verdicts: Sequence[RenderVerdict], alpha: float) -> str:
     failed = ["1 differs" if text == "1 differ" else text for text in failed]
     what = ", ".join(failed) if failed else "none differs"
     said = f"{_counted(len(verdicts))}: {what}. Any false alarm: at most {percent(alpha)}"
-    losses = [v.image for v in verdicts if v.image is not None]
+    losses = [v.image for v in verdicts if v.passed and v.image is not None]
     if not losses:
         return said
     ends = [percent(value) for value in (min(losses), max(losses))]
