@@ -365,7 +365,7 @@ def test_the_command_exports_maps(tmp_path, run):
         code, out, _ = run("export", found, "-o", tmp_path / name)
         assert (code, (tmp_path / name).exists(), name in out) == (0, True, True)
     for given, name, message in (
-        (store, "f.exr", "holds samples, not maps"),
+        (store, "f.exr", "a reference of 48 batches needs as many samples"),
         (found, "f.png", r"must end in .exr, .nc, got"),
     ):
         code, _, err = run("export", given, "-o", tmp_path / name)
