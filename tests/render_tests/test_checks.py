@@ -14,7 +14,7 @@ from scipy import stats
 import chdstat as chd
 from chdstat.inference import Contrast, Reference
 from chdstat.io import write_reference
-from chdstat.render_tests import draws, pages
+from chdstat.render_tests import checks, draws, pages
 from chdstat.render_tests.checks import answer
 from chdstat.render_tests.draws import Seeds, render_of
 from chdstat.render_tests.verdicts import Question
@@ -46,11 +46,12 @@ def outcomes(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
         left, spp = iter(given), list[int]()
 
         def contrast(a: Any, b: Any, **options: Any) -> Contrast:
-            spp.append(options.get("spp") or a.spp)
+            spp.append(options.get("spp") or a.spp or 0)
             found = chd.contrast(a, b, **options)
             return replace(found, outcome=next(left))  # type: ignore[arg-type]
 
-        monkeypatch.setattr(draws, "contrast", contrast)
+        for module in (checks, draws):
+            monkeypatch.setattr(module, "contrast", contrast)
         return spp
 
     return let
@@ -150,6 +151,22 @@ def test_pixels_that_the_reference_lacks_too_do_not_fail(asked: Question):
     asked.reference.unlink()
     answer(holed, replace(asked, spp=16, update=True))
     assert answer(holed, replace(asked, spp=16))[0].passed
+
+
+@pytest.mark.parametrize(
+    ("found", "outcome", "renewed"),
+    [(PASS, "kept", False), (FAIL, "replaced", True), (OPEN, "cannot tell", False)],
+)
+def test_an_update_that_cannot_tell_keeps_the_old_and_fails(
+    found: str, outcome: str, renewed: bool, asked: Question, outcomes: Callable[..., list[int]]
+):
+    before = asked.reference.read_bytes()
+    outcomes(found)
+    verdict, _ = answer(draw, replace(asked, spp=16, update=True))
+    assert verdict.outcome == outcome
+    assert verdict.passed == (found != OPEN)
+    assert (asked.reference.read_bytes() != before) == renewed
+    assert ("delete box.exr to replace it anyway" in verdict.sentence) == (found == OPEN)
 
 
 # --- seeds ----------------------------------------------------------------------------------------
