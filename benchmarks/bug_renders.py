@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ import numpy as np
 import chdstat as chd
 from benchmarks.renderer_bugs import EDGE, FAULTS, SCENES, Fault, described
 from chdstat.rendering import render_batches
+from chdstat.scenes import load_scene
 
 SPP = 480
 """Samples per pixel, 2e6 in an image, as in the tests of Mitsuba."""
@@ -36,6 +37,10 @@ TIMES = 3
 """Samples of a reference over those of a render."""
 RIGHT = 6
 """Right renders of a scene, beside its reference."""
+AT_ONCE = 60
+"""Samples of a pixel in a wavefront."""
+WITH_MEDIA = ("fog",)
+"""Scenes with media, which the faulty path tracer does not know."""
 SEED = 1000
 """Of the first right render; those of faults go on from 2000, that of a reference is 1."""
 
@@ -85,7 +90,7 @@ class Scene:
         """Return all samples of a right render by its number, shape (y, x, channel, sample)."""
         path = self.folder / f"{self.name}-right-{number}.npy"
         if not path.exists():
-            np.save(path, self._drawn(self._scene(), SEED + number))
+            np.save(path, self._drawn(self.described(), SEED + number))
         return np.load(path)
 
     @cached_property
@@ -93,12 +98,14 @@ class Scene:
         """All samples of the reference, in single precision."""
         path = self.folder / f"{self.name}-reference.npy"
         if not path.exists():
-            np.save(path, self._drawn(self._scene(), 1, TIMES * SPP))
+            np.save(path, self._drawn(self.described(), 1, TIMES * SPP))
         return np.load(path)
 
-    def control(self) -> Render:
-        """Return the render of the faulty path tracer without a fault."""
-        return self._kept("control", lambda: self._drawn(self._scene(), 1999, fault=""))
+    def control(self) -> Render | None:
+        """Return the render of the path tracer without a fault; None if it knows no medium."""
+        if self.name in WITH_MEDIA:
+            return None
+        return self._kept("control", lambda: self._drawn(self.described(), 1999, fault=""))
 
     def faulty(self, fault: Fault) -> Render | None:
         """Return the render with a fault; None if the scene has nothing of the kind."""
@@ -115,19 +122,19 @@ class Scene:
         """Return whether the scene has what a fault changes."""
         if fault.kind == "integrator":
             outside = fault.name != "no sine in the environment" or self.name == "courtyard"
-            return self.name != "fog" and outside  # whose medium the path tracer does not know
+            return self.name not in WITH_MEDIA and outside
         if fault.name == "lens":
             return self.name == "courtyard"
-        return fault.kind != "scene" or fault.change(self._scene(), self.folder) is not None
+        return fault.kind != "scene" or fault.change(self.described(), self.folder) is not None
 
-    def _scene(self) -> dict[str, Any]:
+    def described(self) -> dict[str, Any]:
         return described(self.name, self.folder)
 
     def _rendered(self, fault: Fault, seed: int) -> np.ndarray:
         if fault.kind == "scene":
-            return self._drawn(fault.change(self._scene(), self.folder), seed)
+            return self._drawn(fault.change(self.described(), self.folder), seed)
         kind = "moved" if fault.kind == "camera" else "faulty"
-        return self._drawn(self._scene(), seed, kind=kind, fault=fault.name)
+        return self._drawn(self.described(), seed, kind=kind, fault=fault.name)
 
     def _drawn(
         self,
@@ -163,6 +170,40 @@ class Scene:
             np.savez(path, batches=made.batches, first=made.first, variance=made.variance)
         with np.load(path) as kept:
             return Render(*(kept[name] for name in ("batches", "first", "variance")))
+
+
+def drawn_together(scene: Scene, faults: Sequence[str], seed: int) -> dict[str, np.ndarray]:
+    """Return the samples of faults that leave paths as they are, along the same paths."""
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    from benchmarks.faulty_path import Faulty
+
+    described = scene.described()
+    described["sensor"]["film"] |= {"width": EDGE, "height": EDGE}
+    loaded = load_scene(described).load()
+    settings = mi.Properties("faulty")
+    settings["max_depth"] = described["integrator"]["max_depth"]
+    integrator = Faulty(settings)
+    integrator.faults, drawn = tuple(faults), []
+    for start in range(0, SPP, AT_ONCE):
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed * SPP + start, EDGE**2 * AT_ONCE)
+        pixel = dr.arange(mi.UInt32, EDGE**2 * AT_ONCE) // AT_ONCE
+        place = mi.Point2f(pixel % EDGE, pixel // EDGE) + sampler.next_2d()
+        ray, weight = loaded.sensors()[0].sample_ray_differential(
+            0, sampler.next_1d(), place / EDGE, sampler.next_2d()
+        )
+        lights, _ = integrator.lights(loaded, sampler, ray)
+        lights = [weight * light for light in lights]
+        dr.eval(lights)
+        shape = (3, EDGE, EDGE, AT_ONCE)
+        drawn.append([np.moveaxis(np.array(x).reshape(shape), 0, 2) for x in lights])
+    return {
+        fault: np.concatenate([part[i] for part in drawn], axis=-1)
+        for i, fault in enumerate(faults)
+    }
 
 
 def scenes(temporary: Path) -> list[Scene]:

@@ -36,7 +36,8 @@ MEANS = 48
 """Batches of renders."""
 BATCHES = {"2e6": 48, "2e5": 480}
 """Batches of the reference, so that a test makes 16 of that size."""
-RIGHT_ONES = ("", "none")
+NONE = Fault("none", "the path tracer has no fault", "integrator")
+RIGHT_ONES = ("", NONE.name)
 """Names of right renders: by the scene's own integrator, and by the path tracer without a fault."""
 LIMITS = 20
 """Right renders that give the limits of scores."""
@@ -215,9 +216,8 @@ def rows_of(scene: Scene, faults: Sequence[Fault] = FAULTS) -> Iterator[Row]:
     for budget in BUDGETS:
         for a in mixed(rights, budget):
             yield row(a, budget, "")
-    yield from (row(at_budget(scene.control(), b), b, "none") for b in BUDGETS)
-    for fault in faults:
-        render = scene.faulty(fault)
+    for fault in (NONE, *faults):
+        render = scene.control() if fault is NONE else scene.faulty(fault)
         if render is not None:
             change = change_of(fault, render, pool, scene)
             for budget in BUDGETS:
@@ -296,11 +296,34 @@ def told(row: Row) -> str:
     )
 
 
+def _cell(change: Change | None) -> str:
+    if change is None:
+        return f"{'-':>14}"
+    image, twentieth = (100 * x for x, _ in (change.image, change.twentieth))
+    return f"{image:7.2f}{twentieth:6.1f}{'*' if change.surely else ' '}"
+
+
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory) -> list[Row]:
     folder = Path(os.environ.get("CHDSTAT_BUGS", tmp_path_factory.mktemp("bugs")))
     every = bug_renders.scenes(folder)
     return [row for scene in every for row in rows_of(scene)]
+
+
+def test_what_faults_change(as_benchmark, rows):
+    """At least 40 faults change an image; the path tracer without a fault does not."""
+    full = {(r.fault, r.scene): r.change for r in rows if r.budget == "2e6" and r.change}
+    places = list(dict.fromkeys(scene for _, scene in full))
+    print(
+        "\nchange of the image and of the clearest twentieth, %; - if the scene has nothing of it"
+    )
+    print(f"{'':40}" + "".join(f"{scene:>14}" for scene in places))
+    for fault in (NONE, *FAULTS):
+        found = [full.get((fault.name, scene)) for scene in places]
+        print(f"{fault.name:40}" + "".join(map(_cell, found)))
+    changing = {fault for (fault, _), change in full.items() if change.surely}
+    assert NONE.name not in changing
+    assert len(changing) >= 40
 
 
 def test_bugs_that_the_test_says_to_find(as_benchmark, rows):
