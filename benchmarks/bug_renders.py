@@ -5,7 +5,7 @@
 ``CHDSTAT_BUGS_SCENES``
     Some of the scenes, apart by semicolons.
 
-``python -m benchmarks.bug_renders`` makes those that are missing: 520 renders of 2e6 samples, of
+``python -m benchmarks.bug_renders`` makes those that are missing: 380 renders of 2e6 samples, of
 about 4 seconds of processor time each.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import chdstat as chd
-from benchmarks.renderer_bugs import EDGE, FAULTS, SCENES, Fault, described
+from benchmarks.renderer_bugs import EDGE, FAULTS, SCENES, TOGETHER, Fault, described
 from chdstat.rendering import render_batches
 from chdstat.scenes import load_scene
 
@@ -55,20 +55,16 @@ class Render:
         Means of batches, shape (y, x, channel, 48), float32.
     first
         Its first samples, a tenth, same shape.
-    variance
-        Variances of a sample, shape (y, x, channel).
     """
 
     batches: np.ndarray
     first: np.ndarray
-    variance: np.ndarray
 
     @classmethod
     def of(cls, samples: np.ndarray) -> Render:
         size = samples.shape[3] // TERMS
         batches = samples.reshape(*samples.shape[:3], TERMS, size).mean(axis=-1, dtype=float)
-        variance = samples.var(axis=-1, ddof=1, dtype=float)
-        return cls(batches.astype(np.float32), samples[..., :TENTH], variance)
+        return cls(batches.astype(np.float32), samples[..., :TENTH])
 
 
 @dataclass(frozen=True)
@@ -115,8 +111,10 @@ class Scene:
         if fault.kind == "samples":
             rng = np.random.default_rng(number)
             return Render.of(fault.change(self.right(number % RIGHT), rng))
-        name = "".join(c if c.isalnum() else "_" for c in fault.name)
-        return self._kept(name, lambda: self._rendered(fault, 2000 + number))
+        for k, group in enumerate(TOGETHER):
+            if fault.name in group and self.name not in WITH_MEDIA:
+                self._keep_together(group, 3000 + k)
+        return self._kept(fault.name, lambda: self._rendered(fault, 2000 + number))
 
     def has(self, fault: Fault) -> bool:
         """Return whether the scene has what a fault changes."""
@@ -163,17 +161,31 @@ class Scene:
         )
         return np.concatenate(list(batches), axis=-1)
 
-    def _kept(self, name: str, draw: Any) -> Render:
-        path = self.folder / f"{self.name}-{name}.npz"
+    def _kept(self, name: str, draw: Callable[[], np.ndarray]) -> Render:
+        path = self._path(name)
         if not path.exists():
-            made = Render.of(draw())
-            np.savez(path, batches=made.batches, first=made.first, variance=made.variance)
+            self._keep(name, draw())
         with np.load(path) as kept:
-            return Render(*(kept[name] for name in ("batches", "first", "variance")))
+            return Render(*(kept[name] for name in ("batches", "first")))
+
+    def _keep_together(self, group: Sequence[str], seed: int) -> None:
+        every = {f.name: f for f in FAULTS}
+        missing = [n for n in group if self.has(every[n]) and not self._path(n).exists()]
+        for name, samples in drawn_together(self, missing, seed).items():
+            self._keep(name, samples)
+
+    def _keep(self, name: str, samples: np.ndarray) -> None:
+        made = Render.of(samples)
+        np.savez(self._path(name), batches=made.batches, first=made.first)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{self.name}-{''.join(c if c.isalnum() else '_' for c in name)}.npz"
 
 
 def drawn_together(scene: Scene, faults: Sequence[str], seed: int) -> dict[str, np.ndarray]:
     """Return the samples of faults that leave paths as they are, along the same paths."""
+    if not faults:
+        return {}
     import drjit as dr
     import mitsuba as mi
 

@@ -57,6 +57,34 @@ CAMERA = {
 }
 """Faults of camera rays."""
 
+TOGETHER = (
+    (
+        "MIS of two heuristics",
+        "no cosine at next event",
+        "depth 1 less",
+        "no MIS weights",
+        "next event twice",
+        "no visibility",
+        "emission twice at the camera",
+        "lights not divided by their probability",
+        "shadow rays end early",
+        "depth 3 less",
+    ),
+    (
+        "MIS by the wrong pdf",
+        "no cosine at the light",
+        "no 1/pi at next event",
+        "shadow rays start late",
+        "shadow acne",
+        "lights invisible",
+        "lights as if equally likely",
+        "next event after the bounce",
+        "no sine in the environment",
+        "depth 2 less",
+    ),
+)
+"""Faults that leave paths as they are: those of a group are rendered along the same paths."""
+
 Description = dict[str, Any]
 EDGE = 64
 SCENES = (
