@@ -111,10 +111,24 @@ class Scene:
         if fault.kind == "samples":
             rng = np.random.default_rng(number)
             return Render.of(fault.change(self.right(number % RIGHT), rng))
-        for k, group in enumerate(TOGETHER):
-            if fault.name in group and self.name not in WITH_MEDIA:
-                self._keep_together(group, 3000 + k)
+        if (k := self._group(fault)) is not None:
+            self._keep_together(k)
         return self._kept(fault.name, lambda: self._rendered(fault, 2000 + number))
+
+    def unchanged(self, fault: Fault) -> Render | None:
+        """Return the right render of the same samples as that of a fault; None if there is none."""
+        if fault.kind == "samples":
+            number = [f.name for f in FAULTS].index(fault.name)
+            return Render.of(self.right(number % RIGHT))
+        if (k := self._group(fault)) is None:
+            return None
+        self._keep_together(k)
+        return self._kept(f"together {k}", tuple)
+
+    def _group(self, fault: Fault) -> int | None:
+        """Return the number of the group in `TOGETHER` that a fault is rendered with."""
+        found = [k for k, group in enumerate(TOGETHER) if fault.name in group]
+        return found[0] if found and self.name not in WITH_MEDIA else None
 
     def has(self, fault: Fault) -> bool:
         """Return whether the scene has what a fault changes."""
@@ -168,11 +182,14 @@ class Scene:
         with np.load(path) as kept:
             return Render(*(kept[name] for name in ("batches", "first")))
 
-    def _keep_together(self, group: Sequence[str], seed: int) -> None:
-        every = {f.name: f for f in FAULTS}
-        missing = [n for n in group if self.has(every[n]) and not self._path(n).exists()]
-        for name, samples in drawn_together(self, missing, seed).items():
-            self._keep(name, samples)
+    def _keep_together(self, k: int) -> None:
+        """Render what is missing of a group, and the same paths without a fault."""
+        names = {f.name: f.name for f in FAULTS if f.name in TOGETHER[k] and self.has(f)}
+        names[f"together {k}"] = ""
+        missing = [name for name in names if not self._path(name).exists()]
+        samples = drawn_together(self, [names[name] for name in missing], 3000 + k)
+        for name, drawn in zip(missing, samples, strict=True):
+            self._keep(name, drawn)
 
     def _keep(self, name: str, samples: np.ndarray) -> None:
         made = Render.of(samples)
@@ -182,10 +199,10 @@ class Scene:
         return self.folder / f"{self.name}-{''.join(c if c.isalnum() else '_' for c in name)}.npz"
 
 
-def drawn_together(scene: Scene, faults: Sequence[str], seed: int) -> dict[str, np.ndarray]:
+def drawn_together(scene: Scene, faults: Sequence[str], seed: int) -> list[np.ndarray]:
     """Return the samples of faults that leave paths as they are, along the same paths."""
     if not faults:
-        return {}
+        return []
     import drjit as dr
     import mitsuba as mi
 
@@ -212,10 +229,7 @@ def drawn_together(scene: Scene, faults: Sequence[str], seed: int) -> dict[str, 
         dr.eval(lights)
         shape = (3, EDGE, EDGE, AT_ONCE)
         drawn.append([np.moveaxis(np.array(x).reshape(shape), 0, 2) for x in lights])
-    return {
-        fault: np.concatenate([part[i] for part in drawn], axis=-1)
-        for i, fault in enumerate(faults)
-    }
+    return [np.concatenate(parts, axis=-1) for parts in zip(*drawn, strict=True)]
 
 
 def scenes(temporary: Path) -> list[Scene]:

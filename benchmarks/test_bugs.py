@@ -105,14 +105,14 @@ class Row:
 
     @property
     def stated(self) -> bool:
-        """Whether the change is as large as a loss that the test says to find."""
+        """Whether the change is surely as large as a loss that the test says to find."""
         if self.change is None:
             return False
         pairs = (
             (self.change.image, self.detectable["image"]),
             (self.change.twentieth, self.detectable["tenth"]),
         )
-        return any(abs(change) >= max(CHANGED, loss) for (change, _), loss in pairs)
+        return any(abs(x) - 2 * error >= max(CHANGED, loss) for (x, error), loss in pairs)
 
 
 # --- what is compared ---------------------------------------------------------------------------
@@ -152,11 +152,10 @@ def scores(a: Means, b: Means) -> dict[str, float]:
 def change_of(fault: Fault, render: Render, pool: np.ndarray, scene: Scene) -> Change:
     """Return what a fault changes: beside all right renders, or beside the same samples."""
     x, right = render.batches.astype(float), pool.astype(float)
-    if fault.kind == "samples":  # what it changes of the same samples has hardly any noise
-        number = [f.name for f in FAULTS].index(fault.name)
-        same = Render.of(scene.right(number % RIGHT)).batches.astype(float)
+    same = scene.unchanged(fault)
+    if same is not None:  # beside which the change has hardly any noise
         level = right.mean(axis=-1, keepdims=True)
-        x, right = level + x - same, np.broadcast_to(level, x.shape)
+        x, right = level + x - same.batches, np.broadcast_to(level, x.shape)
     light, of_right = (np.einsum("c,yxck->yxk", XYZ[1], v) for v in (x, right))
     channels = [_relative(*(v.mean(axis=(0, 1))[c] for v in (x, right))) for c in range(3)]
     return Change(
