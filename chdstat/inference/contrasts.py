@@ -226,18 +226,20 @@ class Contrast(Shown):
         )
 
     def _how(self) -> str:
-        """Return how B differs from A in the window."""
+        """Return how B differs from A in the window; how A does from a reference."""
         y, x, height, width = self.window
         here = {"y": slice(y, y + height), "x": slice(x, x + width)}
         maps = self.maps.sel(channel=self.window_channel).isel(here)
-        one, other = (float(maps[f"mean_{name}"].mean()) for name in "ab")
-        if one <= 0 or other < 0:
-            a, b = (f"has a mean of {number(x)}" if x else "is black" for x in (one, other))
+        means = {name: float(maps[f"mean_{name.lower()}"].mean()) for name in "AB"}
+        base, other = "BA" if self.reference else "AB"
+        one, two = means[base], means[other]
+        if one <= 0 or two < 0:
+            a, b = (f"has a mean of {number(x)}" if x else "is black" for x in means.values())
             return f"render A {a} and render B {b}"
-        if other > _MANY_TIMES * one:
-            return f"render B is {number(other / one)} times as bright"
-        how = "darker" if self.window_loss > 0 else "brighter"
-        return f"render B is {percent(abs(self.window_loss))} {how}"
+        if two > _MANY_TIMES * one:
+            return f"render {other} is {number(two / one)} times as bright"
+        how = "darker" if two < one else "brighter"
+        return f"render {other} is {percent(abs(two / one - 1))} {how}"
 
     def _reservation(self) -> str:
         """Return what remains possible if A is darker than an image without samples; or ""."""

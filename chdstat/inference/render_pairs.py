@@ -119,14 +119,15 @@ def _around(x: Floats) -> Floats:
 
 
 _TERMS = 256
-"""Most terms of a pixel; of more samples, batches are averaged."""
+"""Most terms of a pixel, and half as many beside batches of a reference; of more samples, batches
+are averaged."""
 _UNITS, _TIMES = 1024, 16
 """Most units of the longer render: this number, or this many times the units of the other. More
 change the standard error of the difference by less than 3 %."""
 _FEWEST_UNITS = 4
 """With fewer, no division of units is rare enough."""
-_SMALL = 0.1
-"""Pixels with p-values up to this are also compared by units."""
+_SMALL = 0.1, 0.01
+"""Pixels with p-values up to this are also compared by units: with a render, with a reference."""
 _AT_ONCE = 2**22
 _ROUNDING = 1e-3
 """Relative precision of half floats."""
@@ -241,8 +242,8 @@ class Pair:
     @property
     def terms(self) -> int:
         """Number of terms of a pixel."""
-        least = min(self.spp)
-        return least // -(-least // _TERMS)
+        least, most = min(self.spp), _TERMS // (1 + (self.of_image and self.unit_size > 0))
+        return least // -(-least // most)
 
     @property
     def unit_size(self) -> int:
@@ -515,17 +516,23 @@ class Pair:
         ordered = sums if self.units[0] == short else sums[::-1]
         total = np.concatenate([render.unit_total for render in ordered], axis=-1)
         number = np.concatenate([render.unit_number for render in ordered], axis=-1)
-        x, good = _with_luminance(total / np.maximum(number, 1)[:, :, np.newaxis]), number > 0
-        for band in range(x.shape[2]):
-            small = p[..., band] <= _SMALL
-            rows, known = x[:, :, band][small], good[small]
+        good, number = number > 0, np.maximum(number, 1)
+        bands = [_luminance(total)] if total.shape[2] == 3 else []
+        alone = self.of_image and self.terms < FEWEST_FLIPS
+        units, levels = [], []
+        for band, of_band in enumerate([*bands, *np.moveaxis(total, 2, 0)]):
+            x = of_band / number.astype(of_band.dtype)
+            small = p[..., band] <= _SMALL[self.of_image]
+            rows, known = x[small], good[small]
             found = p_of_means(rows[:, :short], rows[:, short:], known[:, :short], known[:, short:])
-            alone = self.of_image and self.terms < FEWEST_FLIPS
             p[small, band] = found if alone else np.fmax(p[small, band], found)
-        number_of_good = np.maximum(good.sum(axis=-1), 1)[:, :, np.newaxis, np.newaxis]
-        level = (x.sum(axis=-1, keepdims=True, dtype=float) / number_of_good).astype(x.dtype)
-        x = np.where(good[:, :, np.newaxis], x - level, 0)
-        return {"units": _cells(x, cell), "unit_level": _cells(level, cell)}
+            level = x.sum(axis=-1, dtype=float) / np.maximum(good.sum(axis=-1), 1)
+            level = level.astype(x.dtype)[..., np.newaxis]
+            x -= level
+            x *= good
+            units.append(_cells(x[:, :, np.newaxis], cell))
+            levels.append(_cells(level[:, :, np.newaxis], cell))
+        return {"units": np.concatenate(units), "unit_level": np.concatenate(levels)}
 
 
 class _Sums:

@@ -54,7 +54,7 @@ _TINY = 1e-300
 _TENTH = 0.1
 _POWER = 0.9
 _STEPS = 60
-_NOISES = 200
+_NOISES = 100
 """Flips that show which losses are found."""
 _Z_90 = 1.2816
 """Quantile of a normal distribution: with so many standard errors more, 90 % are found."""
@@ -352,13 +352,13 @@ class _Losses:
         sums = errors * self.root + self.least - self.noise
         return np.where(self.light > 0, np.maximum(sums, 0) / self.light, np.inf)
 
-    def within(self, needed: Floats, y: int, x: int, edge: int) -> Floats:
-        """Return the least loss of the windows within a square, shape (flip,)."""
-        rows, columns = (
-            (start >= at) & (start + self.edge <= at + edge)
-            for start, at in zip(self.starts, (y, x), strict=True)
-        )
-        return np.asarray(needed[:, rows][:, :, columns].min(axis=(1, 2), initial=np.inf))
+    def within(self, needed: Floats, corners: list[Array], edge: int) -> Floats:
+        """Return the least loss of the windows within squares, shape (flip, y, x)."""
+        for axis, (starts, begins) in enumerate(zip(self.starts, corners, strict=True), start=1):
+            inside = [(starts >= at) & (starts + self.edge <= at + edge) for at in begins]
+            least = [needed.compress(of, axis).min(axis=axis, initial=np.inf) for of in inside]
+            needed = np.stack(least, axis=axis)
+        return needed
 
 
 def _detectable(found: list[_Losses], tests: list[_Crossing], cells: Cells) -> dict[str, float]:
@@ -370,19 +370,14 @@ def _detectable(found: list[_Losses], tests: list[_Crossing], cells: Cells) -> d
     needed = [of.needed(tests) for of in found]
     of_image = np.min([loss.min(axis=(1, 2)) for loss in needed], axis=0)
     edge = max(1, round(np.sqrt(_TENTH * height * width)))
-    squares = window_sums(light[..., np.newaxis], edge)
-    lit = squares[0][..., 0] > LEAST_LIGHT * edge**2 * max(float(light.mean()), 0)
-    of_tenth = [
-        np.min(
-            [of.within(loss, y, x, edge) for of, loss in zip(found, needed, strict=True)], axis=0
-        )
-        for i, y in enumerate(squares[1][0])
-        for j, x in enumerate(squares[1][1])
-        if lit[i, j]
-    ]
+    of_squares, corners = window_sums(light[..., np.newaxis], edge)
+    lit = of_squares[..., 0] > LEAST_LIGHT * edge**2 * max(float(light.mean()), 0)
+    of_tenth = np.full((_NOISES, *lit.shape), np.inf)
+    for of, losses in zip(found, needed, strict=True):
+        of_tenth = np.minimum(of_tenth, of.within(losses, corners, edge))
     return {
         name: float(np.quantile(losses, _POWER, method="higher")) if np.size(losses) else np.inf
-        for name, losses in (("image", of_image), ("tenth", of_tenth))
+        for name, losses in (("image", of_image), ("tenth", of_tenth[:, lit]))
     }
 
 
@@ -529,7 +524,7 @@ def _largest(
         square = np.maximum(square, moments.n * near)
     unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
     z = flips @ unit.astype(np.float32).T
-    noise = np.zeros((min(len(z) - 1, _NOISES), *known.shape))
+    noise = np.zeros((_NOISES, *known.shape), np.float32)
     noise[:, known] = z[1 : 1 + _NOISES] * (moments.scale * np.sqrt(moments.square))[known]
     z = np.abs(z)
     missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
