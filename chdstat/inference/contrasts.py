@@ -233,7 +233,7 @@ class Contrast(Shown):
         means = {name: float(maps[f"mean_{name.lower()}"].mean()) for name in "AB"}
         base, other = "BA" if self.reference else "AB"
         one, two = means[base], means[other]
-        if one <= 0 or two < 0:
+        if min(one, means["A"]) <= 0 or two < 0:
             a, b = (f"has a mean of {number(x)}" if x else "is black" for x in means.values())
             return f"render A {a} and render B {b}"
         if two > _MANY_TIMES * one:

@@ -124,7 +124,7 @@ def test_a_loss_fails_in_both_looks(asked: Question):
     assert verdict.spp < 32  # it draws until it can tell
     assert found is not None
     assert verdict.p_value == found.image_p_value < 0.01
-    assert "the reference is" in verdict.sentence
+    assert "the render is" in verdict.sentence
 
 
 def test_an_image_alone_may_be_a_reference(asked: Question):

@@ -144,7 +144,7 @@ def test_a_loss_of_five_per_cent_fails_with_a_picture_and_a_page(session: Sessio
     session(ONE, "--render-update")
     said = failing(session(ONE, loss=0.05), "The means differ (p ")
     assert re.search(r"Confirmed: \d+ other samples per pixel were drawn, and say the same", said)
-    assert re.search(r"the reference is [456]\.\d % brighter", said)
+    assert re.search(r"the render is [456]\.\d % darker", said)
     for kind in ("picture", "page"):
         (found,) = re.findall(rf"{kind}: (render-report/\S+)", said)
         assert Path(found).stat().st_size > 5000
@@ -360,7 +360,7 @@ def test_an_update_replaces_what_differs_and_says_how(session: Session):
     session(ONE, "--render-update")
     result = session(ONE, "--render-update", loss=0.1)
     result.assert_outcomes(passed=1)
-    assert re.search(r"replaced: room: .* the old reference is 1\d % brighter", text_of(result))
+    assert re.search(r"replaced: room: .* the new render is (9\.\d|1\d) % darker", text_of(result))
     session(ONE, loss=0.1).assert_outcomes(passed=1)
 
 
