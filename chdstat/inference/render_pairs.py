@@ -210,7 +210,10 @@ class Pair:
         return cls(
             a,
             b,
-            (_name(one, first or a), _name(two, b)),
+            (
+                _name(first.name if first else one, a),
+                b.name if isinstance(b, Reference) else _name(two, b),
+            ),
             (counts[0], counts[-1]),
             (each[0], each[1] if len(each) > 1 else np.nan),
             paired,
@@ -682,9 +685,7 @@ def _averaged(samples: Samples | Reference) -> int:
     return int(samples.attrs.get("averaged", 1)) if isinstance(samples, Samples) else 1
 
 
-def _name(source: Any, samples: Samples | Reference) -> str:
-    if isinstance(samples, Reference):
-        return samples.name
+def _name(source: Any, samples: Samples) -> str:
     of = f", averages of {_averaged(samples)}" if _averaged(samples) > 1 else ""
     return f"{source if isinstance(source, str | Path) else samples.path or samples.name}{of}"
 

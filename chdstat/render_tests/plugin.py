@@ -112,6 +112,9 @@ class _Asking:
         self._item, self._session, self._calls = request.node, session, 0
         self._verdicts = session.verdicts_of[self._item.nodeid] = list[RenderVerdict]()
 
+    def __repr__(self) -> str:
+        return "<compares a render with its reference>"
+
     def __call__(
         self,
         render: Any,
