@@ -1,4 +1,4 @@
-"""Faults that developers of renderers make: 90 changes of integrators, scenes, and samples.
+"""Faults that developers of renderers make: 97 changes of integrators, scenes, and samples.
 
 Each is a row of `FAULTS`: its name, what it does, and how it is made. `Of an integrator` are those
 of `benchmarks.faulty_path`. A change of a scene gives None if the scene has nothing to change. A
