@@ -7,6 +7,7 @@ converged image. It compares pixels, and regions, which show differences that no
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -53,7 +54,7 @@ from chdstat.inference.windows import (
     scan_windows,
     window_sums,
 )
-from chdstat.samples import ImageLike
+from chdstat.samples import ImageLike, Samples
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -113,7 +114,7 @@ class Contrast(Shown):
         How much darker B is as a whole, 1 - mean of B over mean of A, with its 95 % interval.
     window
         Window in which the difference is clearest, if there is one: y, x, height and width in
-        pixels.
+        pixels; a single pixel if no window differs.
     window_channel
         Channel in which it is clearest; "luminance" if R, G and B differ together.
     window_loss
@@ -215,7 +216,9 @@ class Contrast(Shown):
             rate = percent(self.alpha)
             pixels = f"{percent(self.share)} of the pixels differ (false discovery rate {rate})"
         where = "the whole image"
-        if (height, width) != self.maps["reason"].shape:
+        if (height, width) == (1, 1):
+            where = f"the pixel at {_place(self.window)}"
+        elif (height, width) != self.maps["reason"].shape:
             where = f"{width} x {height} pixels at {_place(self.window)}"
         if self.maps.sizes["channel"] > 1:
             name = colour(self.window_channel)
@@ -390,8 +393,8 @@ class Contrasts(Tabled):
         """What was found, in words."""
         counts = [sum(c.outcome == name for c in self.contrasts.values()) for name in _OUTCOMES]
         alarm = f"chance of any false alarm {percent(self.alpha)}"
-        found = f"{counts[2]} of {sum(counts)} renders differ ({alarm})"
-        return f"{found}; of {counts[1]}, the samples cannot tell." if counts[1] else f"{found}."
+        found = f"{counts[2]} of {_counted(sum(counts), 'render')} differ ({alarm})"
+        return f"{found}; {counts[1]} cannot be told." if counts[1] else f"{found}."
 
     def table(self) -> list[dict[str, Any]]:
         """Return a row for each render."""
@@ -401,8 +404,8 @@ class Contrasts(Tabled):
                 "outcome": of.outcome,
                 "p": of.image_p_value,
                 "loss": of.loss.value,
-                "smallest_loss_image": of.detectable["image"],
-                "smallest_loss_tenth": of.detectable["tenth"],
+                "smallest_loss_image": _finite(of.detectable["image"]),
+                "smallest_loss_tenth": _finite(of.detectable["tenth"]),
                 "conclusion": of.conclusion,
             }
             for name, of in self.contrasts.items()
@@ -587,7 +590,14 @@ def contrasting(
     parts = scan.p_value / _OF_WINDOWS, smallest / (1 - _OF_WINDOWS)
     image_p_value = float(np.min([1.0, *(part for part in parts if np.isfinite(part))]))
     y, x, rows, columns = (edge * size for size in scan.window)
+    band = scan.band
     (loss, window_loss), detectable = _losses(cells, pair.terms, scan), scan.detectable
+    alone = (q <= alpha).any(axis=-1).sum() == 1 and parts[1] < parts[0]
+    if parts[1] <= alpha and (alone or not parts[0] <= alpha):  # a pixel decides
+        y, x, band = map(int, np.unravel_index(np.nanargmin(q), q.shape))
+        rows = columns = 1
+        of_a, of_b = (float(maps[f"mean_{name}"][y, x, band]) for name in "ab")
+        window_loss = 1 - of_b / of_a if of_a > 0 else np.nan
     unseen = (
         scan.unseen if all(pair.units) or not pair.of_image else _hidden(maps, pair, detectable)
     )
@@ -608,7 +618,7 @@ def contrasting(
         share=float((q <= alpha).any(axis=-1).mean()),
         loss=loss,
         window=(y, x, min(rows, height - y), min(columns, width - x)),
-        window_channel=str(dataset["channel"].values[scan.band]),
+        window_channel=str(dataset["channel"].values[band]),
         window_loss=window_loss,
         detectable=detectable,
         efficiency_ratio=_efficiency(maps, pair.seconds),
@@ -654,10 +664,10 @@ def _drawing(
             parts.append(x[..., : most - drawn])
             drawn += parts[-1].shape[-1]
             yield "drawing samples", drawn / most
-        share = float(np.log1p((np.e - 1) * look)) - spent
+        share = math.log1p((math.e - 1) * look) - spent
         spent += share
-        samples = np.concatenate(parts, axis=-1)
-        parts = [samples]
+        parts = [np.concatenate(parts, axis=-1)]
+        samples = Samples.from_array(parts[0], axes="yxcs")
         found = yield from contrasting(samples, other, alpha=alpha * share, seed=first, **options)
         smallest = min(smallest, found.image_p_value / share)
         told = finds is not None and found.detectable["image"] <= finds
@@ -706,6 +716,9 @@ def _why_not(
         return f"{spp} samples per pixel are too few, render {_LEAST_TERMS} or more", _LEAST_TERMS
     if differ:
         return "", None
+    lost = int(((maps["bad_a"] == 1) != (maps["bad_b"] == 1)).sum())
+    if lost:
+        return f"{_counted(lost, 'pixel')} can be compared on one side only", None
     if unseen is not None:
         share, needed = unseen
         if pair.of_image and not all(pair.units):
@@ -787,6 +800,10 @@ def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interva
     blocks = Blocks.grid(*mean.shape)[known]
     one, other = (blocks.sums(cost[known]) for cost in costs)
     return interval_of(lambda w: (w @ one) / (w @ other), blocks, bounds=(0, np.inf))
+
+
+def _finite(x: float) -> float:
+    return x if np.isfinite(x) else np.nan
 
 
 def _median(x: Array) -> float:

@@ -26,6 +26,8 @@ from chdstat.samples.tiles import BATCH
 _PRECISION = 5.2 * 2.0**-11
 """Largest error of R, G or B over the largest of them, if X, Y and Z of a grey were rounded to half
 floats before their conversion: 5.2 is what R adds up of their errors, 3.24 X + 1.54 Y + 0.50 Z."""
+_COMPUTED = 1e-5
+"""Largest relative error that another compiler or processor may make in a pixel without noise."""
 SINGLE = 2.0**-22
 """Relative errors of samples in single precision, and of their sums."""
 _SUBNORMAL = 2.0**-25
@@ -196,7 +198,7 @@ class Reference(Shown):
         return cls(
             mean_of_batches(means),
             spp=batches * size * averaged,
-            precision=0,
+            precision=_COMPUTED,
             name=name or found.name,
             batches=means,
             bad=bad,
@@ -288,7 +290,7 @@ class Reference(Shown):
             else "",
             f"It is known to {percent(self.precision)} of a pixel's brightest channel: smaller "
             "differences of single pixels are not told from rounding."
-            if self.precision
+            if self.precision > _COMPUTED
             else "",
         ]
         return (*filter(None, found), *self.limits)

@@ -171,10 +171,19 @@ class Pair:
 
         An image whose noise is unknown is B, whichever is given first.
         """
+        if callable(two):
+            message = "the function that draws samples must be A, got it as B: swap them"
+            raise InputError(message)
         first, second = Reference.of(one), Reference.of(two)
         variance = second.variance if first and second and first.shape == second.shape else None
         if first and (first.spp is None or first.variance is variance is None):
             one, two, first, second = two, one, second, first
+            if first and (first.spp is None or first.variance is None):
+                message = (
+                    f"{first.name} and {one if second is None else second.name} are images, and "
+                    "the noise of neither is known: give a variance and a number of samples of one"
+                )
+                raise InputError(message)
         a = first.to_samples(variance) if first else _independent(one)
         b = second or _independent(two)
         if a.shape[:2] != b.shape[:2]:

@@ -375,10 +375,11 @@ def _detectable(found: list[_Losses], tests: list[_Crossing], cells: Cells) -> d
     of_tenth = np.full((_NOISES, *lit.shape), np.inf)
     for of, losses in zip(found, needed, strict=True):
         of_tenth = np.minimum(of_tenth, of.within(losses, corners, edge))
-    return {
+    least = {
         name: float(np.quantile(losses, _POWER, method="higher")) if np.size(losses) else np.inf
         for name, losses in (("image", of_image), ("tenth", of_tenth[:, lit]))
     }
+    return {name: loss if loss < 1 else np.inf for name, loss in least.items()}
 
 
 def scan_windows(
@@ -431,14 +432,19 @@ def scan_windows(
                 heavy = weights.sum(axis=-1)
                 moved = np.stack([cells.slack[band] * heavy, cells.outlier[band] * heavy])
             if cells.units is not None and cells.unit_level is not None:
-                units = cells.units[band] * weigh(cells.units[band], cells.unit_level[band])
+                of_units = weigh(cells.units[band], cells.unit_level[band])
+                units = cells.units[band] * of_units
             for edge in edges:
                 yield "contrasting regions", done / total
                 done += 1
                 independent = []
                 if divisions is not None:
                     sums = window_sums(units, edge)[0]
-                    divided = _divided(divisions, sums, alone=alone).max(axis=1)
+                    rounding = None
+                    if alone and cells.slack is not None:
+                        slack = cells.slack[band] * of_units.mean(axis=-1)
+                        rounding = window_sums(slack[..., np.newaxis], edge)[0]
+                    divided = _divided(divisions, sums, rounding).max(axis=1)
                     independent.append(_independent(divided[1:]))
                     of_divisions.append(_log_p(divided, independent[0]))
                 found = _largest(values, mean[band], light, edge, flips, moved)
@@ -612,15 +618,16 @@ def _divisions(cells: Cells, seed: Seed) -> sparse.csr_matrix:
 
 
 @np.errstate(all="ignore")
-def _divided(divisions: sparse.csr_matrix, sums: Array, *, alone: bool) -> Array:
+def _divided(divisions: sparse.csr_matrix, sums: Array, rounding: Array | None) -> Array:
     """Return sizes of differences between both groups of units (y, x, unit), for each division.
 
     They are divided by a standard error: the geometric mean of Welch's, with weight 1/3, and that
     of all units. For skewed samples, Welch's gives the ratio twice the skewness that the other
     gives it, with the opposite sign.
 
-    If nothing else looks at the means, the real division is at most as unlikely as by Welch's test,
-    since the groups may have other variances.
+    If nothing else looks at the means, there is `rounding`, which explains so much of the real
+    difference (y, x, 1). The rest is at most as unlikely as by Welch's test, since the groups may
+    have other variances.
 
     References
     ----------
@@ -645,7 +652,10 @@ def _divided(divisions: sparse.csr_matrix, sums: Array, *, alone: bool) -> Array
     ratio = np.maximum(sum(welch) / pooled, _ROUNDING) ** (1 / 3)
     size = np.abs(one / n[0] - other / n[1])
     found = size / np.sqrt(pooled * ratio)
-    if alone:
+    if rounding is not None:
+        scale = np.maximum(np.abs(sums).max(axis=-1), _TINY).ravel()
+        size[0] = np.maximum(size[0] - rounding.ravel() / scale, 0)
+        found[0] = size[0] / np.sqrt(pooled * ratio[0])
         a, b = (of[0] for of in welch)
         freedom = (a + b) ** 2 / (a**2 / max(n[0] - 1, 1) + b**2 / max(n[1] - 1, 1))
         normal = -special.ndtri(special.stdtr(freedom, -size[0] / np.sqrt(a + b)))

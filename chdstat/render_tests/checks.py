@@ -26,6 +26,8 @@ from chdstat.render_tests.draws import OF_TEST, Render, Seeds, render_of, unlike
 from chdstat.render_tests.pages import make_folder, numbers_of, thumbnails, write_page
 from chdstat.render_tests.verdicts import PASSED, Outcome, Question, RenderVerdict
 
+_LEAST = 8
+"""Samples of a test; fewer never tell."""
 _SIDES = (r"\b(?:render )?A\b", r"\b(?:render )?B\b")
 
 
@@ -75,10 +77,12 @@ def _check(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict,
 
 
 def _outcome(found: Contrast, asked: Question) -> Outcome:
-    if found.outcome != "no difference found":
-        return found.outcome
+    if found.outcome == "differ":
+        return "differ"
     if (np.asarray(found.maps["bad_a"] == 1) & np.asarray(found.maps["bad_b"] < 1)).any():
         return "bad pixels"
+    if found.outcome == "cannot tell":
+        return "cannot tell"
     if asked.finds is not None and not found.detectable["image"] <= asked.finds:
         return "too weak"
     return "no difference found"
@@ -194,6 +198,7 @@ def _update(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict
     if drawn.again:
         about = {"scene": asked.name, **new.attrs, "seed": seeds.of_reference(0, other=other)}
         new = replace(new, attrs=about)
+    _check_light(new, asked)
     outcome: Outcome = "written"
     found, sentence = None, why or f"{BATCHES} batches, {new.spp} samples per pixel"
     if old is not None:
@@ -201,6 +206,24 @@ def _update(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict
     if outcome in ("written", "replaced"):
         write_reference(new, asked.reference)
     return _verdict(asked, outcome, sentence, new, 1, spp, found), found
+
+
+def _check_light(new: Reference, asked: Question) -> None:
+    """Refuse a reference that would not see some pixels, or any light, or of too few samples."""
+    if asked.spp is not None:
+        whole("spp", asked.spp, least=_LEAST)
+    bad = ~np.isfinite(new.mean).all(axis=-1)
+    if bad.any():
+        y, x = np.argwhere(bad)[0]
+        message = (
+            f"{asked.name}: all samples are NaN or infinite in {bad.sum()} of {bad.size} pixels "
+            f"(first at y {y}, x {x}), which no test would see: mend the render, then write its "
+            "reference"
+        )
+        raise InputError(message)
+    if not new.mean.any():
+        message = f"{asked.name}: the render is black, so that no test would see its light"
+        raise InputError(message)
 
 
 def _of_reference(seeds: Seeds, *, other: bool) -> Iterator[int]:

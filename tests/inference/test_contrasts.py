@@ -222,9 +222,10 @@ def test_bad_samples_do_not_matter_at_unequal_spp():
     a, b = (rng.gamma(1.0, size=(8, 8, 1, n)) for n in (16, 100))
     a[rng.random(a.shape) < 0.1] = np.nan
     b[rng.random(b.shape) < 0.1] = np.inf
+    assert contrast(a, b).outcome == "no difference found"
     b[0, 0] = np.nan
     found = contrast(a, b)
-    assert found.outcome == "no difference found"
+    assert found.why == "1 pixel can be compared on one side only"
     assert np.isnan(found.p_value[0, 0]).all()
     assert np.isfinite(found.p_value.to_numpy().ravel()[1:]).all()
 
@@ -540,6 +541,8 @@ def test_pixels_without_good_samples_are_named():
         "2 pixels where all samples of B are NaN or infinite (first at y 0, x 0).",
     ):
         assert words in found.conclusion
+    assert found.outcome == "cannot tell"
+    assert found.why == "3 pixels can be compared on one side only"
     assert found.to_dict()["pixels_left_out"] == {"a": 1, "b": 2}
     assert found.table()["bad samples"] == "0.4\xa0% of A, 0.8\xa0% of B"
     image = small(2).mean(axis=-1)

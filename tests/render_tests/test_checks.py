@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
+from chdstat.errors import InputError
 from chdstat.inference import Contrast, Reference
 from chdstat.io import write_reference
 from chdstat.render_tests import checks, draws, pages
@@ -148,9 +149,16 @@ def test_pixels_that_the_reference_lacks_too_do_not_fail(asked: Question):
         return x
 
     assert answer(holed, replace(asked, spp=16))[0].outcome == "bad pixels"
-    asked.reference.unlink()
-    answer(holed, replace(asked, spp=16, update=True))
+    with pytest.raises(InputError, match="first at y 2, x 3"):
+        answer(holed, replace(asked, spp=16, update=True))
+    samples = np.stack([holed(10**6 + i) for i in range(48)], axis=-1)
+    write_reference(Reference.of_samples(chd.Samples.from_array(samples)), asked.reference)
     assert answer(holed, replace(asked, spp=16))[0].passed
+
+
+def test_a_black_render_makes_no_reference(asked: Question):
+    with pytest.raises(InputError, match="the render is black"):
+        answer(lambda seed: 0 * draw(seed), replace(asked, name="black", spp=16, update=True))
 
 
 @pytest.mark.parametrize(
