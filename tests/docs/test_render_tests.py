@@ -154,6 +154,7 @@ def guarded(tmp_path_factory) -> Path:
 COMMANDS = re.findall(r"^\.\. run:: console\n((?:   :exit: \d\n)?)\n   (.*)$", PAGE, re.MULTILINE)
 
 
+@pytest.mark.slow  # the page runs most of it when the documentation is built
 def test_from_nothing_to_a_test_that_finds_the_wrong_cosine(tmp_path):
     folder = files_of_the_page(tmp_path)
     printed = [type_in(line, folder, int(code[-2]) if code else 0) for code, line in COMMANDS]
@@ -166,6 +167,7 @@ def test_from_nothing_to_a_test_that_finds_the_wrong_cosine(tmp_path):
     assert "1 passed" in again
 
 
+@pytest.mark.slow  # the page runs most of it when the documentation is built
 def test_the_workflow_runs_and_its_artifacts_are_there(guarded):
     file = yaml.safe_load((FOLDER / "render-tests.yml").read_text("utf-8"))
     assert file[True].keys() == {"push", "pull_request"}  # YAML reads `on` as true
@@ -181,6 +183,7 @@ def test_the_workflow_runs_and_its_artifacts_are_there(guarded):
     assert len(list(report.glob("room*.html"))) == 1
 
 
+@pytest.mark.slow  # the page runs most of it when the documentation is built
 def test_the_script_runs_and_exits_as_pytest_does(guarded):
     (guarded / ".venv").symlink_to(sys.prefix)  # instead of a new one
     assert "1 passed" in type_in("sh render-tests.sh -q", guarded)
@@ -205,6 +208,7 @@ SCENE = """<scene version="3.0.0">
 """
 
 
+@pytest.mark.slow  # the page runs most of it when the documentation is built
 def test_other_renderers_are_guarded_as_the_page_says(tmp_path):
     tests = {path.name: path.read_text("utf-8") for path in FOLDER.glob("test_*.py")}
     del tests["test_tiny_renderer.py"]

@@ -42,7 +42,7 @@ def test_a_reference_is_read_as_it_was_written(tmp_path, channels):
     reference = made(heavy((6, 5, channels, 96)))
     found = through(reference, tmp_path)
     np.testing.assert_array_equal(found.mean, reference.mean.astype(np.float32))
-    assert (found.spp, found.known, found.precision) == (96, "batches", 0)
+    assert (found.spp, found.known, found.precision) == (96, "batches", reference.precision)
     assert found.attrs == ABOUT
     assert not found.bad.any()
     assert found.batches.dtype == np.float32

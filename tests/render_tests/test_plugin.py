@@ -498,6 +498,7 @@ def pytest_runtest_protocol(item, nextitem):
 # --- processes and files --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_processes_share_alpha_and_one_writes_the_index(session: Session):
     session(ALPHAS, "--render-update", "-n2").assert_outcomes(passed=4)
     result = session(ALPHAS, "-n2", "-v", "--render-report=pages", "--junitxml=j.xml")
