@@ -92,6 +92,7 @@ def in_mitsuba(renderer: SimpleNamespace) -> dict:
     return scene
 
 
+@pytest.mark.slow
 def test_the_renderer_agrees_with_mitsuba():
     renderer = tiny()
     other = chd.render(in_mitsuba(renderer), spp=512, size=(24, 24), seed=1)
@@ -100,6 +101,7 @@ def test_the_renderer_agrees_with_mitsuba():
     assert found.detectable["image"] < 0.03
 
 
+@pytest.mark.slow
 def test_in_a_furnace_all_is_equally_bright():
     renderer = tiny()
     renderer.SKY[:], renderer.LAMP[:], renderer.ALBEDO[:] = 1, 1, 1

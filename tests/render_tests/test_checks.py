@@ -106,6 +106,7 @@ def test_looks_have_other_samples(asked: Question, outcomes: Callable[..., list[
     assert len(seeds) == len(set(seeds)) == 48
 
 
+@pytest.mark.slow
 def test_right_renders_fail_as_rarely_as_alpha_says(tmp_path: Path):
     """40 right renders at a level of .2: their number of failures exceeds the 99.9 % quantile of a
     binomial distribution by chance in one of 1000 choices of seeds."""
