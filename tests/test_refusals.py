@@ -34,8 +34,8 @@ from chdstat.io import (
     write_reference,
 )
 from chdstat.patterns import Thresholds, agreement, attribute
-from chdstat.render_tests.checks import answer
-from chdstat.render_tests.verdicts import Question
+from chdstat.render_tests.checks import verdict_on
+from chdstat.render_tests.verdicts import RenderCheck
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import probe, resolve
 from chdstat.rendering.jobs import scene_size
@@ -762,7 +762,7 @@ REPORTS: Table = {
 def answered(render: Any = PLAIN, spp: int | None = None, **asked: Any) -> Any:
     """Ask whether a render has the light of a reference."""
     about = {"name": "box", "reference": Path("box.exr"), "page": "box", "test": "t", "alpha": 0.01}
-    return answer(render, Question(**{**about, "spp": spp, **asked}))
+    return verdict_on(render, RenderCheck(**{**about, "spp": spp, **asked}))
 
 
 RENDER_TESTS: Table = {

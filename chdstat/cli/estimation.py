@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from chdstat.samples import Samples
     from chdstat.scenes import Scene
 
-_OF_A_RENDER = 3
-"""A reference has thrice the samples of a render: then it has thrice as many batches of a size."""
 _UNKNOWN_SPP = 512
 """Most samples of a scene to draw if those of the reference are unknown."""
 _CONTRASTED = {
@@ -320,10 +318,10 @@ def contrast(
     times: dict[str, float] = {}
     for name, (a, drawn) in _renders_of(names, other, asked, finds, render_spp).items():
         begin = time.monotonic()
-        with closing(a) if isinstance(a, _Drawn) else nullcontext():
+        with closing(a) if isinstance(a, _SceneDraws) else nullcontext():
             found = chdstat.contrast(a, other, **options, **drawn)
         contrasts[name] = (
-            replace(found, names=(name, found.names[1])) if isinstance(a, _Drawn) else found
+            replace(found, names=(name, found.names[1])) if isinstance(a, _SceneDraws) else found
         )
         times[name] = time.monotonic() - begin
     together = Contrasts(contrasts, alpha)
@@ -393,7 +391,7 @@ def _renders_of(
     if spp is not None and not any(isinstance(a, Reference) for a, _ in found.values()):
         message = f"--render-spp is for images, got {', '.join(names)}; leave it out"
         raise InputError(message)
-    if not any(isinstance(a, _Drawn) for a, _ in found.values()):
+    if not any(isinstance(a, _SceneDraws) for a, _ in found.values()):
         settings = {n: v for n, v in asked.settings.items() if n != "seed"}
         refuse_render(names[0], settings | {"-D": asked.define or None, "--finds": finds})
     return found
@@ -401,10 +399,10 @@ def _renders_of(
 
 def _draws(
     scene: Scene, other: Path | Reference, asked: CommonOptions, finds: float | None
-) -> tuple[_Drawn, dict[str, Any]]:
+) -> tuple[_SceneDraws, dict[str, Any]]:
     """Return what draws samples of a scene at the size of a reference, and the options for it."""
     import chdstat
-    from chdstat.inference import Reference
+    from chdstat.inference.references import OF_TEST, Reference
     from chdstat.rendering import render_batches
     from chdstat.samples.tiles import BATCH
 
@@ -418,7 +416,7 @@ def _draws(
             "give another --seed"
         )
         raise InputError(message)
-    spp = asked.spp or (held.spp // _OF_A_RENDER if held.spp else _UNKNOWN_SPP)
+    spp = asked.spp or (held.spp // OF_TEST if held.spp else _UNKNOWN_SPP)
     settings = asked.settings | {"size": (width, height), "spp": spp, "seed": seed}
     batch = min(BATCH, max(1, spp // 4))  # so that it can be looked at after a quarter
     rendering = render_batches(scene, batch=batch, progress=asked.progress, **settings)
@@ -429,10 +427,10 @@ def _draws(
             f"{scene.name} is drawn by the integrator {told(one)}, and the reference was by "
             f"{told(their)}: their means differ if these do"
         )
-    return _Drawn(rendering), {"spp": spp, "seed": seed, "finds": finds}
+    return _SceneDraws(rendering), {"spp": spp, "seed": seed, "finds": finds}
 
 
-class _Drawn:
+class _SceneDraws:
     """Draws the batches of a render, one after the other; its seed is that of the render."""
 
     def __init__(self, rendering: Rendering) -> None:

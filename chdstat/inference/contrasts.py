@@ -66,7 +66,7 @@ Draw: TypeAlias = Callable[[int], npt.ArrayLike]
 """Returns samples of every pixel from a seed, shape (y, x, channel) or (y, x, channel, sample)."""
 _Outcome = Literal["no difference found", "differ", "cannot tell"]
 
-_LEAST_TERMS = 8
+LEAST_TERMS = 8
 """With fewer terms, no p-value is small enough."""
 _OF_WINDOWS = 0.8
 """Share of alpha for windows; single pixels get the rest."""
@@ -404,8 +404,10 @@ class Contrasts(Tabled):
                 "outcome": of.outcome,
                 "p": of.image_p_value,
                 "loss": of.loss.value,
-                "smallest_loss_image": _finite(of.detectable["image"]),
-                "smallest_loss_tenth": _finite(of.detectable["tenth"]),
+                **{
+                    f"smallest_loss_{part}": loss if np.isfinite(loss) else np.nan
+                    for part, loss in of.detectable.items()
+                },
                 "conclusion": of.conclusion,
             }
             for name, of in self.contrasts.items()
@@ -418,10 +420,8 @@ class Contrasts(Tabled):
         return dict(plain(about | {"contrasts": of_each}))
 
     def _card(self) -> Card:
-        return Card("Contrasts", {"conclusion": self.conclusion} | self._in_words())
-
-    def _in_words(self) -> dict[str, str]:
-        return {name: of.conclusion for name, of in self.contrasts.items()}
+        of_each = {name: of.conclusion for name, of in self.contrasts.items()}
+        return Card("Contrasts", {"conclusion": self.conclusion} | of_each)
 
 
 class _Options(TypedDict, total=False):
@@ -549,11 +549,12 @@ def contrast(
         if not a:
             message = "contrast needs a render, got an empty mapping"
             raise InputError(message)
-        each = alpha / len(a)
         b = Reference.of(b) or b
         drawn: dict[str, Any] = {"spp": spp, "finds": finds}
         found: dict[str, Contrast] = {
-            str(name): contrast(of, b, alpha=each, **options, **(drawn if callable(of) else {}))
+            str(name): contrast(
+                of, b, alpha=alpha / len(a), **options, **(drawn if callable(of) else {})
+            )
             for name, of in a.items()
         }
         return Contrasts(found, alpha)
@@ -592,8 +593,8 @@ def contrasting(
     y, x, rows, columns = (edge * size for size in scan.window)
     band = scan.band
     (loss, window_loss), detectable = _losses(cells, pair.terms, scan), scan.detectable
-    alone = (q <= alpha).any(axis=-1).sum() == 1 and parts[1] < parts[0]
-    if parts[1] <= alpha and (alone or not parts[0] <= alpha):  # a pixel decides
+    one = (q <= alpha).any(axis=-1).sum() == 1 and parts[1] < parts[0]
+    if parts[1] <= alpha and (one or not parts[0] <= alpha):  # a pixel decides
         y, x, band = map(int, np.unravel_index(np.nanargmin(q), q.shape))
         rows = columns = 1
         of_a, of_b = (float(maps[f"mean_{name}"][y, x, band]) for name in "ab")
@@ -654,7 +655,7 @@ def _drawing(
     if spp is None:
         message = "a function that draws samples needs spp, the most to draw, got None"
         raise InputError(message)
-    most, first = whole("spp", spp, least=_LEAST_TERMS), seed_number(seed)
+    most, first = whole("spp", spp, least=LEAST_TERMS), seed_number(seed)
     other = Reference.of(b) or b
     parts: list[Array] = []
     seeds, drawn, smallest, spent = itertools.count(first), 0, 1.0, 0.0
@@ -702,7 +703,7 @@ def _why_not(
     if not np.isfinite(maps["p_value"]).any():
         if spp < 2:
             needs = f"a contrast needs at least 2 samples per pixel, got {spp}"
-            return f"{needs}: render {_LEAST_TERMS} or more", _LEAST_TERMS
+            return f"{needs}: render {LEAST_TERMS} or more", LEAST_TERMS
         equal = maps["reason"] == Reason.CONSTANT
         if (equal & ~maps["constant"]).any():
             return (
@@ -712,8 +713,8 @@ def _why_not(
         if not equal.any():
             black = (maps["reason"] == Reason.ALL_NULL).any()
             return "A and B are black" if black else "no pixel has good samples in A and B", None
-    if pair.terms < _LEAST_TERMS:
-        return f"{spp} samples per pixel are too few, render {_LEAST_TERMS} or more", _LEAST_TERMS
+    if pair.terms < LEAST_TERMS:
+        return f"{spp} samples per pixel are too few, render {LEAST_TERMS} or more", LEAST_TERMS
     if differ:
         return "", None
     lost = int(((maps["bad_a"] == 1) != (maps["bad_b"] == 1)).sum())
@@ -800,10 +801,6 @@ def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interva
     blocks = Blocks.grid(*mean.shape)[known]
     one, other = (blocks.sums(cost[known]) for cost in costs)
     return interval_of(lambda w: (w @ one) / (w @ other), blocks, bounds=(0, np.inf))
-
-
-def _finite(x: float) -> float:
-    return x if np.isfinite(x) else np.nan
 
 
 def _median(x: Array) -> float:

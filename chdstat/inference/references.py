@@ -35,7 +35,9 @@ _SUBNORMAL = 2.0**-25
 IMAGES = (".exr", ".pfm")
 """Suffixes of files of references."""
 BATCHES = 48
-"""Batches of a reference. It has thrice as many samples as a test, which has 16 of them then."""
+"""Batches of a reference."""
+OF_TEST = 3
+"""A reference has so many times the samples of a test, which thus makes 16 such batches."""
 _FEWEST_BATCHES = 8
 _MADE = 64
 """Terms that stand for a mean and a variance."""
@@ -379,19 +381,33 @@ def mean_of_batches(batches: Array) -> Floats:
     )
 
 
+def sums_of_good(x: Array) -> tuple[Floats, Array | int]:
+    """Return sums of the good samples, (y, x, channel), and their number in each pixel, (y, x).
+
+    Examples
+    --------
+    >>> sums, number = sums_of_good(np.array([[[[1.0, 2.0, np.nan]]]]))
+    >>> sums.item(), number.item()
+    (3.0, 2)
+    """
+    if all_good(x):
+        return x.sum(axis=-1, dtype=float), x.shape[-1]
+    good = np.asarray(~is_bad(x).any(axis=2))
+    sums = np.where(good[:, :, np.newaxis], x, 0).sum(axis=-1, dtype=float)
+    return sums, good.sum(axis=-1)
+
+
 def _means_of_batches(samples: Samples, batches: int, size: int) -> tuple[Floats, Floats]:
     """Return means of batches of consecutive samples, and the share of bad ones, (y, x)."""
     total = np.zeros((*samples.shape[:3], batches))
     number = np.zeros((*samples.shape[:2], batches), np.int64)
     for ss in spans(batches * size, BATCH):
         x = samples.read(ss=ss)
-        good = None if all_good(x) else np.asarray(~is_bad(x).any(axis=2))
-        if good is not None:
-            x = np.where(good[:, :, np.newaxis], x, 0)
         for k in range(ss.start // size, (ss.stop - 1) // size + 1):
             own = slice(max(k * size - ss.start, 0), (k + 1) * size - ss.start)
-            total[..., k] += x[..., own].sum(axis=-1, dtype=float)
-            number[..., k] += x[..., own].shape[-1] if good is None else good[..., own].sum(axis=-1)
+            sums, good = sums_of_good(x[..., own])
+            total[..., k] += sums
+            number[..., k] += good
     there = np.minimum(samples.counts, batches * size)
     with np.errstate(invalid="ignore"):
         return total / number[:, :, np.newaxis], 1 - number.sum(axis=-1) / there

@@ -56,6 +56,12 @@ _RAREST = 1 / 300
 """Light that neighbours have not seen, either, may come in so few samples."""
 
 
+def _shrunk(d: Image, slack: Array, known: Array) -> Image:
+    """Return differences without what rounding explains, which is no difference of a pixel."""
+    shift: Array = np.clip(d.sum(axis=-1, dtype=float) / np.maximum(known, 1), -slack, slack)
+    return d - shift.astype(d.dtype)[..., np.newaxis]
+
+
 def _with_luminance(x: Array) -> Array:
     """Return bands (y, x, band, ...): luminance before R, G and B; other channels as they are."""
     if x.shape[2] != 3:
@@ -126,8 +132,8 @@ _UNITS, _TIMES = 1024, 16
 change the standard error of the difference by less than 3 %."""
 _FEWEST_UNITS = 4
 """With fewer, no division of units is rare enough."""
-_SMALL = 0.1, 0.01
-"""Pixels with p-values up to this are also compared by units: with a render, with a reference."""
+_SMALL, _SMALL_OF_BATCHES = 0.1, 0.01
+"""Pixels with p-values up to this are also compared by units: of renders, or batches."""
 _AT_ONCE = 2**22
 _ROUNDING = 1e-3
 """Relative precision of half floats."""
@@ -176,7 +182,7 @@ class Pair:
             raise InputError(message)
         first, second = Reference.of(one), Reference.of(two)
         variance = second.variance if first and second and first.shape == second.shape else None
-        if first and (first.spp is None or first.variance is variance is None):
+        if first and (first.spp is None or (first.variance is None and variance is None)):
             one, two, first, second = two, one, second, first
             if first and (first.spp is None or first.variance is None):
                 message = (
@@ -198,10 +204,11 @@ class Pair:
                 f"expected as many channels in both, got {a.shape[2]} in A and {b.shape[2]} in B"
             )
             raise InputError(message)
-        if isinstance(b, Reference) and a.attrs.get("seed", b) == b.attrs.get("seed"):
+        seed = a.attrs.get("seed")
+        if isinstance(b, Reference) and seed is not None and seed == b.attrs.get("seed"):
             warn_caller(
-                f"A was rendered with the seed of the reference, {a.attrs['seed']}: the same "
-                "random numbers hide differences; render A with another seed"
+                f"A was rendered with the seed of the reference, {seed}: the same random numbers "
+                "hide differences; render A with another seed"
             )
         renders = [x for x in (a, b) if isinstance(x, Samples)]
         times = [float(x.attrs.get("render_seconds") or np.nan) / x.spp for x in renders]
@@ -254,7 +261,8 @@ class Pair:
     @property
     def terms(self) -> int:
         """Number of terms of a pixel."""
-        least, most = min(self.spp), _TERMS // (1 + (self.of_image and self.unit_size > 0))
+        least = min(self.spp)
+        most = _TERMS // 2 if self.of_image and self.unit_size else _TERMS
         return least // -(-least // most)
 
     @property
@@ -432,28 +440,24 @@ class Pair:
         """Return the maps and sums of some rows."""
         sums = self._read(ys, left_out)
         missing = ((sums[0].number == 0) | (sums[1].number == 0))[:, :, np.newaxis]
-        of_terms = [_with_luminance(render.of_terms()) for render in sums]
-        if missing.any():
-            of_terms = [np.where(missing, 0, x) for x in of_terms]
-        one, other = of_terms
+        one, other = (
+            np.where(missing, 0, x) if missing.any() else x
+            for x in (_with_luminance(render.of_terms()) for render in sums)
+        )
         d = other - one
         known = self.terms - missing.sum(axis=-1)
         means = [sums[0].mean(), sums[1].mean() if isinstance(self.b, Samples) else self.b.mean[ys]]
         mean_a, mean_b = map(_with_luminance, means)
         tested, constant, of_reference = d, np.ones(d.shape[:-1], bool), {}
         if isinstance(self.b, Reference):
-            # What rounding explains is no difference of a pixel.
-            slack = self.b.rounding[ys]
-            shift = np.clip(d.sum(axis=-1, dtype=float) / np.maximum(known, 1), -slack, slack)
-            tested = d - shift.astype(d.dtype)[..., np.newaxis]
-            tested *= ~missing
+            tested = _shrunk(d, self.b.rounding[ys], known) * ~missing
             of_reference = {name: getattr(sums[0], name) for name in _OF_REFERENCE[1:]}
             of_reference["number"] = sums[0].number.sum(axis=-1)
         else:
             constant = (np.ptp(one, axis=-1) == 0) & (np.ptp(other, axis=-1) == 0)
             # For constant renders, such as lamps, only so many digits of files and sums count.
             d[constant & (np.abs(d[..., 0]) <= _ROUNDING * np.abs(one[..., 0]))] = 0
-        bands = [tested[:, :, i] for i in range(d.shape[2])]
+        bands = list(np.moveaxis(tested, 2, 0))
         level = np.nan_to_num((mean_a + mean_b) / 2)
         p = [p_of_signs(x.reshape(-1, self.terms)).reshape(x.shape[:2]) for x in bands]
         p_value = np.stack(p, axis=-1)
@@ -471,11 +475,11 @@ class Pair:
             render.number.sum(axis=-1) * _averaged(of)
             for render, of in zip(sums, (self.a, self.b), strict=True)
         )
-        total = number_a * mean_a[..., 0] + number_b * mean_b[..., 0]
+        share = number_a / (number_a + number_b)
         return {
             "mean_a": mean_a,
             "mean_b": mean_b,
-            "radiance": total / (number_a + number_b),
+            "radiance": share * mean_a[..., 0] + (1 - share) * mean_b[..., 0],
             "p_value": p_value,
             "constant": constant.all(axis=-1),
             "lamps": constant & (not self.of_image),
@@ -534,7 +538,7 @@ class Pair:
         units, levels = [], []
         for band, of_band in enumerate([*bands, *np.moveaxis(total, 2, 0)]):
             x = of_band / number.astype(of_band.dtype)
-            small = p[..., band] <= _SMALL[self.of_image]
+            small = p[..., band] <= (_SMALL_OF_BATCHES if self.of_image else _SMALL)
             rows, known = x[small], good[small]
             found = p_of_means(rows[:, :short], rows[:, short:], known[:, :short], known[:, short:])
             p[small, band] = found if alone else np.fmax(p[small, band], found)

@@ -326,7 +326,7 @@ class _Losses:
     edge, starts
         Edge of the windows, and where they begin, in cells.
     windows
-        Number of independent windows, by flips and by divisions.
+        Number of independent windows, for each test that looks at them.
     noise
         Sums of terms for some flips, shape (flip, y, x).
     root
@@ -339,7 +339,7 @@ class _Losses:
 
     edge: int
     starts: list[Array]
-    windows: list[float]
+    windows: tuple[float, ...]
     noise: Floats
     root: Floats
     least: Floats
@@ -433,61 +433,59 @@ def scan_windows(
                 moved = np.stack([cells.slack[band] * heavy, cells.outlier[band] * heavy])
             if cells.units is not None and cells.unit_level is not None:
                 of_units = weigh(cells.units[band], cells.unit_level[band])
-                units = cells.units[band] * of_units
+                units, slack = cells.units[band] * of_units, None
+                if alone and cells.slack is not None:
+                    slack = (cells.slack[band] * of_units.mean(axis=-1))[..., np.newaxis]
             for edge in edges:
                 yield "contrasting regions", done / total
                 done += 1
-                independent = []
+                independent: tuple[float, ...] = ()
                 if divisions is not None:
-                    sums = window_sums(units, edge)[0]
-                    rounding = None
-                    if alone and cells.slack is not None:
-                        slack = cells.slack[band] * of_units.mean(axis=-1)
-                        rounding = window_sums(slack[..., np.newaxis], edge)[0]
-                    divided = _divided(divisions, sums, rounding).max(axis=1)
-                    independent.append(_independent(divided[1:]))
-                    of_divisions.append(_log_p(divided, independent[0]))
+                    rounding = None if slack is None else window_sums(slack, edge)[0]
+                    divided = _divided(divisions, window_sums(units, edge)[0], rounding).max(axis=1)
+                    independent = (_independent(divided[1:]),)
+                    of_divisions.append(_log_p(divided, *independent))
                 found = _largest(values, mean[band], light, edge, flips, moved)
                 if found is None:
                     continue
                 largest, place, loss = found
                 windows = _independent(largest[1:])
-                loss.windows.extend([windows, *independent])
                 scores.append(_log_p(largest, windows))
                 places.append((largest[0], band, place, edge))
-                losses.append(loss)
+                independent = independent if alone else (windows, *independent)
+                losses.append(replace(loss, windows=independent))
     if not scores:
         return WindowTest(np.nan, (0, 0, *size), 0, {"image": np.nan, "tenth": np.nan})
     _, band, (y, x), edge = max(places)
-    p_values, tests = [], []
+    tests = []
     if not alone:
-        p, critical = _of_all(scores, np.log(2) * (terms - 1), alpha)
-        p_values, tests = [p], [_Crossing(critical, terms, 1 / 2)]
+        tests.append(_of_all(scores, np.log(2) * (terms - 1), alpha, terms, 1 / 2))
     if divisions is not None:
         count = units.shape[-1]
-        choices = log_choices(np.array(count), np.array(cells.short))
-        p, critical = _of_all(of_divisions, float(choices), alpha)
-        p_values.append(p)
-        tests.append(_Crossing(critical, count, 1 / 3, _freedom(cells) if alone else np.inf))
-    for loss in losses:
-        del loss.windows[: -len(tests)]
+        choices = float(log_choices(np.array(count), np.array(cells.short)))
+        freedom = _freedom(cells.short, count - cells.short) if alone else np.inf
+        tests.append(_of_all(of_divisions, choices, alpha, count, 1 / 3, freedom))
+    crossings = [crossing for _, crossing in tests]
     return WindowTest(
-        p_value=max(p_values),
+        p_value=max(p for p, _ in tests),
         window=(y, x, min(edge, size[0]), min(edge, size[1])),
         band=band,
-        detectable=_detectable(losses, tests, cells),
-        unseen=_unseen(cells, tests[0](losses[-1].windows[0]) + _Z_90),
+        detectable=_detectable(losses, crossings, cells),
+        unseen=_unseen(cells, crossings[0](losses[-1].windows[0]) + _Z_90),
     )
 
 
-def _of_all(log_p: list[Floats], choices: float, alpha: float) -> tuple[float, float]:
-    """Return the p-value of the smallest of all log probabilities, and the one of level alpha.
+def _of_all(
+    log_p: list[Floats], choices: float, alpha: float, count: int, power: float, *freedom: float
+) -> tuple[float, _Crossing]:
+    """Return the p-value of the smallest of all log probabilities, and what crosses level alpha.
 
     `choices` is the log of the number of flips or divisions: none is rarer than one of them.
     """
     least = -np.min(log_p, axis=0)[np.newaxis]
     p = float(p_of_tail(least[:, 0], least[:, 1:])[0])
-    return max(p, float(np.exp(-choices))), -float(quantile_of_tail(least[:, 1:], alpha)[0])
+    critical = -float(quantile_of_tail(least[:, 1:], alpha)[0])
+    return max(p, float(np.exp(-choices))), _Crossing(critical, count, power, *freedom)
 
 
 def window_sums(x: Array, edge: int) -> tuple[Array, list[Any]]:
@@ -547,7 +545,7 @@ def _largest(
     losses = _Losses(
         edge,
         starts,
-        [],
+        (),
         noise,
         moments.scale * np.sqrt(np.where(square > 0, square, 0) + missed**2),
         missed * moments.scale + rounding,
@@ -663,12 +661,10 @@ def _divided(divisions: sparse.csr_matrix, sums: Array, rounding: Array | None) 
     return np.asarray(found)
 
 
-def _freedom(cells: Cells) -> float:
-    """Return the degrees of freedom of Welch's test, if both groups have the same variance."""
-    assert cells.units is not None
-    n = cells.short, cells.units.shape[-1] - cells.short
+def _freedom(*n: int) -> float:
+    """Return the degrees of freedom of Welch's test of groups of one variance."""
     squares = sum((1 / k) ** 2 / max(k - 1, 1) for k in n)
-    return float((1 / n[0] + 1 / n[1]) ** 2 / squares)
+    return float(sum(1 / k for k in n) ** 2 / squares)
 
 
 @np.errstate(all="ignore")

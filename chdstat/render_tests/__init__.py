@@ -6,7 +6,7 @@ reference differ. `SameLight` is its type. Nothing heavy is loaded until a test 
 
 from __future__ import annotations
 
-from chdstat.render_tests.verdicts import SameLight
+from chdstat.render_tests.plugin import SameLight
 
 __all__ = ["SameLight"]
 

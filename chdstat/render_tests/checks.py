@@ -20,18 +20,17 @@ from chdstat._core.arrays import whole
 from chdstat._core.display import percent
 from chdstat.errors import InputError, StoreError, check_probability
 from chdstat.inference import Contrast, contrast
-from chdstat.inference.references import BATCHES, Reference
+from chdstat.inference.contrasts import LEAST_TERMS
+from chdstat.inference.references import BATCHES, OF_TEST, Reference
 from chdstat.io import write_reference
-from chdstat.render_tests.draws import OF_TEST, Render, Seeds, render_of, unlike
+from chdstat.render_tests.draws import Render, Seeds, render_of, unlike
 from chdstat.render_tests.pages import make_folder, numbers_of, thumbnails, write_page
-from chdstat.render_tests.verdicts import PASSED, Outcome, Question, RenderVerdict
+from chdstat.render_tests.verdicts import PASSED, Outcome, RenderCheck, RenderVerdict
 
-_LEAST = 8
-"""Samples of a test; fewer never tell."""
 _SIDES = (r"\b(?:render )?A\b", r"\b(?:render )?B\b")
 
 
-def answer(render: object, asked: Question) -> tuple[RenderVerdict, Contrast | None]:
+def verdict_on(render: object, asked: RenderCheck) -> tuple[RenderVerdict, Contrast | None]:
     """Return the verdict of a call, and the contrast that it rests on, if there is one.
 
     Raises
@@ -52,7 +51,9 @@ def answer(render: object, asked: Question) -> tuple[RenderVerdict, Contrast | N
     return _check(drawn, asked, seeds)
 
 
-def _check(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict, Contrast | None]:
+def _check(
+    drawn: Render, asked: RenderCheck, seeds: Seeds
+) -> tuple[RenderVerdict, Contrast | None]:
     reference = _read(asked)
     spp = asked.spp
     if drawn.again and spp is None:
@@ -76,7 +77,7 @@ def _check(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict,
     return verdict, found
 
 
-def _outcome(found: Contrast, asked: Question) -> Outcome:
+def _outcome(found: Contrast, asked: RenderCheck) -> Outcome:
     if found.outcome == "differ":
         return "differ"
     if (np.asarray(found.maps["bad_a"] == 1) & np.asarray(found.maps["bad_b"] < 1)).any():
@@ -88,7 +89,7 @@ def _outcome(found: Contrast, asked: Question) -> Outcome:
     return "no difference found"
 
 
-def _too_weak(found: Contrast, asked: Question) -> str:
+def _too_weak(found: Contrast, asked: RenderCheck) -> str:
     """Return what is needed to find a loss as small as is asked for."""
     if asked.finds is None or not found.detectable["image"] < 1:
         return "That is not enough: render more samples."
@@ -107,7 +108,7 @@ def _in_words(found: Contrast, a: str, b: str) -> str:
 
 
 def _verdict(
-    asked: Question,
+    asked: RenderCheck,
     outcome: Outcome,
     sentence: str,
     reference: Reference,
@@ -144,7 +145,7 @@ def _verdict(
 # --- references -----------------------------------------------------------------------------------
 
 
-def _read(asked: Question) -> Reference:
+def _read(asked: RenderCheck) -> Reference:
     """Return the reference.
 
     Raises
@@ -179,7 +180,9 @@ def _equal(one: Reference, other: Reference) -> bool:
     return np.array_equal(means[0], means[1], equal_nan=True)
 
 
-def _update(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict, Contrast | None]:
+def _update(
+    drawn: Render, asked: RenderCheck, seeds: Seeds
+) -> tuple[RenderVerdict, Contrast | None]:
     asked.claim(asked.reference)
     folder = asked.reference.parent
     make_folder(folder)
@@ -208,10 +211,10 @@ def _update(drawn: Render, asked: Question, seeds: Seeds) -> tuple[RenderVerdict
     return _verdict(asked, outcome, sentence, new, 1, spp, found), found
 
 
-def _check_light(new: Reference, asked: Question) -> None:
+def _check_light(new: Reference, asked: RenderCheck) -> None:
     """Refuse a reference that would not see some pixels, or any light, or of too few samples."""
     if asked.spp is not None:
-        whole("spp", asked.spp, least=_LEAST)
+        whole("spp", asked.spp, least=LEAST_TERMS)
     bad = ~np.isfinite(new.mean).all(axis=-1)
     if bad.any():
         y, x = np.argwhere(bad)[0]
@@ -230,7 +233,7 @@ def _of_reference(seeds: Seeds, *, other: bool) -> Iterator[int]:
     return (seeds.of_reference(i, other=other) for i in count())
 
 
-def _old(asked: Question) -> tuple[Reference | None, str]:
+def _old(asked: RenderCheck) -> tuple[Reference | None, str]:
     """Return the reference that is there, or None and why it can be replaced without a test."""
     if not asked.reference.exists():
         return None, ""
@@ -241,7 +244,7 @@ def _old(asked: Question) -> tuple[Reference | None, str]:
 
 
 def _renewed(
-    new: Reference, old: Reference, asked: Question
+    new: Reference, old: Reference, asked: RenderCheck
 ) -> tuple[Outcome, str, Contrast | None]:
     """Return whether a reference takes the place of another one, and why."""
     if new.shape != old.shape:

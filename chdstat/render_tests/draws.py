@@ -22,12 +22,12 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from chdstat._core.arrays import Array, Image, is_bad
+from chdstat._core.arrays import Array, Image
 from chdstat._core.display import channel_names
 from chdstat._core.files import is_exr, is_path, place_of
 from chdstat.errors import InputError, InputWarning, brief
 from chdstat.inference import Contrast, contrast
-from chdstat.inference.references import BATCHES, Reference
+from chdstat.inference.references import BATCHES, OF_TEST, Reference, sums_of_good
 from chdstat.samples import Samples, is_store, samples_of
 from chdstat.samples.samples import single
 from chdstat.scenes import Scene, load_scene
@@ -37,8 +37,6 @@ _GOLDEN = 0x9E3779B1 % _HALF | 1
 """2^32 over the golden ratio, odd: its multiples take each value of 30 bits once."""
 _APART = 2**20
 """Passes of a reference before those of its successor begin."""
-OF_TEST = 3
-"""A reference has so many times the samples of its test, which thus has a third of its batches."""
 
 
 @dataclass(frozen=True)
@@ -213,11 +211,12 @@ class _FunctionRender:
         shape: tuple[int, ...] = ()
         for _ in range(BATCHES):
             x = self._values(total // BATCHES, seeds, shape)
-            shape, good = x.shape[:3], np.asarray(~is_bad(x).any(axis=2))
+            shape = x.shape[:3]
+            sums, number = sums_of_good(x)
+            good = np.broadcast_to(number, shape[:2])
             with np.errstate(invalid="ignore"):
-                sums = np.where(good[:, :, np.newaxis], x, 0).sum(axis=-1, dtype=float)
-                means.append(sums / good.sum(axis=-1)[..., np.newaxis])
-            bad.append(1 - good.mean(axis=-1))
+                means.append(sums / good[..., np.newaxis])
+            bad.append(1 - good / x.shape[-1])
         batches, size = np.stack(means, axis=-1).astype(np.float32), total // BATCHES
         with _refusing_repeats():
             samples = Samples.from_array(batches, axes="yxcs", averaged=size)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 
-from chdstat.render_tests.verdicts import Question, RenderVerdict, SameLight
+from chdstat.render_tests.verdicts import RenderCheck, RenderVerdict
 
 if TYPE_CHECKING:
     from chdstat.inference import Contrast
@@ -63,7 +63,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Begin to count render tests."""
-    config.pluginmanager.register(_Session(config), "chdstat-session")
+    config.pluginmanager.register(_RenderTests(config), "chdstat-session")
 
 
 def _probability(text: str) -> float:
@@ -101,14 +101,14 @@ def same_light(request: pytest.FixtureRequest) -> SameLight:
     on choose other random numbers. ``finds=.01`` also fails if a loss of 1 % of the light would not
     have been found. A test that cannot tell fails, or is skipped with ``cannot_tell="skip"``.
     """
-    session: _Session = request.config.pluginmanager.getplugin("chdstat-session")
-    return _Asking(request, session)
+    session: _RenderTests = request.config.pluginmanager.getplugin("chdstat-session")
+    return SameLight(request, session)
 
 
-class _Asking:
-    """The fixture of one test: it counts calls, and keeps their verdicts."""
+class SameLight:
+    """The fixture `same_light` of one test: it counts calls, and keeps their verdicts."""
 
-    def __init__(self, request: pytest.FixtureRequest, session: _Session) -> None:
+    def __init__(self, request: pytest.FixtureRequest, session: _RenderTests) -> None:
         self._item, self._session, self._calls = request.node, session, 0
         self._verdicts = session.verdicts_of[self._item.nodeid] = list[RenderVerdict]()
 
@@ -128,14 +128,14 @@ class _Asking:
         """Compare a render with its reference, as the fixture says."""
         __tracebackhide__ = True
         from chdstat.errors import ChdstatError, check_option
-        from chdstat.render_tests.checks import answer
+        from chdstat.render_tests.checks import verdict_on
 
         self._calls += 1
         check_option("cannot_tell", cannot_tell, ("fail", "skip"))
         named = self._name(name)
-        asked = self._session.question(self._item, named, self._calls, spp, seed, finds)
+        asked = self._session.check_of(self._item, named, self._calls, spp, seed, finds)
         try:
-            verdict, found = answer(render, asked)
+            verdict, found = verdict_on(render, asked)
         except ChdstatError as error:
             self._note(RenderVerdict(named, asked.test, asked.alpha, "refused", str(error)))
             raise error.with_traceback(None) from None
@@ -177,7 +177,7 @@ class _Asking:
         return name
 
 
-class _Session:
+class _RenderTests:
     """What is known of all render tests of a session."""
 
     def __init__(self, config: pytest.Config) -> None:
@@ -226,7 +226,7 @@ class _Session:
         given = self._config.getoption("render_report") or self._config.getini("render_report")
         return Path(self._config.invocation_params.dir, given)
 
-    def question(
+    def check_of(
         self,
         item: pytest.Item,
         name: str,
@@ -234,8 +234,8 @@ class _Session:
         spp: int | None,
         seed: int,
         finds: float | None,
-    ) -> Question:
-        """Return the question of a call.
+    ) -> RenderCheck:
+        """Return what a call checks.
 
         Raises
         ------
@@ -252,7 +252,7 @@ class _Session:
             raise InputError(message)
         folder = Path(self._config.getini("render_references"))
         by = f"{item.nodeid}, call {call}"
-        return Question(
+        return RenderCheck(
             name,
             item.path.parent / folder / f"{name}.exr",
             f"{name.replace(' ', '-')}-{_key(by, 3)}",
@@ -267,7 +267,7 @@ class _Session:
             claim=lambda path: self._claim(path, by),
         )
 
-    def failure(self, verdict: RenderVerdict, asked: Question) -> str:
+    def failure(self, verdict: RenderVerdict, asked: RenderCheck) -> str:
         """Return what a failed test says."""
         from chdstat._core.files import shown
 

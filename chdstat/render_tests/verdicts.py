@@ -1,4 +1,4 @@
-"""Verdicts: what a render test asks, and what it is told.
+"""Verdicts: what a render test checks, and what was found.
 
 This module loads nothing heavy: every session of pytest imports it.
 """
@@ -8,10 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
-
-if TYPE_CHECKING:
-    from chdstat.inference import Contrast
+from typing import Any, Literal
 
 Outcome = Literal[
     "no difference found",
@@ -31,26 +28,9 @@ outcomes of an update; ``refused`` is what cannot be compared at all."""
 PASSED: Sequence[Outcome] = ("no difference found", "written", "replaced", "kept")
 
 
-class SameLight(Protocol):
-    """The fixture `same_light`, for annotations of tests."""
-
-    def __call__(
-        self,
-        render: Any,
-        name: str | None = None,
-        *,
-        spp: int | None = None,
-        seed: int = 0,
-        finds: float | None = None,
-        cannot_tell: Literal["fail", "skip"] = "fail",
-    ) -> Contrast | None:
-        """Compare a render with its reference, as the fixture says."""
-        ...
-
-
 @dataclass(frozen=True)
-class Question:
-    """What a call of `same_light` asks.
+class RenderCheck:
+    """What a call of `same_light` compares, and how strictly.
 
     Attributes
     ----------
@@ -101,7 +81,7 @@ class RenderVerdict:
     Attributes
     ----------
     name, test, alpha
-        As in the `Question`.
+        As in the `RenderCheck`.
     outcome
         What was found.
     sentence

@@ -16,9 +16,9 @@ from chdstat.errors import InputError
 from chdstat.inference import Contrast, Reference
 from chdstat.io import write_reference
 from chdstat.render_tests import checks, draws, pages
-from chdstat.render_tests.checks import answer
+from chdstat.render_tests.checks import verdict_on
 from chdstat.render_tests.draws import Seeds, render_of
-from chdstat.render_tests.verdicts import Question
+from chdstat.render_tests.verdicts import RenderCheck
 
 SHAPE = (8, 8, 3)
 
@@ -33,10 +33,10 @@ def samples(spp: int, seed: int = 0) -> np.ndarray[Any, Any]:
 
 
 @pytest.fixture
-def asked(tmp_path: Path) -> Question:
+def asked(tmp_path: Path) -> RenderCheck:
     """Return a question with a reference of 48 samples."""
     path = write_reference(Reference.of_samples(samples(48)), tmp_path / "box.exr")
-    return Question("box", path, "box-1", "t.py::test_box", 0.01, report=tmp_path / "report")
+    return RenderCheck("box", path, "box-1", "t.py::test_box", 0.01, report=tmp_path / "report")
 
 
 @pytest.fixture
@@ -78,23 +78,25 @@ def test_the_second_look_decides_what_the_first_does_not_pass(
     first: str,
     second: str | None,
     outcome: str,
-    asked: Question,
+    asked: RenderCheck,
     outcomes: Callable[..., list[int]],
 ):
     spp = outcomes(*filter(None, (first, second)))
-    verdict, _ = answer(draw, replace(asked, spp=16))
+    verdict, _ = verdict_on(draw, replace(asked, spp=16))
     assert verdict.outcome == outcome
     assert verdict.looks == len(spp)
     assert spp == [16, 32][: len(spp)]
 
 
-def test_samples_that_are_there_get_one_look(asked: Question, outcomes: Callable[..., list[int]]):
+def test_samples_that_are_there_get_one_look(
+    asked: RenderCheck, outcomes: Callable[..., list[int]]
+):
     spp = outcomes(FAIL)
-    verdict, _ = answer(samples(16, seed=1), asked)
+    verdict, _ = verdict_on(samples(16, seed=1), asked)
     assert (verdict.outcome, spp) == (FAIL, [16])
 
 
-def test_looks_have_other_samples(asked: Question, outcomes: Callable[..., list[int]]):
+def test_looks_have_other_samples(asked: RenderCheck, outcomes: Callable[..., list[int]]):
     seeds = list[int]()
 
     def noting(seed: int) -> np.ndarray[Any, Any]:
@@ -102,7 +104,7 @@ def test_looks_have_other_samples(asked: Question, outcomes: Callable[..., list[
         return draw(seed)
 
     outcomes(FAIL, FAIL)
-    answer(noting, replace(asked, spp=16))
+    verdict_on(noting, replace(asked, spp=16))
     assert len(seeds) == len(set(seeds)) == 48
 
 
@@ -113,14 +115,14 @@ def test_right_renders_fail_as_rarely_as_alpha_says(tmp_path: Path):
     failed = 0
     for number in range(40):
         path = write_reference(Reference.of_samples(samples(48, 1000 + number)), tmp_path / "x.exr")
-        asked = Question(f"box {number}", path, "box", "t", 0.2, 16, report=tmp_path)
-        verdict, _ = answer(draw, asked)
+        asked = RenderCheck(f"box {number}", path, "box", "t", 0.2, 16, report=tmp_path)
+        verdict, _ = verdict_on(draw, asked)
         failed += not verdict.passed
     assert failed <= stats.binom.ppf(0.999, 40, 0.2)
 
 
-def test_a_loss_fails_in_both_looks(asked: Question):
-    verdict, found = answer(lambda seed: draw(seed, 0.3), replace(asked, spp=16))
+def test_a_loss_fails_in_both_looks(asked: RenderCheck):
+    verdict, found = verdict_on(lambda seed: draw(seed, 0.3), replace(asked, spp=16))
     assert (verdict.outcome, verdict.looks) == ("differ", 2)
     assert verdict.spp is not None
     assert verdict.spp < 32  # it draws until it can tell
@@ -129,37 +131,37 @@ def test_a_loss_fails_in_both_looks(asked: Question):
     assert "the render is" in verdict.sentence
 
 
-def test_an_image_alone_may_be_a_reference(asked: Question):
+def test_an_image_alone_may_be_a_reference(asked: RenderCheck):
     chd.io.write_exr(asked.reference, np.ones(SHAPE))
-    verdict, _ = answer(draw, replace(asked, spp=64))
+    verdict, _ = verdict_on(draw, replace(asked, spp=64))
     assert verdict.passed
     assert verdict.reference_spp is None
     assert "noise" in verdict.numbers["what the reference cannot show"]
     with pytest.raises(chd.errors.InputError, match="give spp="):
-        answer(draw, asked)
-    renewed, _ = answer(draw, replace(asked, spp=64, update=True))
+        verdict_on(draw, asked)
+    renewed, _ = verdict_on(draw, replace(asked, spp=64, update=True))
     assert renewed.outcome == "replaced"
     assert Reference.read(asked.reference).spp == 192
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_pixels_that_the_reference_lacks_too_do_not_fail(asked: Question):
+def test_pixels_that_the_reference_lacks_too_do_not_fail(asked: RenderCheck):
     def holed(seed: int) -> np.ndarray[Any, Any]:
         x = draw(seed)
         x[2, 3] = np.nan
         return x
 
-    assert answer(holed, replace(asked, spp=16))[0].outcome == "bad pixels"
+    assert verdict_on(holed, replace(asked, spp=16))[0].outcome == "bad pixels"
     with pytest.raises(InputError, match="first at y 2, x 3"):
-        answer(holed, replace(asked, spp=16, update=True))
+        verdict_on(holed, replace(asked, spp=16, update=True))
     samples = np.stack([holed(10**6 + i) for i in range(48)], axis=-1)
     write_reference(Reference.of_samples(chd.Samples.from_array(samples)), asked.reference)
-    assert answer(holed, replace(asked, spp=16))[0].passed
+    assert verdict_on(holed, replace(asked, spp=16))[0].passed
 
 
-def test_a_black_render_makes_no_reference(asked: Question):
+def test_a_black_render_makes_no_reference(asked: RenderCheck):
     with pytest.raises(InputError, match="the render is black"):
-        answer(lambda seed: 0 * draw(seed), replace(asked, name="black", spp=16, update=True))
+        verdict_on(lambda seed: 0 * draw(seed), replace(asked, name="black", spp=16, update=True))
 
 
 @pytest.mark.parametrize(
@@ -167,11 +169,11 @@ def test_a_black_render_makes_no_reference(asked: Question):
     [(PASS, "kept", False), (FAIL, "replaced", True), (OPEN, "cannot tell", False)],
 )
 def test_an_update_that_cannot_tell_keeps_the_old_and_fails(
-    found: str, outcome: str, renewed: bool, asked: Question, outcomes: Callable[..., list[int]]
+    found: str, outcome: str, renewed: bool, asked: RenderCheck, outcomes: Callable[..., list[int]]
 ):
     before = asked.reference.read_bytes()
     outcomes(found)
-    verdict, _ = answer(draw, replace(asked, spp=16, update=True))
+    verdict, _ = verdict_on(draw, replace(asked, spp=16, update=True))
     assert verdict.outcome == outcome
     assert verdict.passed == (found != OPEN)
     assert (asked.reference.read_bytes() != before) == renewed
@@ -238,8 +240,8 @@ def test_references_have_whole_batches():
 
 
 @pytest.fixture
-def page(asked: Question) -> str:
-    verdict, _ = answer(lambda seed: draw(seed, 0.3), replace(asked, spp=16))
+def page(asked: RenderCheck) -> str:
+    verdict, _ = verdict_on(lambda seed: draw(seed, 0.3), replace(asked, spp=16))
     return (asked.report / verdict.page).read_text("utf-8")
 
 
@@ -249,10 +251,10 @@ def test_a_page_shows_the_window_where_it_is(page: str):
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3])
-def test_pages_show_any_number_of_channels(channels: int, asked: Question):
+def test_pages_show_any_number_of_channels(channels: int, asked: RenderCheck):
     reference = Reference.of_samples(samples(48)[:, :, :channels])
     write_reference(reference, asked.reference)
-    verdict, found = answer(samples(16, 1)[:, :, :channels], replace(asked, always=True))
+    verdict, found = verdict_on(samples(16, 1)[:, :, :channels], replace(asked, always=True))
     assert found is not None
     assert (asked.report / verdict.page).exists()
     assert len(pages.thumbnails(found)) == 2

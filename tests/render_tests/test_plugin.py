@@ -46,13 +46,13 @@ import pytest
 from pathlib import Path
 from chdstat.inference import Reference
 from chdstat.io import write_reference
-from chdstat.render_tests.checks import answer
-from chdstat.render_tests.verdicts import Question
+from chdstat.render_tests.checks import verdict_on
+from chdstat.render_tests.verdicts import RenderCheck
 
 folder = Path(sys.argv[1])
 x = np.random.default_rng(0).gamma(2.0, size=(8, 8, 3, 48))
 path = write_reference(Reference.of_samples(x), folder / "box.exr")
-answer(x[..., :16], Question("box", path, "box", "t", 0.01, report=folder, always=True))
+verdict_on(x[..., :16], RenderCheck("box", path, "box", "t", 0.01, report=folder, always=True))
 for line in sys.stdin:
     asked = json.loads(line)
     if not (child := os.fork()):
@@ -77,7 +77,9 @@ def runner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., p
     folder = tmp_path_factory.mktemp("runner")
     root = str(Path(chd.__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": root, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    for name in ("PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT", "PYTEST_ADDOPTS"):
+    # Where CI is set, pytest repeats whole messages at its end.
+    others = ("PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT", "PYTEST_ADDOPTS")
+    for name in (*others, "CI", "BUILD_NUMBER"):
         environment.pop(name, None)
     code = [sys.executable, "-c", RUNNER, str(folder)]
     with subprocess.Popen(code, stdin=PIPE, stdout=PIPE, text=True, env=environment) as process:
