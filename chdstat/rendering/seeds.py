@@ -41,6 +41,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from chdstat._core.arrays import whole
+from chdstat._core.numbering import mixed, number_of, permuted
 from chdstat.errors import InputError, check_option
 from chdstat.samples.tiles import BATCH, TILE, Chunk
 
@@ -191,12 +192,8 @@ _SHUFFLED = (983_040, PASSES)
 that older renders continue as they began."""
 CHUNKS = 2**31
 """Chunks that have a number for the wavefront."""
-_TURNS = 6
-"""How often the halves of a number are swapped while it is permuted."""
 SEEDS = 2**31
 """Seeds for users: larger ones would repeat the numbers of smaller ones."""
-_WORD = 2**64 - 1
-_GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -229,13 +226,13 @@ class Streams:
     @property
     def of_sampler(self) -> int:
         """The seed of the sampler whose wavefronts `of_wavefront` numbers."""
-        return _mixed(self.seed) % 2**32
+        return mixed(self.seed) % 2**32
 
     def of_pixel(self, y: int, x: int) -> int:
         """Return the number of a pixel's own stream, apart from those of chunks."""
         index = y * self.size[0] + x
         number = number_of(self.seed, index, PIXELS)
-        return 2**32 - PIXELS + _permuted(number, 0, half=2**12)
+        return 2**32 - PIXELS + permuted(number, 0, half=2**12)
 
     def of_training(self, number: int) -> int:
         """Return the number of a training's wavefront, which no sample owns."""
@@ -279,11 +276,6 @@ def check_spp(
     raise InputError(message)
 
 
-def number_of(seed: int, index: int, span: int) -> int:
-    """Return the number of a block of streams for a user's seed; one to one with `index`."""
-    return (index + seed * round(_GOLDEN * span)) % span
-
-
 def shuffled(index: int, seed: int) -> int:
     """Return the number of a scalar pass for a user's seed; one to one with `index`.
 
@@ -300,29 +292,9 @@ def shuffled(index: int, seed: int) -> int:
     number = index % PASSES
     first, last = (0, _SHUFFLED[0]) if number < _SHUFFLED[0] else _SHUFFLED
     while True:
-        number = _permuted(number, seed, half=2**10)
+        number = permuted(number, seed, half=2**10)
         if first <= number < last:
             return number
-
-
-def _permuted(number: int, seed: int, *, half: int) -> int:
-    """Return another number below `half` squared; one to one."""
-    left, right = divmod(number, half)
-    for turn in range(_TURNS):
-        left, right = right, left ^ _mixed(right + half * (turn + _TURNS * seed)) % half
-    return left * half + right
-
-
-def _mixed(number: int) -> int:
-    """Return 64 bits that all depend on all bits of a number.
-
-    Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014,
-    doi:10.1145/2714064.2660195.
-    """
-    z = (number + 1) * 0x9E3779B97F4A7C15 & _WORD
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & _WORD
-    z = (z ^ z >> 27) * 0x94D049BB133111EB & _WORD
-    return z ^ z >> 31
 
 
 def pass_seed(number: int, pixels: int) -> int:
