@@ -74,7 +74,7 @@ def test_plain_flips_of_signs_would_not_hold_it():
     assert (contrast(a, roulette(rng, a, 0.1)).p_value <= 0.01).mean() <= 0.02
 
 
-@pytest.mark.parametrize("paired", [False, True])
+@pytest.mark.parametrize("paired", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_outcome_holds_its_level(paired):
     """Of 60 pairs, more than 9 at 5 % would happen in 1 of 1000 runs.
 
@@ -140,7 +140,10 @@ def outcomes(base, counts, trials=40):
     return found
 
 
-@pytest.mark.parametrize(("base", "counts"), [("constant", (32, 100)), ("gamma", (256, 16))])
+@pytest.mark.parametrize(
+    ("base", "counts"),
+    [("constant", (32, 100)), pytest.param("gamma", (256, 16), marks=pytest.mark.slow)],
+)
 def test_fireflies_make_no_difference_at_unequal_spp(base, counts):
     """Of 40 pairs, more than 7 at 5 % would happen in 1 of 1200 runs; signs alone have 10 or so."""
     found = outcomes(base, counts)

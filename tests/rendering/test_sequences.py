@@ -129,7 +129,9 @@ def test_sequences_are_independent_of_each_other(backend, sampler, length):
     assert p(np.repeat(z[..., :16], 2, axis=-1)) < ALPHA
 
 
-@pytest.mark.parametrize("sampler", ["stratified", "ldsampler"])
+@pytest.mark.parametrize(
+    "sampler", ["stratified", pytest.param("ldsampler", marks=pytest.mark.slow)]
+)
 def test_no_sequence_comes_twice(backend, sampler):
     """Of the low-discrepancy sampler, whose only chance is the scramble; of others, no sample."""
     found = np.concatenate(
@@ -181,7 +183,10 @@ def test_wavefronts_of_sequences_share_no_lane():
 # --- chunks -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("sampler", "length"), [("stratified", 9), ("ldsampler", 256)])
+@pytest.mark.parametrize(
+    ("sampler", "length"),
+    [("stratified", 9), pytest.param("ldsampler", 256, marks=pytest.mark.slow)],
+)
 def test_samples_do_not_depend_on_how_they_are_cut(backend, sampler, length, tmp_path):
     """Chunks of a store have 64 samples, of which neither 9 nor 256 are a part or a multiple."""
     size, spp = (4, 3), 512 if length == 256 else 144

@@ -79,7 +79,14 @@ def as_xml(materials: int, meshes: int, folder: str) -> str:
 WRITTEN = {"dict": as_dict, "xml": as_xml}
 
 
-@pytest.mark.parametrize(("materials", "meshes"), [(10, 2), (24, 3), (40, 2), (10, 200), (2000, 2)])
+@pytest.mark.parametrize(
+    ("materials", "meshes"),
+    [
+        (10, 200),
+        (2000, 2),
+        *(pytest.param(*few, marks=pytest.mark.slow) for few in [(10, 2), (24, 3), (40, 2)]),
+    ],
+)
 def test_scenes_of_many_parts_render(tmp_path, materials, meshes):
     # Mitsuba's own loader makes one mesh of each material, too.
     drawn = {}
