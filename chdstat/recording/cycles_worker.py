@@ -159,7 +159,7 @@ def load(path: str, **parameters: Any) -> dict[str, Any]:
     return {
         "notes": notes,
         "files": _files(),
-        "integrator": {n: getattr(scene.cycles, n) for n in _ESTIMATOR if hasattr(scene.cycles, n)},
+        "integrator": {n: _plain(scene.cycles, n) for n in _ESTIMATOR if hasattr(scene.cycles, n)},
         "parameters": {
             "frame": scene.frame_current,
             "camera": scene.camera.name,
@@ -168,6 +168,12 @@ def load(path: str, **parameters: Any) -> dict[str, Any]:
         },
         "version": bpy.app.version_string,
     }
+
+
+def _plain(settings: Any, name: str) -> Any:
+    """Return a setting; Blender's floats as they were typed."""
+    value = getattr(settings, name)
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _named(things: Any, kind: str, name: str | None, otherwise: Any) -> Any:
@@ -416,7 +422,6 @@ def features() -> tuple[dict[str, Any], dict[str, Any]]:
         c.samples, c.sample_offset, c.seed = before
         if hasattr(c, "use_sample_subset"):
             c.use_sample_subset = True
-        layer.use_pass_diffuse_direct = _opened["direct"]
     depth = found["Depth"][..., 0]
     arrays = {
         "albedo": found["Denoising Albedo"],
