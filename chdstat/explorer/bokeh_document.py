@@ -35,6 +35,7 @@ from chdstat.explorer.overlays import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map,
 from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
 from chdstat.patterns import Label
+from chdstat.patterns.cures import renderer_of
 from chdstat.viz.styling import called
 
 T = TypeVar("T")
@@ -107,9 +108,8 @@ class Page:
             document.title = f"{heading} · chdstat"
             document.template = _template()
             document.config.notify_connection_status = False  # the shell says it
-            variables = self._variables(
-                given, in_store=any(isinstance(source, StoreSource) for source in sources)
-            )
+            stores = [s.samples.attrs for s in sources if isinstance(s, StoreSource)]
+            variables = self._variables(given, stores)
             variables |= {"heading": heading, "coarse": coarse}
             document.template_variables.update(variables)
             self._connect()
@@ -191,18 +191,21 @@ class Page:
             code = f"window.chdstat.{call}(cb_obj)"
             image["figure"].js_on_event(event, models.CustomJS(code=code))
 
-    def _variables(self, given: Mapping[str, Map], *, in_store: bool) -> dict[str, Any]:
-        """Return what the template of the shell is filled with."""
+    def _variables(
+        self, given: Mapping[str, Map], stores: Sequence[Mapping[str, Any]]
+    ) -> dict[str, Any]:
+        """Return what the template of the shell is filled with; `stores` have attributes each."""
+        drawn = stores[0] if len(set(map(renderer_of, stores))) == 1 else {}
         channels = [(str(i), name) for i, name in enumerate(self._channels)]
         return {
             "style": _web("page.css"),
             "script": _web("page.js"),
             "aspect": self._size[1] / self._size[0],
             "exports": list(EXPORTS),
-            "maps": [(k.name, k.title) for k in MAPS.values() if in_store or k.name in IMAGES],
+            "maps": [(k.name, k.title) for k in MAPS.values() if stores or k.name in IMAGES],
             "differences": [(k.name, k.title) for k in {**DIFFERENCES, **CONTRASTS}.values()],
             "light": LIGHT,
-            "labels": [(called(label.name.lower()), label) for label in Label],
+            "labels": [(called(x.name.lower()), x, x.cure_by(drawn)) for x in Label],
             "given": [(name, found.title) for name, found in given.items()],
             "families": [(name, called(name), DASHES.get(name)) for name in FITS],
             "channels": [*channels, ("luminance", "luminance")] if len(channels) > 1 else [],

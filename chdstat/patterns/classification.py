@@ -41,6 +41,7 @@ from chdstat.fit.error_bars import (
     with_pooled_bars,
 )
 from chdstat.fit.families import FAMILIES
+from chdstat.patterns.cures import cure_in, renderer_of
 from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
 from chdstat.samples.tiles import Region
 from chdstat.summary.runner import Source, of_source, run
@@ -76,6 +77,16 @@ class Label(enum.IntEnum):
     def cure(self) -> str:
         """What helps against the noise of such pixels."""
         return _EXPLAINED[self][1]
+
+    def cure_by(self, attrs: Mapping[str, Any]) -> str:
+        """Return what helps in the words of the renderer that drew samples with these attributes.
+
+        Examples
+        --------
+        >>> Label.GAMMA_LIKE.cure_by({"renderer": "LuxCore 2.11.2"})
+        'batch.haltspp: four times as many halve the noise'
+        """
+        return cure_in(renderer_of(attrs), self.name.lower(), otherwise=self.cure)
 
     @property
     def typical(self) -> str:

@@ -77,6 +77,8 @@ class Pixel(Shown):
         Number of samples that depend on each other; 1 if they are independent.
     most_fitted
         Most samples that fits, tests and modes look at; None for all.
+    attrs
+        Provenance of the image; cures are in the words of its renderer.
 
     Examples
     --------
@@ -97,6 +99,7 @@ class Pixel(Shown):
     parts: Mapping[LightPart, npt.NDArray[np.float32]] = field(default_factory=dict)
     sequence: int = 1
     most_fitted: int | None = None
+    attrs: Mapping[str, Any] = field(default_factory=dict)
     _drawn: ClassVar[str] = "histograms, best fits and means"
 
     @classmethod
@@ -108,7 +111,8 @@ class Pixel(Shown):
         parts = {which: part[y, x] for which, part in samples.parts.items()}
         length = sequence_of(samples.attrs)
         place = y % height, x % width
-        return cls(*place, radiance, samples.channels, samples.name, parts, length)
+        name, attrs = samples.name, samples.attrs
+        return cls(*place, radiance, samples.channels, name, parts, length, attrs=attrs)
 
     @property
     def spp(self) -> int:
@@ -415,7 +419,11 @@ class Pixel(Shown):
             )
         if self.label:
             label = Label(int(self.patterns.label))
-            facts |= {"label": self.label, "why": label.meaning, "what helps": label.cure}
+            facts |= {
+                "label": self.label,
+                "why": label.meaning,
+                "what helps": label.cure_by(self.attrs),
+            }
         for title, rows_of in (("variance", self.light), ("variance by light", self.lights)):
             for row in rows_of[1:2]:
                 named = [(name, float(share)) for name, share in list(row.items())[2:]]

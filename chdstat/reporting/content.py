@@ -87,7 +87,9 @@ def report_content(
             "alpha": percent(float(dataset.attrs["threshold_alpha"])),
         }
         if found.noise and spp >= FEW_SAMPLES and scene.pixels >= FEW_PIXELS:
-            entries["noise"] = _noise_table(found.noise, found.comparison, scene.pixels)
+            entries["noise"] = _noise_table(
+                found.noise, found.comparison, scene.pixels, data.samples.attrs
+            )
         if found.comparison is not None:
             entries["estimators"] = _estimator_table(found.comparison)
     if contents != "short":
@@ -185,7 +187,8 @@ def _headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str
             )
         ]
     else:
-        rows = [*_where_noise_is(scene, noise), *_which_paths(found.data)]
+        attrs = found.data.samples.attrs
+        rows = [*_where_noise_is(scene, noise, attrs), *_which_paths(found.data)]
         rows += [] if noise.label == "null_heavy" else _nulls(scene)
         rows += [*_trust(scene), *_fireflies(scene, noise)]
     if estimate is not None:
@@ -195,7 +198,9 @@ def _headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str
     return [dict(zip(("finding", "because"), row, strict=True)) for row in rows[:6]]
 
 
-def _where_noise_is(scene: Overview, noise: NoiseShares) -> Iterator[tuple[str, str]]:
+def _where_noise_is(
+    scene: Overview, noise: NoiseShares, attrs: Mapping[str, Any]
+) -> Iterator[tuple[str, str]]:
     """Yield which pattern holds most of the noise, and what it means."""
     label = Label[noise.label.upper()] if noise else Label.UNDETERMINED
     why = f"{label.meaning[0].upper()}{label.meaning[1:]}."
@@ -205,7 +210,7 @@ def _where_noise_is(scene: Overview, noise: NoiseShares) -> Iterator[tuple[str, 
         yield "Nothing is noisy here.", "The samples of no pixel vary."
     elif len(noise.share) == 1:
         which = "The pixel is" if scene.pixels == 1 else "All pixels are"
-        yield f"{which} {called(noise.label)}.", f"{why} What helps: {label.cure}."
+        yield f"{which} {called(noise.label)}.", f"{why} What helps: {label.cure_by(attrs)}."
     else:
         yield (
             f"The largest part of the noise is in {_pixels(noise.label)}.",
@@ -509,7 +514,10 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
 
 
 def _noise_table(
-    noise: NoiseShares, comparison: Comparison | None, pixels: int
+    noise: NoiseShares,
+    comparison: Comparison | None,
+    pixels: int,
+    attrs: Mapping[str, Any],
 ) -> list[dict[str, str]]:
     """Return a row for each primary label: its share of image and noise, and what helps.
 
@@ -527,7 +535,7 @@ def _noise_table(
             "pixels": percent(noise.pixels[label]),
             "share": percent(share),
             "meaning": Label[label.upper()].meaning,
-            "cure": Label[label.upper()].cure,
+            "cure": Label[label.upper()].cure_by(attrs),
             "estimate": number(
                 ratio.get(label, math.nan)
                 if share >= _LITTLE and noise.pixels[label] * pixels >= FEW_PIXELS

@@ -396,8 +396,8 @@ def test_names_of_patterns_tell_cause_and_cure(person, store_path):
         button = one.page.locator(f"{place} button").first
         (told,) = (x for x in Label if called(x.name.lower()) == button.inner_text())
         button.click()
-        said = one.text("#help")
-        assert all(text in said for text in (told.meaning, told.cure, told.typical))
+        said, cure = one.text("#help"), told.cure_by(chd.open(store_path).attrs)
+        assert all(text in said for text in (told.meaning, cure, told.typical))
         one.page.keyboard.press("Escape")
 
 
