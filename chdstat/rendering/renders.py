@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 import pickle
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -30,8 +29,9 @@ from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import GROWING, GUIDE, differing, part_folder
-from chdstat.samples.ledger import Ledger, counts_of
+from chdstat.samples.layout import check_same, part_folder
+from chdstat.samples.ledger import counts_of
+from chdstat.samples.memory_writer import MemoryWriter
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, Work, chunk_grid
 from chdstat.scenes import SceneLike, load_scene
@@ -536,66 +536,7 @@ def _fill(renderer: MitsubaRenderer, writer: Writer, work: Work) -> None:
 # --- what keeps samples -------------------------------------------------------------------------
 
 
-class _MemoryWriter:
-    """Keeps rendered samples in memory, as `chdstat.samples.store.Store` does on disk."""
-
-    def __init__(self, attrs: dict[str, Any], size: tuple[int, int]) -> None:
-        (width, height), spp = size, _first_spp(attrs)
-        self.attrs, self._features = attrs, dict[str, Image]()
-        self.density: Image | None = None
-        self._array = np.full((height, width, 3, spp), np.nan, np.float32)
-        counts = np.full((height, width), spp, np.int32) if "adaptive" in attrs else None
-        self.ledger = Ledger((height, width, 3, spp), counts)
-
-    def to_draw(self, chunk: Chunk) -> Chunk:
-        """Return a chunk with its missing samples marked, if counts differ on purpose."""
-        return self.ledger.to_draw(chunk, lambda c: self._array[c.ys, c.xs, :, c.ss])
-
-    def write(self, chunk: Chunk, block: Image) -> None:
-        """Keep the samples of a chunk."""
-        held = self._array[chunk.ys, chunk.xs, :, chunk.ss]
-        where = True if chunk.missing is None else chunk.missing[:, :, np.newaxis]
-        np.copyto(held, block, where=where)
-        self.ledger.note(chunk)
-
-    def decide(self, density: Image, spp: float, noise: Mapping[str, Any]) -> None:
-        """Let pixels have different numbers of samples from now on, `spp` on average."""
-        first, self.density = self._array, density
-        self.attrs |= {"spp": spp, "noise": dict(noise)}
-        counts = counts_of(density, spp, self.attrs["adaptive"]["first"])
-        shape = (*self.ledger.shape[:3], int(counts.max()))
-        what = f"up to {shape[3]} samples for each of {shape[1]} x {shape[0]} pixels"
-        check_memory(4 * math.prod(shape), what, "give a store to write to, or use fewer samples")
-        self._array = np.full(shape, np.nan, np.float32)
-        self._array[..., : first.shape[3]] = first
-        self.ledger = self.ledger.grown(shape, counts)
-
-    @property
-    def lacks_features(self) -> bool:
-        """Whether first-hit features are still missing."""
-        return not self._features
-
-    def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
-        """Keep first-hit features, or why there are none."""
-        self._features = {n: image for n, image in features.items() if n not in GUIDE}
-        if why_none:
-            self.attrs["why_no_features"] = why_none
-
-    def update(self, **attrs: Any) -> None:
-        """Change attributes."""
-        self.attrs |= attrs
-
-    def spent(self, seconds: float) -> None:
-        """Record the rendering time."""
-        self.attrs["render_seconds"] = round(seconds, 3)
-
-    def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
-        """Return the samples, with the parts of their light."""
-        about: Any = {"attrs": self.attrs, "features": self._features, "parts": parts}
-        return Samples(self._array, counts=self.ledger.counts, **about)
-
-
-Writer = _MemoryWriter | Store
+Writer = MemoryWriter | Store
 """Keeps rendered samples."""
 
 
@@ -603,15 +544,17 @@ Writer = _MemoryWriter | Store
 def _writer(renderer: MitsubaRenderer, out: Path | None, how: Adaptive | None) -> Iterator[Writer]:
     """Yield the keeper of samples: a store, which may exist already, or memory."""
     attrs = renderer.provenance | ({} if how is None else {"adaptive": how.attrs})
+    width, height = renderer.size
+    shape = height, width, 3, _first_spp(attrs)
     if out is None:
-        yield _MemoryWriter(attrs, renderer.size)
+        yield MemoryWriter(shape, attrs)
         return
     is_new = not is_store(out)
     if is_new:
-        width, height = renderer.size
-        store = Store.create(out, shape=(height, width, 3, _first_spp(attrs)), attrs=attrs)
+        store = Store.create(out, shape=shape, attrs=attrs)
     else:
-        _check_identity(Store.open(out), attrs)
+        held = Store.open(out)
+        check_same(held.path, held.attrs, attrs)
         store = Store.open(out, writable=True)
     with store:
         try:
@@ -644,44 +587,3 @@ def _as_stored(options: RenderSettings, store: Store) -> RenderSettings:
         width, height = store.attrs["size"]
         stored["size"] = width, height
     return options | stored
-
-
-_FREE = (*GROWING, "scene", "scene_source", "notes", "chdstat_version", "schema_version")
-"""Attributes that need not agree before samples are added to a store; all others must."""
-
-
-def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
-    """Refuse to mix samples of two scenes, seeds or settings in one store."""
-    held = store.attrs
-    stored, asked = ({n: v for n, v in of.items() if n not in _FREE} for of in (held, attrs))
-    if names := differing(stored, asked):
-        why = _changed(held, attrs)
-        why += [
-            f"{name}: stored {stored.get(name)}, asked for {asked.get(name)}"
-            for name in names
-            if name != "scene_hash" and name not in _CHANGES
-        ]
-        one, other = held.get("scene"), attrs.get("scene")
-        if one != other:
-            why = [f"of the scene {one}, not {other}"]
-        elif not why:
-            why = [f"of another version of the scene {one}"]
-        message = (
-            f"{store.path} holds other samples ({'; '.join(why)}). Nothing was "
-            "changed; give another output path, or the same settings to resume or append"
-        )
-        raise StoreError(message)
-
-
-_CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": "plugins"}
-"""Attributes that hold names: a message lists the names that differ, under this heading."""
-
-
-def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:
-    """Return which files and plugins of a scene differ from those of a store."""
-    parts = []
-    for key, word in _CHANGES.items():
-        if names := sorted(differing(held[key], attrs[key])):
-            more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-            parts.append(f"changed {word}: {', '.join(names[:5])}{more}")
-    return parts

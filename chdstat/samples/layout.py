@@ -258,6 +258,62 @@ def identity(attrs: Mapping[str, Any], shape: Sequence[int]) -> str:
     return hashlib.blake2b(canonical([told, list(shape[:3])]), digest_size=8).hexdigest()
 
 
+_FREE = (
+    *(*GROWING, "scene", "scene_source", "notes", "chdstat_version", "schema_version"),
+    *("repeats", "code", "feature_passes"),
+)
+"""Attributes that need not agree before samples are added to a store; all others must."""
+
+
+def check_same(path: Path, held: Mapping[str, Any], attrs: Mapping[str, Any]) -> None:
+    """Refuse to mix samples of two scenes, seeds or settings in one store.
+
+    Parameters
+    ----------
+    path, held
+        The store, and its attributes.
+    attrs
+        Attributes of the samples to be added.
+
+    Raises
+    ------
+    StoreError
+        If the samples differ in more than their number; the message says in what.
+    """
+    stored, asked = ({n: v for n, v in of.items() if n not in _FREE} for of in (held, attrs))
+    if names := differing(stored, asked):
+        why = _changed(held, attrs)
+        why += [
+            f"{name}: stored {stored.get(name)}, asked for {asked.get(name)}"
+            for name in names
+            if name != "scene_hash" and name not in _CHANGES
+        ]
+        one, other = held.get("scene"), attrs.get("scene")
+        if one != other:
+            why = [f"of the scene {one}, not {other}"]
+        elif not why:
+            why = [f"of another version of the scene {one}"]
+        message = (
+            f"{path} holds other samples ({'; '.join(why)}). Nothing was "
+            "changed; give another output path, or the same settings to resume or append"
+        )
+        raise StoreError(message)
+
+
+_CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": "plugins"}
+"""Attributes that hold names: a message lists the names that differ, under this heading."""
+
+
+def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:
+    """Return which files and plugins of a scene differ from those of a store."""
+    parts = []
+    for key, word in _CHANGES.items():
+        if names := sorted(differing(held.get(key) or {}, attrs.get(key) or {})):
+            more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+            parts.append(f"changed {word}: {', '.join(names[:5])}{more}")
+    return parts
+
+
 def signed(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return attributes with their checksum in the manifest."""
     manifest = {k: v for k, v in attributes["manifest"].items() if k != "checksum"}

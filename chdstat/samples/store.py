@@ -388,7 +388,7 @@ class Store:
         about = self._manifest["features"][name]
         file = self.path / layout.feature_file(name, about["shape"])
         try:
-            if checksum(file.read_bytes()) != about["checksum"]:
+            if checksum(file.read_bytes()) not in (about["checksum"], about.get("former")):
                 message = "its checksum does not match"
                 raise DamageError(message)
             place, metadata = zarr_store(self.path), layout.feature_metadata(about["shape"])
@@ -488,6 +488,18 @@ class Store:
             self._attributes["spp"] = spp
             self._grow(spp)
 
+    def fit(self, held: int, spp: int) -> None:
+        """Keep the first `held` samples of every pixel, and make room for `spp` in all.
+
+        Others that are there, such as those of a killed writer, will be overwritten.
+        """
+        self.shape, self.ledger = (*self.shape[:3], spp), Ledger((*self.shape[:3], spp), None)
+        self.ledger.note_first(held)
+        self._lay_out()
+        self._change({"shape": list(self.shape), "complete": held}, spp=spp)
+        with layout.disk_errors(self.path):
+            self._save()
+
     def _grow(self, spp: int) -> None:
         """Make room for more samples of every pixel, or of some pixels."""
         self.shape = (*self.shape[:3], max(spp, self.shape[3]))
@@ -525,17 +537,30 @@ class Store:
                 self.update(why_no_features=why_none)
 
     def _write_feature(self, name: str, image: Image) -> None:
-        from zarr.storage import MemoryStore
-
-        held: dict[str, Any] = {}
-        metadata = layout.feature_metadata(image.shape)
-        encoder = layout.array(MemoryStore(held), f"features/{name}", metadata)
-        encoder[...] = image
-        ((key, encoded),) = held.items()
-        content = encoded.to_bytes()
+        key, content = _encoded_feature(name, image)
         layout.put(self.path / key, content)
         about = {"shape": list(image.shape), "checksum": checksum(content)}
         self._change({"features": {**self._manifest["features"], name: about}})
+
+    def renew(self, features: Mapping[str, Image], **attrs: Any) -> None:
+        """Replace features by others of the same names, and change attributes.
+
+        If the writer is killed meanwhile, each of them is the former or the new one.
+        """
+        if self.lacks_features:
+            self.restore(features)
+        before, made = self._manifest["features"], {}
+        for name, image in features.items():
+            key, content = _encoded_feature(name, image)
+            made[name] = {**before[name], "checksum": checksum(content)}, self.path / key, content
+        with layout.disk_errors(self.path):
+            former = {n: a | {"former": before[n]["checksum"]} for n, (a, *_) in made.items()}
+            self._change({"features": {**before, **former}}, **attrs)
+            self._save()
+            for _, file, content in made.values():
+                layout.put(file, content)
+            self._change({"features": {**before, **{n: a for n, (a, *_) in made.items()}}})
+            self._save()
 
     def _change(self, held: Mapping[str, Any], **attrs: Any) -> None:
         """Change the manifest and attributes; `_save` writes them."""
@@ -546,6 +571,17 @@ class Store:
         for name, content in self._metadata():
             if layout.loaded(self.path / name) != content:
                 layout.put(self.path / name, json.dumps(content, indent=2, sort_keys=True).encode())
+
+
+def _encoded_feature(name: str, image: Image) -> tuple[str, bytes]:
+    """Return the file of a first-hit feature within its store, and its content."""
+    from zarr.storage import MemoryStore
+
+    held: dict[str, Any] = {}
+    metadata = layout.feature_metadata(image.shape)
+    layout.array(MemoryStore(held), f"features/{name}", metadata)[...] = image
+    ((key, encoded),) = held.items()
+    return key, encoded.to_bytes()
 
 
 # --- opening ------------------------------------------------------------------------------------
