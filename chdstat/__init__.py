@@ -28,6 +28,7 @@ _FUNCTIONS = {
     "load_scene": "scenes",
     "modality": "inference",
     "open": "samples",
+    "record": "recording",
     "render": "rendering",
     "report": "reporting",
     "simulate": "patterns",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from chdstat.recording.pass_sources import DrawnPass, PassSource
+from chdstat.recording.recordings import record
 
-__all__ = ["DrawnPass", "PassSource"]
+__all__ = ["DrawnPass", "PassSource", "record"]
 
 
 def __dir__() -> list[str]:

@@ -80,7 +80,7 @@ FOREIGN = (
 )
 """Errors that damaged bytes may raise in the libraries that read them."""
 _DIRECT, _DEPTH, _LIGHT = "direct", "depth-", "light-"
-GROWING = ("spp", "noise", "error", "render_seconds", "appended", "why_no_features")
+_GROWING = ("spp", "noise", "error", "render_seconds", "appended", "why_no_features")
 """Attributes that change while samples are added; all others identify the store."""
 _LABEL = struct.Struct("<8s8s4IQII")
 """Mark, identity, tile_y, tile_x, batch, samples, length and checksum of the bytes before it, and
@@ -254,12 +254,12 @@ def array(store: Any, name: str, metadata: Any) -> Any:
 
 def identity(attrs: Mapping[str, Any], shape: Sequence[int]) -> str:
     """Return the hash that identifies samples, whatever their number."""
-    told = {k: v for k, v in attrs.items() if k not in GROWING}
+    told = {k: v for k, v in attrs.items() if k not in _GROWING}
     return hashlib.blake2b(canonical([told, list(shape[:3])]), digest_size=8).hexdigest()
 
 
 _FREE = (
-    *(*GROWING, "scene", "scene_source", "notes", "chdstat_version", "schema_version"),
+    *(*_GROWING, "scene", "scene_source", "notes", "chdstat_version", "schema_version"),
     *("repeats", "code", "feature_passes"),
 )
 """Attributes that need not agree before samples are added to a store; all others must."""

@@ -45,6 +45,21 @@ class MemoryWriter:
         np.copyto(held, block, where=where)
         self.ledger.note(chunk)
 
+    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
+        """Return a part of the samples, NaN where there are none yet."""
+        return self._array[ys, xs, :, ss]
+
+    def fit(self, held: int, spp: int) -> None:
+        """Keep the first `held` samples of every pixel, and return `spp` in all."""
+        self.attrs["spp"] = spp
+        self.ledger = Ledger((*self._array.shape[:3], spp), None)
+        self.ledger.note_first(held)
+
+    def renew(self, features: Mapping[str, Image], **attrs: Any) -> None:
+        """Replace features, and change attributes."""
+        self._features = dict(features)
+        self.update(**attrs)
+
     def decide(self, density: Image, spp: float, noise: Mapping[str, Any]) -> None:
         """Let pixels have different numbers of samples from now on, `spp` on average."""
         first, self.density = self._array, density
@@ -79,4 +94,5 @@ class MemoryWriter:
     def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples, with the parts of their light."""
         about: Any = {"attrs": self.attrs, "features": self._features, "parts": parts}
-        return Samples(self._array, counts=self.ledger.counts, **about)
+        array = self._array[..., : self.ledger.shape[3]]
+        return Samples(array, counts=self.ledger.counts, **about)

@@ -547,8 +547,10 @@ class Store:
 
         If the writer is killed meanwhile, each of them is the former or the new one.
         """
-        if self.lacks_features:
+        if features.keys() - self._manifest["features"].keys():
             self.restore(features)
+            self.update(**attrs)
+            return
         before, made = self._manifest["features"], {}
         for name, image in features.items():
             key, content = _encoded_feature(name, image)

@@ -347,6 +347,19 @@ def code_of(plugins: list[Any]) -> dict[str, str]:
     }
 
 
+def digest_of(function: Callable[..., Any]) -> str:
+    """Return a digest of the code of a function, and of what it reaches.
+
+    Examples
+    --------
+    >>> digest_of(lambda x: x) == digest_of(lambda x: x + 1)
+    False
+    """
+    content = _Content(str(getattr(function, "__module__", "")).split(".")[0])
+    content.add(function)
+    return content.digest()[:16]
+
+
 class _Content:
     """A digest of Python values and the code that they reach; each counts once."""
 
