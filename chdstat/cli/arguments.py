@@ -49,10 +49,8 @@ def _estimator_names(begun: str) -> list[str]:
 _SCENE: Any = typer.Argument(autocompletion=_scene_names)
 _PLACE: Any = typer.Argument(parser=place_of)
 # Behind the types of arguments that several commands take: metavar, and what the help says.
-SceneName = Annotated[str, _SCENE, "SCENE", "Built-in name or Mitsuba XML file."]
-SceneOrStore = Annotated[
-    str, _SCENE, "SCENE|STORE", "Built-in name, Mitsuba XML file or finished store."
-]
+SceneName = Annotated[str, _SCENE, "SCENE", "Built-in name or scene file."]
+SceneOrStore = Annotated[str, _SCENE, "SCENE|STORE", "Built-in name, scene file or finished store."]
 StorePath = Annotated[Path, _PLACE, "STORE", "A finished store, or its URL."]
 Location = Annotated[Path, _PLACE]
 """An argument that is a path or a URL."""
@@ -62,7 +60,7 @@ Place = Annotated[Path, typer.Option(parser=place_of)]
 """An option that is a path or a URL."""
 FromOne = Annotated[int | None, typer.Option(min=1)]
 
-VIEW = ("spp", "size", "seed", "max_depth", "backend", "define", "plugin")
+VIEW = ("spp", "size", "seed", "max_depth", "backend", "define", "frame", "plugin")
 """Options of commands that render a scene."""
 OUTPUT = ("quiet", "as_json")
 """Options of commands that print."""
@@ -86,7 +84,10 @@ class CommonOptions:
     error : ERROR
         Relative error of the image at which to stop: the root of its relMSE, .02 for 2 %.
     define : KEY=VALUE
-        Parameter of an XML scene; can be repeated.
+        Parameter of a scene file: of an XML file, or camera, view_layer, scene or frame of a .blend
+        file; can be repeated.
+    frame : int, default the file's own
+        Frame of a .blend file.
     plugin : FILE
         Python file that registers integrators or materials with Mitsuba, or estimators; can be
         repeated.
@@ -109,6 +110,7 @@ class CommonOptions:
     iterations: int | None = None
     error: float | None = None
     define: list[str] | None = None
+    frame: int | None = None
     plugin: list[Path] | None = None
     store: Annotated[Path | None, typer.Option(parser=place_of)] = None
     scheduler: str | None = None
@@ -155,7 +157,14 @@ class CommonOptions:
         """Return a scene by name or file, with its parameters."""
         from chdstat.scenes import load_scene
 
-        return load_scene(name, **pairs_of("-D", self.define))
+        parameters = pairs_of("-D", self.define)
+        if self.frame is None:
+            return load_scene(name, **parameters)
+        found = load_scene(name)
+        if found.renderer != "Cycles":
+            message = f"--frame is for .blend files, got {name}; leave it out"
+            raise InputError(message)
+        return load_scene(found.origin, **parameters, frame=self.frame)
 
     def source(self, name: str) -> Path | Scene:
         """Return the path of a finished store, or a scene by name or file."""
@@ -164,7 +173,7 @@ class CommonOptions:
 
         if not is_store(name):
             return self.scene(name)
-        refuse_render(name, {"-D": self.define or None})
+        refuse_render(name, {"-D": self.define or None, "--frame": self.frame})
         return place_of(name)
 
     def samples(self, name: str, *, seed: int | None) -> Samples:

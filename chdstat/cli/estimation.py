@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from chdstat._core.arrays import Image
     from chdstat.comparison import Comparison, ErrorCurve
     from chdstat.inference import Contrast, Contrasts, Reference
+    from chdstat.recording import PassSource
     from chdstat.rendering import Rendering
     from chdstat.samples import Samples
     from chdstat.scenes import Scene
@@ -403,8 +404,10 @@ def _draws(
     """Return what draws samples of a scene at the size of a reference, and the options for it."""
     import chdstat
     from chdstat.inference.references import OF_TEST, Reference
+    from chdstat.recording.renderers import source_of
     from chdstat.rendering import render_batches
     from chdstat.samples.tiles import BATCH
+    from chdstat.scenes.scene import MITSUBA
 
     held = other if isinstance(other, Reference) else chdstat.open(other)
     height, width = held.shape[:2]
@@ -418,31 +421,38 @@ def _draws(
         raise InputError(message)
     spp = asked.spp or (held.spp // OF_TEST if held.spp else _UNKNOWN_SPP)
     settings = asked.settings | {"size": (width, height), "spp": spp, "seed": seed}
-    batch = min(BATCH, max(1, spp // 4))  # so that it can be looked at after a quarter
-    rendering = render_batches(scene, batch=batch, progress=asked.progress, **settings)
-    one, their = (attrs.get("integrator") for attrs in (rendering.attrs, held.attrs))
+    drawn: Rendering | PassSource
+    if scene.renderer == MITSUBA:
+        batch = min(BATCH, max(1, spp // 4))  # so that it can be looked at after a quarter
+        drawn = render_batches(scene, batch=batch, progress=asked.progress, **settings)
+    else:
+        drawn = source_of(scene, **{n: v for n, v in settings.items() if n not in ("spp", "seed")})
+    one, their = (attrs.get("integrator") for attrs in (drawn.attrs, held.attrs))
     if their and one != their:
         told = partial(json.dumps, sort_keys=True)
         warn_caller(
             f"{scene.name} is drawn by the integrator {told(one)}, and the reference was by "
             f"{told(their)}: their means differ if these do"
         )
-    return _SceneDraws(rendering), {"spp": spp, "seed": seed, "finds": finds}
+    return _SceneDraws(drawn), {"spp": spp, "seed": seed, "finds": finds}
 
 
 class _SceneDraws:
-    """Draws the batches of a render, one after the other; its seed is that of the render."""
+    """Draws passes of another renderer, or the batches of a render by Mitsuba.
 
-    def __init__(self, rendering: Rendering) -> None:
-        self._batches: Any = iter(rendering)
+    A render has its own seed, and its batches follow each other.
+    """
 
-    def __call__(self, seed: int) -> Image:  # noqa: ARG002
-        batch: Image = next(self._batches)
-        return batch
+    def __init__(self, drawn: Rendering | PassSource) -> None:
+        self._drawn: Any = drawn if callable(drawn) else iter(drawn)
+
+    def __call__(self, seed: int) -> Image:
+        image: Image = self._drawn(seed).image if callable(self._drawn) else next(self._drawn)
+        return image
 
     def close(self) -> None:
-        """End the render, and its progress bar."""
-        self._batches.close()
+        """End the render, and its progress bar or process."""
+        self._drawn.close()
 
 
 def _print_contrasts(found: Contrasts, asked: CommonOptions) -> None:

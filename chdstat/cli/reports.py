@@ -232,7 +232,7 @@ def study(
     output.say_next(asked.quiet, ("report", first, "-o", f"{first}.pdf"))
 
 
-@command("explore path.zarr guided.zarr", "size", "seed", "max_depth", "define", "plugin")
+@command("explore path.zarr guided.zarr", "size", "seed", "max_depth", "define", "frame", "plugin")
 def explore(
     sources: Words,
     asked: CommonOptions,
@@ -246,7 +246,7 @@ def explore(
     Parameters
     ----------
     sources : SCENE|STORE|EXR...
-        Built-in name, Mitsuba XML file, store or EXR image; several are compared.
+        Built-in name, scene file, store or EXR image; several are compared.
     model : path
         A trained estimator to show; can be repeated.
     maps : path

@@ -33,7 +33,8 @@ from chdstat.errors import InputError
 from chdstat.explorer.render_process import COARSE, RenderProcess
 from chdstat.rendering.jobs import Job
 from chdstat.samples import Samples, is_store
-from chdstat.scenes import Scene
+from chdstat.scenes import Scene, load_scene
+from chdstat.scenes.scene import MITSUBA
 
 if TYPE_CHECKING:
     from bokeh.application.handlers.handler import Handler
@@ -53,6 +54,8 @@ _HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
 """Names of this machine in the header of a request."""
 _EVERY = 3000
 """Milliseconds between two checks of a store that is still being written."""
+_PASSES = 256
+"""Samples of each pixel that are drawn of a scene of another renderer than Mitsuba."""
 _BANDS = 4
 """Number of parts in which the coarse image is drawn."""
 
@@ -226,7 +229,8 @@ def explore(
     ----------
     source
         A store or its path, samples in memory, or anything that `chdstat.load_scene` takes: a scene
-        is drawn coarsely, and a pixel is sampled when it is selected. Several sources of the same
+        is drawn coarsely, and a pixel is sampled when it is selected; one of another renderer than
+        Mitsuba is first rendered with 256 samples per pixel. Several sources of the same
         size are compared: stores, EXR images, and a scene as the first. If two stores have the same
         seed, and so the same random numbers, their samples are compared in pairs.
     models
@@ -275,6 +279,9 @@ def explore(
         name = first.name
     elif is_exr(first) or is_store(first):
         name = place_of(first).name
+    elif (scene := load_scene(first)).renderer != MITSUBA:
+        sources[0] = _recorded(scene, size, seed, max_depth)
+        name = scene.name
     else:
         job = Job.of(first, size=size, seed=seed, max_depth=max_depth, backend="scalar")
         render, name = RenderProcess(job), job.scene.name
@@ -301,6 +308,17 @@ def explore(
     finally:
         drawing.shutdown(wait=False)
     return explorer
+
+
+def _recorded(
+    scene: Scene, size: tuple[int, int] | None, seed: int, max_depth: int | None
+) -> Samples:
+    """Return samples of a small image of another renderer, which cannot draw single pixels."""
+    from chdstat.rendering import render
+    from chdstat.rendering.recipes import recipe_of
+
+    view = recipe_of(scene, spp=_PASSES, seed=seed).settings()
+    return render(scene, **view | {"size": size or view["size"], "max_depth": max_depth})
 
 
 # --- Bokeh --------------------------------------------------------------------------------------

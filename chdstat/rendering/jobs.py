@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 import numbers
@@ -12,11 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar, Unpack, ca
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat.errors import InputError, RenderError, did_you_mean
+from chdstat.recording.renderers import source_of
 from chdstat.rendering.backend import BACKENDS, Backend, Color, TriedBackend, activate, resolve
 from chdstat.rendering.seeds import SEEDS, SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
 from chdstat.scenes.plugins import Plugin, loaded, register
-from chdstat.scenes.scene import LiveScene
+from chdstat.scenes.scene import MITSUBA, LiveScene
 from chdstat.scenes.settings import GUIDED, LONGEST, Asked, asked_for
 
 if TYPE_CHECKING:
@@ -261,6 +263,12 @@ class Job:
             or does not work here.
         """
         found, settings = load_scene(scene), checked_settings(options)
+        if found.renderer != MITSUBA:
+            message = (
+                f"expected a scene of Mitsuba, got {found.name}, which {found.renderer} renders: "
+                f"first keep its samples with: chdstat render {found.source} -o {found.name}.zarr"
+            )
+            raise InputError(message)
         if isinstance(found.source, LiveScene):
             settings["backend"] = _own_backend(found.source.value, settings)
         job = cls(found, settings, resolve(settings["backend"], settings["color"]))
@@ -349,7 +357,12 @@ def scene_integrator(scene: SceneLike) -> str:
 
 
 def _view_of(scene: SceneLike) -> tuple[tuple[int, int], str]:
-    job = Job(load_scene(scene), checked_settings({}), resolve("scalar"))
+    loaded = load_scene(scene)
+    if loaded.renderer != MITSUBA:
+        with contextlib.closing(source_of(loaded)) as source:
+            width, height = source.attrs["size"]
+            return (width, height), source.attrs["integrator"]["type"]
+    job = Job(loaded, checked_settings({}), resolve("scalar"))
     with activate(job.backend):
         asked = job.asked()
         return asked.film.crop_size, asked.integrator.plugin(0)

@@ -22,9 +22,11 @@ from chdstat._core.arrays import Image, whole
 from chdstat._core.files import free_disk, place_of
 from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
+from chdstat.recording import record
+from chdstat.recording.renderers import source_of
 from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, Look, decided, error_of, more
 from chdstat.rendering.backend import activate
-from chdstat.rendering.jobs import Job, RenderSettings, checked_settings, with_settings
+from chdstat.rendering.jobs import SETTINGS, Job, RenderSettings, checked_settings, with_settings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
 from chdstat.rendering.seeds import check_spp, max_spp
 from chdstat.rendering.workers import features_remote, rendered
@@ -34,8 +36,8 @@ from chdstat.samples.ledger import counts_of
 from chdstat.samples.memory_writer import MemoryWriter
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, Chunk, LightPart, Work, chunk_grid
-from chdstat.scenes import SceneLike, load_scene
-from chdstat.scenes.scene import LiveScene
+from chdstat.scenes import Scene, SceneLike, load_scene
+from chdstat.scenes.scene import MITSUBA, LiveScene
 from chdstat.scenes.settings import LONGEST
 
 if TYPE_CHECKING:
@@ -168,6 +170,11 @@ def render(
     <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
     """
     loaded, settings = load_scene(scene), checked_settings(options)
+    if loaded.renderer != MITSUBA:
+        decided = by_depth, adaptive or None, error, percentile
+        asked = dict(zip(("by_depth", "adaptive", "error", "percentile"), decided, strict=True))
+        parts: Any = {"direct": direct, "by_light": by_light}
+        return _recorded(loaded, {**settings, **asked}, parts, out, client, progress)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     place = None if out is None else place_of(out)
@@ -203,6 +210,35 @@ def render(
     work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
         return _captured(job, depths, by_light, how, place, work)
+
+
+_OF_ANY = ("spp", "size", "seed", "max_depth", "crop")
+"""Settings of a render that other renderers have, too."""
+
+
+def _recorded(
+    scene: Scene,
+    settings: Mapping[str, Any],
+    parts: Mapping[str, Any],
+    out: str | Path | None,
+    client: Client | None,
+    progress: bool | None,
+) -> Samples:
+    """Record the samples of a scene of another renderer."""
+    defaults = {name: parameter.default for name, parameter in SETTINGS.items()}
+    others = [n for n in settings if n not in _OF_ANY and settings[n] != defaults.get(n)]
+    if others:
+        message = (
+            f"{', '.join(others)}: for scenes that Mitsuba renders, but {scene.renderer} renders "
+            f"{scene.name}; leave it out"
+        )
+        raise InputError(message)
+    view = {name: settings[name] for name in ("size", "crop", "max_depth")}
+    if out is not None and is_store(out) and view["size"] is view["crop"] is None:
+        view["size"] = tuple(Store.open(place_of(out)).attrs["size"])
+    with contextlib.closing(source_of(scene, **view, **parts)) as source:
+        counts = {name: settings[name] for name in ("spp", "seed")}
+        return record(source, **counts, out=out, client=client, progress=progress)
 
 
 def _captured(

@@ -1,4 +1,4 @@
-"""Scenes: built-in ones, Mitsuba XML files and dicts, and scenes that Mitsuba has built.
+"""Scenes: built-in ones, scene files, dicts in Mitsuba's form, and scenes that Mitsuba has built.
 
 `load_scene` takes any of them and returns a `Scene` for `chdstat.render`.
 """

@@ -38,7 +38,10 @@ from chdstat.scenes.builtin import BUILTIN, built_in
 from chdstat.scenes.plugins import code_of
 
 SceneLike = str | Path | Mapping[str, Any] | Any
-"""A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
+"""A built-in name, a scene file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
+MITSUBA = "Mitsuba"
+RENDERERS = {".xml": MITSUBA, ".blend": "Cycles", ".cfg": "LuxCore", ".scn": "LuxCore"}
+"""The renderer of a scene file, by its suffix."""
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types whose values are equal if they print the same."""
 _LISTED = 1000
@@ -47,19 +50,19 @@ _LISTED = 1000
 
 @dataclass(frozen=True, repr=False)
 class Scene(Shown):
-    """A scene that Mitsuba can render.
+    """A scene that Mitsuba or another renderer can render.
 
     Parameters
     ----------
     name
         A short name: of a built-in scene, or the stem of the file.
     source
-        A Mitsuba XML file, a scene dict in Mitsuba's form, or a scene that Mitsuba has built.
-        Values in a dict are plain: matrices are (4, 4) or (3, 3) arrays, ``{"type": "mesh",
-        "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and ``{"type": "bitmap", "data":
-        array}`` is an image texture (see `chdstat.scenes.parsing`).
+        A scene file of one of `RENDERERS`, a scene dict in Mitsuba's form, or a scene that Mitsuba
+        has built. Values in a dict are plain: matrices are (4, 4) or (3, 3) arrays, ``{"type":
+        "mesh", "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and ``{"type": "bitmap",
+        "data": array}`` is an image texture (see `chdstat.scenes.parsing`).
     parameters
-        Values for the ``$name`` parameters of an XML file.
+        Values for the ``$name`` parameters of an XML file, or for those of a ``.blend`` file.
     """
 
     name: str
@@ -72,6 +75,12 @@ class Scene(Shown):
             parts = {name: part for name, part in self.source.items() if isinstance(part, Mapping)}
             facts["parts"] = f"{len(parts)}: {', '.join(parts)}"
         return Card(f"Scene {self.name}", facts)
+
+    @property
+    def renderer(self) -> str:
+        """Name of the renderer whose scene it is."""
+        file = self.source if isinstance(self.source, Path) else Path("scene.xml")
+        return RENDERERS[file.suffix.lower()]
 
     @property
     def origin(self) -> str:
@@ -110,9 +119,15 @@ class Scene(Shown):
         return {name: digest_of(path) for name, path in self.described().items()}
 
     def described(self) -> dict[str, Path]:
-        """Return the files that the scene reads, by their names in the scene."""
+        """Return the files that the scene reads, by their names in the scene.
+
+        Of another renderer than Mitsuba, it is the scene file alone.
+        """
         if isinstance(self.source, LiveScene):
             return {}
+        if self.renderer != MITSUBA:
+            assert isinstance(self.source, Path), "others have files"
+            return {self.source.name: self.source}
         with _bounded(self.name):
             return described(self.name, self.source, self.parameters)
 
@@ -134,16 +149,18 @@ class Scene(Shown):
 
 
 def load_scene(source: SceneLike, **parameters: object) -> Scene:
-    """Return a scene from a built-in name, a Mitsuba XML file or dict, or a scene built by Mitsuba.
+    """Return a scene by its name, file or description, or as Mitsuba has built it.
 
     Parameters
     ----------
     source
-        A name in `BUILTIN`, the path of a Mitsuba XML file, a dict in Mitsuba's form, or a
-        ``mi.Scene``, which is rendered as it is, in this process; so is a dict that holds Mitsuba
-        objects, such as shapes or materials. A `Scene` is returned as it is.
+        A name in `BUILTIN`; the path of a scene file: Mitsuba's XML, ``.blend`` of Blender's
+        Cycles, or ``.cfg`` or ``.scn`` of LuxCore; a dict in Mitsuba's form; or a ``mi.Scene``,
+        which is rendered as it is, in this process; so is a dict that holds Mitsuba objects, such
+        as shapes or materials. A `Scene` is returned as it is.
     **parameters
-        Values for the ``$name`` parameters of an XML file, like Mitsuba's option ``-D``.
+        Values for the ``$name`` parameters of an XML file, like Mitsuba's option ``-D``; of a
+        ``.blend`` file, ``frame``, ``camera``, ``view_layer`` and ``scene``.
 
     Returns
     -------
@@ -154,8 +171,8 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
     InputError
         If it is none of these.
     SceneError
-        If the name is unknown (the message suggests the nearest one), the file is missing or not
-        XML, or parameters are given to a scene without parameters.
+        If the name is unknown (the message suggests the nearest one), the file is missing or of
+        none of these kinds, or parameters are given to a scene without parameters.
 
     Examples
     --------
@@ -173,8 +190,8 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
     elif not isinstance(source, str | Path | Mapping):
         kind = f"{type(source).__module__}.{type(source).__qualname__}"
         message = (
-            "scene must be a name, the path of an XML file, a dict, a chdstat Scene or a mi.Scene, "
-            f"got a {kind}"
+            "scene must be a name, the path of a scene file, a dict, a chdstat Scene or a "
+            f"mi.Scene, got a {kind}"
         )
         raise InputError(message)
     elif isinstance(source, Mapping):
@@ -191,7 +208,7 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
         return Scene(*_checked_file(Path(source)), {k: str(v) for k, v in parameters.items()})
     if parameters:
         message = (
-            f"scene {scene.name!r} takes no parameters (only XML files do), "
+            f"scene {scene.name!r} takes no parameters (only files do), "
             f"got {', '.join(sorted(parameters))}"
         )
         raise SceneError(message)
@@ -199,15 +216,16 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
 
 
 def _checked_file(path: Path) -> tuple[str, Path]:
-    """Return the name and the absolute path of an XML scene that exists."""
+    """Return the name and the absolute path of a scene file that exists."""
     if is_file(path / "scene.xml"):
         path = path / "scene.xml"
     if not is_file(path):
         raise SceneError(_nothing_at(path))
-    if path.suffix.lower() != ".xml":
+    if path.suffix.lower() not in RENDERERS:
         message = (
-            f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}; 'chdstat import' makes "
-            "a store of the samples of another renderer"
+            "a scene file must be Mitsuba's (*.xml), Blender's (*.blend) or LuxCore's (*.cfg, "
+            f"*.scn), got {str(path)!r}; 'chdstat import' makes a store of the samples of another "
+            "renderer"
         )
         raise SceneError(message)
     path = path.absolute()  # of a link as of a file: Mitsuba looks for others beside the link
@@ -233,7 +251,7 @@ def _beside(path: Path) -> str:
         held = [other.name for other in itertools.islice(path.parent.iterdir(), _LISTED)]
     except (OSError, ValueError):  # no such folder, or text that is no path
         return f"; there is no folder {reprlib.repr(str(path.parent))}"
-    return did_you_mean(path.name, held) or "; give a Mitsuba scene, *.xml"
+    return did_you_mean(path.name, held) or "; give a scene file, such as *.xml of Mitsuba"
 
 
 @contextlib.contextmanager
