@@ -317,7 +317,7 @@ def list_names(
 
 @command("doctor", "as_json")
 def doctor(asked: CommonOptions, fresh: bool = False) -> None:
-    """Describe what works here: Mitsuba backends, LLVM, torch, denoiser, memory, versions.
+    """Describe what works here: Mitsuba backends, other renderers, denoiser, memory, versions.
 
     Parameters
     ----------
@@ -325,9 +325,11 @@ def doctor(asked: CommonOptions, fresh: bool = False) -> None:
         Ignore cached results and test the backends again.
     """
     from chdstat._core import denoiser
+    from chdstat.recording import cycles
     from chdstat.rendering.backend import examine
 
-    found = examine(fresh=fresh) | {"denoiser": denoiser.library()}
+    others = {"other_renderers": {"cycles": cycles.works()}, "denoiser": denoiser.library()}
+    found = examine(fresh=fresh) | others
     if asked.as_json:
         output.print_json(found)
     else:

@@ -47,12 +47,30 @@ def blender() -> list[str]:
     if program is None:
         message = (
             f"Blender scenes need Blender: set ${_VARIABLE} to the path of a blender program, or "
-            "install its module next to chdstat: pip install --no-deps bpy"
+            "install its module for Python 3.11: pip install 'chdstat[blender]'"
         )
         raise RenderError(message)
     if Path(program).name.startswith("python"):
         return [program]
     return [program, "--background", "--factory-startup", "--disable-autoexec", "--python"]
+
+
+def works() -> str:
+    """Return whether Cycles works here, and which one, or why not; tried in a process of its own.
+
+    Examples
+    --------
+    >>> works().startswith(("works: Cycles", "does not work: "))
+    True
+    """
+    try:
+        command = blender()
+        process = RendererProcess(command, _WORKER, renderer="Cycles")
+    except RenderError as error:
+        return f"does not work: {error}"
+    found, _ = process.call("version")
+    process.close()
+    return f"works: Cycles {found['version']} ({command[0]})"
 
 
 class CyclesSource:

@@ -29,6 +29,19 @@ _DIRECT = ("Diffuse", "Glossy", "Transmission")
 _SHOWN = 5
 """Names that a note shows."""
 
+_OLD_NAMES = {
+    "Emit": "Emission",
+    "Env": "Environment",
+    "VolumeDir": "Volume Direct",
+    "DiffDir": "Diffuse Direct",
+    "DiffCol": "Diffuse Color",
+    "GlossDir": "Glossy Direct",
+    "GlossCol": "Glossy Color",
+    "TransDir": "Transmission Direct",
+    "TransCol": "Transmission Color",
+}
+"""Names of passes before Blender 5."""
+
 # What makes samples independent, unclamped and linear: each setting with its value, and the words
 # of a note where the scene has another one, into which that value goes.
 _CYCLES = {
@@ -110,7 +123,9 @@ def _keep_passes() -> None:
         for one in result.layers[0].passes:
             pixels = np.empty(width * height * one.channels, np.float32)
             one.rect.foreach_get(pixels)
-            _drawn[one.name] = pixels.reshape(height, width, one.channels)[::-1]
+            _drawn[_OLD_NAMES.get(one.name, one.name)] = pixels.reshape(
+                height, width, one.channels
+            )[::-1]
 
     cycles.CyclesRender.render = render
 
@@ -140,8 +155,8 @@ def load(path: str, **parameters: Any) -> dict[str, Any]:
     except RuntimeError as error:
         why = " ".join(str(error).replace("Error:", "").split())
         message = (
-            f"Blender {bpy.app.version_string} cannot open {path}: {why}; save it again in this "
-            "version, or set $CHDSTAT_BLENDER to a newer one"
+            f"Blender {bpy.app.version_string} cannot open {path}: {why}; if a newer one has saved "
+            "it, set $CHDSTAT_BLENDER to the path of that one"
         )
         raise SceneFault(message) from error
     notes: list[str] = []
