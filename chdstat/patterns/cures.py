@@ -121,9 +121,9 @@ _CYCLES = {
     ),
     "shadow_caustics": Setting(
         "Shadow Caustics",
-        "aims at lamps through glass",
-        "an approximation, time per sample; refraction in shadows only, and lamp, glass and floor "
-        "must each be set",
+        "aims at lamps through curved glass",
+        "time per sample; lamp, glass and what they light must each be set; it is an approximation "
+        "that loses most of the light behind flat panes",
         "Light > Settings; Object > Shading > Caustics",
         (
             f"{_LIGHT}.is_caustics_light",
@@ -132,9 +132,9 @@ _CYCLES = {
         ),
     ),
     "clear_shadow": Setting(
-        "a Transparent BSDF where Light Path says Is Shadow Ray",
-        "lets the lamp shine through flat panes as if they were not there",
-        "the look: such glass casts no bright patterns",
+        "Transparent BSDF for Is Shadow Ray of Light Path",
+        "lets lamps shine through panes as if these were not there",
+        "the look: no bright patterns; switch Refractive Caustics off, too, or light counts twice",
         "",
         ("ShaderNodeLightPath", "ShaderNodeBsdfTransparent"),
     ),
@@ -148,7 +148,8 @@ _CYCLES = {
     "filter_glossy": Setting(
         "Filter Glossy",
         "treats mirrors and glass as rougher once a path has met a matte surface",
-        "truth: bright patterns become blurred, and part of their light can get lost",
+        "light and truth: it blurs what mirrors and glass throw on things, and loses part of it; "
+        "it is on, at 1, in a new file",
         "Render > Light Paths > Caustics",
         (f"{_RENDER}.blur_glossy",),
     ),
@@ -294,9 +295,9 @@ CURES: Mapping[str, Mapping[str, str]] = {
     "Cycles": {
         "null_heavy": "help paths to find the light: with many lamps {light_tree}, in windows lit "
         "by the world {portal}, for light round corners {guiding}, behind glass a larger {size}; "
-        "clamping does not help here",
-        "long_tail": "find the bright paths more often: through glass {shadow_caustics}, round "
-        "corners {guiding}, of a sun in the world image {world}; {clamping} and caustics switched "
+        "clamping does not help",
+        "long_tail": "find the bright paths more often: through curved glass {shadow_caustics}, "
+        "round corners {guiding}, of a sun in the world image {world}; {clamping} and caustics switched "
         "off hide them, and the image becomes darker by the light they carry",
         "firefly_dominated": "more samples first: if others are as bright, see long tail; if none "
         "is, {clamping} or {filter_glossy} remove it, and light with it",

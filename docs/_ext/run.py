@@ -78,7 +78,8 @@ class Run(SphinxDirective):
             printed, value = _execute(code, variables, page.name)
         value = value.figure if isinstance(value, Axes) else value
         if "hide" in self.options:
-            return [self._page(value) if isinstance(value, Path) else self._image(value)]
+            image = self._page if isinstance(value, Path) else self._image
+            return [*_shown(printed), *([] if value is None else [image(value)])]
         if self.options.keys() & {"figure", "file"}:
             return [self._image(value), *self._folded(code)]
         shown = [_literal(code, "python")]
