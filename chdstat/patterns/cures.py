@@ -297,8 +297,8 @@ CURES: Mapping[str, Mapping[str, str]] = {
         "by the world {portal}, for light round corners {guiding}, behind glass a larger {size}; "
         "clamping does not help",
         "long_tail": "find the bright paths more often: through curved glass {shadow_caustics}, "
-        "round corners {guiding}, of a sun in the world image {world}; {clamping} and caustics switched "
-        "off hide them, and the image becomes darker by the light they carry",
+        "round corners {guiding}, of a sun in the world image {world}; {clamping} and caustics "
+        "switched off hide them, and the image becomes darker by the light they carry",
         "firefly_dominated": "more samples first: if others are as bright, see long tail; if none "
         "is, {clamping} or {filter_glossy} remove it, and light with it",
         "bimodal": "{samples}: " + _AT_RATE + "; where the lit half is a lamp's reflection, see "

@@ -1,7 +1,7 @@
 """Directives made from the table of patterns.
 
-``pattern`` says cause and cure of one, ``pattern-table`` lists the rules of all. ``cures`` lists what
-helps in the words of a renderer, ``renderer-settings`` what its settings do and cost.
+``pattern`` says cause and cure of one, ``pattern-table`` lists the rules of all. ``cures`` lists
+what helps in the words of a renderer, ``renderer-settings`` what its settings do and cost.
 """
 
 from __future__ import annotations
