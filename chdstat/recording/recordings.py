@@ -52,7 +52,7 @@ _OTHERS = (
 )
 
 PassFunction = Callable[[int], Any] | PassSource
-Keeper = MemoryWriter | Store
+_Keeper = MemoryWriter | Store
 
 
 def record(
@@ -195,7 +195,7 @@ class _Recording:
     ) -> None:
         self._draw, self._seed, self._place, self._opened = draw, seed, place, opened
         self._attrs: dict[str, Any] = {"notes": [], **attrs, "seed": seed}
-        self._keepers: dict[LightPart | None, Keeper] = {}
+        self._keepers: dict[LightPart | None, _Keeper] = {}
         self._waiting: dict[LightPart | None, npt.NDArray[np.float32]] = {}
         self._sums: dict[str, npt.NDArray[np.float64]] = {}
         self.held = self._drawn = self._summed = 0
@@ -206,7 +206,7 @@ class _Recording:
             self._continue(place)
 
     @property
-    def _main(self) -> Keeper:
+    def _main(self) -> _Keeper:
         return self._keepers[None]
 
     @property
@@ -344,7 +344,7 @@ class _Recording:
         attrs = {"size": held.attrs.get("size"), **self._attrs, "spp": 0}
         check_same(held.path, held.attrs, checked_attrs(attrs))
         store = self._opened.enter_context(Store.open(place, writable=True))
-        parts: dict[LightPart | None, Keeper] = {
+        parts: dict[LightPart | None, _Keeper] = {
             which: self._opened.enter_context(Store.open(part.path, writable=True))
             for which, part in store.parts().items()
         }
@@ -422,19 +422,19 @@ class _Recording:
                 raise InputError(message)
 
     def _keep(self) -> None:
-        """Keep the passes that wait: parts of the light first, so that none is missing."""
+        """Keep the passes that wait: features and parts first, so that none is missing."""
         if not self._drawn:
             return
         start, stop = self.held, self.held + self._drawn
-        for which, keeper in reversed(self._keepers.items()):
-            self._write(keeper, self._waiting[which], start, stop)
         if self._sums:
             averages = {n: (s / self._summed).astype(np.float32) for n, s in self._sums.items()}
             self._main.renew(averages, feature_passes=self._summed)
+        for which, keeper in reversed(self._keepers.items()):
+            self._write(keeper, self._waiting[which], start, stop)
         self.held, self._drawn = stop, 0
 
     @staticmethod
-    def _write(keeper: Keeper, waiting: npt.NDArray[np.float32], start: int, stop: int) -> None:
+    def _write(keeper: _Keeper, waiting: npt.NDArray[np.float32], start: int, stop: int) -> None:
         keeper.fit(start, stop)
         for chunk in keeper.ledger.chunks(ss=slice(start, stop)):
             ys, xs, begun = chunk.ys, chunk.xs, chunk.ss.start

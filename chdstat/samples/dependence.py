@@ -124,7 +124,13 @@ class _Tile(NamedTuple):
 def warn_of_repeats(
     read: Read, shape: tuple[int, int, int, int], name: str, passes: Sequence[str] = ()
 ) -> None:
-    """Warn the caller of the library if passes repeat each other, as a whole or in tiles.
+    """Warn the caller of the library if passes repeat each other, see `repeats_in`."""
+    if message := repeats_in(read, shape, passes):
+        warn_caller(f"{name}: {message}")
+
+
+def repeats_in(read: Read, shape: tuple[int, int, int, int], passes: Sequence[str] = ()) -> str:
+    """Return in words if passes repeat each other, as a whole or in tiles; "" if they do not.
 
     Parameters
     ----------
@@ -132,8 +138,6 @@ def warn_of_repeats(
         Returns the samples of rows, columns and passes, shape (y, x, channel, sample).
     shape
         Shape of all samples.
-    name
-        Name of the file or array with the samples.
     passes
         Names of the passes, if they have names.
     """
@@ -145,10 +149,10 @@ def warn_of_repeats(
             continue  # too many values: some of the tiles are next
         chosen = np.linspace(0, len(places) - 1, min(most, len(places))).astype(int)
         found = _Repeats.of(read, [places[i] for i in chosen], number)
-        if message := found.message([*passes] or [f"pass {i}" for i in range(spp)]):
-            warn_caller(f"{name}: {message}")
+        message = found.message([*passes] or [f"pass {i}" for i in range(spp)])
         if message or edge == TILE:
-            return
+            return message
+    return ""
 
 
 class _Repeats(NamedTuple):
