@@ -64,8 +64,9 @@ def _read(samples: Samples) -> Iterator[Image]:
     most = max(_MOST // (channels * number * TILE**2), 1)
     chosen = np.linspace(0, len(places) - 1, min(most, len(places))).astype(int)
     for i in sorted({*chosen.tolist()}):
-        first = samples.read(*places[i], slice(number - number // 2))
-        last = samples.read(*places[i], slice(spp - number // 2, spp))
+        ys, xs = places[i]
+        first = samples.read(ys, xs, slice(number - number // 2))
+        last = samples.read(ys, xs, slice(spp - number // 2, spp))
         yield np.concatenate([first, last], axis=-1)
 
 
