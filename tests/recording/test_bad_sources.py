@@ -200,6 +200,12 @@ def test_right_sources_are_not_warned_of(seed):
     assert chd.record(lambda s: right(s)[:1, :2], spp=SPP, seed=seed).attrs["notes"] == []
 
 
+def test_many_samples_lie_at_one_level_by_chance():
+    random = np.random.default_rng(0)
+    samples = chd.Samples.from_array(random.gamma(0.5, size=(64, 64, 3, 256)).astype(np.float32))
+    assert findings(samples) == []
+
+
 @pytest.mark.parametrize("scene", [*BUILTIN][:8])
 def test_scenes_of_mitsuba_are_not_warned_of(scene):
     samples = chd.render(scene, spp=SPP, size=(24, 24), backend="scalar")
