@@ -13,7 +13,7 @@ COLORS = [LABEL_COLORS[name] for name in NAMES.values()]
 
 def example(room, after, titles):
     """Draw the image, its map of patterns, and the image after a change, at 64 samples each."""
-    fig, (before, patterns, changed) = plt.subplots(1, 3, figsize=(6.7, 2.3), layout="constrained")
+    fig, (before, patterns, changed) = plt.subplots(1, 3, figsize=(6.7, 2.6), layout="constrained")
     exposure = 0.25 / np.median(data[f"{room}/{after}/image"].astype(np.float32))
     for ax, number, title in ((before, 0, titles[0]), (changed, after, titles[1])):
         image = data[f"{room}/{number}/image"].astype(np.float32)
