@@ -6,10 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 from chdstat.recording.cycles import CyclesSource
+from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.recording.pass_sources import PassSource
 from chdstat.scenes import Scene
 
-_SOURCES: dict[str, Callable[..., PassSource]] = {"Cycles": CyclesSource}
+_SOURCES: dict[str, Callable[..., PassSource]] = {
+    "Cycles": CyclesSource,
+    "LuxCore": LuxCoreSource,
+}
 
 
 def source_of(scene: Scene, **options: Any) -> PassSource:
