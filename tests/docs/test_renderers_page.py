@@ -73,6 +73,19 @@ def test_how_lights_are_picked_explains_the_room():
     assert share("room", "cycles | cycles, no light tree") < 0.15
 
 
+def test_single_numbers_say_what_the_page_does():
+    def of(name: str, kind: str) -> np.ndarray:
+        return RESULTS[f"room/{name}/{kind}"].astype(float)
+
+    for name in ("cycles", "luxcore"):
+        assert abs(of(name, "variance").sum() / of("mitsuba", "variance").sum() - 1) < 0.1
+        assert of(name, "nulls").mean() < of("mitsuba", "nulls").mean() / 2
+    same = {
+        n: np.mean(of(n, "label") == of("mitsuba", "label")) for n in ("mitsuba again", "cycles")
+    }
+    assert same["cycles"] < same["mitsuba again"] - 0.05
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_renderers_draw_the_results_again(tool, name, tmp_path):

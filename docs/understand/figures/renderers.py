@@ -7,8 +7,8 @@ results = np.load("renderers.npz")
 about = json.loads(str(results["about"]))
 names = {"mitsuba": "Mitsuba", "cycles": "Cycles", "luxcore": "LuxCore"}
 colors = dict(zip(names, ("#0072B2", "#D55E00", "#009E73"), strict=True))
-pixels = {"cornell-box": "wall", "room": "ceiling"}
-places = {"cornell-box": (16, 16), "room": (3, 10)}
+pixels = {"cornell-box": "wall", "room": "back wall"}
+places = {"cornell-box": (16, 16), "room": (14, 13)}
 fig, axes = plt.subplots(
     2, 4, figsize=(6.7, 3.5), layout="constrained", width_ratios=(1, 1, 1, 1.6)
 )
