@@ -47,6 +47,7 @@ def render(
     by_depth: int | None = None,
     adaptive: bool = False,
     percentile: float | None = None,
+    time: float | None = None,
     summary_only: bool = False,
 ) -> None:
     """Render a scene and keep every sample.
@@ -71,6 +72,8 @@ def render(
         how noisy the image is. --error does so, too, with --spp as the most.
     percentile : PERCENT
         Reach the --error in this percentage of the pixels, such as 95, not in the image.
+    time : SECONDS, default all samples
+        Stop after this time, once every pixel has samples; --spp is then the most.
     summary_only : bool
         Keep no samples: write maps of statistics, histograms and families instead.
     """
@@ -83,10 +86,11 @@ def render(
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     described = asked.scene(scene)
     if summary_only:
-        if direct or by_depth or light or adaptive or (asked.error, percentile) != (None, None):
+        decided = asked.error, percentile, time
+        if direct or by_depth or light or adaptive or decided != (None, None, None):
             message = (
-                "--summary-only keeps no samples, which --direct, --by-depth, --light, --adaptive "
-                "and --error need"
+                "--summary-only keeps no samples, which --direct, --by-depth, --light, --adaptive, "
+                "--error and --time need"
             )
             raise InputError(message)
         asked.target(out)
@@ -109,6 +113,7 @@ def render(
             adaptive=adaptive,
             error=asked.error,
             percentile=percentile,
+            seconds=time,
             out=out,
             client=client,
             progress=asked.progress,

@@ -51,12 +51,12 @@ _OTHERS = (
     "recording with the same seed gives others"
 )
 
-PassFunction = Callable[[int], Any] | PassSource
+_PassFunction = Callable[[int], Any] | PassSource
 _Keeper = MemoryWriter | Store
 
 
 def record(
-    draw: PassFunction,
+    draw: _PassFunction,
     *,
     spp: int = 256,
     seed: int = 0,
@@ -153,7 +153,7 @@ def _check_callable(draw: Any) -> None:
         raise InputError(message)
 
 
-def _provenance(draw: PassFunction, name: str | None, attrs: Mapping[str, Any]) -> dict[str, Any]:
+def _provenance(draw: _PassFunction, name: str | None, attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Return what samples depend on, apart from their seed and size."""
     function: Any = draw
     while isinstance(function, functools.partial):
@@ -187,7 +187,7 @@ class _Recording:
 
     def __init__(
         self,
-        draw: PassFunction,
+        draw: _PassFunction,
         seed: int,
         place: Path | None,
         opened: contextlib.ExitStack,
@@ -482,9 +482,9 @@ def _drawn_remote(pickled: bytes, seed: int) -> DrawnPass:
 
 
 @functools.lru_cache(maxsize=1)
-def _source_of(pickled: bytes) -> PassFunction:
+def _source_of(pickled: bytes) -> _PassFunction:
     """Return a worker's own copy of a source, which starts its renderer once."""
     from distributed.protocol.pickle import loads
 
-    source: PassFunction = loads(pickled)
+    source: _PassFunction = loads(pickled)
     return source

@@ -58,6 +58,7 @@ def render(
     adaptive: bool | ErrorMeasure = False,
     error: float | None = None,
     percentile: float | None = None,
+    seconds: float | None = None,
     out: str | Path | None = None,
     client: Client | None = None,
     progress: bool | None = None,
@@ -137,6 +138,9 @@ def render(
     percentile
         Reach the error in single pixels: 95 means in 95 % of them. None takes the error of the
         image, which its noisiest pixels decide.
+    seconds
+        Stop after this time, once every pixel has samples; `spp` is then the most. The same render
+        goes on in `out`.
     out
         Where to store the samples, a path or a URL; None to keep them in memory.
     backend
@@ -156,7 +160,7 @@ def render(
     InputError
         If `spp`, `size` or `seed` is out of range, or the sampler would round `sequence`. Also if
         light by depth or by lights, or an adaptive render, is asked for with a sampler that spreads
-        samples.
+        samples, or with `seconds`.
     SceneError, RenderError
         If the scene cannot be read, or cannot be rendered as asked.
     StoreError
@@ -174,7 +178,8 @@ def render(
         decided = by_depth, adaptive or None, error, percentile
         asked = dict(zip(("by_depth", "adaptive", "error", "percentile"), decided, strict=True))
         parts: Any = {"direct": direct, "by_light": by_light}
-        return _recorded(loaded, {**settings, **asked}, parts, out, client, progress)
+        how_long: Any = {"seconds": seconds, "client": client, "progress": progress}
+        return _recorded(loaded, {**settings, **asked}, parts, out, **how_long)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     place = None if out is None else place_of(out)
@@ -207,9 +212,11 @@ def render(
         job = replace(job, guide=kept_guide(existing, job.guided))
     if client is not None:
         _check_portable(job)
+    if seconds is not None:
+        _check_seconds(seconds, alone=not (depths or by_light or how))
     work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
-        return _captured(job, depths, by_light, how, place, work)
+        return _captured(job, depths, by_light, how, place, work, seconds)
 
 
 _OF_ANY = ("spp", "size", "seed", "max_depth", "crop")
@@ -221,8 +228,7 @@ def _recorded(
     settings: Mapping[str, Any],
     parts: Mapping[str, Any],
     out: str | Path | None,
-    client: Client | None,
-    progress: bool | None,
+    **how_long: Any,
 ) -> Samples:
     """Record the samples of a scene of another renderer."""
     defaults = {name: parameter.default for name, parameter in SETTINGS.items()}
@@ -238,7 +244,20 @@ def _recorded(
         view["size"] = tuple(Store.open(place_of(out)).attrs["size"])
     with contextlib.closing(source_of(scene, **view, **parts)) as source:
         counts = {name: settings[name] for name in ("spp", "seed")}
-        return record(source, **counts, out=out, client=client, progress=progress)
+        return record(source, **counts, out=out, **how_long)
+
+
+def _check_seconds(seconds: float, *, alone: bool) -> None:
+    """Refuse a time that is none, or in which more than samples is rendered."""
+    if not seconds > 0:
+        message = f"seconds must be positive, got {seconds!r}"
+        raise InputError(message)
+    if not alone:
+        message = (
+            "seconds is for samples alone: direct, by_depth and by_light draw them again, and an "
+            "adaptive render decides from all that it draws; leave one of them out"
+        )
+        raise InputError(message)
 
 
 def _captured(
@@ -248,6 +267,7 @@ def _captured(
     how: Adaptive | None,
     out: Path | None,
     work: Work,
+    seconds: float | None,
 ) -> Samples:
     """Render a job, and again for each part of its light."""
     spp = job.options["spp"]
@@ -260,7 +280,7 @@ def _captured(
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, writer.attrs["spp"], spp)
         with _features_restored(renderer, writer, work):
-            _fill(renderer, writer, work)
+            _fill(renderer, writer, work, seconds)
         if how is not None:
             _AdaptiveRender(how, renderer, writer, work).finish()
         parts = {}
@@ -547,8 +567,10 @@ def _features_restored(renderer: MitsubaRenderer, writer: Writer, work: Work) ->
             writer.restore(*features)
 
 
-def _fill(renderer: MitsubaRenderer, writer: Writer, work: Work) -> None:
-    """Render what is missing, and write each chunk as it arrives."""
+def _fill(
+    renderer: MitsubaRenderer, writer: Writer, work: Work, seconds: float | None = None
+) -> None:
+    """Render what is missing, or what comes in some time, and write each chunk as it arrives."""
     chunks = writer.ledger.pending()
     if not chunks:
         return
@@ -565,6 +587,9 @@ def _fill(renderer: MitsubaRenderer, writer: Writer, work: Work) -> None:
                 elif store is not None:
                     store.note(chunk)
                 advance(chunk.size)
+                late = seconds is not None and time.monotonic() - start > seconds
+                if late and writer.ledger.complete_spp:
+                    drawn.close()
         finally:
             writer.spent(time.monotonic() - start)
 

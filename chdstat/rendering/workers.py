@@ -6,7 +6,7 @@ import contextlib
 import functools
 import itertools
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,7 @@ def rendered(
     chunks: Iterable[Chunk],
     client: Client | None = None,
     store: Store | None = None,
-) -> Iterator[tuple[Chunk, Image | None]]:
+) -> Generator[tuple[Chunk, Image | None], None, None]:
     """Yield chunks with their samples, in the order in which they are done.
 
     Workers of a cluster write directly to a `store` that they see; None is yielded instead of the

@@ -93,6 +93,7 @@ class MemoryWriter:
 
     def finish(self, parts: Mapping[LightPart, Samples] | None = None) -> Samples:
         """Return the samples, with the parts of their light."""
-        about: Any = {"attrs": self.attrs, "features": self._features, "parts": parts}
-        array = self._array[..., : self.ledger.shape[3]]
-        return Samples(array, counts=self.ledger.counts, **about)
+        spp, counts = self.ledger.complete_spp, self.ledger.counts
+        attrs = self.attrs if counts is not None else {**self.attrs, "spp": spp}
+        about: Any = {"attrs": attrs, "features": self._features, "parts": parts}
+        return Samples(self._array[..., :spp], counts=counts, **about)

@@ -455,3 +455,25 @@ def test_settings_are_declared_once():
         with pytest.raises(TypeError, match=told):
             function("cornell-box", ssp=4)
     assert Job.of("cornell-box", backend="scalar").options == defaults | {"backend": "scalar"}
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_render_ends_in_time_and_goes_on(tmp_path, stored):
+    """Of more batches than come in time, whole ones are there."""
+    out, size = tmp_path / "box.zarr" if stored else None, (8, 8)
+    view = {"size": size, "seed": 3, "backend": "scalar"}
+    some = chd.render("cornell-box", spp=10**6, seconds=0.2, out=out, **view)
+    assert some.spp % 64 == 0
+    assert 0 < some.spp < 10**6
+    few = chd.render("cornell-box", spp=64, **view).read()
+    np.testing.assert_array_equal(some.read(ss=slice(64)), few)
+    assert not np.isnan(some.read()).any()
+    if stored:
+        more = chd.render("cornell-box", spp=10**6, seconds=0.2, out=out, **view)
+        assert more.spp > some.spp
+
+
+def test_a_time_is_for_samples_alone():
+    for options in ({"adaptive": True}, {"direct": True}, {"by_depth": 3}):
+        with pytest.raises(InputError, match="seconds is for samples alone"):
+            chd.render("cornell-box", spp=64, seconds=1.0, size=(8, 8), **options)
