@@ -26,11 +26,6 @@ RESULTS = Path(__file__).parents[1] / "docs" / "understand" / "renderers.npz"
 DEPTH = 8
 SIZE = 32
 SPP = 512
-SPARE = 96
-"""Rows below the image that LuxCore draws first, and that are left out.
-
-It goes on for a while after a sample of each pixel, from the first row on, and returns averages.
-"""
 NEVER = 1000
 """Segments before Russian roulette begins, if it never shall."""
 Triple = tuple[float, float, float]
@@ -236,7 +231,7 @@ def write_luxcore(view: View, path: Path, roulette: int = NEVER, lights: str = "
         f"scene.camera.lookat.target = {_words(view.target)}",
         f"scene.camera.up = {_words(view.up)}",
         f"scene.camera.fieldofview = {view.angle}",
-        f"scene.camera.screenwindow = -1 1 {-1 - row - SPARE * row} {1 - row}",
+        f"scene.camera.screenwindow = -1 1 {-1 - row} {1 - row}",
         "scene.camera.lensradius = 0",
         "scene.camera.autofocus.enable = 0",
         "scene.camera.cliphither = 0.0001",
@@ -275,14 +270,8 @@ def write_luxcore(view: View, path: Path, roulette: int = NEVER, lights: str = "
         "renderengine.type": "PATHCPU",
         "sampler.type": "RANDOM",
         "film.filter.type": "NONE",
-        "film.outputs.0.type": "RGB",
-        "film.outputs.0.filename": "image.exr",
-        "film.outputs.1.type": "SAMPLECOUNT",
-        "film.outputs.1.filename": "counts.exr",
         "film.width": SIZE,
-        "film.height": SIZE + SPARE,
-        "batch.haltspp": 1,
-        "native.threads.count": 1,
+        "film.height": SIZE,
         **{f"path.pathdepth.{kind}": DEPTH for kind in ("total", "diffuse", "glossy", "specular")},
         "path.russianroulette.depth": roulette,
         "path.clamping.variance.maxvalue": 0,
@@ -426,79 +415,33 @@ PAIRS = {
 }
 
 
-def _passes(path: Path, seeds: list[int]) -> npt.NDArray[np.float32]:
-    """Return passes of LuxCore, shape (y, x, channel, sample), in a process of its own."""
-    wanted = path.with_suffix(".seeds.json")
-    wanted.write_text(json.dumps(seeds), "utf-8")
-    command = [sys.executable, __file__, "luxcore", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
-    file = path.with_suffix(".npy")
-    if not file.is_file():
-        raise RuntimeError(done.stdout + done.stderr)
-    drawn: npt.NDArray[np.float32] = np.load(file)
-    file.unlink()
-    return drawn
-
-
-def _luxcore(path: Path) -> None:
-    """Draw a pass of each seed, where pyluxcore may print and log."""
-    import os
-
-    import pyluxcore
-
-    pyluxcore.Init()
-    properties = pyluxcore.Properties(str(path))
-    scene = pyluxcore.Scene(str(path.with_suffix(".scn")))
-    drawn = []
-    shape = SIZE + SPARE, SIZE, 3
-    for seed in json.loads(path.with_suffix(".seeds.json").read_text("utf-8")):
-        for again in range(100):
-            properties.Set(
-                pyluxcore.Property("renderengine.seed", 1 + (seed + 104729 * again) % 2**30)
-            )
-            session = pyluxcore.RenderSession(pyluxcore.RenderConfig(properties, scene))
-            session.Start()
-            while not session.HasDone():
-                session.UpdateStats()
-            session.Stop()
-            image, counts = np.empty(shape, np.float32), np.empty(shape[:2], np.uint32)
-            output = pyluxcore.FilmOutputType
-            session.GetFilm().GetOutputFloat(output.RGB, image, 0)
-            session.GetFilm().GetOutputUInt(output.SAMPLECOUNT, counts, 0)
-            if (counts[SPARE:] == 1).all():  # else some pixels are averages
-                break
-        else:
-            message = "LuxCore does not stop after one sample of each pixel"
-            raise RuntimeError(message)
-        drawn.append(image[SPARE:][::-1])
-    np.save(path.with_suffix(".npy"), np.stack(drawn, axis=-1))
-    os._exit(0)  # its own threads may crash the interpreter's end
-
-
 def draw(scene: str, run: Run, folder: Path, spp: int) -> npt.NDArray[np.float32]:
     """Return samples of a run, shape (y, x, channel, sample); its scene is written to `folder`."""
     import chdstat as chd
     from chdstat.recording.cycles import CyclesSource
+    from chdstat.recording.luxcore import LuxCoreSource
     from chdstat.recording.pass_sources import seed_of_pass
 
     view, path = VIEWS[scene](), folder / f"{scene}-{run.renderer}"
     for name, mesh in view.meshes.items():
         _write_ply(mesh, folder / f"{scene}-{name}.ply")
-    seeds = [seed_of_pass(run.seed, i) for i in range(spp)]
     if run.renderer == "mitsuba":
         write_mitsuba(view, path.with_suffix(".xml"), **run.settings)
         options = {"spp": spp, "seed": run.seed, "backend": "scalar", "progress": False}
         return np.asarray(chd.render(path.with_suffix(".xml"), **options).read())
+    source: CyclesSource | LuxCoreSource
     if run.renderer == "luxcore":
         write_luxcore(view, path.with_suffix(".cfg"), **run.settings)
-        return _passes(path.with_suffix(".cfg"), seeds)
-    path.with_suffix(".blend").unlink(missing_ok=True)
-    write_blender(view, path.with_suffix(".blend"), **run.settings)
-    source = CyclesSource(path.with_suffix(".blend"))
+        source = LuxCoreSource(path.with_suffix(".cfg"))
+    else:
+        path.with_suffix(".blend").unlink(missing_ok=True)
+        write_blender(view, path.with_suffix(".blend"), **run.settings)
+        source = CyclesSource(path.with_suffix(".blend"))
     try:
-        return np.stack([source(seed).image for seed in seeds], axis=-1)
+        passes = [source(seed_of_pass(run.seed, i)).image for i in range(spp)]
     finally:
         source.close()
+    return np.stack(passes, axis=-1)
 
 
 # --- comparisons ----------------------------------------------------------------------------------
@@ -601,8 +544,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    parts = {"blend": _blend, "luxcore": _luxcore}
-    if sys.argv[1] in parts:
-        parts[sys.argv[1]](Path(sys.argv[2]))
+    if sys.argv[1] == "blend":
+        _blend(Path(sys.argv[2]))
     else:
         main()
