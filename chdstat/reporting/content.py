@@ -28,6 +28,7 @@ from chdstat.estimators.default_estimate.error import spp_in_words
 from chdstat.estimators.elek2019 import PAPER
 from chdstat.patterns import PATTERNS, Atlas, Label
 from chdstat.patterns.attribution import largest_part
+from chdstat.patterns.clamping import clamped_share
 from chdstat.rendering.recipes import remake_of
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
@@ -48,6 +49,8 @@ FEW_SAMPLES, FEW_PIXELS = 32, 64
 """Fewest samples for describing distributions, and fewest pixels for drawing maps."""
 _MANY_NULLS = 0.25
 """Share of null samples from which a report mentions them."""
+_CLAMPED = 1e-3
+"""Share of the light that a clamp takes from which a report mentions it."""
 _LITTLE = 5e-4
 """Share below which a number counts as none."""
 _TINY = 1e-4
@@ -190,7 +193,7 @@ def _headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str
         attrs = found.data.samples.attrs
         rows = [*_where_noise_is(scene, noise, attrs), *_which_paths(found.data)]
         rows += [] if noise.label == "null_heavy" else _nulls(scene)
-        rows += [*_trust(scene), *_fireflies(scene, noise)]
+        rows += [*_clamp(found.data.samples), *_trust(scene), *_fireflies(scene, noise)]
     if estimate is not None:
         rows += _how_many_samples(estimate)
     if found.comparison is not None:
@@ -216,7 +219,7 @@ def _where_noise_is(
             f"The largest part of the noise is in {_pixels(noise.label)}.",
             f"They are {percent(noise.pixels[noise.label])} of the image, by the first pattern of "
             f"each pixel, and hold {percent(noise.share[noise.label])} of its relative variance. "
-            + why,
+            f"{why} What helps: {label.cure_by(attrs)}.",
         )
 
 
@@ -263,6 +266,18 @@ def _pixels(label: str) -> str:
     """Return the name of the pixels of a primary label."""
     own = label not in {"black", "undetermined", "other"}
     return f"{called(label)} pixels" if own else f"pixels labelled '{called(label)}'"
+
+
+def _clamp(samples: Samples) -> Iterator[tuple[str, str]]:
+    """Yield how much light the clamp of the scene file takes, if it has one that matters."""
+    level, share = clamped_share(samples) or (0.0, 0.0)
+    if share >= _CLAMPED:
+        yield (
+            f"The clamp of the file takes up to {percent(share)} of the light.",
+            f"It is off here. At {level:g}, as in the file, it makes the image darker, most "
+            "where it is noisy. Each contribution of a path is clamped, so that the loss may be "
+            "smaller.",
+        )
 
 
 def _trust(scene: Overview) -> Iterator[tuple[str, str]]:

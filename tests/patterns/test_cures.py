@@ -12,6 +12,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.patterns import PATTERNS, Label
+from chdstat.patterns.clamping import clamped_share
 from chdstat.patterns.cures import CURES, SETTINGS, Setting, cure_in, renderer_of
 
 _IN_BLENDER = """
@@ -142,3 +143,29 @@ def test_pixel_card_speaks_of_the_renderer():
 def test_setting_says_where_it_is():
     assert str(Setting("Portal", "", "", "Light > Settings")) == "Portal (Light > Settings)"
     assert str(Setting("rr_depth", "", "")) == "rr_depth"
+
+
+@pytest.mark.parametrize(
+    ("notes", "level"),
+    [
+        (["the denoiser is off", "clamping of indirect light (10) is off"], 10),
+        (["clamping of indirect light (10) is off", "clamping of direct light (2.5) is off"], 2.5),
+        (["clamping of indirect light (1e+06) is off"], 1e6),
+    ],
+)
+def test_clamp_takes_what_is_above_it(notes, level):
+    x = np.random.default_rng(1).pareto(1.5, (3, 4, 3, 64))
+    x[0, 0, 0, :3] = np.nan, np.inf, -np.inf
+    good = x.mean(axis=2)[np.isfinite(x.mean(axis=2))]
+    found = clamped_share(chd.Samples.from_array(x, notes=notes))
+    assert found == (level, pytest.approx(1 - np.minimum(good, level).sum() / good.sum()))
+
+
+@pytest.mark.parametrize("attrs", [{}, {"notes": None}, {"notes": ["the denoiser is off"]}])
+def test_no_clamp_takes_nothing(attrs):
+    assert clamped_share(chd.Samples.from_array(np.ones((2, 2, 3, 4)), **attrs)) is None
+
+
+def test_black_image_has_no_share():
+    notes = ["clamping of direct light (1) is off"]
+    assert clamped_share(chd.Samples.from_array(np.zeros((2, 2, 3, 4)), notes=notes)) is None
