@@ -325,10 +325,10 @@ def doctor(asked: CommonOptions, fresh: bool = False) -> None:
         Ignore cached results and test the backends again.
     """
     from chdstat._core import denoiser
-    from chdstat.recording import cycles
+    from chdstat.recording.renderers import works
     from chdstat.rendering.backend import examine
 
-    others = {"other_renderers": {"cycles": cycles.works()}, "denoiser": denoiser.library()}
+    others = {"other_renderers": works(), "denoiser": denoiser.library()}
     found = examine(fresh=fresh) | others
     if asked.as_json:
         output.print_json(found)

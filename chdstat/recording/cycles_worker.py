@@ -174,7 +174,6 @@ def load(path: str, **parameters: Any) -> dict[str, Any]:
     return {
         "notes": notes,
         "files": _files(),
-        "integrator": {n: _plain(scene.cycles, n) for n in _ESTIMATOR if hasattr(scene.cycles, n)},
         "parameters": {
             "frame": scene.frame_current,
             "camera": scene.camera.name,
@@ -207,8 +206,13 @@ def _choose(scene: Any, parameters: dict[str, Any], notes: list[str]) -> None:
     if scene.render.engine != "CYCLES":
         notes.append(f"Cycles renders the scene, which is set up for {scene.render.engine}")
         scene.render.engine = "CYCLES"
-    if parameters.get("frame") is not None:
-        scene.frame_set(parameters["frame"])
+    frame = parameters.get("frame")
+    scene.frame_set(scene.frame_current if frame is None else frame)
+    if moved := _stilled(scene):
+        notes.append(
+            f"animated settings stay as they are at frame {scene.frame_current}: "
+            f"{', '.join(moved[:_SHOWN])}"
+        )
     cameras = {o.name: o for o in scene.objects if o.type == "CAMERA"}
     if (name := parameters.get("camera")) is not None:
         if name not in cameras:
@@ -222,6 +226,29 @@ def _choose(scene: Any, parameters: dict[str, Any], notes: list[str]) -> None:
         names = f"; name one of {', '.join(map(repr, sorted(cameras)))}" if cameras else ""
         message = f"scene {scene.name!r} has no camera to render with{names or '; add one'}"
         raise SceneFault(message)
+
+
+def _stilled(scene: Any) -> list[str]:
+    """Take animation and drivers from the settings of the render, and return their names.
+
+    Each render would set them again, and a seed that follows the frame would never change.
+    """
+    data = scene.animation_data
+    if data is None:
+        return []
+    groups = [data.drivers]
+    if data.action is not None and hasattr(data.action, "layers"):  # since Blender 4.4
+        strips = [strip for layer in data.action.layers for strip in layer.strips]
+        groups += [bag.fcurves for strip in strips for bag in strip.channelbags]
+    elif data.action is not None:
+        groups.append(data.action.fcurves)
+    names = set()
+    for curves in groups:
+        for curve in list(curves):
+            if curve.data_path.startswith(("cycles.", "render.")):
+                names.add(curve.data_path)
+                curves.remove(curve)
+    return sorted(names)
 
 
 def _layer(scene: Any, name: str | None, notes: list[str]) -> Any:
@@ -339,7 +366,8 @@ def frame(
         layer.aovs.remove(aov)
     _opened["parts"] = _light_groups(scene, layer, by_light)
     _opened["direct"] = direct
-    return {"size": _sized(scene.render, size, crop)}
+    used = {n: _plain(scene.cycles, n) for n in _ESTIMATOR if hasattr(scene.cycles, n)}
+    return {"size": _sized(scene.render, size, crop), "integrator": used}
 
 
 def _sized(render: Any, size: list[int] | None, crop: list[int] | None) -> list[int]:

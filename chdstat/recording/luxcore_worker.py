@@ -237,9 +237,19 @@ def _groups(described: Any) -> dict[int, list[str]]:
 
 
 def frame(
-    size: list[int] | None, crop: list[int] | None, max_depth: int | None, by_light: list[str]
+    size: list[int] | None,
+    crop: list[int] | None,
+    max_depth: int | None,
+    direct: bool,
+    by_light: list[str],
 ) -> dict[str, Any]:
     """Set the image and the parts of its light; return its size and what samples depend on."""
+    if direct:
+        message = (
+            "LuxCore cannot tell direct light apart: it counts what a path finds by chance at its "
+            "second point as indirect; leave direct out, or render with max_depth=2"
+        )
+        raise SceneFault(message)
     config = _opened["config"]
     if size is None:
         size = [

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from chdstat.recording.cycles import CyclesSource
 from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.recording.pass_sources import PassSource
+from chdstat.recording.scene_sources import SceneSource
 from chdstat.scenes import Scene
 
-_SOURCES: dict[str, Callable[..., PassSource]] = {
-    "Cycles": CyclesSource,
-    "LuxCore": LuxCoreSource,
-}
+_SOURCES: dict[str, type[SceneSource]] = {"Cycles": CyclesSource, "LuxCore": LuxCoreSource}
+
+
+def works() -> dict[str, str]:
+    """Return by renderer whether it works here; each is tried in a process of its own.
+
+    Examples
+    --------
+    >>> [*works()]
+    ['Cycles', 'LuxCore']
+    """
+    return {name: source.works() for name, source in _SOURCES.items()}
 
 
 def source_of(scene: Scene, **options: Any) -> PassSource:
@@ -31,4 +39,6 @@ def source_of(scene: Scene, **options: Any) -> PassSource:
     InputError, SceneError, RenderError
         If the scene cannot be read or drawn so, or the renderer is not there.
     """
-    return _SOURCES[scene.renderer](scene.source, **options, **scene.parameters)
+    source: Any = _SOURCES[scene.renderer]
+    found: PassSource = source(scene.source, **options, **scene.parameters)
+    return found

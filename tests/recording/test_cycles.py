@@ -267,7 +267,7 @@ bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / "evil.blend")!r})
     (tmp_path / "gone.png").unlink()
     (tmp_path / "run").unlink(missing_ok=True)
     one = CyclesSource(tmp_path / "evil.blend", size=(8, 8))
-    told = " ".join(one.notes)
+    told = " ".join(one.attrs["notes"])
     one.close()
     assert "not run" in told
     assert "gone.png" in told
