@@ -292,3 +292,28 @@ def test_blender_is_where_the_variable_says(
     (tmp_path / "blender").write_text("#!/bin/sh\nexit 1\n")
     os.chmod(tmp_path / "blender", 0o755)  # noqa: PTH101
     assert cycles.blender()[0] == str(tmp_path / "blender")
+
+
+def test_animated_settings_do_not_undo_what_passes_need(tmp_path: Path) -> None:
+    script = tmp_path / "make.py"
+    script.write_text(f"""
+import bpy
+scene = bpy.context.scene
+scene.render.engine = "CYCLES"
+scene.driver_add("cycles.seed").driver.expression = "frame"
+for frame, level in ((1, 0.5), (10, 2.0)):
+    scene.cycles.sample_clamp_indirect = level
+    scene.cycles.max_bounces = frame
+    scene.keyframe_insert("cycles.sample_clamp_indirect", frame=frame)
+    scene.keyframe_insert("cycles.max_bounces", frame=frame)
+bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / "moving.blend")!r})
+""")
+    subprocess.run([*COMMAND, str(script)], check=True, capture_output=True)
+    one = CyclesSource(tmp_path / "moving.blend", size=(16, 12), frame=10)
+    told, first, second = one.attrs, one(1).image, one(2).image
+    one.close()
+    assert not np.array_equal(first, second)
+    assert told["integrator"]["max_bounces"] == 10
+    notes = " ".join(told["notes"])
+    assert "animated settings stay as they are at frame 10: cycles.max_bounces" in notes
+    assert "clamping of indirect light (2) is off" in notes
