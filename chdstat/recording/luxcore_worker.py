@@ -98,6 +98,7 @@ def load(path: str) -> dict[str, Any]:
     if not any(name.startswith("scene.camera.") for name in described.GetAllNames()):
         message = f"{scene_file} has no camera; give it scene.camera.type and a view"
         raise SceneFault(message)
+    files = _files(described, scene_file.parent)
     try:
         scene = lux.Scene()
         scene.Parse(described)
@@ -108,7 +109,7 @@ def load(path: str) -> dict[str, Any]:
     _opened.update(config=config, scene=scene, groups=_groups(described))
     return {
         "notes": notes,
-        "files": [str(scene_file), *_files(described, scene_file.parent)],
+        "files": [str(scene_file), *files],
         "version": lux.Version(),
     }
 
