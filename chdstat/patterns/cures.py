@@ -2,7 +2,7 @@
 
 `CURES` is the table: for each renderer, what helps against each pattern. Names in braces are rows
 of `SETTINGS`, so that a setting is named, placed in the interface and priced once. `cure_in` picks.
-What a setting does and where it is was checked in Blender 5.0.1, LuxCore 2.11.2 and Mitsuba 3.8.
+Names of settings and their places were checked in Blender 5.0.1, and names in LuxCore 2.11.2.
 """
 
 from __future__ import annotations

@@ -375,6 +375,9 @@ def _sized(render: Any, size: list[int] | None, crop: list[int] | None) -> list[
     if size is not None:
         render.resolution_x, render.resolution_y = size
         render.resolution_percentage = 100
+        if [render.resolution_x, render.resolution_y] != list(size):
+            message = f"Blender draws images of 4 x 4 pixels or more, got {size[0]} x {size[1]}"
+            raise SceneFault(message)
     part = render.resolution_percentage / 100
     width, height = (max(1, int(n * part)) for n in (render.resolution_x, render.resolution_y))
     if crop is not None:

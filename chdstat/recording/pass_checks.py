@@ -33,17 +33,22 @@ _FAR, _SURELY = 8.0, 6.0
 """Standard errors from 0 or 1."""
 _CORRELATED, _RATIOS = 0.05, (0.8, 1.25)
 """Correlation of neighbours, and ratios of variances, that matter."""
+_ACCUMULATES = (
+    "each pass holds those before it: the renderer accumulates. Return single passes: clear its "
+    "image before each, or return differences of its sums"
+)
 _PIXELS, _TIES = 5, 8
 """Fewest pixels and samples that a clamp has left at one level."""
 
 
+@np.errstate(all="ignore")
 def findings(samples: Samples) -> list[str]:
     """Return what makes passes no independent samples of linear radiance, and what to set."""
     tiles = [*_read(samples)]
     bad = np.concatenate([(~np.isfinite(tile)).any(axis=2).ravel() for tile in tiles])
     found = _bad(bad)
     tiles = [np.where(np.isfinite(tile), tile, np.float32(0)) for tile in tiles]
-    if not any(tile.any() for tile in tiles):
+    if not bad.all() and not any(tile.any() for tile in tiles):
         return [*found, "every sample is black: check lights, camera and exposure"]
     colors = [tile[:, :, :3] if samples.shape[2] == 4 else tile for tile in tiles]
     values = np.concatenate([c.reshape(-1, *c.shape[2:]) for c in colors])  # (pixel, channel, s)
@@ -100,10 +105,10 @@ def _encoded(values: Image) -> list[str]:
     levels = np.arange(256) / 255
     decoded = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
     for table in (levels, levels * 255, decoded):
-        near = table[np.clip(np.searchsorted(table, lit), 0, 255)]
-        below = table[np.clip(np.searchsorted(table, lit) - 1, 0, 255)]
-        off = np.minimum(np.abs(near - lit), np.abs(below - lit))
-        if len(np.unique(lit)) >= 8 and (off < 1e-5 * table[-1]).all():
+        above = np.clip(np.searchsorted(table, lit), 1, 255)
+        codes = above - (lit - table[above - 1] < table[above] - lit)
+        off = np.abs(table[codes] - lit)
+        if len(np.unique(codes)) >= 8 and (off < 1e-5 * table[-1]).all():
             return [
                 "all values are those of 8 bits: an image for a display, not radiance. Return the "
                 "renderer's linear output as floating point, before tone mapping and gamma"
@@ -161,11 +166,14 @@ def _stands_out(values: Floats, level: float) -> bool:
     """Return whether more values are at a level than chance puts there, by those around it.
 
     Among 10^6 levels, no Poisson number of mean m is as large as 8 + 5 m (chance below 10^-3).
+    Half floats and shared exponents have few values, each of which comes often.
     """
     off = np.abs(values / level - 1)
     at = int(np.count_nonzero(off < 1e-5))
-    around = np.count_nonzero(off < 1e-3) - at
-    return bool(at >= _TIES + 5 * around / 99)
+    around = (np.count_nonzero(off < 1e-3) - at) / 99
+    near = values[(off < 2e-2) & (off >= 1e-5)]
+    often = len(near) / max(len(np.unique(near.astype(np.float32))), 1)
+    return bool(at >= _TIES + 5 * max(around, often))
 
 
 def _is_clamp(tiles: list[Image], levels: list[Floats], level: float) -> bool:
@@ -203,6 +211,10 @@ def _dependent(tiles: list[Image]) -> list[str]:
     bounded = [_bounded(tile) for tile in tiles]
     if spp < _FEWEST or sum((b.std(axis=-1) > 0).sum() for b in bounded) < _FEW_PIXELS:
         return []
+    rows = np.concatenate([b.reshape(-1, spp) for b in bounded])
+    found = _over_passes(rows[rows.std(axis=-1) > 1e-6])
+    if found == [_ACCUMULATES]:  # which ties neighbours, too
+        return found
     correlation, far = _neighbours(bounded)
     if far > _FAR and correlation > _CORRELATED:
         return [
@@ -210,9 +222,7 @@ def _dependent(tiles: list[Image]) -> list[str]:
             "box filter of one pixel, no denoiser, and random numbers that differ from pixel to "
             "pixel"
         ]
-    rows = np.concatenate([b.reshape(-1, spp) for b in bounded])
-    rows = rows[rows.std(axis=-1) > 1e-6]
-    return _over_passes(rows) or _averaged(tiles)
+    return found or _averaged(tiles)
 
 
 def _bounded(tile: Image) -> Floats:
@@ -270,10 +280,7 @@ def _over_passes(rows: Floats) -> list[str]:
     steps = np.diff(rows, axis=-1) ** 2
     half = steps.shape[1] // 2
     if steps[:, half:].mean() < steps[:, :half].mean() / 2:
-        return [
-            "each pass holds those before it: the renderer accumulates. Return single passes: "
-            "clear its image before each, or return differences of its sums"
-        ]
+        return [_ACCUMULATES]
     return [
         f"passes change with their number (variance of their means: {ratio:.3g} times that of "
         "independent ones): keep the frame, the time and the camera, and let only the seed differ"

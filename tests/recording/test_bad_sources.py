@@ -210,3 +210,48 @@ def test_many_samples_lie_at_one_level_by_chance():
 def test_scenes_of_mitsuba_are_not_warned_of(scene):
     samples = chd.render(scene, spp=SPP, size=(24, 24), backend="scalar")
     assert findings(samples) == []
+
+
+def half(x):
+    return x.astype(np.float16).astype(np.float32)
+
+
+def shared_exponent(x):
+    """Return values as RGBE files hold them, with 8 bits each."""
+    exponent = np.ceil(np.log2(np.maximum(x.max(axis=-1, keepdims=True), 1e-30)))
+    return (np.floor(x * 2 ** (8 - exponent)) / 2 ** (8 - exponent)).astype(np.float32)
+
+
+@pytest.mark.parametrize("store", [half, shared_exponent])
+@pytest.mark.parametrize("law", ["exponential", "lognormal", "uniform"])
+def test_files_of_few_bits_are_no_clamp(law, store):
+    def draw(seed):
+        return store(getattr(np.random.default_rng(seed), law)(size=(32, 32, 3)))
+
+    assert chd.record(draw, spp=64).attrs["notes"] == []
+
+
+@pytest.mark.parametrize("level", [1e-30, 1e-4, 2e-3])
+def test_dim_light_is_not_8_bits(level):
+    def draw(seed):
+        return level * np.random.default_rng(seed).exponential(size=(24, 24, 3))
+
+    assert chd.record(draw, spp=64).attrs["notes"] == []
+
+
+def test_sums_over_passes_accumulate():
+    total = np.zeros((24, 24, 3))
+
+    def draw(seed):
+        nonlocal total
+        total = total + np.random.default_rng(seed).exponential(size=total.shape)
+        return total
+
+    with pytest.warns(chd.errors.InputWarning, match="each pass holds those before it"):
+        chd.record(draw, spp=64)
+
+
+def test_passes_of_nan_are_not_black():
+    with pytest.warns(chd.errors.InputWarning, match="NaN or infinite"):
+        notes = chd.record(lambda _: np.full((8, 8, 3), np.nan), spp=16).attrs["notes"]
+    assert not any("black" in note for note in notes)
