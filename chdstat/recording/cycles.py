@@ -16,7 +16,7 @@ from typing import Any
 
 from chdstat._core.arrays import whole
 from chdstat.errors import InputError, RenderError
-from chdstat.recording.scene_sources import SceneSource
+from chdstat.recording.scene_files import SceneFileSource
 
 _VARIABLE = "CHDSTAT_BLENDER"
 """Environment variable with the path of a `blender`, or of a Python that has bpy."""
@@ -48,10 +48,10 @@ def blender() -> list[str]:
     return [program, "--background", "--factory-startup", "--disable-autoexec", "--python"]
 
 
-class CyclesSource(SceneSource):
+class CyclesSource(SceneFileSource):
     """Draws passes of a Blender scene by Cycles.
 
-    It takes what `SceneSource` takes. Names in `by_light` may be light groups of the file, too.
+    It takes what `SceneFileSource` takes. Names in `by_light` may be light groups of the file, too.
     Parameters are frame, camera, view_layer and scene: which of those in the file.
     """
 

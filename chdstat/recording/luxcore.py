@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from chdstat.errors import InputError, RenderError
-from chdstat.recording.scene_sources import SceneSource
+from chdstat.recording.scene_files import SceneFileSource
 
 
-class LuxCoreSource(SceneSource):
+class LuxCoreSource(SceneFileSource):
     """Draws passes of a LuxCore scene by its path engine on the CPU.
 
-    It takes what `SceneSource` takes, but no parameters and no `direct`. The file is a scene, .scn,
-    or settings, .cfg, whose scene.file lies beside it or in a folder above. Names in `by_light` are
-    light groups as ``"group-1"``, or patterns of names of lights (and of materials that emit) that
-    share their light groups with no other. A pass is drawn by one thread, so that equal seeds give
-    equal samples, to the bit.
+    It takes what `SceneFileSource` takes, but no parameters and no `direct`. The file is a scene,
+    .scn, or settings, .cfg, whose scene.file lies beside it or in a folder above. Names in
+    `by_light` are light groups as ``"group-1"``, or patterns of names of lights (and of materials
+    that emit) that share their light groups with no other. A pass is drawn by one thread, so that
+    equal seeds give equal samples, to the bit.
     """
 
     renderer, worker = "LuxCore", Path(__file__).with_name("luxcore_worker.py")

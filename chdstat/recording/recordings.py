@@ -27,7 +27,7 @@ from chdstat._core.work import check_memory, in_order, track
 from chdstat.errors import ChdstatError, ClusterError, InputError, RenderError, StoreError, brief
 from chdstat.recording.pass_checks import findings
 from chdstat.recording.pass_sources import SEEDS, DrawnPass, PassSource, checked_pass, seed_of_pass
-from chdstat.recording.scene_sources import SceneSource
+from chdstat.recording.scene_files import SceneFileSource
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import check_same, part_folder
 from chdstat.samples.memory_writer import MemoryWriter
@@ -255,7 +255,7 @@ class _Recording:
     ) -> Generator[DrawnPass, None, None]:
         """Yield passes in the order of their numbers."""
         seeds = (seed_of_pass(self._seed, number) for number in numbers)
-        if client is None and isinstance(self._draw, SceneSource):
+        if client is None and isinstance(self._draw, SceneFileSource):
             # Its process draws the next pass while this one is kept.
             yield from map(checked_pass, in_order(self._draw, seeds, workers=1))
             return

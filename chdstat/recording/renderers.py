@@ -7,10 +7,10 @@ from typing import Any
 from chdstat.recording.cycles import CyclesSource
 from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.recording.pass_sources import PassSource
-from chdstat.recording.scene_sources import SceneSource
+from chdstat.recording.scene_files import SceneFileSource
 from chdstat.scenes import Scene
 
-_SOURCES: dict[str, type[SceneSource]] = {"Cycles": CyclesSource, "LuxCore": LuxCoreSource}
+_SOURCES: dict[str, type[SceneFileSource]] = {"Cycles": CyclesSource, "LuxCore": LuxCoreSource}
 
 
 def works() -> dict[str, str]:

@@ -42,6 +42,9 @@ ELSEWHERE = {
     "fog -o two.pdf": "tests/studies/test_study.py",
     "report attic.zarr": "README.md",  # has the line of another store, as
     "report kitchen.zarr": "README.md",
+    "house.blend": "tests/recording/test_other_scenes.py",
+    "house.cfg": "tests/recording/test_other_scenes.py",
+    "report monkey.blend": "tests/recording/test_cycles.py",
 }
 SMALL = {
     "bench": "--size 8x8 --reference-spp 16",

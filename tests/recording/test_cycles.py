@@ -317,3 +317,12 @@ bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / "moving.blend")!r})
     notes = " ".join(told["notes"])
     assert "animated settings stay as they are at frame 10: cycles.max_bounces" in notes
     assert "clamping of indirect light (2) is off" in notes
+
+
+def test_a_report_is_made_of_a_file(run: Callable[..., tuple[int, str, str]], scenes: Path) -> None:
+    report = scenes / "lights.pdf"
+    given = ("--spp", 64, "--size", "24x16")
+    code, said, err = run("report", scenes / "lights.blend", "-o", report, *given)
+    assert code == 0, err
+    assert "pages" in said
+    assert report.stat().st_size > 20_000

@@ -18,7 +18,7 @@ from chdstat.samples.tiles import DIRECT_DEPTH, LightPart
 from chdstat.scenes.scene import digest_of
 
 
-class SceneSource(ABC):
+class SceneFileSource(ABC):
     """Draws passes of a scene file by functions of a worker file.
 
     The worker has ``load(path, **parameters)``, which returns the ``version``, ``notes`` and
