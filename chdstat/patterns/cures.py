@@ -13,7 +13,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Setting:
+class NoiseSetting:
     """A setting of a renderer that changes noise.
 
     Attributes
@@ -44,14 +44,14 @@ _USUAL = "time only: half the noise takes four times the samples"
 _RENDER, _LIGHT = "CyclesRenderSettings", "CyclesLightSettings"
 
 _CYCLES = {
-    "samples": Setting(
+    "samples": NoiseSetting(
         "Max Samples",
         "averages more paths",
         _USUAL,
         "Render > Sampling > Render",
         (f"{_RENDER}.samples",),
     ),
-    "threshold": Setting(
+    "threshold": NoiseSetting(
         "Noise Threshold",
         "stops early where a pixel looks clean, so that time goes to the others",
         "where bright paths are rare, pixels look clean too soon: raise Min Samples there",
@@ -62,28 +62,28 @@ _CYCLES = {
             f"{_RENDER}.adaptive_min_samples",
         ),
     ),
-    "denoise": Setting(
+    "denoise": NoiseSetting(
         "Denoise",
         "smooths what is left",
         "fine detail; what no path has found stays missing, and fireflies may become blotches",
         "Render > Sampling > Render",
         (f"{_RENDER}.use_denoising",),
     ),
-    "light_tree": Setting(
+    "light_tree": NoiseSetting(
         "Light Tree",
         "at each place, draws lamps that matter there more often than others",
         "a little time per sample, no light; with one or two lamps, it gains little",
         "Render > Sampling > Lights",
         (f"{_RENDER}.use_light_tree",),
     ),
-    "guiding": Setting(
+    "guiding": NoiseSetting(
         "Path Guiding",
         "learns while it renders where light comes from, and sends paths there",
         "time per sample, no light; on the CPU only",
         "Render > Sampling > Path Guiding",
         (f"{_RENDER}.use_guiding",),
     ),
-    "portal": Setting(
+    "portal": NoiseSetting(
         "Portal",
         "an area light in a window that sends paths out to the world",
         "a little time, no light; it must cover the window, gives no light of its own, and helps "
@@ -91,35 +91,35 @@ _CYCLES = {
         "Light > Settings",
         (f"{_LIGHT}.is_portal",),
     ),
-    "world": Setting(
+    "world": NoiseSetting(
         "Map Resolution",
         "with Sampling set to Manual, finds a small bright sun in the image of the world",
         "memory, and time before the render starts; no light",
         "World > Settings > Surface",
         ("CyclesWorldSettings.sampling_method", "CyclesWorldSettings.sample_map_resolution"),
     ),
-    "multiple": Setting(
+    "multiple": NoiseSetting(
         "Multiple Importance",
         "counts a lamp that a path hits by chance, too: large lamps, sharp reflections of lamps",
         "a little time, no light; on unless you switched it off",
         "Light > Settings",
         (f"{_LIGHT}.use_multiple_importance_sampling",),
     ),
-    "emission": Setting(
+    "emission": NoiseSetting(
         "Emission Sampling",
         "aims at glowing objects as at lamps; None for those too weak to light anything",
         "no light; one that lights the scene and is set to None becomes noisy itself",
         "Material > Settings > Surface",
         ("CyclesMaterialSettings.emission_sampling",),
     ),
-    "size": Setting(
+    "size": NoiseSetting(
         "Radius or Size of the lamp",
         "makes a lamp behind glass or in a mirror easier to hit",
         "the look: shadows and highlights become softer",
         "Light > Light",
         ("PointLight.shadow_soft_size", "AreaLight.size"),
     ),
-    "shadow_caustics": Setting(
+    "shadow_caustics": NoiseSetting(
         "Shadow Caustics",
         "aims at lamps through curved glass",
         "time per sample; lamp, glass and what they light must each be set; it is an approximation "
@@ -131,21 +131,21 @@ _CYCLES = {
             "CyclesObjectSettings.is_caustics_receiver",
         ),
     ),
-    "clear_shadow": Setting(
+    "clear_shadow": NoiseSetting(
         "Transparent BSDF for Is Shadow Ray of Light Path",
         "lets lamps shine through panes as if these were not there",
         "the look: no bright patterns; switch Refractive Caustics off, too, or light counts twice",
         "",
         ("ShaderNodeLightPath", "ShaderNodeBsdfTransparent"),
     ),
-    "caustics": Setting(
+    "caustics": NoiseSetting(
         "Reflective and Refractive Caustics",
         "off, leave out light that reaches a matte surface by way of a mirror or glass",
         "light: the image becomes darker where it was lit so, also behind window panes",
         "Render > Light Paths > Caustics",
         (f"{_RENDER}.caustics_reflective", f"{_RENDER}.caustics_refractive"),
     ),
-    "filter_glossy": Setting(
+    "filter_glossy": NoiseSetting(
         "Filter Glossy",
         "treats mirrors and glass as rougher once a path has met a matte surface",
         "light and truth: it blurs what mirrors and glass throw on things, and loses part of it; "
@@ -153,14 +153,14 @@ _CYCLES = {
         "Render > Light Paths > Caustics",
         (f"{_RENDER}.blur_glossy",),
     ),
-    "clamping": Setting(
+    "clamping": NoiseSetting(
         "Clamping of Indirect Light",
         "cuts bright bounced light to its value",
         "light: what is cut is missing, so that the image becomes darker, most where it is noisy",
         "Render > Light Paths > Clamping",
         (f"{_RENDER}.sample_clamp_indirect", f"{_RENDER}.sample_clamp_direct"),
     ),
-    "bounces": Setting(
+    "bounces": NoiseSetting(
         "Max Bounces",
         "more of them bring light, never less noise; fewer save time",
         "too few make rooms darker and glass black",
@@ -170,7 +170,7 @@ _CYCLES = {
             for kind in ("max", "diffuse", "glossy", "transmission", "volume", "transparent_max")
         ),
     ),
-    "volumes": Setting(
+    "volumes": NoiseSetting(
         "Biased, with Step Rate",
         "walks through smoke in steps instead of at random",
         "truth: large steps lose detail, small ones take time",
@@ -180,62 +180,62 @@ _CYCLES = {
 }
 
 _LUXCORE = {
-    "samples": Setting(
+    "samples": NoiseSetting(
         "batch.haltspp", "averages more paths", _USUAL, properties=("batch.haltspp",)
     ),
-    "strategy": Setting(
+    "strategy": NoiseSetting(
         "lightstrategy.type",
         "POWER and LOG_POWER draw strong lights more often; DLS_CACHE learns which lights matter "
         "at each place",
         "no light; DLS_CACHE takes time before the render starts",
         properties=("lightstrategy.type",),
     ),
-    "importance": Setting(
+    "importance": NoiseSetting(
         "scene.lights.NAME.importance",
         "draws this light more often than the others",
         "no light; the other lights become noisier",
     ),
-    "window": Setting(
+    "window": NoiseSetting(
         "scene.lights.NAME.visibilitymapcache.enable",
         "learns through which openings the sky is seen, and sends paths there",
         "time before the render starts, no light",
     ),
-    "hybrid": Setting(
+    "hybrid": NoiseSetting(
         "path.hybridbackforward.enable",
         "draws paths from the lights for caustics, beside those from the camera",
         "time per sample, no light",
         properties=("path.hybridbackforward.enable",),
     ),
-    "photons": Setting(
+    "photons": NoiseSetting(
         "path.photongi.caustic.enabled",
         "takes caustics from a map of photons",
         "truth: it blurs them; memory, and time before the render starts",
         properties=("path.photongi.caustic.enabled",),
     ),
-    "cache": Setting(
+    "cache": NoiseSetting(
         "path.photongi.indirect.enabled",
         "takes bounced light from a map of photons",
         "truth: it blurs light, and may leak through thin walls; time before the render starts",
         properties=("path.photongi.indirect.enabled",),
     ),
-    "glass": Setting(
+    "glass": NoiseSetting(
         "scene.materials.NAME.type = archglass",
         "lets lights shine through panes as if these did not bend them",
         "the look: such glass casts no bright patterns",
     ),
-    "clamping": Setting(
+    "clamping": NoiseSetting(
         "path.clamping.variance.maxvalue",
         "cuts samples that are far brighter than their pixel",
         "light: what is cut is missing, so that the image becomes darker",
         properties=("path.clamping.variance.maxvalue",),
     ),
-    "depth": Setting(
+    "depth": NoiseSetting(
         "path.pathdepth.total",
         "more bring light, never less noise; fewer save time",
         "too small, rooms become darker and glass black",
         properties=("path.pathdepth.total",),
     ),
-    "roulette": Setting(
+    "roulette": NoiseSetting(
         "path.russianroulette.cap",
         "higher, fewer long paths are ended at random",
         "time per sample, no light",
@@ -244,45 +244,45 @@ _LUXCORE = {
 }
 
 _MITSUBA = {
-    "samples": Setting("sample_count", "averages more paths", _USUAL),
-    "weight": Setting(
+    "samples": NoiseSetting("sample_count", "averages more paths", _USUAL),
+    "weight": NoiseSetting(
         "sampling_weight of an emitter",
         "draws this emitter more often than the others",
         "no light; the other emitters become noisier",
     ),
-    "guided": Setting(
+    "guided": NoiseSetting(
         "the integrator guided",
         "draws directions towards light that earlier paths have found",
         "time to train, no light; chdstat render has it, not Mitsuba alone",
     ),
-    "ptracer": Setting(
+    "ptracer": NoiseSetting(
         "the integrator ptracer",
         "draws paths from the emitters, which finds caustics",
         "mirrors and glass seen by the camera stay black; its samples are not those of pixels",
     ),
-    "media": Setting(
+    "media": NoiseSetting(
         "the integrator volpathmis",
         "draws coloured media well",
         "time per sample, no light",
     ),
-    "thin": Setting(
+    "thin": NoiseSetting(
         "a mask in place of the pane, with the integrator volpath",
         "lets emitters shine through as if there were no glass",
         "the look: no reflection or refraction",
     ),
-    "roulette": Setting(
+    "roulette": NoiseSetting(
         "rr_depth",
         "larger, long paths are ended at random later",
         "time per sample, no light",
     ),
-    "depth": Setting(
+    "depth": NoiseSetting(
         "max_depth",
         "more bring light, never less noise; fewer save time",
         "too small, rooms become darker and glass black",
     ),
 }
 
-SETTINGS: Mapping[str, Mapping[str, Setting]] = {
+SETTINGS: Mapping[str, Mapping[str, NoiseSetting]] = {
     "Cycles": _CYCLES,
     "LuxCore": _LUXCORE,
     "Mitsuba": _MITSUBA,
