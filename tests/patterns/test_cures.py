@@ -13,7 +13,7 @@ import pytest
 import chdstat as chd
 from chdstat.patterns import PATTERNS, Label
 from chdstat.patterns.clamping import clamped_share
-from chdstat.patterns.cures import CURES, SETTINGS, Setting, cure_in, renderer_of
+from chdstat.patterns.cures import CURES, SETTINGS, NoiseSetting, cure_in, renderer_of
 
 _IN_BLENDER = """
 import json, bpy
@@ -141,8 +141,8 @@ def test_pixel_card_speaks_of_the_renderer():
 
 
 def test_setting_says_where_it_is():
-    assert str(Setting("Portal", "", "", "Light > Settings")) == "Portal (Light > Settings)"
-    assert str(Setting("rr_depth", "", "")) == "rr_depth"
+    assert str(NoiseSetting("Portal", "", "", "Light > Settings")) == "Portal (Light > Settings)"
+    assert str(NoiseSetting("rr_depth", "", "")) == "rr_depth"
 
 
 @pytest.mark.parametrize(
