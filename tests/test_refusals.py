@@ -34,6 +34,8 @@ from chdstat.io import (
     write_reference,
 )
 from chdstat.patterns import Thresholds, agreement, attribute
+from chdstat.recording.cycles import CyclesSource
+from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.render_tests.checks import verdict_on
 from chdstat.render_tests.verdicts import RenderCheck
 from chdstat.rendering import render_batches, render_pixels
@@ -92,6 +94,47 @@ FILMS = [
     ({"crop_width": 40, "crop_offset_x": 20}, "40 x 32", "(20, 0)"),
     ({"crop_offset_y": -1}, "crop_offset_y", "got -1"),
 ]
+noisy = partial(
+    chd.record, lambda seed: np.random.default_rng(seed).gamma(0.5, size=(4, 4, 3)), spp=4
+)
+
+
+def passes_of(first: Any) -> Any:
+    return chd.record(lambda _: first, spp=4)
+
+
+RECORDING: Table = {
+    (InputError, noisy): [
+        ({"spp": 0}, "spp", "got 0"),
+        ({"spp": 2**30}, "spp", "1073741824"),
+        ({"seed": -1}, "seed", "got -1"),
+        ({"seed": 2**30}, "seed", "1073741824"),
+        ({"seconds": -1}, "seconds", "got -1"),
+    ],
+    (InputError, chd.record): [(3, "function of a seed", "int")],
+    (InputError, passes_of): [
+        (None, "NoneType"),
+        ("image", "str"),
+        (np.zeros(4), "(4,)"),
+        (np.zeros((4, 4, 3), np.uint8), "uint8"),
+    ],
+    (InputError, partial(CyclesSource, "room.blend")): [
+        ({"layer": "Top"}, "'layer'", "view_layer"),
+        ({"frame": 1.5}, "frame", "1.5"),
+        ({"size": (0, 4)}, "size", "got 0"),
+        ({"max_depth": 1}, "max_depth", "got 1"),
+    ],
+    (InputError, partial(LuxCoreSource, "room.cfg")): [
+        ({"frame": 3}, "no parameters", "'frame'"),
+        ({"max_depth": 1}, "max_depth", "got 1"),
+    ],
+    (SceneError, partial(load_scene)): [("room.usd", "room.usd")],
+    (InputError, partial(render, spp=64, seconds=1.0)): [
+        ({"adaptive": True}, "seconds", "adaptive"),
+        ({"direct": True}, "seconds", "direct"),
+    ],
+}
+
 RENDERING: Table = {
     (InputError, render): [
         ({"spp": 0}, "spp", "got 0"),
@@ -791,6 +834,7 @@ RENDER_TESTS: Table = {
 # --- the sentences ------------------------------------------------------------------------------
 
 TABLES = {
+    "recording": RECORDING,
     "rendering": RENDERING,
     "files": FILES,
     "samples": IN_ROOM,
