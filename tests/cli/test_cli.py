@@ -501,7 +501,7 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
     assert said["backends"]["scalar"].startswith("works")
     assert said["versions"]["mitsuba"][0].isdigit()
     assert said["denoiser"].startswith("Open Image Denoise ")
-    assert said["other_renderers"]["cycles"].startswith(("works: Cycles", "does not work: "))
+    assert said["other_renderers"]["Cycles"].startswith(("works: Cycles", "does not work: "))
     monkeypatch.setitem(sys.modules, "pyoidn", None)
     assert "Open Image Denoise cannot be loaded" in " ".join(run("doctor")[1].split())
 
