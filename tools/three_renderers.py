@@ -418,30 +418,22 @@ PAIRS = {
 def draw(scene: str, run: Run, folder: Path, spp: int) -> npt.NDArray[np.float32]:
     """Return samples of a run, shape (y, x, channel, sample); its scene is written to `folder`."""
     import chdstat as chd
-    from chdstat.recording.cycles import CyclesSource
-    from chdstat.recording.luxcore import LuxCoreSource
-    from chdstat.recording.pass_sources import seed_of_pass
 
     view, path = VIEWS[scene](), folder / f"{scene}-{run.renderer}"
     for name, mesh in view.meshes.items():
         _write_ply(mesh, folder / f"{scene}-{name}.ply")
+    options: dict[str, Any] = {"spp": spp, "seed": run.seed, "progress": False}
     if run.renderer == "mitsuba":
-        write_mitsuba(view, path.with_suffix(".xml"), **run.settings)
-        options = {"spp": spp, "seed": run.seed, "backend": "scalar", "progress": False}
-        return np.asarray(chd.render(path.with_suffix(".xml"), **options).read())
-    source: CyclesSource | LuxCoreSource
-    if run.renderer == "luxcore":
-        write_luxcore(view, path.with_suffix(".cfg"), **run.settings)
-        source = LuxCoreSource(path.with_suffix(".cfg"))
+        file, options["backend"] = path.with_suffix(".xml"), "scalar"
+        write_mitsuba(view, file, **run.settings)
+    elif run.renderer == "luxcore":
+        file = path.with_suffix(".cfg")
+        write_luxcore(view, file, **run.settings)
     else:
-        path.with_suffix(".blend").unlink(missing_ok=True)
-        write_blender(view, path.with_suffix(".blend"), **run.settings)
-        source = CyclesSource(path.with_suffix(".blend"))
-    try:
-        passes = [source(seed_of_pass(run.seed, i)).image for i in range(spp)]
-    finally:
-        source.close()
-    return np.stack(passes, axis=-1)
+        file = path.with_suffix(".blend")
+        file.unlink(missing_ok=True)
+        write_blender(view, file, **run.settings)
+    return np.asarray(chd.render(file, **options).read())
 
 
 # --- comparisons ----------------------------------------------------------------------------------

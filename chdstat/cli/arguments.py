@@ -158,13 +158,12 @@ class CommonOptions:
         from chdstat.scenes import load_scene
 
         parameters = pairs_of("-D", self.define)
-        if self.frame is None:
-            return load_scene(name, **parameters)
-        found = load_scene(name)
-        if found.renderer != "Cycles":
-            message = f"--frame is for .blend files, got {name}; leave it out"
-            raise InputError(message)
-        return load_scene(found.origin, **parameters, frame=self.frame)
+        if self.frame is not None:
+            if Path(name).suffix.lower() != ".blend":
+                message = f"--frame is for .blend files, got {name}; leave it out"
+                raise InputError(message)
+            parameters["frame"] = str(self.frame)
+        return load_scene(name, **parameters)
 
     def source(self, name: str) -> Path | Scene:
         """Return the path of a finished store, or a scene by name or file."""

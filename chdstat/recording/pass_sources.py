@@ -127,8 +127,8 @@ class PassSource(Protocol):
 def seed_of_pass(seed: int, number: int) -> int:
     """Return the seed below 2^30 that draws a pass; one to one with its number.
 
-    Seeds of consecutive passes have nothing in common, as a weak generator may need. Those of two
-    user's seeds differ, unless the seeds are far apart or there are millions of passes.
+    Seeds of consecutive passes look unrelated, which weak generators need. Two small seeds of a
+    user share no pass, unless there are millions of passes.
 
     Examples
     --------

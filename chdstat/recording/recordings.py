@@ -133,9 +133,7 @@ def record(
         if number >= SEEDS:
             message = f"{what} must be below {SEEDS}, the number of seeds of passes, got {number}"
             raise InputError(message)
-    if seconds is not None and not seconds > 0:
-        message = f"seconds must be positive, got {seconds!r}"
-        raise InputError(message)
+    check_seconds(seconds)
     _check_callable(draw)
     place = None if out is None else place_of(out)
     with contextlib.ExitStack() as opened:
@@ -146,6 +144,13 @@ def record(
         if recording.held < spp:
             recording.draw(spp, seconds, client, progress)
         return recording.finish()
+
+
+def check_seconds(seconds: float | None) -> None:
+    """Raise InputError unless a time, if there is one, is positive."""
+    if seconds is not None and not seconds > 0:
+        message = f"seconds must be positive, got {seconds!r}"
+        raise InputError(message)
 
 
 def _check_callable(draw: Any) -> None:

@@ -73,6 +73,7 @@ class SceneFileSource(ABC):
             "by_light": [*by_light],
         }
         self._process: RendererProcess | None = None
+        self._features: dict[str, Image] | None = None
 
     @staticmethod
     @abstractmethod
@@ -115,7 +116,10 @@ class SceneFileSource(ABC):
         SceneError, RenderError
             If the scene cannot be read, or the renderer ends.
         """
-        _, arrays = self._started().call("draw", seed=seed)
+        process = self._started()
+        if self._features is None:  # whoever asks for attributes alone does not wait for them
+            _, self._features = process.call("features")
+        _, arrays = process.call("draw", seed=seed)
         image = arrays.pop("image")
         parts: dict[LightPart, Image] = {
             DIRECT_DEPTH if name == "direct" else name.removeprefix("light "): array
@@ -135,7 +139,7 @@ class SceneFileSource(ABC):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._process = None
+        self._process = self._features = None
 
     def _started(self) -> RendererProcess:
         if self._process is not None and self._process.is_running:
@@ -148,7 +152,6 @@ class SceneFileSource(ABC):
             about, _ = process.call("load", path=str(self._path), **self._parameters)
             image, _ = process.call("frame", **self._image)
             self._check_crop(*image["size"])
-            _, self._features = process.call("features")
         except BaseException:
             process.close()
             raise

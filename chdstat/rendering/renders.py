@@ -23,6 +23,7 @@ from chdstat._core.files import free_disk, place_of
 from chdstat._core.work import check_memory, pool, track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.recording import record
+from chdstat.recording.recordings import check_seconds
 from chdstat.recording.renderers import source_of
 from chdstat.rendering.adaptive import Adaptive, ErrorMeasure, Look, decided, error_of, more
 from chdstat.rendering.backend import activate
@@ -175,11 +176,11 @@ def render(
     """
     loaded, settings = load_scene(scene), checked_settings(options)
     if loaded.renderer != MITSUBA:
-        decided = by_depth, adaptive or None, error, percentile
-        asked = dict(zip(("by_depth", "adaptive", "error", "percentile"), decided, strict=True))
+        decided = {"by_depth": by_depth, "error": error, "percentile": percentile}
+        asked = {**settings, **decided, "adaptive": adaptive or None}
         parts: Any = {"direct": direct, "by_light": by_light}
-        how_long: Any = {"seconds": seconds, "client": client, "progress": progress}
-        return _recorded(loaded, {**settings, **asked}, parts, out, **how_long)
+        working: Any = {"seconds": seconds, "client": client, "progress": progress}
+        return _recorded(loaded, asked, parts, out, **working)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     place = None if out is None else place_of(out)
@@ -212,8 +213,13 @@ def render(
         job = replace(job, guide=kept_guide(existing, job.guided))
     if client is not None:
         _check_portable(job)
-    if seconds is not None:
-        _check_seconds(seconds, alone=not (depths or by_light or how))
+    check_seconds(seconds)
+    if seconds is not None and (depths or by_light or how):
+        message = (
+            "seconds is for samples alone: direct, by_depth and by_light draw them again, and an "
+            "adaptive render decides from all that it draws; leave one of them out"
+        )
+        raise InputError(message)
     work: Work = {"client": client, "progress": progress}
     with activate(job.backend):
         return _captured(job, depths, by_light, how, place, work, seconds)
@@ -228,7 +234,7 @@ def _recorded(
     settings: Mapping[str, Any],
     parts: Mapping[str, Any],
     out: str | Path | None,
-    **how_long: Any,
+    **work: Any,
 ) -> Samples:
     """Record the samples of a scene of another renderer."""
     defaults = {name: parameter.default for name, parameter in SETTINGS.items()}
@@ -243,21 +249,7 @@ def _recorded(
     if out is not None and is_store(out) and view["size"] is view["crop"] is None:
         view["size"] = tuple(Store.open(place_of(out)).attrs["size"])
     with contextlib.closing(source_of(scene, **view, **parts)) as source:
-        counts = {name: settings[name] for name in ("spp", "seed")}
-        return record(source, **counts, out=out, **how_long)
-
-
-def _check_seconds(seconds: float, *, alone: bool) -> None:
-    """Refuse a time that is none, or in which more than samples is rendered."""
-    if not seconds > 0:
-        message = f"seconds must be positive, got {seconds!r}"
-        raise InputError(message)
-    if not alone:
-        message = (
-            "seconds is for samples alone: direct, by_depth and by_light draw them again, and an "
-            "adaptive render decides from all that it draws; leave one of them out"
-        )
-        raise InputError(message)
+        return record(source, spp=settings["spp"], seed=settings["seed"], out=out, **work)
 
 
 def _captured(
