@@ -178,7 +178,7 @@ def _stands_out(values: Floats, level: float) -> bool:
 
 def _is_clamp(tiles: list[Image], levels: list[Floats], level: float) -> bool:
     """Return whether samples end at a level in many pixels that no lamp fills."""
-    colors, below, pixels = list[Floats](), list[Floats](), 0
+    colors, below, others, pixels = list[Floats](), list[Floats](), list[Floats](), 0
     for tile, values in zip(tiles, levels, strict=True):
         at = np.abs(values - level) < 1e-5 * level
         share = np.pad(at.mean(axis=-1), 1)
@@ -186,21 +186,31 @@ def _is_clamp(tiles: list[Image], levels: list[Floats], level: float) -> bool:
         around = [share[y : y + height, x : x + width] for y in range(3) for x in range(3)]
         alone = at.any(axis=-1) & (np.max(around, axis=0) <= 0.5)
         pixels += int(alone.sum())
-        colors.append(np.moveaxis(tile, 2, -1)[alone][at[alone]])
-        of_pixels = values[alone]
-        below.append(of_pixels[(of_pixels >= level / 2) & (of_pixels < level * (1 - 1e-5))])
+        of_pixels, color = values[alone], np.moveaxis(tile, 2, -1)[alone]
+        under = (of_pixels >= level / 2) & (of_pixels < level * (1 - 1e-5))
+        colors.append(color[at[alone]])
+        below.append(of_pixels[under])
+        others.append(color[under])
     ends, near = np.concatenate(colors), np.concatenate(below)
     if pixels < _PIXELS or len(ends) < _TIES:
         return False
-    # Values that differ by rounding are one colour.
-    ratios = np.round(ends / np.maximum(ends.max(axis=1, keepdims=True), 1e-30), 4)
+    ratios, of_near = _hues(ends), _hues(np.concatenate(others))
     distinct, counts = np.unique(ratios, axis=0, return_counts=True)
     if len(distinct) >= max(len(ends) / 4, _TIES) and counts.max() <= len(ends) / 2:
         return True
+    most = distinct[counts.argmax()]
+    near_it = (np.abs(of_near - most) < 1e-3).all(axis=1)
+    if np.ptp(most) >= 1e-3 and 2 * counts.max() > len(ends) and 2 * near_it.sum() < len(near):
+        return False  # a lamp in mirrors or glass, which has a colour of its own
     is_top = all(values.max() <= level * (1 + 1e-5) for values in levels)
     # A heavy tail has as many samples in the octave below; they are of all values.
     many = len(near) >= max(len(ends) / 4, _TIES) and len(np.unique(near)) > len(near) / 2
     return is_top and many
+
+
+def _hues(colors: Floats) -> Floats:
+    """Return colours over their largest channel; those that differ by rounding are one."""
+    return np.asarray(np.round(colors / np.maximum(colors.max(axis=1, keepdims=True), 1e-30), 4))
 
 
 # --- dependence ---------------------------------------------------------------------------------

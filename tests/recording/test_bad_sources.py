@@ -255,3 +255,16 @@ def test_passes_of_nan_are_not_black():
     with pytest.warns(chd.errors.InputWarning, match="NaN or infinite"):
         notes = chd.record(lambda _: np.full((8, 8, 3), np.nan), spp=16).attrs["notes"]
     assert not any("black" in note for note in notes)
+
+
+def test_a_lamp_in_mirrors_is_no_clamp():
+    """Rare paths of all pixels end at a lamp, whose colour they keep; others reach half of it."""
+    lamp = np.array([9.3, 8.45, 7.3])
+
+    def draw(seed):
+        random = np.random.default_rng(seed)
+        rest = random.uniform(0, 0.9, size=(24, 24, 1)) ** 2 * lamp
+        color = random.uniform(0.8, 1, size=(24, 24, 3))
+        return np.where(random.random((24, 24, 1)) < 0.01, lamp, rest * color)
+
+    assert chd.record(draw, spp=128).attrs["notes"] == []
