@@ -1,13 +1,15 @@
-"""Other renderers: recorded samples against the renderer's own images, and what recording costs.
+"""Other renderers: recorded samples against a renderer's own images, and what recording costs.
 
-Run with ``pytest benchmarks/test_other_renderers.py --benchmark-only -s``: ten minutes.
-A failure is a mean that differs from that of Cycles' own images at 1 % for all scenes together,
-samples that depend on each other, a recording that takes more than 1.3 times as long as Blender
-needs for the same passes, or other samples after a kill or with two workers.
+Run with ``pytest benchmarks/test_other_renderers.py --benchmark-only -s -n 0``: ten minutes for
+each; ``-k Cycles`` chooses one, and CHDSTAT_SPP gives the means another number of samples. A
+failure is a mean that differs from that of a renderer's own images at 1 % for all scenes together,
+samples that depend on each other, a recording that takes more than 1.3 times as long as the
+renderer alone needs for the same passes, or other samples after a kill or with two workers.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import textwrap
@@ -19,27 +21,23 @@ import pytest
 from scipy.stats import rankdata
 
 import chdstat as chd
-from chdstat.errors import RenderError
-from chdstat.inference.references import Reference
-from chdstat.recording import cycles
-from chdstat.recording.cycles import CyclesSource
+from tests.recording.scene_renderers import CYCLES, LUXCORE, SceneRenderer
 
-try:
-    COMMAND, WHY = cycles.blender(), ""
-except RenderError as error:
-    COMMAND, WHY = [], str(error)
-pytestmark = pytest.mark.skipif(bool(WHY), reason=WHY)
-
-SCRIPT = Path(__file__).parents[1] / "tests/recording/blender_scenes.py"
-SIZE, SPP = (48, 32), 1302
+SIZE, SPP = (48, 32), int(os.environ.get("CHDSTAT_SPP", "1302"))
 """2e6 samples an image."""
-SEEDS, OWN_SPP = 16, 256
-"""Images of Cycles and their samples per pixel: one long sequence each, so that several seeds tell
-their noise."""
+SEEDS, OWN_SPP = 16, {CYCLES: 256, LUXCORE: SPP // 4}
+"""A renderer's own images and their samples per pixel. Those of Cycles are one long sequence each,
+so that several seeds tell their noise."""
 LEVEL = 0.01
 MOST_COST = 1.3
+COSTS = {
+    CYCLES: (("focus", (128, 96), 256), ("motion", (48, 32), 512)),
+    LUXCORE: (("matte", (128, 96), 128), ("motion", (48, 32), 512)),
+}
+"""Scenes whose recording is timed, with their sizes and passes."""
 
-ALONE = """
+ALONE = {
+    CYCLES: """
     import sys, time, bpy, cycles, numpy as np
     bpy.ops.wm.open_mainfile(filepath=sys.argv[-4])
     width, height, spp = map(int, sys.argv[-3:])
@@ -64,24 +62,59 @@ ALONE = """
         scene.update_tag()
         bpy.ops.render.render()
     print("SECONDS", time.perf_counter() - start)
-"""
-"""The same passes, rendered and read by Blender alone."""
+""",
+    LUXCORE: """
+    import os, sys, time, numpy as np, pyluxcore as lux
+    lux.Init()
+    os.chdir(os.path.dirname(sys.argv[-4]))
+    width, height, spp = map(int, sys.argv[-3:])
+    scene = lux.Scene(sys.argv[-4])
+    def drawn(seed):
+        settings = lux.Properties()
+        settings.SetFromString(f'''
+            renderengine.type = RTPATHCPU
+            renderengine.seed = {seed}
+            sampler.type = RTPATHCPUSAMPLER
+            rtpathcpu.zoomphase.size = 1
+            native.threads.count = 1
+            path.pathdepth.total = 5
+            path.pathdepth.diffuse = 4
+            path.pathdepth.glossy = 4
+            path.pathdepth.specular = 6
+            film.filter.type = NONE
+            film.width = {width}
+            film.height = {height}
+            film.outputs.0.type = RGB
+            film.outputs.0.filename = o.exr
+        ''')
+        session = lux.RenderSession(lux.RenderConfig(settings, scene))
+        session.Start()
+        session.WaitNewFrame()
+        session.Stop()
+        image = np.empty((height, width, 3), np.float32)
+        session.GetFilm().GetOutputFloat(lux.FilmOutputType.RGB, image, 0, False)
+    drawn(1)
+    start = time.perf_counter()
+    for seed in range(spp):
+        drawn(seed * 7919 + 1)
+    print("SECONDS", time.perf_counter() - start)
+""",
+}
+"""The same passes, rendered and read by the renderer alone."""
+
+
+@pytest.fixture(scope="module", params=[CYCLES, LUXCORE], ids=str)
+def renderer(request: pytest.FixtureRequest) -> SceneRenderer:
+    """Return a renderer that works here."""
+    if request.param.why_not:
+        pytest.skip(request.param.why_not)
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("blender")
-    subprocess.run([*COMMAND, SCRIPT, "--", "make", folder], check=True, capture_output=True)
-    return folder
-
-
-def own_images(path: Path) -> Reference:
-    counts = map(str, (*SIZE, OWN_SPP, SEEDS))
-    command = [*COMMAND, SCRIPT, "--", "images", path, path.parent, *counts]
-    subprocess.run(command, check=True, capture_output=True)
-    names = (path.parent / f"{path.stem}-{n}.exr" for n in range(SEEDS))
-    batches = np.stack([chd.io.read_exr(name).image[..., :3] for name in names], axis=-1)
-    return Reference(batches.mean(-1), spp=SEEDS * OWN_SPP, batches=batches, precision=1e-6)
+def scenes(renderer: SceneRenderer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of its scenes."""
+    return renderer.make(tmp_path_factory.mktemp(str(renderer)))
 
 
 def dependence(x: np.ndarray) -> float:
@@ -99,16 +132,17 @@ def dependence(x: np.ndarray) -> float:
     return float(np.abs(found).max())
 
 
-def test_means_are_those_of_cycles(scenes: Path, benchmark) -> None:
+def test_means_are_those_of_its_own(renderer: SceneRenderer, scenes: Path, benchmark) -> None:
     """Of twelve scenes; six correlations each beyond 4.5 deviations: by accident 1 in 2000."""
     rows = []
 
     def recorded() -> None:
-        for path in sorted(scenes.glob("*.blend")):
-            source = CyclesSource(path, size=SIZE)
+        for path in sorted(scenes.glob(f"*{renderer.suffix}")):
+            source = renderer.source(path, size=SIZE)
             samples = chd.record(source, spp=SPP, seed=7, progress=False)
             source.close()
-            found = chd.contrast(samples, own_images(path), alpha=LEVEL / 12)
+            reference = renderer.images(path, SIZE, OWN_SPP[renderer], SEEDS)
+            found = chd.contrast(samples, reference, alpha=LEVEL / 12)
             x = samples.read()
             rows.append((path.stem, found.outcome, found.image_p_value, dependence(x)))
             print(f"\n{path.stem:13s} {found.outcome}, p {rows[-1][2]:.3f}; largest correlation "
@@ -120,18 +154,18 @@ def test_means_are_those_of_cycles(scenes: Path, benchmark) -> None:
     assert max(row[3] for row in rows) < 4.5
 
 
-def test_recording_costs_little(scenes: Path, benchmark, tmp_path: Path) -> None:
-    ratios = []
+def test_recording_costs_little(
+    renderer: SceneRenderer, scenes: Path, benchmark, tmp_path: Path
+) -> None:
+    ratios, script = [], tmp_path / "alone.py"
+    script.write_text(textwrap.dedent(ALONE[renderer]))
 
     def measured() -> None:
-        for name, size, spp in (("focus", (128, 96), 256), ("motion", (48, 32), 512)):
+        for name, size, spp in COSTS[renderer]:
             for turn in range(3):
-                script = tmp_path / "alone.py"
-                script.write_text(textwrap.dedent(ALONE))
-                words = [*COMMAND, script, "--", scenes / f"{name}.blend", *map(str, (*size, spp))]
-                told = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-                alone = float(told.partition("SECONDS")[2])
-                source = CyclesSource(scenes / f"{name}.blend", size=size)
+                told = renderer.run(script, scenes / f"{name}{renderer.alone}", *size, spp)
+                alone = float(told.partition("SECONDS")[2].split()[0])
+                source = renderer.source(scenes / f"{name}{renderer.suffix}", size=size)
                 source(0)
                 start = time.perf_counter()
                 out = tmp_path / f"{name}{turn}.zarr"
@@ -144,25 +178,26 @@ def test_recording_costs_little(scenes: Path, benchmark, tmp_path: Path) -> None
     assert np.median(ratios) < MOST_COST
 
 
-KILLED = """
-    import sys, chdstat as chd
-    from chdstat.recording.cycles import CyclesSource
-    chd.record(CyclesSource(sys.argv[1], size=(24, 16)), spp=4096, out=sys.argv[2], progress=False)
-"""
+KILLED = (
+    "import sys, chdstat; chdstat.render(sys.argv[1], size=(24, 16), spp=4096, out=sys.argv[2])"
+)
 
 
-def test_kills_and_workers_change_no_bit(scenes: Path, benchmark, tmp_path: Path) -> None:
+def test_kills_and_workers_change_no_bit(
+    renderer: SceneRenderer, scenes: Path, benchmark, tmp_path: Path
+) -> None:
     from distributed import Client, LocalCluster
 
-    path, out = scenes / "materials.blend", tmp_path / "killed.zarr"
+    path = scenes / f"{'glossy' if renderer is LUXCORE else 'materials'}{renderer.suffix}"
+    out = tmp_path / "killed.zarr"
 
     def compared() -> None:
-        child = subprocess.Popen([sys.executable, "-c", textwrap.dedent(KILLED), path, out])
+        child = subprocess.Popen([sys.executable, "-c", KILLED, path, out])
         while not (chd.samples.is_store(out) and chd.open(out).spp >= 64):
             time.sleep(0.2)
         child.kill()
         child.wait()
-        source = CyclesSource(path, size=(24, 16))
+        source = renderer.source(path, size=(24, 16))
         whole = chd.record(source, spp=256, progress=False).read()
         resumed = chd.record(source, spp=256, out=out, progress=False).read()
         np.testing.assert_array_equal(resumed[..., :256], whole)

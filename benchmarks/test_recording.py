@@ -2,7 +2,7 @@
 
 Run with ``pytest benchmarks/test_recording.py --benchmark-only -s -n 0``. The renderer takes 5 ms
 for 64 x 64 pixels, as fast ones do; the first of the pairs also pays for imports. What Cycles and
-LuxCore pay is in `test_other_renderers` and `test_luxcore`.
+LuxCore pay is in `test_other_renderers`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Scenes of LuxCore, and images that its path engine renders of them by itself.
 
-As a script, ``images SCENE FOLDER WIDTH HEIGHT SPP COUNT`` writes .npy files of linear radiance.
+As a script, ``-- make FOLDER`` writes the scenes, and ``-- images SCENE FOLDER WIDTH HEIGHT SPP
+COUNT`` .npy files of linear radiance.
 """
 
 from __future__ import annotations
@@ -212,4 +213,8 @@ def images(scene: str, folder: str, width: int, height: int, spp: int, count: in
 
 
 if __name__ == "__main__":
-    images(*sys.argv[1:3], *map(int, sys.argv[3:]))
+    what, *words = sys.argv[sys.argv.index("--") + 1 :]
+    if what == "make":
+        make(Path(words[0]))
+    else:
+        images(*words[:2], *map(int, words[2:]))

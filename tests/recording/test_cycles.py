@@ -3,7 +3,6 @@
 import json
 import os
 import pickle
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -15,63 +14,25 @@ from scipy.stats import rankdata
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError
-from chdstat.inference.references import Reference
 from chdstat.recording import cycles
 from chdstat.recording.cycles import CyclesSource
 from chdstat.recording.pass_sources import seed_of_pass
+from tests.recording.scene_renderers import CYCLES, Sourced, samples_of
 
-try:
-    COMMAND, WHY = cycles.blender(), ""
-except RenderError as error:
-    COMMAND, WHY = [], str(error)
-pytestmark = pytest.mark.skipif(bool(WHY), reason=WHY)
-SCRIPT = str(Path(__file__).with_name("blender_scenes.py"))
+pytestmark = pytest.mark.skipif(bool(CYCLES.why_not), reason=CYCLES.why_not)
 SIZE = (24, 16)
-
-Sourced = Callable[..., CyclesSource]
-
-
-def in_blender(*words: object) -> None:
-    """Run the script of scenes."""
-    command = [*COMMAND, SCRIPT, "--", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of all scenes."""
-    folder = tmp_path_factory.mktemp("blender")
-    in_blender("make", folder)
-    return folder
+    return CYCLES.make(tmp_path_factory.mktemp("blender"))
 
 
 @pytest.fixture(scope="module")
 def source(scenes: Path) -> Iterator[Sourced]:
-    """Return the source of a scene by its name; equal ones are one process."""
-    made: dict[str, CyclesSource] = {}
-
-    def found(name: str, **options: object) -> CyclesSource:
-        options = {"size": SIZE, **options}
-        key = f"{name} {options}"
-        made.setdefault(key, CyclesSource(scenes / f"{name}.blend", **options))
-        return made[key]
-
-    yield found
-    for one in made.values():
-        one.close()
-
-
-def samples_of(source: CyclesSource, spp: int, seed: int = 1) -> np.ndarray:
-    return np.stack([source(seed_of_pass(seed, n)).image for n in range(spp)], axis=-1)
-
-
-def own_images(path: Path, spp: int, count: int) -> Reference:
-    """Return images that Cycles renders with its own sampling, whose means are the batches."""
-    in_blender("images", path, path.parent, *SIZE, spp, count)
-    names = (path.parent / f"{path.stem}-{n}.exr" for n in range(count))
-    batches = np.stack([chd.io.read_exr(name).image[..., :3] for name in names], axis=-1)
-    return Reference(batches.mean(-1), spp=spp * count, batches=batches, precision=1e-6)
+    """Return the source of a scene by its name."""
+    yield from CYCLES.sources(scenes, SIZE)
 
 
 # --- samples --------------------------------------------------------------------------------------
@@ -80,7 +41,7 @@ def own_images(path: Path, spp: int, count: int) -> Reference:
 @pytest.mark.parametrize("name", ["focus", "light_groups"])
 def test_the_mean_is_that_of_cycles(source: Sourced, scenes: Path, name: str) -> None:
     """A difference is found by accident in 5 % of seeds; the control has four bounces less."""
-    reference = own_images(scenes / f"{name}.blend", 128, 8)
+    reference = CYCLES.images(scenes / f"{name}.blend", SIZE, 128, 8)
     drawn = chd.Samples.from_array(samples_of(source(name), 128))
     assert chd.contrast(drawn, reference).outcome == "no difference found"
     cut = chd.Samples.from_array(samples_of(source(name, max_depth=2), 128))
@@ -263,7 +224,7 @@ image.use_fake_user = True
 bpy.context.scene.render.engine = "BLENDER_WORKBENCH"
 bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / "evil.blend")!r})
 """)
-    subprocess.run([*COMMAND, str(script)], check=True, capture_output=True)
+    CYCLES.run(script)
     (tmp_path / "gone.png").unlink()
     (tmp_path / "run").unlink(missing_ok=True)
     one = CyclesSource(tmp_path / "evil.blend", size=(8, 8))
@@ -308,7 +269,7 @@ for frame, level in ((1, 0.5), (10, 2.0)):
     scene.keyframe_insert("cycles.max_bounces", frame=frame)
 bpy.ops.wm.save_as_mainfile(filepath={str(tmp_path / "moving.blend")!r})
 """)
-    subprocess.run([*COMMAND, str(script)], check=True, capture_output=True)
+    CYCLES.run(script)
     one = CyclesSource(tmp_path / "moving.blend", size=(16, 12), frame=10)
     told, first, second = one.attrs, one(1).image, one(2).image
     one.close()

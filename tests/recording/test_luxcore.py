@@ -1,10 +1,7 @@
 """LuxCore as a source of passes, against images that it renders by itself."""
 
-import importlib.util
 import pickle
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,55 +10,25 @@ from scipy.stats import rankdata
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError
-from chdstat.inference.references import Reference
 from chdstat.recording.luxcore import LuxCoreSource
 from chdstat.recording.pass_sources import seed_of_pass
 from tests.recording import luxcore_scenes
+from tests.recording.scene_renderers import LUXCORE, Sourced, samples_of
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("pyluxcore") is None, reason="LuxCore is not installed"
-)
+pytestmark = pytest.mark.skipif(bool(LUXCORE.why_not), reason=LUXCORE.why_not)
 SIZE = (24, 16)
-
-Sourced = Callable[..., LuxCoreSource]
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of all scenes."""
-    folder = tmp_path_factory.mktemp("luxcore")
-    luxcore_scenes.make(folder)
-    return folder
+    return LUXCORE.make(tmp_path_factory.mktemp("luxcore"))
 
 
 @pytest.fixture(scope="module")
 def source(scenes: Path) -> Iterator[Sourced]:
-    """Return the source of a scene by its name; equal ones are one process."""
-    made: dict[str, LuxCoreSource] = {}
-
-    def found(name: str, **options: object) -> LuxCoreSource:
-        options = {"size": SIZE, **options}
-        key = f"{name} {options}"
-        made.setdefault(key, LuxCoreSource(scenes / f"{name}.cfg", **options))
-        return made[key]
-
-    yield found
-    for one in made.values():
-        one.close()
-
-
-def samples_of(source: LuxCoreSource, spp: int, seed: int = 1) -> np.ndarray:
-    return np.stack([source(seed_of_pass(seed, n)).image for n in range(spp)], axis=-1)
-
-
-def own_images(path: Path, spp: int, count: int) -> Reference:
-    """Return images of LuxCore's PATHCPU, which is another engine, whose means are the batches."""
-    words = [path, path.parent, *map(str, (*SIZE, spp, count))]
-    command = [sys.executable, luxcore_scenes.__file__, *words]
-    subprocess.run(command, check=True, capture_output=True)
-    names = (path.parent / f"{path.stem}-{n}.npy" for n in range(count))
-    batches = np.stack([np.load(name) for name in names], axis=-1)
-    return Reference(batches.mean(-1), spp=spp * count, batches=batches, precision=1e-6)
+    """Return the source of a scene by its name."""
+    yield from LUXCORE.sources(scenes, SIZE)
 
 
 # --- samples --------------------------------------------------------------------------------------
@@ -70,7 +37,7 @@ def own_images(path: Path, spp: int, count: int) -> Reference:
 @pytest.mark.parametrize("name", ["glossy", "lights"])
 def test_the_mean_is_that_of_luxcore(source: Sourced, scenes: Path, name: str) -> None:
     """A difference is found by accident in 5 % of seeds; the control has shorter paths."""
-    reference = own_images(scenes / f"{name}.scn", 256, 8)
+    reference = LUXCORE.images(scenes / f"{name}.cfg", SIZE, 256, 8)
     drawn = chd.Samples.from_array(samples_of(source(name), 192))
     assert chd.contrast(drawn, reference).outcome == "no difference found"
     cut = chd.Samples.from_array(samples_of(source(name, max_depth=2), 192))
