@@ -21,6 +21,7 @@ import pytest
 from scipy.stats import rankdata
 
 import chdstat as chd
+from chdstat.samples import inspect, is_store
 from tests.recording.scene_renderers import CYCLES, LUXCORE, SceneRenderer
 
 SIZE, SPP = (48, 32), int(os.environ.get("CHDSTAT_SPP", "1302"))
@@ -193,7 +194,7 @@ def test_kills_and_workers_change_no_bit(
 
     def compared() -> None:
         child = subprocess.Popen([sys.executable, "-c", KILLED, path, out])
-        while not (chd.samples.is_store(out) and chd.open(out).spp >= 64):
+        while not (is_store(out) and inspect(out)["complete_spp"] >= 64):
             time.sleep(0.2)
         child.kill()
         child.wait()
