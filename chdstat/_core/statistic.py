@@ -137,11 +137,11 @@ class MapKind:
     ordered
         Whether codes have an order, which their colours then show.
     log
-        Whether the numbers are shown as their log10.
+        Whether colours follow the logarithm of the numbers.
     ends
         Ends of the colour bar; None for percentiles of what there is.
     diverging
-        Whether 0 stands in the middle, between two colours.
+        Whether 0, or 1 if `log`, stands in the middle, between two colours.
     decided
         Name of the variable that `Statistic.finish` decides over the whole image, and that the map
         shows in the end; "" if each pixel tells alone.

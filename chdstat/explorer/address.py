@@ -16,6 +16,7 @@ from urllib.parse import urlencode
 
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
+from chdstat.viz.styling import MAGNITUDES, SIGNED
 
 MOST_PIXELS = 6
 _MOST_IMAGES = 9
@@ -31,6 +32,8 @@ _CHOICES: Mapping[str, Sequence[object]] = {
     "families": FITS,
     "batch": BATCH_SIZES,
     "tone": TONES,
+    "cmap": MAGNITUDES,
+    "signed": SIGNED,
     "channel": ("all", "luminance", "0", "1", "2"),
     "shown": range(_MOST_IMAGES),
     "reference": (None, *range(_MOST_IMAGES)),
@@ -60,6 +63,8 @@ class View:
         Name of the map that is shown instead of the image; "image" for the image itself.
     limits
         Ends of the colour bar of a map of numbers; None for automatic ends.
+    cmap, signed
+        Names of the colour maps of numbers, and of numbers to both sides of a middle.
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
@@ -87,6 +92,8 @@ class View:
     region: Box | None = None
     map: str = "image"
     limits: tuple[float, float] | None = None
+    cmap: str = MAGNITUDES[0]
+    signed: str = SIGNED[0]
     channel: str = "all"
     families: tuple[str, ...] = ("best",)
     batch: int = 32
@@ -298,6 +305,8 @@ _DEFAULT = View()
 _OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "map": ("map", str),
     "lim": ("limits", lambda text: _numbers(text, "limits must be numbers")),
+    "cm": ("cmap", str),
+    "cs": ("signed", str),
     "c": ("channel", str),
     "f": ("families", lambda text: tuple(part for part in text.split(",") if part)),
     "n": ("batch", lambda text: _integers(text, 1)[0]),

@@ -36,7 +36,7 @@ from chdstat.explorer.panels import DASHES, LIGHT, PANELS, TEXT, panel_plot
 from chdstat.explorer.render_process import COARSE
 from chdstat.patterns import Label
 from chdstat.patterns.cures import renderer_of
-from chdstat.viz.styling import called
+from chdstat.viz.styling import MAGNITUDES, SIGNED, bar_ticks, called
 
 T = TypeVar("T")
 
@@ -204,6 +204,7 @@ class Page:
             "exports": list(EXPORTS),
             "maps": [(k.name, k.title) for k in MAPS.values() if stores or k.name in IMAGES],
             "differences": [(k.name, k.title) for k in {**DIFFERENCES, **CONTRASTS}.values()],
+            "cmaps": {"cmap": MAGNITUDES, "signed": SIGNED},
             "light": LIGHT,
             "labels": [(called(x.name.lower()), x, x.cure_by(drawn)) for x in Label],
             "given": [(name, found.title) for name, found in given.items()],
@@ -241,10 +242,10 @@ class Page:
         if shown is None:
             return
         renderer = self._images[index]["map"]
-        low, high = shown.limits
+        low, high = map(float, shown.scaled(shown.limits))
         self._mapper.update(palette=shown.colors, low=low, high=high)
         # A pass goes on to write into its values: Bokeh would see no change.
-        renderer.data_source.data = {"image": [np.array(shown.values, np.float32)]}
+        renderer.data_source.data = {"image": [np.array(shown.scaled(shown.values), np.float32)]}
 
     # --- other threads --------------------------------------------------------------------------
 
@@ -306,8 +307,13 @@ def colorbar(shown: Map | None) -> dict[str, Any] | None:
         ]
         return bar
     low, high = shown.limits
-    bar["ramp"], bar["limits"] = shown.colors[::16], [float(f"{v:.4g}") for v in (low, high)]
-    bar["ticks"] = [f"{low + (high - low) * i / 4:.3g}" for i in range(5)]
+    bar["ramp"], bar["limits"] = shown.colors[::15], [float(f"{v:.4g}") for v in (low, high)]
+    start, end = map(float, shown.scaled((low, high)))
+    bar |= {"log": shown.log, "signed": shown.diverging}
+    bar["ticks"] = [
+        (float(shown.scaled(v) - start) / (end - start), text)
+        for v, text in bar_ticks(low, high, log=shown.log)
+    ]
     return bar
 
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from chdstat._core.arrays import Array, Image, spans
@@ -29,17 +28,16 @@ from chdstat.io.writing import open_maps
 from chdstat.samples.assembly import assemble
 from chdstat.summary.runner import measured
 from chdstat.viz.maps import LABEL_COLORS, names_of
-from chdstat.viz.styling import called
+from chdstat.viz.styling import MAGNITUDES, SIGNED, called, color_limits, color_map
 
 _FILE = "file:"
 _DECADES = 8.0
-"""Most ticks of a colour bar."""
+"""Most decades of a colour bar."""
 _TILE, _CELL = 16, 8
 """Pixels of a tile and of a cell, of which one pixel is computed first."""
 _COARSE_SHARE = 0.05
 _LONGEST = 60
 """Characters of a description beside a colour bar."""
-_OVER_MEAN = "log10, luminance"
 _LABELS = (
     *("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e", "#2f6fb7", "#8a5a9e"),
     *("#8f9296", "#9c3b3b", "#5b7f2b", "#c8c9ca"),
@@ -48,9 +46,9 @@ _NONE = np.empty((0, 0), np.float32)
 
 
 @cache
-def ramp(name: str = "viridis") -> tuple[str, ...]:
-    """Return 256 colours of one of Matplotlib's maps, distinct for the colour-blind."""
-    return tuple(to_hex(color) for color in colormaps[name](range(256)))
+def ramp(name: str = MAGNITUDES[0]) -> tuple[str, ...]:
+    """Return 256 colours of one of Matplotlib's maps."""
+    return tuple(to_hex(color) for color in color_map(name)(range(256)))
 
 
 @dataclass(frozen=True)
@@ -65,18 +63,30 @@ class Map(MapKind):
         Share of the image that is computed.
     note
         What is said of it below the colour bar.
+    cmap
+        Name of the colour map of numbers; "" for the first one of its kind.
+    falling
+        Whether the smallest number has the last colour, as small p-values have.
     """
 
     values: Image = field(default_factory=lambda: _NONE)
     done: float = 1.0
     note: str = ""
+    cmap: str = ""
+    falling: bool = False
+
+    @property
+    def colors_by_name(self) -> str:
+        """Name of the colour map of numbers, as Matplotlib knows it."""
+        name = self.cmap or (SIGNED if self.diverging else MAGNITUDES)[0]
+        return f"{name}_r" if self.falling else name
 
     @property
     def colors(self) -> list[str]:
         """Colours of the numbers, or of the codes in ascending order; a ramp if these have one."""
         count = len(self.names)
         if not count:
-            return list(ramp("BrBG_r" if self.diverging else "viridis"))
+            return list(ramp(self.colors_by_name))
         if self.ordered:
             return [ramp()[255 * i // max(1, count - 1)] for i in range(count)]
         others = (_LABELS[i % len(_LABELS)] for i in range(count))
@@ -87,27 +97,23 @@ class Map(MapKind):
         """Ends of the colour bar."""
         if self.names:
             return min(self.names) - 0.5, max(self.names) + 0.5
-        if self.ends is not None:
+        if self.ends is not None and (self.ends[0] > 0 or not self.log):
             return self.ends
-        finite = self.values[np.isfinite(self.values)]
-        if not finite.size:
-            return -float(self.diverging), 1.0
-        if self.diverging:
-            most = float(np.percentile(np.abs(finite), 99)) or 1.0
-            return -most, most
-        low, high = (float(v) for v in np.percentile(finite, (1, 99)))
+        low, high = color_limits(self.values, diverging=self.diverging, log=self.log)
         if self.log:  # a lamp has no variance but that of rounding
-            low = max(low, high - _DECADES)
-        return (low, high) if high > low else (low - 0.5, high + 0.5)
+            low = max(low, high / 10**_DECADES)
+        return low, high
+
+    def scaled(self, numbers: npt.ArrayLike) -> Array:
+        """Return what colours follow of numbers: their logarithm, or themselves."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.log10(numbers) if self.log else numbers)
 
     def filled(self, found: npt.ArrayLike) -> Map:
-        """Return the map of these numbers; what is not finite is NaN."""
+        """Return the map of these numbers; what is not finite, or has no logarithm, is NaN."""
         values = np.asarray(found)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            values = np.log10(values) if self.log else values
-        return replace(
-            self, values=np.where(np.isfinite(values), values, np.nan).astype(np.float32)
-        )
+        shown = np.where(np.isfinite(self.scaled(values)), values, np.nan)
+        return replace(self, values=shown.astype(np.float32))
 
 
 def _table(*maps: Map) -> dict[str, Map]:
@@ -134,10 +140,10 @@ def _of_statistics(spp: int) -> dict[str, tuple[Map, Statistic[Any]]]:
 
 IMAGES = _table(
     Map("null_share", "Null share", "share of the good samples", ends=(0, 1)),
-    Map("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
-    Map("variation", "Standard deviation over mean", _OVER_MEAN, log=True, ends=(-2, 2)),
+    Map("variance", "Variance of luminance", "(W sr⁻¹ m⁻²)²", log=True),
+    Map("variation", "Standard deviation over mean", "luminance", log=True, ends=(1e-2, 1e2)),
     # One bright sample among nulls has an error as large as the mean.
-    Map("relative_error", "Standard error over mean", _OVER_MEAN, log=True, ends=(-3, 0)),
+    Map("relative_error", "Standard error over mean", "luminance", log=True, ends=(1e-3, 1)),
     Map("bad_count", "Bad samples", "samples"),
 )
 """Maps that come with the image, a scene's too; attributes of an `Overall`."""
@@ -147,8 +153,7 @@ DIFFERENCES = _table(
     Map("diff:signed", "Difference", "shown minus reference, luminance", lambda a, b: b - a,
         diverging=True),
     Map("diff:absolute", "Absolute difference", "luminance", lambda a, b: abs(b - a)),
-    Map("diff:squared", "Squared difference", "log10, luminance", lambda a, b: (b - a) ** 2,
-        log=True),
+    Map("diff:squared", "Squared difference", "luminance", lambda a, b: (b - a) ** 2, log=True),
     Map("diff:relative", "Relative difference", "shown minus reference, over their mean, luminance",
         lambda a, b: (b - a) / ((a + b) / 2), ends=(-1, 1), diverging=True),
 )  # fmt: skip
@@ -156,10 +161,10 @@ DIFFERENCES = _table(
 CONTRASTS = _table(
     Map("contrast:difference", "Difference over reference", "%, luminance", _against_reference,
         ends=(-100, 100), diverging=True),
-    Map("contrast:p", "Significance of the difference", "−log10 p, least over channels",
-        lambda found: -np.log10(found.maps["p_value"].min("channel")), ends=(0, 4)),
-    Map("contrast:efficiency", "Efficiency over the reference", "log2",
-        lambda found: np.log2(found.maps["efficiency"]), ends=(-3, 3), diverging=True),
+    Map("contrast:p", "Significance of the difference", "p, least over channels",
+        lambda found: found.maps["p_value"].min("channel"), log=True, ends=(1e-4, 1), falling=True),
+    Map("contrast:efficiency", "Efficiency over the reference", "times",
+        lambda found: found.maps["efficiency"], log=True, ends=(1 / 8, 8), diverging=True),
 )  # fmt: skip
 """Maps of what `chdstat.contrast` says of two renders."""
 

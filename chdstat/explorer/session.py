@@ -43,7 +43,7 @@ _LOOK = 0.4
 _OWN_ACCORD = -1
 """Number of an update that does not follow from a command."""
 
-_LOOKS = frozenset({"map", "limits", "exposure", "tone", "gamma"})
+_LOOKS = frozenset({"map", "limits", "cmap", "signed", "exposure", "tone", "gamma"})
 """Options that change the image, but not the results of the selection."""
 
 T = TypeVar("T")
@@ -150,6 +150,9 @@ class Session:
 
     def _on_set(self, *, option: str, value: Any) -> None:
         view = self.view.changed(str(option), value)
+        if option == "limits" and view.limits and view.limits[0] <= 0 and map_kind(view.map).log:
+            message = f"the ends of a logarithmic colour bar must be above 0, got {view.limits[0]}"
+            raise InputError(message)
         if option == "map":
             view = view.changed("limits", None)
             self._workspace.want(self, view)
@@ -162,7 +165,7 @@ class Session:
             self._show_image()
         elif option in {"shown", "reference"}:
             self._want()
-        elif option in {"map", "limits"}:
+        elif option in {"map", "limits", "cmap", "signed"}:
             self._show_map()
 
     def _want(self) -> None:
@@ -309,8 +312,9 @@ class Session:
             share = passes.shares.get(key)
             done = "being computed" if share is None else f"{100 * share:.0f} %"
             said = f"{map_kind(self.view.map).title}: {passes.failures.get(key, done)}"
-        if found is not None and self.view.limits:
-            found = replace(found, ends=self.view.limits)
+        if found is not None:
+            cmap = self.view.signed if found.diverging else self.view.cmap
+            found = replace(found, ends=self.view.limits or found.ends, cmap=cmap)
         self._page.show_map(found, self.view.of_images(len(self._workspace.sources))[0])
         self._page.send({"kind": "colorbar", "bar": colorbar(found), "said": said})
 

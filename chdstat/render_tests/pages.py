@@ -174,12 +174,10 @@ def _shown(found: Contrast) -> tuple[Floats, Floats]:
 
 def _layers(found: Contrast) -> list[_Layer]:
     """Return the images of a page, the reference first."""
-    from matplotlib import colormaps
-
-    from chdstat.viz.styling import MISSING, sequential
+    from chdstat.viz.styling import color_map
 
     reference, render = _shown(found)
-    diverging = colormaps["PuOr"].with_extremes(bad=MISSING)
+    diverging = color_map(diverging=True)
     band = list(found.maps["channel"].values).index(found.window_channel)
     render_mean, reference_mean = (found.maps[f"mean_{k}"].to_numpy()[..., band] for k in "ab")
     edge = max(1, min(*found.window[2:], min(reference.shape[:2]) // _PARTS))
@@ -199,7 +197,7 @@ def _layers(found: Contrast) -> list[_Layer]:
             f"{percent(limit)} brighter", notes[width],
         )  # fmt: skip
         layers.append(_Layer(title, _url(diverging(values / limit / 2 + 0.5)[..., :3]), scale))
-    colours = sequential()
+    colours = color_map()
     scale = _Scale(
         _gradient(colours),
         "p = 1",

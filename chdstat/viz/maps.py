@@ -13,9 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
+from matplotlib.colors import (
+    BoundaryNorm,
+    Colormap,
+    ListedColormap,
+    LogNorm,
+    Normalize,
+    to_hex,
+)
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
@@ -32,8 +38,11 @@ from chdstat.viz.styling import (
     PALETTE,
     UNIT,
     axes_in,
+    bar_ticks,
     bare,
     called,
+    color_limits,
+    color_map,
     fitting,
     grid,
     grow,
@@ -42,7 +51,6 @@ from chdstat.viz.styling import (
     page,
     per_cent,
     qualitative,
-    sequential,
     style,
     swatches,
     two_parts,
@@ -70,7 +78,7 @@ LABEL_COLORS = {
 }
 
 _MORE = "#D55E00"
-"""Colour of more samples than were tested: vermillion of Okabe and Ito, not among `sequential`."""
+"""Colour of more samples than were tested: vermillion of Okabe and Ito, not among `MAGNITUDES`."""
 _VISIBLE = 0.01
 """Density, relative to the highest, at which panels end."""
 _OF_MAP = 0.4
@@ -140,6 +148,8 @@ def value_map(
     unit: str = "",
     limits: tuple[float, float] | None = None,
     diverging: bool = False,
+    log: bool = False,
+    cmap: str | Colormap | None = None,
     width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
@@ -155,25 +165,49 @@ def value_map(
         Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end have
         its colour.
     diverging
-        Use different colours below and above 0, with the larger limit on both sides.
+        Use different colours below and above 0, or 1 if `log`, as far to both sides.
+    log
+        Let colours follow the logarithm; the colour bar says values. What is not above 0 is grey.
+    cmap
+        One of Matplotlib's colour maps, or its name; None for viridis, or PuOr if diverging.
     width
         Width of the figure: "column", "page" or inches.
     ax
         Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If there is no such colour map, or a limit of a logarithmic scale is not above 0.
+
+    Examples
+    --------
+    >>> ax = value_map([[0.25, 1.0], [2.0, 4.0]], log=True, diverging=True)
+    >>> [text.get_text() for text in ax.figure.axes[1].get_yticklabels()]
+    ['1/4', '1/2', '1', '2', '4']
     """
     array = np.asarray(values, dtype=float)
-    finite = array[np.isfinite(array)]
-    low, high = limits or (np.percentile(finite, (1, 99)) if finite.size else (0, 1))
-    colors = sequential()
+    array = np.where(array > 0, array, np.nan) if log else array
+    low, high = limits or color_limits(array, diverging=diverging, log=log)
+    if log and not 0 < low < high:
+        message = f"limits of a logarithmic scale must be above 0, the smaller first; got {limits}"
+        raise InputError(message)
     if diverging:
-        high = max(abs(low), abs(high))
-        low, colors = -high, colormaps["PuOr"].with_extremes(bad=MISSING)
+        high = max(high, 1 / low) if log else max(abs(low), abs(high))
+        low = 1 / high if log else -high
     ax = axes_in(ax, _HEIGHT, width)
-    image = ax.imshow(array, cmap=colors, vmin=low, vmax=high, interpolation="nearest")
+    image = ax.imshow(
+        array, cmap=color_map(cmap, diverging=diverging), interpolation="nearest",
+        norm=LogNorm(low, high) if log else Normalize(low, high),
+    )  # fmt: skip
     bare(ax, title)
     bar = ax.figure.colorbar(image, ax=ax, fraction=0.046, pad=0.03)
     bar.outline.set_visible(False)
     bar.set_label(unit, labelpad=2)
+    if log:
+        places, texts = zip(*bar_ticks(low, high, log=True), strict=True)
+        bar.set_ticks(places, labels=texts)
+        bar.minorticks_off()
     return ax
 
 
@@ -309,7 +343,7 @@ def n_needed(
         Where to draw; None makes a figure.
     """
     tested = [int(n) for n in np.sort(np.asarray(sizes).ravel())]
-    shades = [to_hex(shade) for shade in sequential()(np.linspace(0.05, 1, len(tested)))]
+    shades = [to_hex(shade) for shade in color_map()(np.linspace(0.05, 1, len(tested)))]
     names = {n: f"{n}:" for n in tested} | {-1: f"> {tested[-1]}:"}
     look: dict[str, Any] = {"colors": [*shades, _MORE], "columns": 3, "width": width}
     return categorical_map(needed, names, title=title, ax=ax, **look)
@@ -475,16 +509,14 @@ def contrast(
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = maps["difference"].to_numpy()[..., first] / np.where(level > 0, level, np.nan)
-        significance = -np.log10(np.fmin.reduce(p, axis=-1))
-        efficiency = np.log2(maps["efficiency"].to_numpy())
+    significance, efficiency = np.fmin.reduce(p, axis=-1), maps["efficiency"].to_numpy()
     value_map(100 * relative, title=f"B − A over A{of}", unit="%", diverging=True, ax=axes[2])
     _mark(axes[2], found)
-    value_map(significance, title="Significance", unit="−log10 p", limits=(0, 4), ax=axes[3])
+    look: dict[str, Any] = {"log": True, "limits": (1e-4, 1), "cmap": "viridis_r"}
+    value_map(significance, title="Significance", unit="p", **look, ax=axes[3])
     _p_values(axes[4], p)
     if np.isfinite(efficiency).any():
-        value_map(
-            efficiency, title="Efficiency of B over A", unit="log2", diverging=True, ax=axes[5]
-        )
+        value_map(efficiency, title="Efficiency of B over A", log=True, diverging=True, ax=axes[5])
     else:
         axes[5].set_axis_off()
     figure.suptitle(conclusion, x=0.01, ha="left", fontsize=8.5)

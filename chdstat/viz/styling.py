@@ -23,6 +23,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import numpy.typing as npt
 from matplotlib import colormaps, font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -31,7 +32,7 @@ from matplotlib.colors import Colormap, to_hex, to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from chdstat._core.display import Width
 from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
@@ -63,6 +64,20 @@ instead of black."""
 
 MISSING = "#DDDDDD"
 """Colour of pixels without a number."""
+
+MAGNITUDES = ("viridis", "cividis", "magma", "inferno", "gray")
+"""Colour maps of numbers without a sign, each even to the eye; the first is taken by default."""
+
+SIGNED = ("PuOr", "RdBu_r", "BrBG_r")
+"""Colour maps of numbers to both sides of a middle, for colour-blind readers, too."""
+
+_FEWEST, _TICKS = 2, 7
+"""Ticks of a colour bar."""
+_LOG_TICKS = (
+    *(((1,), 1, 3), ((1, 3), 1, 3), ((1, 2, 5), 1, 2)),
+    *(((1,), every, _FEWEST) for every in (2, 3, 5, 10, 20, 50)),
+)
+"""What a logarithmic one marks: numbers of a decade, every how many decades, at least so many."""
 
 CHANNELS = {"R": "#C8423B", "G": "#45B37A", "B": "#2C4F9E"}
 """Colours of the radiance channels; they also differ in lightness, for prints in grey."""
@@ -338,9 +353,107 @@ def ink_on(color: str) -> str:
     return "black" if float(np.dot((0.299, 0.587, 0.114), to_rgb(color))) > 0.42 else "white"
 
 
-def sequential() -> Colormap:
-    """Return the colour map of magnitudes; pixels without a number are light grey."""
-    return colormaps["viridis"].with_extremes(bad=MISSING)
+def color_map(chosen: str | Colormap | None = None, *, diverging: bool = False) -> Colormap:
+    """Return a colour map, whose pixels without a number are light grey.
+
+    Parameters
+    ----------
+    chosen
+        One of Matplotlib's, or its name; None for the first of `MAGNITUDES` or `SIGNED`.
+    diverging
+        Whether there are numbers to both sides of a middle.
+
+    Raises
+    ------
+    InputError
+        If Matplotlib has no such colour map.
+    """
+    name = (SIGNED if diverging else MAGNITUDES)[0] if chosen is None else chosen
+    if isinstance(name, str) and name not in colormaps:
+        message = (
+            f"cmap must be the name of one of Matplotlib's colour maps, such as "
+            f"{', '.join((*MAGNITUDES, *SIGNED))}; got {name!r}"
+        )
+        raise InputError(message)
+    return (colormaps[name] if isinstance(name, str) else name).with_extremes(bad=MISSING)
+
+
+def color_limits(
+    values: npt.ArrayLike, *, diverging: bool = False, log: bool = False
+) -> tuple[float, float]:
+    """Return the ends of a colour scale: the 1st and 99th percentile of what is finite.
+
+    Where the scale is diverging, both ends are as far from its middle, which is 0, or 1 where it is
+    logarithmic.
+
+    Examples
+    --------
+    >>> color_limits([0.0, 2.0, np.nan]), color_limits([-1.0, -1.0, 0.5], diverging=True)
+    ((0.02, 1.98), (-1.0, 1.0))
+    >>> color_limits([0.25, 0.25, 2.0], diverging=True, log=True)
+    (0.25, 4.0)
+    """
+    x = np.asarray(values, float)
+    x = x[np.isfinite(x) & (x > 0)] if log else x[np.isfinite(x)]
+    x = np.log2(x) if log else x
+    if not x.size:
+        low, high = -float(diverging), 1.0
+    elif diverging:
+        high = float(np.percentile(np.abs(x), 99)) or 1.0
+        low = -high
+    else:
+        low, high = (float(v) for v in np.percentile(x, (1, 99)))
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    return (2.0**low, 2.0**high) if log else (low, high)
+
+
+def bar_ticks(low: float, high: float, *, log: bool = False) -> list[tuple[float, str]]:
+    """Return where a colour bar has ticks, and what they say: values, where it is logarithmic, too.
+
+    Around 1, powers of two are fractions, since ratios are thought of so.
+
+    Examples
+    --------
+    >>> [text for _, text in bar_ticks(1e-3, 1, log=True)]
+    ['0.001', '0.01', '0.1', '1']
+    >>> [text for _, text in bar_ticks(1 / 4, 4, log=True)]
+    ['1/4', '1/2', '1', '2', '4']
+    >>> [text for _, text in bar_ticks(-0.31, 0.3)]
+    ['−0.2', '0', '0.2']
+    """
+    ticks = _log_ticks(low, high) if log else []
+    if len(ticks) < _FEWEST:
+        steps = MaxNLocator(_TICKS - 1, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        edge = 1e-6 * (high - low)
+        digits = 2 + math.ceil(math.log10(max(abs(low), abs(high)) / (steps[1] - steps[0])))
+        inside = [float(v) for v in steps if low - edge <= v <= high + edge]
+        ticks = [(v, _tick(v, digits)) for v in inside]
+    return ticks
+
+
+def _log_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    edge = 1 + 1e-6
+    start, end = (math.floor(math.log10(v)) for v in (low, high * edge))
+    if abs(math.log(low * high)) < edge - 1 and high <= 2.0**_TICKS:
+        most = int(math.log2(high * edge))
+        powers = range(-most, most + 1, -(-(2 * most + 1) // _TICKS))
+        powers = range(-(most // powers.step) * powers.step, most + 1, powers.step)
+        return [(2.0**k, f"1/{2**-k}" if k < 0 else str(2**k)) for k in powers]
+    for factors, every, least in _LOG_TICKS:
+        decades = [k for k in range(start, end + 1) if k % every == 0]
+        found = [factor * 10.0**k for k in decades for factor in factors]
+        found = [v for v in found if low / edge <= v <= high * edge]
+        if least <= len(found) <= _TICKS:
+            return [(v, _tick(v)) for v in found]
+    return []
+
+
+def _tick(value: float, digits: int = 2) -> str:
+    value = float(f"{value:.{digits}g}")
+    plain = value == 0 or 1e-3 <= abs(value) < 1e6
+    text = f"{value:.{digits}g}" if not plain else f"{value:.{max(digits, 6)}g}"
+    return text.replace("e-0", "e-").replace("e+0", "e").replace("-", "−")
 
 
 NAMES: Mapping[str, str] = ChainMap(

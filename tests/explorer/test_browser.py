@@ -15,7 +15,7 @@ import pytest
 import chdstat as chd
 from chdstat.analysis import save
 from chdstat.explorer import Explorer, selection
-from chdstat.explorer.overlays import IMAGES
+from chdstat.explorer.overlays import IMAGES, ramp
 from chdstat.io import write_exr
 from chdstat.patterns import Label
 from chdstat.samples.store import Store
@@ -283,8 +283,22 @@ def test_maps_have_ranges_and_opacity_and_come_from_files(person, explored, stor
     again = person(explorer).open(one.page.evaluate("location.search"))
     again.waits_for(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
     assert again.page.locator("#opacity").input_value() == "0.5"
-    one.page.locator("select[data-option=map]").select_option("variance")
+    assert not one.page.locator("select[data-option=signed]").is_visible()
+    one.page.locator("select[data-option=cmap]").select_option("magma")
+    one.waits_for("location.search.includes('cm=magma')")
+    palette = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.color_mapper"
+    one.waits_for(f"{palette}.palette.at(-1) === '{ramp('magma')[-1]}'")
+    one.page.locator("select[data-option=map]").select_option("relative_error")
     one.waits_for("!location.search.includes('lim=')")
+    ticks = "[...document.querySelectorAll('#colorbar .ends span')].map((e) => e.innerText)"
+    one.waits_for(f"{ticks}.join(' ') === '0.001 0.01 0.1 1'")  # values, not their logarithms
+    relative = chd.open(store_path).pixel(20, 10).moments
+    share = float(relative.standard_error[-1] / relative.mean[-1])
+    one.point(20, 10)
+    assert float(one.text("#readout").rsplit(maxsplit=1)[1]) == pytest.approx(share, rel=1e-3)
+    one.page.locator("#limits input").first.fill("0")
+    one.page.locator("#limits input").first.press("Enter")
+    assert "must be above 0" in one.alert()
 
 
 def test_keys_change_exposure_channel_and_map(person, store_path):
@@ -533,7 +547,8 @@ def test_a_scene_is_sampled_where_it_is_clicked(person):
     maps = one.page.locator("select[data-option=map]")
     assert maps.locator("option").count() == 1 + len(IMAGES)  # what the image gives
     maps.select_option("relative_error")
-    one.waits_for("document.querySelector('#colorbar').innerText.includes('log10, luminance')")
+    bar = "document.querySelector('#colorbar').innerText"
+    one.waits_for(f"{bar}.includes('Standard error over mean (luminance)')")
     assert "sampled where you click" in one.text("#described")
 
 

@@ -79,7 +79,7 @@ def test_colours_are_distinct_for_colour_blind_readers(colors, least, vision):
 def test_channels_and_magnitudes_are_told_apart_in_grey():
     red, green, blue = (lab(color, "usual")[0] for color in viz.CHANNELS.values())
     assert green - 12 > red > blue + 12
-    lightness = [lab(color, "usual")[0] for color in styling.sequential()(np.linspace(0, 1, 64))]
+    lightness = [lab(color, "usual")[0] for color in styling.color_map()(np.linspace(0, 1, 64))]
     assert np.diff(lightness).min() > 0.5
 
 

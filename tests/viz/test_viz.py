@@ -231,7 +231,21 @@ def test_nothing_is_drawn_where_there_is_nothing():
     viz.fits(*nothing, {"gamma": lambda x: np.full(x.shape, np.nan)}).canvas.draw()
     viz.atlas(atlas(Samples.from_array(np.zeros((4, 4, 1, 8))))).canvas.draw()
     for value in (np.nan, 3.0):
-        viz.value_map(np.full((4, 4), value)).figure.canvas.draw()
+        for log in (False, True):
+            viz.value_map(np.full((4, 4), value), log=log).figure.canvas.draw()
+
+
+def test_logarithmic_maps_say_values_in_the_chosen_colours():
+    values = np.array([[0.0, -1.0, 0.01], [0.1, 1.0, np.nan]])
+    ax = viz.value_map(values, log=True, limits=(1e-3, 1), cmap="cividis")
+    image, bar = ax.images[0], ax.figure.axes[1]
+    assert image.get_cmap().name == "cividis"
+    assert (~np.isfinite(image.get_array().filled(np.nan))).sum() == 3
+    assert [t.get_text() for t in bar.get_yticklabels()] == ["0.001", "0.01", "0.1", "1"]
+    np.testing.assert_allclose(bar.get_yticks(), [1e-3, 1e-2, 0.1, 1])
+    diverging = viz.value_map(values, log=True, diverging=True, limits=(0.5, 8)).images[0]
+    assert (diverging.norm.vmin, diverging.norm.vmax) == (1 / 8, 8)
+    assert diverging.norm(1.0) == 0.5
 
 
 # --- curves of results ----------------------------------------------------------------------------

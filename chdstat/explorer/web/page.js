@@ -83,7 +83,7 @@ window.chdstat = (() => {
     const parts = models.channels.map((c) => `${c} ${number(data[c][0][at])}`);
     let text = `y ${y}  x ${x}  ·  ${parts.join("  ")}`;
     if (label) {
-      const value = models.maps[front].data.image[0]?.[at];
+      const shown = models.maps[front].data.image[0]?.[at], value = label.log ? 10 ** shown : shown;
       const word = label.names ? (label.names[value] ?? "none") : number(value);
       text += `  ·  ${label.title}: ${word}`;
     }
@@ -564,11 +564,12 @@ window.chdstat = (() => {
   }
 
   function colorbar(bar) {
-    label = bar && bar.names ? { title: bar.title, names: bar.names } : bar ? { title: bar.title } : null;
+    label = bar && { title: bar.title, names: bar.names, log: bar.log };
     const parent = $("#colorbar");
     parent.hidden = $("#ranging").hidden = !bar;
     if (!bar) return;
     $("#limits").hidden = Boolean(bar.names);
+    for (const option of ["cmap", "signed"]) $(`[data-option=${option}]`).parentElement.hidden = bar.signed !== (option === "signed");
     if (bar.limits) all("#limits input").forEach((e, i) => { if (e !== document.activeElement) e.value = bar.limits[i]; });
     const parts = [make("span", bar.unit ? `${bar.title} (${bar.unit})` : bar.title)];
     if (bar.names) {
@@ -581,7 +582,12 @@ window.chdstat = (() => {
       const ramp = make("div", null, { class: "ramp" });
       ramp.style.background = `linear-gradient(90deg, ${bar.ramp.join(",")})`;
       const ends = make("div", null, { class: "ends" });
-      ends.append(...bar.ticks.map((t) => make("span", t)));
+      for (const [share, text] of bar.ticks) {
+        const tick = make("span", text);
+        tick.style.left = `${100 * share}%`;
+        tick.style.transform = `translateX(${-100 * Math.min(Math.max(share, 0), 1)}%)`;
+        ends.append(tick);
+      }
       parts.push(ramp, ends);
     }
     if (bar.note) parts.push(make("p", bar.note, { class: "note" }));
