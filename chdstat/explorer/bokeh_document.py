@@ -108,6 +108,7 @@ class Page:
             document.title = f"{heading} · chdstat"
             document.template = _template()
             document.config.notify_connection_status = False  # the shell says it
+            document.config.reconnect_session = False  # it loads the page again
             stores = [s.samples.attrs for s in sources if isinstance(s, StoreSource)]
             variables = self._variables(given, stores)
             variables |= {"heading": heading, "coarse": coarse}
@@ -301,7 +302,7 @@ def colorbar(shown: Map | None) -> dict[str, Any] | None:
         colors = dict(zip(sorted(shown.names), shown.colors, strict=True))
         bar["names"] = {str(code): text for code, text in shown.names.items()}
         bar["codes"] = [
-            (shown.names[code], f" {100 * share[code]:.0f} %", colors[code])
+            (shown.names[code], f"{100 * share[code]:.0f}\N{NO-BREAK SPACE}%", colors[code])
             for code in (sorted(share) if shown.ordered else sorted(share, key=lambda c: -share[c]))
             if code in shown.names
         ]

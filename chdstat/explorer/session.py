@@ -80,7 +80,7 @@ class Session:
         self._live_spp: int | None = None
         self._paused, self._visible = True, True
         self._makes_image = self._image_is_old = False
-        self._seq, self._refused = _OWN_ACCORD, ""
+        self._seq, self._waited, self._refused = _OWN_ACCORD, _OWN_ACCORD, ""
         self.view, self._notes = parse_view(arguments, *self._size)
         if not self.view.pixels and self.view.region is None:
             self.view = self.view.pick(*first_pixel(workspace.overalls[0]))
@@ -110,9 +110,14 @@ class Session:
         try:
             handle(**message)
         except ChdstatError as error:
-            self._page.alert(str(error))
+            self._refuse(str(error))
         except (TypeError, ValueError, OverflowError, AttributeError) as error:
-            self._page.alert(f"the command {command!r} was not understood: {error}")
+            self._refuse(f"the command {command!r} was not understood: {error}")
+
+    def _refuse(self, text: str) -> None:
+        """Say why a command changes nothing."""
+        self._page.alert(text)
+        self._page.send({"kind": "done", "seq": self._seq, "refused": True})
 
     def _on_ready(self) -> None:
         self._describe()
@@ -232,7 +237,8 @@ class Session:
         """Show the selection at once, and its results when they are computed."""
         self.view = view
         self._show_view()
-        self._compute(self._seq)
+        self._waited = self._seq
+        self._compute()
 
     def _heard(self, what: str) -> None:
         """Show news of the passes over the image, or of the source."""
@@ -330,22 +336,22 @@ class Session:
 
     # --- results of the selection ---------------------------------------------------------------
 
-    def _compute(self, seq: int = _OWN_ACCORD) -> None:
-        """Compute the results of the view; `seq` is the number of the command."""
+    def _compute(self) -> None:
+        """Compute the results of the view, for the command that waits for them."""
         self._generation += 1
         self._is_new = True
         self._workspace.urgent(1)
-        view = self.view
+        view, seq = self.view, self._waited
 
         def work(check: Check) -> Found:
             try:
-                return self._found(view, check)
+                return self._found(view, seq, check)
             finally:
                 self._workspace.urgent(-1)
 
         self._start(self._workspace.clicks, work, partial(self._finished, seq, time.perf_counter()))
 
-    def _found(self, view: View, check: Check) -> Found:
+    def _found(self, view: View, seq: int, check: Check) -> Found:
         """Compute results in the thread of clicks; send the panels before there are tables."""
         check()
         plots = self._results.plots(view)
@@ -355,7 +361,7 @@ class Session:
         drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
         spp = min(place.spp for place in plots.places)
         drawn["names"] = self._workspace.names
-        drawn |= {"title": plots.title, "batch": plots.view.batch, "most": spp // BATCHES}
+        drawn |= {"seq": seq, "batch": plots.view.batch, "most": spp // BATCHES}
         self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
         return plots, *self._results.describe(plots)
 
@@ -366,7 +372,7 @@ class Session:
             check()
             if source.more(*view.pixels[view.active]).shape[1] >= MOST_SPP:
                 break
-        return self._found(view, check)
+        return self._found(view, _OWN_ACCORD, check)
 
     def _check(self) -> Check:
         """Return a function that raises `_Stopped` once there is a newer selection."""
@@ -387,9 +393,11 @@ class Session:
 
     def _finished(self, seq: int, start: float, future: Future[Found]) -> None:
         done = {"kind": "done", "seq": seq, "took": 0.0}
+        if seq == self._waited:
+            self._waited = _OWN_ACCORD
         if error := future.exception():
             self._alert(error)
-            self._page.send(done)
+            self._page.send({**done, "failed": f"The samples could not be read: {error}"})
             return
         found, self._is_new = future.result(), False
         done["took"] = time.perf_counter() - start
@@ -400,7 +408,7 @@ class Session:
         plots, tables, quick = found
         self._shown, self._live_spp = plots, plots.live_spp
         numbers, label = headline(plots.place), why(plots.place)
-        shown = {"kind": "headline", "numbers": numbers, "label": label}
+        shown = {"kind": "headline", "numbers": numbers, "label": label, "title": plots.title}
         self._page.send(shown, {"kind": "tables", "tables": tables}, done)
         self._tell_live()
         self._draw_more()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import shutil
+import threading
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -30,7 +31,7 @@ class Person:
     """Someone before a page: looks, points, clicks, presses keys."""
 
     def __init__(self, page, explorer):
-        self.page, self.url = page, explorer.url
+        self.page, self.explorer, self.url = page, explorer, explorer.url
         self.errors = []
         page.set_default_timeout(PATIENCE)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -148,6 +149,45 @@ def test_a_click_shows_the_distribution(person, store_path):
         "Bokeh.documents[0].get_model_by_name('log').renderers[1].data_source.data.xs.length"
     )
     assert lines >= 3
+
+
+MARKED = "[...document.querySelectorAll('#headline, .panels, .tables')].map((e) => e.ariaBusy)"
+
+
+def test_what_is_not_of_the_selection_is_marked(person, store_path, monkeypatch):
+    """From the command until it is fresh, whatever comes between; the server goes on when told."""
+    gates = {name: threading.Semaphore(0) for name in ("plots", "describe")}
+    results = selection.SelectionResults
+
+    def gated(compute, gate):
+        return lambda *arguments: gate.acquire(timeout=600) and compute(*arguments)
+
+    for name, gate in gates.items():
+        monkeypatch.setattr(results, name, gated(getattr(results, name), gate))
+    one = person(store_path)
+    one.page.goto(one.url + "?p=20,10&z=0,0,20,20")
+    one.page.wait_for_selector("body[data-ready]")
+    assert "Reading the samples" in one.text("#headline")  # no empty boxes ...
+    note = "getComputedStyle(document.querySelector('#note-log'), '::after').content"
+    assert "reading samples" in one.page.evaluate(note)
+    gates["plots"].release()
+    one.waits_for(f"{MARKED}.join() === 'true,false,true'")
+    gates["describe"].release()
+    one.waits_for(f"{MARKED}.join() === 'false,false,false'")
+    one.page.locator(".image").focus()
+    one.page.keyboard.press("l")
+    one.page.keyboard.press("j")
+    assert one.page.evaluate(MARKED) == ["true"] * 3  # at once, before any answer
+    one.waits_for("document.querySelector('#chips').innerText.includes('y 21 x 11')")
+    one.page.evaluate("window.chdstat.box({final: true, geometry: {type: 'rect', x0: -5, x1: -4,"
+                      " y0: 1, y1: 2}})")  # fmt: skip
+    assert "outside the image" in one.alert()  # is refused, and the last one is still to come
+    assert one.page.evaluate(MARKED) == ["true"] * 3
+    assert "y 20, x 10" in one.text("#headline h2")
+    for gate in gates.values():
+        gate.release(9)
+    one.waits_for(f"{MARKED}.join() === 'false,false,false'")
+    assert "y 21, x 11" in one.text("#headline h2")
 
 
 def test_pixels_that_are_worth_a_look_are_suggested(person, store_path):
@@ -550,6 +590,9 @@ def test_a_scene_is_sampled_where_it_is_clicked(person):
     bar = "document.querySelector('#colorbar').innerText"
     one.waits_for(f"{bar}.includes('Standard error over mean (luminance)')")
     assert "sampled where you click" in one.text("#described")
+    one.explorer._startup.workspace.sources[0].close()
+    one.click(3, 3)
+    assert "process that renders" in one.text("#failed")
 
 
 def test_a_store_deleted_under_the_server_is_a_message(person, own_store):
@@ -558,6 +601,8 @@ def test_a_store_deleted_under_the_server_is_a_message(person, own_store):
     shutil.rmtree(own_store)
     one.click(3, 3)
     assert "is gone" in one.alert()
+    assert "could not be read" in one.text("#failed")
+    assert not one.page.locator("#headline").is_visible()  # no numbers of the pixel before
     one.page.reload()
     one.page.wait_for_selector("body[data-shown]")
     assert one.text("h1") == "own.zarr · cornell-box"
@@ -577,7 +622,16 @@ def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
 
 def test_a_server_that_stops_is_told(person, store_path, explored):
     explorer = explored(store_path)
-    one = person(explorer).open()
+    sockets = """const Real = WebSocket;
+    window.sockets = [];
+    window.WebSocket = class extends Real {
+      constructor(...given) { super(...given); window.sockets.push(this); }
+    }"""
+    one = person(explorer)
+    one.page.add_init_script(sockets)
+    one.open()
+    one.page.evaluate("window.before = true; window.sockets[0].close()")
+    one.waits_for("!window.before && document.body?.dataset.shown")  # the page loads itself anew
     explorer.stop()
     assert "server has stopped" in one.alert()
     assert one.page.get_by_text("Reconnecting").count() == 0

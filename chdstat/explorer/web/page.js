@@ -3,7 +3,7 @@
 window.chdstat = (() => {
   "use strict";
   let models = null, sent = 0, view = null, label = null, query = "", lastMap = "null_share", drawn = null;
-  const timings = [];
+  const timings = [], RESULTS = "#headline, .panels, .tables";
   const $ = (query) => document.querySelector(query);
   const all = (query) => [...document.querySelectorAll(query)];
   const make = (tag, text, attributes = {}) => {
@@ -14,8 +14,27 @@ window.chdstat = (() => {
   };
   const swatch = (color) => { const i = make("i"); i.style.background = color; return i; };
 
+  // --- what is fresh ---
+  // What shows the selection is marked as soon as something else is asked for, until it shows that.
+  const SELECTS = ["ready", "pick", "move", "box", "activate", "drop"], LOOKS = ["map", "limits", "exposure", "tone", "gamma"];
+  let unanswered = [], held = null;
+  const outdate = (query, on) => all(query).forEach((e) => e.setAttribute("aria-busy", String(on)));
+  const freshen = (query, seq) => { if (!unanswered.some((n) => n > seq)) outdate(query, false); };
+  function answered(item) {
+    unanswered = unanswered.filter((n) => (item.refused ? n !== item.seq : n > item.seq));
+    if (!unanswered.length) outdate(RESULTS, false);
+  }
+  function fail(text) {
+    document.body.classList.toggle("failed", Boolean(text));
+    $("#failed").textContent = text;
+  }
+
   function send(command, options = {}) {
     sent += 1;
+    if (SELECTS.includes(command) || (command === "set" && !LOOKS.includes(options.option))) {
+      unanswered.push(sent);
+      outdate(RESULTS, true);
+    }
     if (["pick", "move", "box", "activate"].includes(command)) {
       timings.push({ seq: sent, start: performance.now() });
     }
@@ -280,30 +299,21 @@ window.chdstat = (() => {
       chips(item.colors);
       const nothing = !view.pixels.length && !view.region;
       document.body.classList.toggle("nothing", nothing);
+      if (nothing) fail("");
       if (nothing) for (const q of [".table:not(#goodness)", "#headline h2", "#why", "#headline dl", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
     },
     panels(item) {
+      held = item.seq < 0 ? item : null;  // nobody waits: all changes at once, with the numbers
+      if (held) return;
       drawn = item;
       document.body.dataset.drawn = "1";
-      draw(item);
-      heading($("#headline h2"), item.title, "headline");
-      // Many rows need some height each.
-      const rows = Math.max(...Object.values(item.panels).map((p) => p.rows));
-      $(".panels").style.setProperty("--taller", String(Math.max(1, rows / 3)));
-      const batch = $("select[data-option=batch]");
-      for (const o of batch.options) o.hidden = o.disabled = Number(o.value) > Math.max(1, item.most);
-      batch.value = String(item.batch);
-      for (const [name, notes] of Object.entries(item.notes)) $(`#note-${name}`).textContent = notes.join("  |  ");
-      for (const [i, b] of all("#sources [data-show]").entries()) {
-        const color = (item.legend.find(([text]) => text === item.names[i]) ?? [])[1];
-        b.querySelector("i").hidden = !color;
-        b.querySelector("i").style.background = color ? tint(color) : "";
-      }
-      $("#legend").replaceChildren(...item.legend.map(([text, color]) => {
-        const s = make("span"); s.append(swatch(tint(color)), text); return s;
-      }));
+      fail("");
+      fill(item);
+      freshen(".panels", item.seq);
     },
     headline(item) {
+      if (held) says.panels({ ...held, seq: 0 });
+      heading($("#headline h2"), item.title, "headline");
       const [label, cause] = item.label;
       $("#why").replaceChildren(named(label), `: ${cause}`);
       $("#headline dl").replaceChildren(...item.numbers.map(([title, value, detail]) => {
@@ -365,6 +375,8 @@ window.chdstat = (() => {
       setTimeout(() => URL.revokeObjectURL(url), 10000);
     },
     done(item) {
+      if (item.failed && !unanswered.some((n) => n > item.seq)) fail(item.failed);
+      answered(item);
       if (item.seq === pending) {
         pending = 0;
         if (following && wanted) followed(...wanted);
@@ -413,7 +425,7 @@ window.chdstat = (() => {
       for (const axis of [xaxis, yaxis]) axis.setv({ axis_label_text_color: color("faint"),
         major_label_text_color: color("text"), major_tick_line_color: color("faint"), axis_line_color: color("line") }, quiet);
     }
-    if (drawn) says.panels(drawn);
+    if (drawn) fill(drawn);
     if (view) chips(pixelColors);
   }
   function preferred() {
@@ -424,6 +436,25 @@ window.chdstat = (() => {
     const name = document.documentElement.dataset.theme === "light" ? "dark" : "light";
     try { localStorage.setItem("chdstat-theme", name); } catch { /* private windows keep nothing */ }
     theme(name);
+  }
+
+  function fill(item) {
+    draw(item);
+    // Many rows need some height each.
+    const rows = Math.max(...Object.values(item.panels).map((p) => p.rows));
+    $(".panels").style.setProperty("--taller", String(Math.max(1, rows / 3)));
+    const batch = $("select[data-option=batch]");
+    for (const o of batch.options) o.hidden = o.disabled = Number(o.value) > Math.max(1, item.most);
+    batch.value = String(item.batch);
+    for (const [name, notes] of Object.entries(item.notes)) $(`#note-${name}`).textContent = notes.join("  |  ");
+    for (const [i, b] of all("#sources [data-show]").entries()) {
+      const color = (item.legend.find(([text]) => text === item.names[i]) ?? [])[1];
+      b.querySelector("i").hidden = !color;
+      b.querySelector("i").style.background = color ? tint(color) : "";
+    }
+    $("#legend").replaceChildren(...item.legend.map(([text, color]) => {
+      const s = make("span"); s.append(swatch(tint(color)), text); return s;
+    }));
   }
 
   function draw(item) {
@@ -575,7 +606,7 @@ window.chdstat = (() => {
     if (bar.names) {
       const codes = make("div", null, { class: "codes" });
       codes.append(...bar.codes.map(([text, share, color]) => {
-        const s = make("span"); s.append(swatch(color), named(text), share); return s;
+        const s = make("span"); s.append(swatch(color), named(text), ` (${share})`); return s;
       }));
       parts.push(codes);
     } else {
@@ -666,7 +697,10 @@ window.chdstat = (() => {
     for (const range of [models.x_range, models.y_range]) range.change.connect(zoomed);
     for (const [i, source] of models.radiances.entries()) source.properties.data.change.connect(() => {
       // Two frames later Bokeh has drawn it over the coarse one, which then would show beside it.
-      requestAnimationFrame(() => requestAnimationFrame(() => { all(".image")[i].style.backgroundImage = ""; }));
+      requestAnimationFrame(() => requestAnimationFrame(() => {
+        all(".image")[i].style.backgroundImage = "";
+        all(".image")[i].classList.remove("waiting");
+      }));
       zoomed();
     });
     $("#theme").addEventListener("click", switchTheme);
@@ -715,8 +749,15 @@ window.chdstat = (() => {
   }
 
   function lost() {
-    if ($("#alert")) says.alert({ text: "The server has stopped; start 'chdstat explore' again and reload this page." });
+    if (!$("#alert")) return;
+    says.alert({ text: "The server has stopped: start 'chdstat explore' again, and this page loads itself anew." });
+    $("#working").textContent = "";
+    if (unanswered.length) says.done({ seq: sent, failed: "There was no answer: the server has stopped." });
+    setTimeout(again, 1000);
   }
+  // The address holds the view, so that a new page shows the same.
+  const again = () => fetch("/progress").then((r) => { if (r.ok) location.reload(); }).catch(() => setTimeout(again, 2000));
+
 
   document.documentElement.dataset.theme = preferred();  // before anything is painted
   return { start, tap, press, pressup, box, hover, lost, timings, tickLabel, logTicks };
