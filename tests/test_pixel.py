@@ -72,7 +72,7 @@ def test_a_pixel_without_light_has_no_fit_and_is_drawn(samples):
     dark = chd.Samples.from_array(np.zeros((2, 2, 3, 64))).pixel(0, 0)
     assert set(dark.families.values()) == {""}
     assert dark.null_share == 1
-    assert "no fit" in dark.plot().axes[1].get_title(loc="right")
+    assert "no positive samples" in dark.plot().axes[1].get_title(loc="right")
     assert "—" in repr(dark)
 
 
@@ -111,6 +111,70 @@ def test_without_places_there_is_one_for_each_pattern():
     assert len(study.pixels) == len(np.unique(labels))
 
 
+# --- curves ---------------------------------------------------------------------------------------
+
+
+def pixel_of(*rows):
+    """Return a pixel of rows of samples."""
+    return chd.Samples.from_array(np.array(rows)[np.newaxis, np.newaxis]).pixel(0, 0)
+
+
+def humps(rng, spp=512):
+    """Return samples of two log-normal distributions far apart, 30 % of them at the bright one."""
+    bright = rng.random(spp) < 0.3
+    return np.exp(rng.normal(size=spp) * np.where(bright, 0.3, 0.5) + np.where(bright, 2.0, -3.0))
+
+
+def test_two_humps_are_drawn_as_a_mixture_with_modes_there():
+    pixel = pixel_of(humps(np.random.default_rng(5)))
+    curve = pixel.curve(0)
+    assert curve.family == "mixture"
+    assert curve.name == "2 components"
+    x = np.geomspace(1e-3, 1e2, 500)
+    y = curve.density(x, 0.1, "log")
+    peaks = x[1:-1][(y[1:-1] > y[:-2]) & (y[1:-1] > y[2:])]
+    assert np.allclose(np.log(peaks), [-3.0, 2.0], atol=0.25)
+    assert (
+        curve.words == "2 components: 68\N{NO-BREAK SPACE}% at 0.050, 32\N{NO-BREAK SPACE}% at 7.4"
+    )
+
+
+def test_a_gamma_pixel_is_drawn_as_gamma():
+    curve = pixel_of(np.random.default_rng(6).gamma(2.0, 0.5, 2048)).curve(0)
+    assert (curve.family, curve.words.split(",")[0]) == ("gamma", "gamma (shape 2.0")
+    shape, scale = (float(curve.fit.parameters[name]) for name in ("shape", "scale"))
+    assert abs(shape - 2) < 0.25
+    assert abs(scale - 0.5) < 0.08
+    assert curve.misfit < 0.03
+
+
+def test_without_a_curve_a_word_says_why():
+    rng = np.random.default_rng(7)
+    few = np.where(np.arange(64) < 12, rng.lognormal(size=64), 0)
+    values = np.repeat([0.5, 0.75, 5.0], [30, 20, 14])
+    rows = np.full(64, 0.3), np.zeros(64), few, values
+    words = [pixel_of(row).curve(0).words for row in rows]
+    assert words[:3] == ["constant samples", "no positive samples", "too few positive samples"]
+    assert words[3] == "only a few values"
+
+
+def test_a_curve_expects_what_a_histogram_counts():
+    """Its density in a bin, over all bins, is the share of samples there, zeros of a channel too."""
+    rng = np.random.default_rng(8)
+    x = rng.lognormal(size=(2, 4096)) * np.array([[1.0], [5.0]])
+    x[0, 0::4] = 0
+    x[:, 1::4] = 0
+    pixel = pixel_of(*x)
+    for row, share in ((0, 2 / 3), (1, 1.0)):
+        for scale in ("log", "linear"):
+            counted = pixel.histograms[scale]
+            width = counted.bin_width[row]
+            density = pixel.curve(row).density(counted.centers[row], width, scale)
+            assert np.abs(density - np.nan_to_num(counted.density[row])).sum() * width < 0.25
+            if scale == "log":
+                assert density.sum() * width == pytest.approx(share, rel=0.01)
+
+
 def test_curves_of_several_modes_are_mixtures():
     """For regions of a report and of a notebook alike; few positive samples have none."""
     rng = np.random.default_rng(1)
@@ -119,10 +183,7 @@ def test_curves_of_several_modes_are_mixtures():
     x[1, 1, :, 12:] = 0
     samples = chd.Samples.from_array(x)
     pixels = [samples.pixel(*place) for place in ((0, 0), (1, 0), (1, 1))]
-    assert [pixel.curve and pixel.curve.name for pixel in pixels] == [
-        *("lognormal_mixture", "lognormal"),
-        None,
-    ]
-    assert all(panel_of(pixel, "wall").select("luminance").fits[0] for pixel in pixels[:2])
+    assert [pixel.curve(-1).family for pixel in pixels] == ["mixture", "lognormal", ""]
+    assert all(panel_of(pixel, "wall").select("luminance").fits[0].fit for pixel in pixels[:2])
     grey = chd.Samples.from_array(x[:, :, :1]).pixel(0, 0)
-    assert "mixture" in panel_of(grey, "wall").note
+    assert "2 components" in panel_of(grey, "wall").note

@@ -43,21 +43,21 @@ _IN_FULL = 12
 """Arrays up to this size are written number by number."""
 
 
-def number(value: float) -> str:
-    """Return a number with three digits, and a real minus sign.
+def number(value: float, digits: int = 3) -> str:
+    """Return a number with three digits, or so many, and a real minus sign.
 
     Examples
     --------
-    >>> number(0.012345), number(1234.5), number(-2.0), number(float("nan"))
-    ('0.0123', '1230', '−2.00', '—')
+    >>> number(0.012345), number(1234.5), number(-2.0), number(float("nan")), number(0.5, 2)
+    ('0.0123', '1230', '−2.00', '—', '0.50')
     """
     if not math.isfinite(value):
         return "—"
     if value == 0:
         return "0"
-    rounded = float(f"{value:.3g}")
-    digits = max(0, 2 - math.floor(math.log10(abs(rounded))))
-    text = f"{rounded:.{digits}f}" if 1e-4 <= abs(rounded) < 1e7 else f"{rounded:.1e}"
+    rounded = float(f"{value:.{digits}g}")
+    places = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
+    text = f"{rounded:.{places}f}" if 1e-4 <= abs(rounded) < 1e7 else f"{rounded:.1e}"
     return text.replace("-", "−")
 
 

@@ -27,7 +27,6 @@ from chdstat._core.arrays import Array
 from chdstat._core.display import as_p, number, percent
 from chdstat._core.resampling import Z_95
 from chdstat.explorer.address import View, row_of
-from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
@@ -298,7 +297,7 @@ def _histogram(view: View, scale: Scale, s: _Series) -> _SeriesCurve:
         return _SeriesCurve()
     mean = float(s.place.moments.mean[s.row])
     mean = mean if scale == "linear" or mean > 0 else float("nan")
-    return _SeriesCurve((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
+    return _SeriesCurve((x, y), _curves(view, s, scale, x[0], x[-1]), mean)
 
 
 def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
@@ -314,25 +313,17 @@ def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
     return x, np.concatenate([[0.0], np.repeat(heights[bins], 2), [0.0]])
 
 
-def _fits(view: View, s: _Series, scale: str, low: float, high: float, top: float) -> list[Trace]:
+def _curves(view: View, s: _Series, scale: Scale, low: float, high: float) -> list[Trace]:
     low = max(low, 1e-300)
     x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
+    width = float(s.place.histograms[scale].bin_width[s.row])
     lines = []
     for family in view.families:
-        fit = s.place.fit(family, s.row)
-        if fit is None:
-            continue
-        with np.errstate(all="ignore"):
-            y = fit.pdf(x) * (x * np.log(10) if scale == "log" else 1)
-        # A density may be infinite at 0: the histogram sets the height.
-        y = np.where(np.isfinite(y), np.minimum(y, top), np.nan)
+        curve = s.place.curve(s.row, family)
+        y = curve.density(x, width, scale)
         if np.isfinite(y).any():
-            lines.append(Trace(x, y, s.color, DASHES[_family(fit)], 2.0))
+            lines.append(Trace(x, y, s.color, DASHES[curve.family], 2.0))
     return lines
-
-
-def _family(fit: Fit) -> str:
-    return "mixture" if isinstance(fit, Mixture) else fit.family
 
 
 def _uncounted(series: Sequence[_Series], scale: Scale) -> list[str]:
@@ -359,13 +350,14 @@ def _qq(view: View, series: Sequence[_Series]) -> PanelData:
 
     Both axes are logarithmic, since the tails decide.
     """
-    lines, ends = [], []
+    lines, ends, reasons = [], [], []
     families: dict[str, None] = {}
     for s in series:
-        fit = s.place.fit(view.families[0] if view.families else "best", s.row)
-        part = s.place.part
+        curve = s.place.curve(s.row, view.families[0] if view.families else "best")
+        fit, part = curve.fit, s.place.part
         n = int(part.n[s.row])
-        if fit is None or n < 2:
+        if fit is None:
+            reasons.append(curve.reason)
             continue
         levels = _QUANTILES if n >= 100 else (np.arange(n) + 0.5) / n
         with np.errstate(all="ignore"):
@@ -375,12 +367,11 @@ def _qq(view: View, series: Sequence[_Series]) -> PanelData:
         seen = ordered[np.minimum((levels * n).astype(int), n - 1)]
         keep = np.isfinite(expected) & (expected > 0) & (seen > 0)
         if keep.any():
-            families[_family(fit)] = None
+            families[curve.family] = None
             lines.append(Trace(expected[keep], seen[keep], s.color, s.dash, 2.2))
             ends += [seen[keep].min(), seen[keep].max()]
     if not lines:
-        constant = all(s.constant is not None for s in series)
-        return PanelData(notes=["constant samples" if constant else "no family could be fitted"])
+        return PanelData(notes=[*dict.fromkeys(reasons)])
     diagonal = np.array([min(ends), max(ends)])
     lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2))
     return PanelData(lines=lines, notes=[f"against {', '.join(map(called, families))}"])

@@ -10,7 +10,7 @@ quadratically in the end. Rows that are done leave the block.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,6 +18,7 @@ import numpy as np
 from scipy import special, stats
 
 from chdstat._core.arrays import Floats, Mask
+from chdstat._core.display import number
 from chdstat._core.positive import Part
 from chdstat._core.statistic import RADIANCE
 from chdstat.errors import Reason
@@ -377,6 +378,11 @@ class LogNormal(Family):
     def distribution(self, parameters: Parameters) -> Any:
         """Return SciPy's distribution."""
         return stats.lognorm(parameters["sigma"], scale=np.exp(parameters["mu"]))
+
+    def words(self, parameters: Mapping[str, float]) -> str:
+        """Return the median, which says more than the mean of the logarithm, and sigma."""
+        median, sigma = np.exp(parameters["mu"]), parameters["sigma"]
+        return f"median {number(median, 2)}, σ {number(sigma, 2)}"
 
 
 class Weibull(Family):

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Floats, Mask, batch_rows, rows_by_count
+from chdstat._core.display import number
 from chdstat._core.positive import Part, PositiveHistogram, PositivePart
 from chdstat.errors import Reason
 
@@ -112,6 +113,10 @@ class Family:
     def mean(self, parameters: Parameters) -> Floats:
         """Return the expectation."""
         return np.asarray(self.distribution(parameters).mean())
+
+    def words(self, parameters: Mapping[str, float]) -> str:
+        """Return the parameters of one fit as a legend has room for them."""
+        return ", ".join(f"{name} {number(value, 2)}" for name, value in parameters.items())
 
     def log_likelihood(self, part: Part, parameters: Parameters) -> Floats:
         """Return the sum of the log densities of the positive samples in linear radiance, (...)."""

@@ -327,8 +327,12 @@ def _separation_interval(e: _PixelStatistics, widest: int) -> Floats:
 
 def _is_described(e: _PixelStatistics, t: Thresholds) -> Mask:
     """Return where there is one mode that gamma or log-normal describes."""
-    by_chance = _CHANCE / np.sqrt(np.maximum(e.part.n, 1))
-    return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
+    return np.asarray((e.misfit <= largest_misfit(e.part.n, t)) & (_clear_modes(e, t) == 1))
+
+
+def largest_misfit(n: npt.NDArray[np.int64], thresholds: Thresholds) -> Floats:
+    """Return the largest misfit of a family that describes n positive samples."""
+    return np.maximum(thresholds.misfit, _CHANCE / np.sqrt(np.maximum(n, 1)))
 
 
 def _misses(e: _PixelStatistics) -> Floats:

@@ -21,10 +21,11 @@ from chdstat._core.doors import draw, pixel_of, regions_of
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import Statistic, shown_statistics
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
+from chdstat.fit.curves import Curve, misfit
 from chdstat.fit.families import FAMILIES, FamilyFit, Fit
 from chdstat.fit.goodness_of_fit import FitTest, Goodness, GoodnessOfFit
-from chdstat.fit.mixtures import mixture
+from chdstat.fit.mixtures import MixtureFit
 from chdstat.fit.selection import FEWEST_SHOWN, FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex, tail_index
 from chdstat.inference.modes import Modality, ModalMixture, Modes, modality
@@ -36,7 +37,7 @@ from chdstat.patterns.classification import (
     choose_regions,
     classify,
 )
-from chdstat.patterns.definitions import PATTERNS, Thresholds
+from chdstat.patterns.definitions import PATTERNS, Thresholds, largest_misfit
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import LightPart
@@ -52,8 +53,10 @@ Found = TypeVar("Found")
 
 _POINTS = 96
 """Numbers of samples at which the running mean is known."""
-_OF_FITTED = ("part", "patterns", "constant")
+_OF_FITTED = ("part", "patterns", "constant", "_curves")
 """What depends on the fitted samples alone, and with `part` all that was measured of it."""
+_MORE = MixtureFit(max_k=8, effort="fast")
+"""The mixture of samples that one with few components does not describe."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,7 +103,7 @@ class Pixel(Shown):
     sequence: int = 1
     most_fitted: int | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
-    _drawn: ClassVar[str] = "histograms, best fits and means"
+    _drawn: ClassVar[str] = "histograms, curves and means"
 
     @classmethod
     def of(cls, samples: Samples, y: int, x: int) -> Self:
@@ -239,29 +242,61 @@ class Pixel(Shown):
         spread = self.part.log_statistics
         return np.asarray(spread.log_variance <= Thresholds().constant ** 2) & (spread.n > 1)
 
-    def fit(self, family: str, row: int) -> Fit | None:
-        """Return the fit of a family to a row, or "best" or "mixture".
+    def curve(self, row: int, family: str = "best") -> Curve:
+        """Return what is drawn over the histogram of a row, or why nothing is.
 
-        None where samples are constant, as families then describe rounding, or too few.
+        It is the family that BIC selects where the row has one mode and the family describes its
+        samples; else the mixture that does, so that no single family is drawn over two humps. The
+        mixture has at most three components, or up to eight where three do not describe the
+        samples. What describes them has a misfit of at most `Thresholds.misfit`, or no larger than
+        chance explains. Where nothing does, or samples are constant or too few, there is no curve.
+
+        Parameters
+        ----------
+        row
+            A channel, or luminance, by its place in `names`.
+        family
+            "best" for this rule; the name of a family or "mixture" for that one, however poor.
         """
-        if not family or self.constant[row] or self.part.n[row] < FEWEST_SHOWN:
-            return None
-        if family == "best":
-            return self.measured(FamilySelection()).best_fit(row)
-        kind = ModalMixture() if family == "mixture" else FamilyFit(FAMILIES[family])
-        return take_rows(self.measured(kind), row, axis=0)
+        if (row, family) not in self._curves:
+            self._curves[row, family] = self._curve(row, family)
+        return self._curves[row, family]
 
     @cached_property
-    def curve(self) -> Fit | None:
-        """What describes its luminance best: a mixture where this has several modes, else a family.
+    def _curves(self) -> dict[tuple[int, str], Curve]:
+        return {}
 
-        None where too few samples are positive, or there are neither 1 nor 3 channels.
-        """
-        if not self.has_luminance or self.part.n[-1] < FEWEST_SHOWN:
-            return None
-        if Label(int(self.patterns.label)) in (Label.BIMODAL, Label.MULTIMODAL):
-            return mixture(np.where(self.bad, np.nan, self.rows[-1].astype(np.float64)))
-        return self.measured(FamilySelection()).best_fit(-1)
+    def _curve(self, row: int, family: str) -> Curve:
+        n = int(self.part.n[row])
+        if self.constant[row]:
+            return Curve(reason="constant samples")
+        if n < FEWEST_SHOWN:
+            return Curve(reason=f"{'too few' if n else 'no'} positive samples")
+        ascending, least = self.part.sorted[row, :n], np.nan
+        for fit in self._fits(row, family):
+            if fit.reason != Reason.OK:
+                continue
+            curve = Curve(fit, misfit(fit, ascending))
+            if family != "best" or curve.misfit <= largest_misfit(self.part.n[row], Thresholds()):
+                return curve
+            least = float(np.fmin(least, curve.misfit))
+        values = self.measured(ModalMixture()).reason[row] == Reason.TIED
+        return Curve(None, least, "only a few values" if values else "no family fits")
+
+    def _fits(self, row: int, family: str) -> Iterator[Fit]:
+        """Yield the fits to try in turn."""
+        modes = int(self.measured(Modes()).modes[row])
+        if family in FAMILIES:
+            yield take_rows(self.measured(FamilyFit(FAMILIES[family])), row, axis=0)
+        elif family == "best" and modes <= 1:
+            best = self.measured(FamilySelection()).best_fit(row)
+            if best is not None:
+                yield best
+        if family in {"best", "mixture"}:
+            of_modes = take_rows(self.measured(ModalMixture()), row, axis=0)
+            if of_modes.k >= modes:
+                yield of_modes
+            yield take_rows(measured(self.part.rows(slice(row, row + 1)), _MORE), 0, axis=0)
 
     def averages(self, n: int) -> Floats:
         """Return the averages of consecutive good samples, n each, shape (row, average)."""
@@ -383,7 +418,7 @@ class Pixel(Shown):
         width: Width = "page",
         fig: Figure | None = None,
     ) -> Figure:
-        """Draw linear and log10 histograms of the channels, their best fits and their means.
+        """Draw linear and log10 histograms of the channels, what describes them best and their means.
 
         Parameters
         ----------

@@ -34,7 +34,7 @@ from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
 from chdstat.studies.studies import SceneStudy
 from chdstat.viz.results import panel_of
-from chdstat.viz.styling import NAMES, called, estimator_name, spelt, upright
+from chdstat.viz.styling import NAMES, estimator_name, spelt, upright
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -189,7 +189,8 @@ def _region_study(data: SceneData) -> Figure:
     for mark, pixel in zip(marks, pixels, strict=True):
         spread = number(float(data.analysis["coefficient_of_variation"][mark.pixel]))
         note = f"{percent(pixel.null_share)} null" + f", SD/mean {spread}" * (spread != "—")
-        words = "" if pixel.curve is None else called(pixel.curve.name)
+        curve = pixel.curve(-1)
+        words = curve.name or curve.reason
         room = len(mark.name) + len(note) + len(words) < _TITLE
         notes.append(note + f", {words}" * (bool(words) and room))
     panels = [panel_of(pixel, mark.name) for mark, pixel in zip(marks, pixels, strict=True)]

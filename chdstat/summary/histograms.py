@@ -259,13 +259,16 @@ class Histogram(Result):
         It is per unit of radiance, or per decade on the log scale. It integrates to the share of
         these samples that lie within the support.
         """
-        low, high = _axis_ends(self.scale, self.low, self.high)
-        width = (high - low) / self.counts.shape[-1]
-        if self.scale == "log":
-            width = width / np.log(10)
         total = self.counts.sum(axis=-1) + self.underflow + self.overflow
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.counts / (total * width)[..., np.newaxis])
+            return np.asarray(self.counts / (total * self.bin_width)[..., np.newaxis])
+
+    @property
+    def bin_width(self) -> Floats:
+        """Width of the bins in radiance, or in decades on the log scale, shape (...)."""
+        low, high = _axis_ends(self.scale, self.low, self.high)
+        width = (high - low) / self.counts.shape[-1]
+        return np.asarray(width / np.log(10) if self.scale == "log" else width)
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]:
         """Return the fields of a dataset: by name, the dims after y and x, and the array."""

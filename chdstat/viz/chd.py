@@ -26,6 +26,7 @@ from chdstat._core.arrays import Array, take_rows
 from chdstat._core.display import Width, channel_names, number, percent
 from chdstat.errors import InputError, check_option
 from chdstat.fit import Fit, Mixture, Tail
+from chdstat.fit.curves import Curve
 from chdstat.inference.modes import Modality
 from chdstat.patterns.pixel import Pixel
 from chdstat.summary.histograms import Histogram, Scale
@@ -51,8 +52,8 @@ from chdstat.viz.styling import (
     within,
 )
 
-Density = Callable[[Array], Array]
-"""Density of the positive samples, per unit of radiance."""
+Density = Callable[[Array], Array] | Curve
+"""Density of the positive samples, per unit of radiance, or what `Pixel.curve` returns."""
 
 Channels = str | Sequence[str] | None
 """Channels to draw: names, "red", "green", "blue" or "luminance"; None for all but luminance."""
@@ -284,8 +285,11 @@ def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> Non
     x = space(*ax.get_xlim(), _CURVE_POINTS)
     y = np.full(x.shape, np.nan)
     with np.errstate(all="ignore"):
-        y[x > 0] = density(x[x > 0])
-    y = y * x * np.log(10) if counted.scale == "log" else y
+        if isinstance(density, Curve):
+            y[x > 0] = density.density(x[x > 0], float(counted.bin_width), counted.scale)
+        else:
+            y[x > 0] = density(x[x > 0])
+            y = y * x * np.log(10) if counted.scale == "log" else y
     if not np.isfinite(y).any():
         return
     top = max(ax.get_ylim()[1], _ROOM * float(np.nanmax(counted.density, initial=0)))

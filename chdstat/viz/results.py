@@ -26,21 +26,17 @@ from chdstat.viz.estimators import (
 )
 from chdstat.viz.image import Mark, region_study
 from chdstat.viz.maps import contrast
-from chdstat.viz.styling import called
 
 _AROUND = 2
 """Pixels around that of a region that are marked with it."""
 
 
 def panel_of(pixel: Pixel, title: str, *, family: str = "best") -> Panel:
-    """Return a pixel as `chdstat.viz.chd_grid` draws it: histograms, fits of a family and means."""
-    fits = [pixel.fit(family, row) for row in range(len(pixel.names))]
-    if family == "best" and pixel.has_luminance:
-        fits[-1] = pixel.curve
-    named = [called(fit.name) for fit in fits[: len(pixel.channels)] if fit is not None]
-    note = f"{percent(pixel.null_share)} null, {' / '.join(dict.fromkeys(named)) or 'no fit'}"
-    densities = [None if fit is None else fit.pdf for fit in fits]
-    return Panel.of_pixel(title, pixel, fits=densities, note=note)
+    """Return a pixel as `chdstat.viz.chd_grid` draws it: histograms, curves and means."""
+    curves = [pixel.curve(row, family) for row in range(len(pixel.names))] if family else []
+    named = dict.fromkeys(curve.name or curve.reason for curve in curves[: len(pixel.channels)])
+    note = ", ".join([f"{percent(pixel.null_share)} null", " / ".join(named)][: 1 + bool(named)])
+    return Panel.of_pixel(title, pixel, fits=curves, note=note)
 
 
 def _pixel(pixel: Pixel, **options: Any) -> Figure:

@@ -105,7 +105,7 @@ def test_nearly_constant_samples_are_a_spike_without_fits():
     view = View(families=FITS)
     drawn = panels(view, series_of(view, {"a": [place]}))
     assert place.constant.all()
-    assert place.fit("best", 0) is None
+    assert place.curve(0).fit is None
     spikes = [float(line.x[0]) for line in drawn["linear"].lines]
     np.testing.assert_allclose(spikes, x.max(axis=-1))
     assert drawn["qq"].notes == ["constant samples"]
