@@ -159,7 +159,7 @@ def test_without_a_curve_a_word_says_why():
 
 
 def test_a_curve_expects_what_a_histogram_counts():
-    """Its density in a bin, over all bins, is the share of samples there, zeros of a channel too."""
+    """Zeros of one channel are samples that it does not describe."""
     rng = np.random.default_rng(8)
     x = rng.lognormal(size=(2, 4096)) * np.array([[1.0], [5.0]])
     x[0, 0::4] = 0
@@ -170,8 +170,8 @@ def test_a_curve_expects_what_a_histogram_counts():
             counted = pixel.histograms[scale]
             width = counted.bin_width[row]
             density = pixel.curve(row).density(counted.centers[row], width, scale)
-            assert np.abs(density - np.nan_to_num(counted.density[row])).sum() * width < 0.25
-            if scale == "log":
+            assert np.abs(density - np.nan_to_num(counted.density[row])).sum() * width < 1.2 - share
+            if scale == "log":  # all samples are in its bins
                 assert density.sum() * width == pytest.approx(share, rel=0.01)
 
 

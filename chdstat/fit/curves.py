@@ -125,12 +125,13 @@ class Curve:
             return np.full(at.shape, np.nan)
         half = 10 ** (width / 2) if scale == "log" else width / 2
         low, high = (at / half, at * half) if scale == "log" else (at - half, at + half)
-        low = np.maximum(low, 0)
+        low, high = np.maximum(low, 0), np.maximum(high, 0)
         zero = found.n_null + found.n_zero
         among = found.n_zero + found.n_negative + found.n
         inside = (found.cdf(high) - found.cdf(low)) * (zero + found.n) / among
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(inside / (width if scale == "log" else high - low))
+            density = np.asarray(inside / (width if scale == "log" else high - low))
+        return np.where(high > 0, density, 0.0)
 
 
 def _held(share: float, radiance: float) -> str:

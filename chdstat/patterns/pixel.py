@@ -418,7 +418,7 @@ class Pixel(Shown):
         width: Width = "page",
         fig: Figure | None = None,
     ) -> Figure:
-        """Draw linear and log10 histograms of the channels, what describes them best and their means.
+        """Draw linear and log10 histograms of the channels, their curves and their means.
 
         Parameters
         ----------
