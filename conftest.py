@@ -25,8 +25,9 @@ No test may change what these return.
 from __future__ import annotations
 
 import functools
+import gc
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -49,6 +50,21 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """Use all cores for all tests, and one process for benchmarks and for files that are named."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     return None if whole and not config.getoption("benchmark_only") else 0
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """Keep what all tests have in common out of garbage collections: it took a sixth of the time.
+
+    Else, each goes through some million objects of imported libraries and of collected tests.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
