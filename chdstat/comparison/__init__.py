@@ -5,7 +5,8 @@
 n, and returns an `ErrorCurve`; `chdstat.bench` compares on several scenes. `denoised` puts a
 denoiser after an estimator. `DEFAULT_ESTIMATORS` are compared by default, also by `chdstat.bench`,
 `chdstat.study`, `chdstat.report` and the explorer. `MEASURES` describes the measures; each one is
-an `Interval`. A `Judge` is what samples tell of the true radiance.
+an `Interval`. `image_errors` measures finished images against a reference. A `Judge` is what
+samples tell of the true radiance.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from chdstat.comparison.comparisons import (
     error_curve,
 )
 from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
+from chdstat.comparison.image_errors import ImageErrors, image_errors
 from chdstat.comparison.judges import Judge
 from chdstat.comparison.metrics import MEASURES
 
@@ -30,6 +32,7 @@ __all__ = [
     "Comparison",
     "Denoised",
     "ErrorCurve",
+    "ImageErrors",
     "Interval",
     "Judge",
     "PixelEstimates",
@@ -37,6 +40,7 @@ __all__ = [
     "curve_sizes",
     "denoised",
     "error_curve",
+    "image_errors",
 ]
 
 

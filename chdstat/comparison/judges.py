@@ -21,7 +21,7 @@ little between the two may be extrapolated to no noise; what changes much is not
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -33,6 +33,7 @@ from scipy import ndimage
 
 from chdstat._core.arrays import Array, Floats, LeftOut
 from chdstat._core.image_scales import relative_scale
+from chdstat._core.work import finished
 from chdstat.errors import InputError
 from chdstat.estimators.held_out import without
 from chdstat.estimators.registry import whole_samples
@@ -144,12 +145,19 @@ class PartialSums:
     @classmethod
     def of(cls, samples: Samples) -> Self:
         """Sum over an image in one pass through its blocks."""
-        height, width, channels, _ = samples.shape
+        return finished(cls.adding(samples))
+
+    @classmethod
+    def adding(cls, samples: Samples) -> Generator[tuple[str, float], None, Self]:
+        """Do the same in steps; yield what is being done, and the share that is done."""
+        height, width, channels, spp = samples.shape
         total = np.zeros((height, width, channels, PARTS))
         count = np.zeros((height, width, 1, PARTS), np.int64)
         square = np.zeros((height, width, channels))
-        left_out = LeftOut()
+        left_out, done = LeftOut(), 0
         for ys, xs, ss, block in samples.blocks():
+            yield f"reading all of {samples.name}", done / (height * width * spp)
+            done += block[:, :, 0].size
             left_out.see(block, channel_axis=-2, absent=samples.absent(ys, xs, ss))
             kept, sums, number = _sums_of(block, ss.start or 0)
             total[ys, xs] += sums

@@ -161,6 +161,8 @@ class Workspace:
         Their images so far.
     maps
         Maps, finished or not, by what `key` says and by their name.
+    errors
+        Errors of the other images against one, by its index.
     suggested
         Names and places of pixels that are worth a first look.
     passes
@@ -182,13 +184,14 @@ class Workspace:
         empty = Overall.empty(*sources[0].size, len(sources[0].channels))
         self.overalls = [empty for _ in sources]
         self.maps: dict[tuple[str, str], Map] = {}
+        self.errors: dict[int, ImageErrors] = {}
         self.suggested: list[tuple[str, PixelIndex]] = []
         self.clicks, self.exports, self.additions, self.images = self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
             for name in ("clicks", "exports", "additions", "images")
         ]
         self._listeners: set[_Listener] = set()
-        self._urgent = 0
+        self._urgent, self._drawn = 0, False
         self._lock = threading.Lock()
         self.passes = Passes(lambda: self._urgent > 0, self.tell)
 
@@ -213,7 +216,8 @@ class Workspace:
     def listen(self, listener: _Listener) -> Callable[[], None]:
         """Call a listener with the name of what changes; return what to call to end that.
 
-        The names are "image", "working", "source", "suggested", "start" and those of maps.
+        The names are "image", "drawn", "working", "source", "suggested", "start", and those of
+        maps and errors.
         """
         self._listeners.add(listener)
         return partial(self._listeners.discard, listener)
@@ -260,6 +264,11 @@ class Workspace:
             message = f"{kind.title!r} needs samples, which {source.name} does not have: {how}"
             raise InputError(message)
 
+    def want_errors(self, who: Hashable, reference: int) -> None:
+        """Let a page wait for the errors of the images against one of them."""
+        if len(self.sources) > 1 and self._drawn and reference not in self.errors:
+            self.passes.ask((who, "errors"), f"errors {reference}", self._measure(reference))
+
     def map(self, view: View) -> Map | None:
         """Return what there is of the map of a view."""
         shown, reference = view.of_images(len(self.sources))
@@ -283,6 +292,8 @@ class Workspace:
             self.sources = [new or old for new, old in zip(grown, self.sources, strict=True)]
             self.passes.forget()
             self.maps.clear()
+            self.errors.clear()
+            self._drawn = False
             self.passes.ask(self, "start", self._draw())
             self.tell("source")
 
@@ -313,6 +324,8 @@ class Workspace:
                         self._image(i, source.overall())
                         shown = now
                     yield "drawing the image", share
+        self._drawn = True
+        self.tell("drawn")
 
     def _image(self, index: int, overall: Overall) -> None:
         """Show an image; what takes long is found here and not in the thread of the server."""
@@ -326,6 +339,18 @@ class Workspace:
             if source in self.sources:  # else it has grown
                 self.maps[key, name] = replace(kind, values=values, done=share)
             yield f"mapping {kind.title}", share
+
+    def _measure(self, reference: int) -> Pass:
+        """Measure the errors of all other images against one."""
+        source, mean = self.sources[reference], self.overalls[reference].mean
+        name = self.names[reference]
+        truth = source.samples if isinstance(source, StoreSource) else Reference(mean, name=name)
+        images: dict[str, Any] = {}
+        for i, (of, one) in enumerate(zip(self.names, self.sources, strict=True)):
+            if i != reference and not isinstance(one, SceneSource):
+                mean = self.overalls[i].mean
+                images[of] = one.samples if isinstance(one, StoreSource) else mean
+        self.errors[reference] = yield from measuring_errors(images, truth, name=name)
 
     def _contrast(self, key: str, shown: int, reference: int) -> Pass:
         pair = reference, shown

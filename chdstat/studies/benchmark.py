@@ -31,7 +31,8 @@ from chdstat.comparison.estimator_choice import (
     takes,
     without_denoiser,
 )
-from chdstat.comparison.judges import PARTS, Judge, PartialSums
+from chdstat.comparison.image_errors import Truth
+from chdstat.comparison.judges import PARTS, PartialSums
 from chdstat.comparison.metrics import (
     HAS_FLIP,
     SUMS,
@@ -487,7 +488,7 @@ class _Inputs:
         )
         return found.first(self.numbers[-1])
 
-    def reference(self, name: str, scene: Any, given: Any) -> _Converged:
+    def reference(self, name: str, scene: Any, given: Any) -> Truth:
         """Return the reference of a scene."""
         more, held = _held(given), _held(scene)
         if more is not None:
@@ -501,11 +502,11 @@ class _Inputs:
                     f"pixel; give one of another seed, or of {2 * first} samples or more"
                 )
                 raise InputError(message)
-            return _Converged.of(name, more.isel(sample=slice(first, None)))
+            return _truth(name, more.isel(sample=slice(first, None)))
         if given is not None:
             named = isinstance(given, str | Path)
             image = np.asarray(read_exr(given).image if named else given, np.float64)
-            return _Converged.of_parts(np.stack([image] * PARTS))
+            return Truth.of_parts(np.stack([image] * PARTS))
         if held is not None:
             if held.spp < 2 * self.numbers[-1]:
                 message = (
@@ -513,7 +514,7 @@ class _Inputs:
                     f"after the first {self.numbers[-1]}; give one in references"
                 )
                 raise InputError(message)
-            return _Converged.of(name, held.isel(sample=slice(self.numbers[-1], None)))
+            return _truth(name, held.isel(sample=slice(self.numbers[-1], None)))
         batches = render_batches(
             scene,
             spp=self.reference_spp,
@@ -529,7 +530,7 @@ class _Inputs:
             digest = hashlib.sha256(repr(about).encode()).hexdigest()[:8]
             kept = Path(self.folder) / f"{name}-reference-{digest}.npz"
         if kept is not None and kept.exists():
-            return _Converged.of_parts(np.load(kept)["parts"])
+            return Truth.of_parts(np.load(kept)["parts"])
         means = np.stack([batch.mean(axis=-1, dtype=np.float64) for batch in batches])
         if len(means) < PARTS:
             message = f"a reference needs at least {PARTS} samples per pixel, got {len(means)}"
@@ -539,7 +540,7 @@ class _Inputs:
             kept.parent.mkdir(parents=True, exist_ok=True)
             with replacing(kept) as file, file.open("wb") as stream:
                 np.savez(stream, parts=parts)
-        return _Converged.of_parts(parts)
+        return Truth.of_parts(parts)
 
 
 def _held(given: Any) -> Samples | None:
@@ -549,43 +550,21 @@ def _held(given: Any) -> Samples | None:
     return open_samples(given) if is_store(given) else None
 
 
-@dataclass(frozen=True)
-class _Converged:
-    """A reference of a scene, and means of each half of its samples, shape (2, y, x, channel)."""
-
-    reference: Judge
-    halves: Array
-
-    @classmethod
-    def of(cls, name: str, samples: Samples) -> _Converged:
-        sums = PartialSums.of(samples)
-        found = sums.judge()
-        if not np.isfinite(found.mean).any():
-            message = f"the reference of {name} has no pixel with {PARTS} good samples"
-            raise InputError(message)
-        return cls(found, sums.halves)
-
-    @classmethod
-    def of_parts(cls, parts: Array) -> _Converged:
-        """Return the reference of means of equally many samples, shape (4, y, x, channel)."""
-        known = np.isfinite(parts).all(axis=(0, -1))
-        scene_mean = parts[:, known].mean(axis=(0, 1)) if known.any() else np.ones(parts.shape[-1])
-        error = parts.std(axis=0, ddof=1) / np.sqrt(PARTS)
-        halves = np.stack([parts[k::2].mean(axis=0) for k in range(2)])
-        return cls(Judge.of_image(parts, error, scene_mean), halves)
+def _truth(name: str, samples: Samples) -> Truth:
+    return Truth.of(name, PartialSums.of(samples))
 
 
 def _measured(
     entries: Mapping[str, Entry],
     images: Images,
     numbers: Sequence[int],
-    truth: _Converged,
+    truth: Truth,
     samples: Samples,
     scene: str,
     baseline: str,
 ) -> list[Case]:
     """Return a case for each number of samples."""
-    reference = truth.reference
+    reference = truth.judge
     shape = reference.mean.shape
     if shape != samples.shape[:3]:
         message = f"the reference of {scene} has shape {shape}, its samples {samples.shape[:3]}"
