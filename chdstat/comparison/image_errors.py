@@ -195,10 +195,12 @@ def measuring_errors(
     reference: ImageLike | Reference | npt.ArrayLike,
     *,
     name: str = "",
+    means: Mapping[str, Array] | None = None,
 ) -> Generator[tuple[str, float], None, ImageErrors]:
     """Return what `image_errors` does, in steps.
 
-    Yields what is being done, and the share that is done. `name` is that of the reference.
+    Yields what is being done, and the share that is done. `name` is that of the reference, `means`
+    are those of samples whose mean is known.
     """
     truth, noise, known_name, samples = yield from _truth_of(reference)
     judge = truth.judge
@@ -215,7 +217,8 @@ def measuring_errors(
             why[of] = "it has the random numbers of the reference; render it with another seed"
             errors[of] = {k: Interval.unknown() for k in _ERRORS if k != "flip" or HAS_FLIP}
             continue
-        mean = yield from _mean_of(given if own is None else own)
+        found = (means or {}).get(of)
+        mean = (yield from _mean_of(given if own is None else own)) if found is None else found
         if mean.shape != judge.mean.shape:
             message = (
                 f"{of} must have the shape of the reference, {judge.mean.shape}, got {mean.shape}"
@@ -234,9 +237,8 @@ def _truth_of(
         parts = np.broadcast_to(image.mean, (PARTS, *image.shape))
         noise = f"{image.name} counts as the truth: its noise stays in the errors"
         return Truth.of_parts(parts), noise, image.name, None
-    if image is not None:
-        batches: Array = image.batches
-        parts = np.stack([batches[..., k::PARTS].mean(axis=-1) for k in range(PARTS)])
+    if image is not None and image.batches is not None:
+        parts = np.stack([image.batches[..., k::PARTS].mean(axis=-1) for k in range(PARTS)])
         return Truth.of_parts(parts), f"the noise of {image.name} is subtracted", image.name, None
     samples = samples_of(given, averages=True)
     sums = yield from PartialSums.adding(samples)

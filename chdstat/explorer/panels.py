@@ -39,8 +39,8 @@ BLENDED = "#d0d3d6"
 CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
 PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
 """After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
-_SOURCE_COLORS = tuple(PIXEL_COLORS[i] for i in (3, 2, 5, 4, 1, 0))
-"""Colours of compared stores, different from those of the first pixels."""
+RENDER_COLORS = tuple(PIXEL_COLORS[i] for i in (3, 2, 5, 4, 1, 0))
+"""Colours of several renders; their pixels are all marked in `BLENDED` then, and have numbers."""
 LIGHT = {
     BLENDED: "#4a4f55",
     **dict(zip(CHANNEL_COLORS.values(), ("#b3261e", "#0f7039", "#1257b0"), strict=True)),
@@ -141,6 +141,8 @@ class _Series:
         Number of the pixel, from 1, where there are several; else 0.
     dash
         Of its lines, but for those of fits.
+    mark
+        Colour of the mark of the pixel.
     """
 
     place: Pixel
@@ -149,6 +151,7 @@ class _Series:
     name: str
     pixel: int = 0
     dash: str = "solid"
+    mark: str = BLENDED
 
     @property
     def constant(self) -> float | None:
@@ -156,6 +159,16 @@ class _Series:
         if not self.place.constant[self.row]:
             return None
         return float(self.place.moments.maximum[self.row])
+
+
+def mark_colors(images: int) -> tuple[str, ...]:
+    """Return the colours of the marks of pixels, of which renders of so many have none."""
+    return PIXEL_COLORS if images == 1 else (BLENDED,) * len(PIXEL_COLORS)
+
+
+def render_color(index: int) -> str:
+    """Return the colour of one of several renders."""
+    return RENDER_COLORS[index % len(RENDER_COLORS)]
 
 
 def series_of(view: View, places: Mapping[str, Sequence[Pixel]]) -> list[_Series]:
@@ -172,11 +185,12 @@ def series_of(view: View, places: Mapping[str, Sequence[Pixel]]) -> list[_Series
         return [_Series(place, i, CHANNEL_COLORS.get(name, BLENDED), name) for i, name in named]
     found = []
     for k, (name, those) in enumerate(places.items()):
-        color, dash = _SOURCE_COLORS[k % 6], "solid" if k < 6 else "dashed"
+        color, dash = render_color(k), "solid" if k < len(RENDER_COLORS) else "dashed"
         for i, place in enumerate(those):
             pixel = i + 1 if len(those) > 1 else 0
             own = (color, name) if several else (PIXEL_COLORS[i], f"pixel {pixel}")
-            found.append(_Series(place, row_of(view.channel, place.names), *own, pixel, dash))
+            mark, row = mark_colors(len(places))[i], row_of(view.channel, place.names)
+            found.append(_Series(place, row, *own, pixel, dash, mark))
     return found
 
 
@@ -230,7 +244,7 @@ def _densities(
     lines, texts, own_x = list[Trace](), list[Any](), name != "log"
     for pixel in range(1, rows + 1):
         group = [(s, d) for s, d in found if s.pixel == pixel]
-        base, color, ends = rows - pixel, PIXEL_COLORS[pixel - 1], _ends([d for _, d in group])
+        base, color, ends = rows - pixel, group[0][0].mark, _ends([d for _, d in group])
         nulls = dict.fromkeys(percent(s.place.null_share) for s, _ in group)
         note = f"{' / '.join(nulls)} null"
         if ends and own_x:

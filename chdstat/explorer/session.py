@@ -28,10 +28,10 @@ from chdstat.explorer.batch_estimates import PlaceEstimates
 from chdstat.explorer.bokeh_document import Page, coarse_png, colorbar, isolated, rgba
 from chdstat.explorer.export import EXPORTS, exported
 from chdstat.explorer.image_sources import MOST_SPP, ImageSource, SceneSource, StoreSource
-from chdstat.explorer.overlays import map_kind
-from chdstat.explorer.panels import PIXEL_COLORS, encode_panels
+from chdstat.explorer.overlays import Map, map_kind
+from chdstat.explorer.panels import encode_panels, mark_colors
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
-from chdstat.explorer.tables import Table, headline, why
+from chdstat.explorer.tables import Table, errors_table, headline, why
 from chdstat.explorer.workspace import Workspace, first_pixel
 
 _log = logging.getLogger("chdstat")
@@ -95,6 +95,7 @@ class Session:
     def _gone(self) -> None:
         self._generation += 1  # drops what is being worked on
         self._workspace.passes.leave(self)
+        self._workspace.passes.leave((self, "errors"))
         self._end()
 
     # --- commands: the page sends the name of a method, without its `_on_`, and its arguments ---
@@ -129,6 +130,7 @@ class Session:
             notes.append(str(error))
             self.view = self.view.changed("map", "image")
         self._show_map()
+        self._want_errors()
         if notes:
             self._page.alert("; ".join(notes))
         self._heard("working")
@@ -170,6 +172,7 @@ class Session:
             self._show_image()
         elif option in {"shown", "reference"}:
             self._want()
+            self._want_errors()
         elif option in {"map", "limits", "cmap", "signed"}:
             self._show_map()
 
@@ -182,6 +185,18 @@ class Session:
             self._refused = str(error)
         self._show_map()
 
+    def _want_errors(self) -> None:
+        """Request the errors of the images against the reference, and show what there is."""
+        workspace = self._workspace
+        if len(workspace.sources) == 1:
+            return
+        _, reference = self.view.of_images(len(workspace.sources))
+        workspace.want_errors(self, reference)
+        said = workspace.passes.failures.get(f"errors {reference}", "being measured")
+        found = workspace.errors.get(reference)
+        table = errors_table(found, workspace.names[reference], said)
+        self._page.send({"kind": "tables", "tables": {"errors": table}})
+
     def _on_export(self, *, format: str) -> None:  # noqa: A002 - its name on the page
         if format not in EXPORTS:
             message = f"exports are {', '.join(EXPORTS)}; got {format!r}"
@@ -191,7 +206,7 @@ class Session:
             raise InputError(message)
         self._page.send({"kind": "working", "text": f"exporting {format}"})
         images = dict(zip(self._workspace.names, self._means, strict=True))
-        work = partial(exported, format, self._shown, images, self._exposure)
+        work = partial(exported, format, self._shown, images, self._exposure, self._map())
         self._page.run(self._workspace.exports, work, self._exported)
 
     def _on_pause(self) -> None:
@@ -248,6 +263,8 @@ class Session:
             self._page.alert(failed)
         elif what == "suggested":
             self._page.send({"kind": "suggested", "pixels": self._workspace.suggested})
+        elif what == "drawn" or what.startswith("errors "):
+            self._want_errors()
         elif what == "image":
             self._show_image()
             self._show_view()
@@ -268,7 +285,8 @@ class Session:
     def _show_view(self) -> None:
         view = {"view": asdict(self.view), "query": self.view.query(), "exposure": self._exposure}
         view["images"] = self.view.of_images(len(self._workspace.sources))
-        self._page.send({"kind": "view", **view, "colors": PIXEL_COLORS})
+        colors = mark_colors(len(self._workspace.sources))
+        self._page.send({"kind": "view", **view, "colors": colors})
 
     @property
     def _exposure(self) -> float:
@@ -309,18 +327,23 @@ class Session:
         if self._image_is_old:
             self._show_image()
 
+    def _map(self) -> Map | None:
+        """Return what there is of the map, as it is shown."""
+        found = None if self.view.map == "image" else self._workspace.map(self.view)
+        if found is None:
+            return None
+        cmap = self.view.signed if found.diverging else self.view.cmap
+        return replace(found, ends=self.view.limits or found.ends, cmap=cmap)
+
     def _show_map(self) -> None:
         """Show the finished part of the map and its progress, or remove the map."""
         said = self._refused
-        found = None if said or self.view.map == "image" else self._workspace.map(self.view)
+        found = None if said else self._map()
         if self.view.map != "image" and not said and (found is None or found.done < 1):
             passes, key = self._workspace.passes, self._workspace.key(self.view)
             share = passes.shares.get(key)
             done = "being computed" if share is None else f"{100 * share:.0f} %"
             said = f"{map_kind(self.view.map).title}: {passes.failures.get(key, done)}"
-        if found is not None:
-            cmap = self.view.signed if found.diverging else self.view.cmap
-            found = replace(found, ends=self.view.limits or found.ends, cmap=cmap)
         self._page.show_map(found, self.view.of_images(len(self._workspace.sources))[0])
         self._page.send({"kind": "colorbar", "bar": colorbar(found), "said": said})
 

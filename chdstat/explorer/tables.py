@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from chdstat._core.display import as_p, number, percent, reasons, with_error, with_interval
-from chdstat.comparison import DEFAULT_ESTIMATORS
+from chdstat.comparison import DEFAULT_ESTIMATORS, ImageErrors
 from chdstat.errors import Reason
 from chdstat.explorer.address import row_of
 from chdstat.explorer.batch_estimates import PlaceEstimates
@@ -209,6 +209,16 @@ def compared_table(found: Difference, channels: Sequence[str], names: tuple[str,
     p = as_p(float(found.p_value))
     note = f"p of equal CHDs, all channels together: {p} (permutation test; {samples})"
     return _table(f"{names[1]} against {names[0]}", ["measure", *channels], rows, note)
+
+
+def errors_table(found: ImageErrors | None, reference: str, said: str) -> Table:
+    """Return the errors of the images against one of them; `said` where they are not known yet."""
+    title = f"Errors against {reference}"
+    if found is None or not found.shown:
+        return _table(title, [], [], said)
+    columns = list(found.shown[0])
+    rows = [[row[column] for column in columns] for row in found.shown]
+    return _table(title, columns, rows, "; ".join(found.notes))
 
 
 def light_table(title: str, rows: Sequence[Mapping[str, str | float]]) -> Table:

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Floats, luminance
 from chdstat._core.files import Cache, is_exr, user_cache
 from chdstat._core.positive import PositivePart
+from chdstat.comparison.image_errors import ImageErrors, measuring_errors
 from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.explorer.address import PixelIndex, View
@@ -49,6 +50,7 @@ from chdstat.explorer.overlays import (
 )
 from chdstat.explorer.passes import Pass, Passes
 from chdstat.inference.contrasts import contrasting
+from chdstat.inference.references import Reference
 from chdstat.patterns import Thresholds
 from chdstat.patterns.classification import Classification
 from chdstat.patterns.definitions import firefly_limit
@@ -348,9 +350,14 @@ class Workspace:
         images: dict[str, Any] = {}
         for i, (of, one) in enumerate(zip(self.names, self.sources, strict=True)):
             if i != reference and not isinstance(one, SceneSource):
-                mean = self.overalls[i].mean
-                images[of] = one.samples if isinstance(one, StoreSource) else mean
-        self.errors[reference] = yield from measuring_errors(images, truth, name=name)
+                image = self.overalls[i].mean
+                images[of] = one.samples if isinstance(one, StoreSource) else image
+        means = {
+            name: overall.mean for name, overall in zip(self.names, self.overalls, strict=True)
+        }
+        found = yield from measuring_errors(images, truth, name=name, means=means)
+        if source is self.sources[reference]:  # else it has grown
+            self.errors[reference] = found
 
     def _contrast(self, key: str, shown: int, reference: int) -> Pass:
         pair = reference, shown

@@ -415,6 +415,7 @@ def chd_grid(
     columns: int | None = None,
     channels: Channels = None,
     scales: Scale | Sequence[Scale] = SCALES,
+    colors: Sequence[str] | None = None,
     width: Width = "page",
     fig: Figure | None = None,
 ) -> Figure:
@@ -431,6 +432,8 @@ def chd_grid(
         two; with several renderings, as many as there are renderings.
     channels, scales
         As for `chd_pair`.
+    colors
+        Colour of each pixel, as of its mark; None takes those of `chdstat.viz.PALETTE`.
     width
         Width of the figure: "column", "page" or inches.
     fig
@@ -464,7 +467,7 @@ def chd_grid(
     height = 1.27 * -(-len(shown) // columns) + 0.3
     figure = page(fig, height, width, wspace=0.02, hspace=0.04)
     axes = grid(figure, each * len(shown), each * columns)
-    colors = qualitative(len(renderings[0]))
+    colors = colors or qualitative(len(renderings[0]))
     for k, (i, name, panel) in enumerate(shown):
         own = axes[each * k : each * (k + 1)]
         title = f"{i + 1} {panel.name}" + (f", {name}" if name else "")

@@ -87,12 +87,15 @@ class Mark:
         Rows and columns of the region, in pixels.
     pixel
         (y, x) of the pixel in the region whose distribution is shown.
+    color
+        Of its frame; None takes that of its place in `chdstat.viz.PALETTE`.
     """
 
     name: str
     ys: slice
     xs: slice
     pixel: tuple[int, int]
+    color: str | None = None
 
 
 @style()
@@ -165,7 +168,8 @@ def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
     """Show an image with the frames and numbers of its marks."""
     ax.imshow(shown, interpolation="nearest")
     bare(ax)
-    for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
+    for i, (mark, usual) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
+        color = mark.color or usual
         _outline(ax, mark.ys, mark.xs, color)
         ax.annotate(
             str(i + 1), (mark.xs.start - 0.5, mark.ys.start - 0.5), xytext=(-1, 1),
@@ -179,7 +183,7 @@ def _inset(
     ax: Axes, shown: Array, mark: Mark, place: int, *, letters: int = 99, titled: bool = True
 ) -> None:
     """Show a region and its surroundings, with the pixel whose distribution is shown."""
-    color = qualitative(place + 1)[place]
+    color = mark.color or qualitative(place + 1)[place]
     half = max(4, mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start)
     _magnify(ax, shown, mark.pixel, half)
     _frame(ax, mark.pixel, color, linewidth=1.2)

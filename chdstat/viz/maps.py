@@ -7,7 +7,8 @@ several renders and the CHDs of the same places.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
@@ -548,6 +549,8 @@ def renders_compared(
     marks: Sequence[Mark] = (),
     *,
     difference: tuple[str, str] | None = None,
+    maps: Sequence[Callable[..., Any]] = (),
+    colors: Mapping[str, str] | None = None,
     exposure: float | None = None,
     width: Width = "page",
     fig: Figure | None = None,
@@ -567,6 +570,10 @@ def renders_compared(
         Places; each has a number in the images, and a CHD.
     difference
         Names of two renders; the luminance of the first minus the second is drawn, too.
+    maps
+        Functions that draw a further panel into their ``ax``, such as a partial of `value_map`.
+    colors
+        Colour of the CHDs of each render; None takes those of `chdstat.viz.PALETTE`.
     exposure
         As in `tonemap`; all images share it. None exposes for the first image.
     width
@@ -595,7 +602,11 @@ def renders_compared(
     arrays = {name: np.asarray(image, float) for name, image in images.items()}
     first = next(iter(arrays.values()))
     exposure = display_stops(first) if exposure is None else exposure
-    count, wide = len(arrays) + (difference is not None), inches(width, fig)
+    if difference is not None:
+        one, two = (luminance(arrays[name], channel_axis=-1) for name in difference)
+        look: Any = {"title": " − ".join(difference), "unit": "luminance", "diverging": True}
+        maps = [partial(value_map, one - two, **look), *maps]
+    count, wide = len(arrays) + len(maps), inches(width, fig)
     across, places = fitting(wide, min(count, 4), 1.6), len(marks) if samples else 0
     columns = fitting(wide, min(places, 2), 2.5)
     height = wide / across * upright(*first.shape[:2]) + 0.25
@@ -608,11 +619,10 @@ def renders_compared(
     for ax, (name, image) in zip(axes, arrays.items(), strict=False):
         draw_marked(ax, tonemap(image, exposure=exposure), marks)
         bare(ax, within(name, wide / across))
-    if difference is not None:
-        one, two = (luminance(arrays[name], channel_axis=-1) for name in difference)
-        title = within(" − ".join(difference), wide / across)
-        value_map(one - two, title=title, unit="luminance", diverging=True, ax=axes[-1])
-    colors = dict(zip(arrays, qualitative(len(arrays)), strict=True))
+    for ax, further in zip(axes[len(arrays) :], maps, strict=True):
+        further(ax=ax)
+        ax.set_title(within(ax.get_title(), wide / across))
+    colors = {**dict(zip(arrays, qualitative(len(arrays)), strict=True)), **(colors or {})}
     cells = parts[-1].subgridspec(max(1, below), columns, wspace=0.12)
     for i, mark in enumerate(marks if places else ()):
         ax = figure.add_subplot(cells[i // columns, i % columns])
@@ -629,6 +639,6 @@ def renders_compared(
         ax.set_xlabel(f"luminance ({UNIT}), log scale")
         ax.set_ylabel("" if i % columns else "density")
     if places:
-        look: Any = {"loc": "outside lower center", "ncols": 2 * columns, "handlelength": 1}
-        figure.legend(handles=swatches(colors), **look)
+        where: Any = {"loc": "outside lower center", "ncols": 2 * columns, "handlelength": 1}
+        figure.legend(handles=swatches(colors), **where)
     return figure
