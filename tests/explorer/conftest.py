@@ -55,8 +55,10 @@ def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no chromium: no test in a browser")
     with api.sync_playwright() as playwright:
-        # A container has neither the sandbox's privileges nor much shared memory.
+        # A container has neither the sandbox's privileges nor much shared memory. Pages are drawn
+        # without a graphics processor, which would be imitated, at half the browser's time.
         arguments = ["--no-sandbox", "--disable-dev-shm-usage"]
+        arguments += ["--disable-gpu", "--disable-software-rasterizer"]
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=arguments, timeout=600_000
         )

@@ -77,6 +77,7 @@ def runner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., p
     folder = tmp_path_factory.mktemp("runner")
     root = str(Path(chd.__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": root, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # files of one size change within a second
     # Where CI is set, pytest repeats whole messages at its end.
     others = ("PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT", "PYTEST_ADDOPTS")
     for name in (*others, "CI", "BUILD_NUMBER"):
