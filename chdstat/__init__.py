@@ -49,6 +49,7 @@ _MODULES = (
 )
 
 DOORS = {
+    "classified": "patterns.classification",
     "draw": "viz.results",
     "pixel_of": "patterns.pixel",
     "read_reference": "io.reference_files",

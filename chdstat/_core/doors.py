@@ -82,3 +82,5 @@ pixel_of: Door[Any] = Door("pixel_of", "looked at pixel by pixel")
 """Return the `chdstat.patterns.Pixel` of samples at row y and column x."""
 regions_of: Door[Any] = Door("regions_of", "looked at region by region")
 """Return the `chdstat.patterns.Regions` of samples at places by name."""
+classified: Door[Any] = Door("classified", "classified")
+"""Return the dataset of `chdstat.classify` of samples."""

@@ -201,6 +201,26 @@ class Blocks:
         return cls(of_pixel, np.zeros(min(height, across) * min(width, across), dtype=np.int64))
 
     @classmethod
+    def strata(cls, height: int, width: int) -> Blocks:
+        """Cut an image into regions, and each region into blocks.
+
+        Of one image, what is asked is a number of this image, and not one of others like it. Parts
+        of it that differ are then no chance: only what differs within a region is.
+
+        Examples
+        --------
+        >>> blocks = Blocks.strata(64, 64)
+        >>> len(blocks), len(np.unique(blocks.region))
+        (256, 16)
+        """
+        rows, columns = (min(size, _ACROSS**2) for size in (height, width))
+        of_pixel = block_numbers(height, width, across=_ACROSS**2).ravel()
+        y = np.arange(rows) // _ACROSS
+        x = np.arange(columns) // _ACROSS
+        region = y[:, np.newaxis] * _ACROSS + x
+        return cls(of_pixel, region.ravel())
+
+    @classmethod
     def join(cls, parts: list[Blocks]) -> Blocks:
         """Concatenate the pixels of several regions."""
         firsts = np.cumsum([0, *(len(part.region) for part in parts)])

@@ -272,10 +272,14 @@ def contrast(
     out: Path | None = None,
     distributions: bool = False,
 ) -> None:
-    """Test whether renders have the same mean as another one, and which is more efficient.
+    """Test whether renders have the same mean as another one, and rank them by their noise.
 
     A render is a finished store, an EXR or PFM image, a folder of EXR passes, or a scene. A scene
     is drawn at the size of the reference until its samples tell, or --spp of them are drawn.
+
+    Finished stores, the last one too, are ranked by their noise, at equal spp and at equal time;
+    the ranking says where in the image each is the least noisy. 'chdstat report' of several stores
+    says why, too.
 
     The exit code is 0 if no difference was found, 3 if one was, and 4 if the samples cannot tell,
     for example because they are too few; of several renders, the worst counts. An error ends with
@@ -301,18 +305,20 @@ def contrast(
     junit : FILE
         Results as JUnit XML for continuous integration, .xml.
     out : path
-        A page with maps to write, .pdf, for one render.
+        A page with maps to write, .pdf, for one render or several stores.
     distributions : bool
         Test variances and distributions of pixels, too.
     """
     import chdstat
     from chdstat.inference import Contrasts
+    from chdstat.inference.contrasts import with_noise
     from chdstat.reporting.figures import save_figure
 
     *names, last = sources
     page = None if out is None else asked.target(out, ".pdf")  # refused before the work
     table = None if junit is None else output.junit_target(junit, asked)
-    _check_renders(names, page)
+    renders = _stores_of_one_view(sources)
+    _check_renders(names, page, ranked=bool(renders))
     other = _reference_of(last, variance, reference_spp)
     options = {"alpha": alpha / len(names), "seconds": seconds, "distributions": distributions}
     contrasts: dict[str, Contrast] = {}
@@ -326,31 +332,53 @@ def contrast(
         )
         times[name] = time.monotonic() - begin
     together = Contrasts(contrasts, alpha)
+    if renders:
+        together = with_noise(together, renders, patterns=False)
     if page is not None:
-        save_figure(chdstat.viz.contrast(found), page)
+        save_figure((together if len(names) > 1 else found).plot(), page)
     if table is not None:
         output.write_junit(table, contrasts, times)
     _print_contrasts(together, asked)
-    output.say_next(asked.quiet, ("explore", *names, last))
+    more = [("report", *sources, "-o", "renders.pdf")] if renders else []
+    output.say_next(asked.quiet, *more, ("explore", *names, last))
     if code := _CODES[together.outcome]:
         raise typer.Exit(code)
 
 
-def _check_renders(names: list[str], page: Path | None) -> None:
-    """Refuse renders that cannot be compared together."""
+def _stores_of_one_view(sources: list[str]) -> dict[str, Samples]:
+    """Return the samples of all renders by name; none if they cannot be ranked by their noise."""
+    from chdstat.inference.noise_rankings import check_one_view
+    from chdstat.inference.render_pairs import independent
+    from chdstat.samples import is_store
+
+    if len(sources) < 2 or not all(map(is_store, sources)):
+        return {}
+    found = {name: independent(name) for name in sources}
+    try:
+        check_one_view(found)
+    except InputError:  # the contrasts say what is wrong with it
+        return {}
+    return found
+
+
+def _check_renders(names: list[str], page: Path | None, *, ranked: bool) -> None:
+    """Refuse renders that cannot be contrasted together."""
     if not names:
         message = "contrast needs a render and what to compare it with, got one path"
         raise InputError(message)
     if twice := next((name for name in names if names.count(name) > 1), ""):
         message = f"expected several renders, got {twice} twice"
         raise InputError(message)
-    if page is not None and len(names) > 1:
-        message = f"-o writes a page about one render, got {len(names)}; leave it out, or --junit"
+    if page is not None and len(names) > 1 and not ranked:
+        message = (
+            f"-o writes a page about one render or several stores of one view, got {len(names)} "
+            "renders; leave it out, or --junit"
+        )
         raise InputError(message)
 
 
 def _reference_of(name: str, variance: Path | None, spp: int | None) -> Path | Reference:
-    """Return what renders are compared with: an image, or the place of a store."""
+    """Return what renders are contrasted with: an image, or the place of a store."""
     from chdstat.inference import Reference
 
     given = variance is not None or spp is not None
@@ -460,17 +488,27 @@ def _print_contrasts(found: Contrasts, asked: CommonOptions) -> None:
     contrasts = list(found.contrasts.values())
     one = contrasts[0] if len(contrasts) == 1 else None
     if asked.as_json:
-        output.print_json((one or found).to_dict())
+        noise = {} if found.noise is None else {"noise": found.noise.to_dict()}
+        output.print_json(found.to_dict() if one is None else one.to_dict() | noise)
         return
-    output.print_sentences([(one or found).conclusion])
+    output.print_sentences([found.means if one is None else one.conclusion])
     typer.echo()
-    if one is not None:
+    if one is None:
+        _print_means(found)
+    else:
         output.print_table(one.table())
-        return
+    if found.noise is not None:
+        typer.echo()
+        output.print_rows(rows := found.noise.in_words(), {name: name for name in rows[0]})
+        output.print_notes(found.noise.facts())
+
+
+def _print_means(found: Contrasts) -> None:
+    """Print contrasts of means as a table, and what is not in order."""
     shares = ("loss", "smallest_loss_image", "smallest_loss_tenth")
     rows = [
         row | {"p": number(row["p"])} | {name: percent(row[name]) for name in shares}
-        for row in found.table()
+        for row in found.mean_rows()
     ]
     output.print_rows(rows, _CONTRASTED)
     output.print_notes(

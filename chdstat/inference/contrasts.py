@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack, overload
 
 import numpy as np
@@ -38,14 +39,23 @@ from chdstat._core.display import (
     png,
     with_interval,
 )
-from chdstat._core.doors import draw
+from chdstat._core.doors import draw, report
+from chdstat._core.files import checked_target
 from chdstat._core.image_scales import relative_scale, tonemap
-from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
+from chdstat._core.resampling import Blocks, Interval, q_values
 from chdstat._core.statistic import RADIANCE
 from chdstat._core.work import finished
 from chdstat.errors import InputError, Reason, check_probability
+from chdstat.inference.noise_rankings import (
+    NoiseRanking,
+    RankedRender,
+    check_one_view,
+    cost_ratio,
+    named_renders,
+    noise_ranking,
+)
 from chdstat.inference.references import Reference
-from chdstat.inference.render_pairs import Pair
+from chdstat.inference.render_pairs import Pair, independent
 from chdstat.inference.windows import (
     CHANCE_TO_MISS,
     LEAST_LIGHT,
@@ -375,10 +385,14 @@ class Contrasts(Tabled):
         `Contrast` of each render, by its name; each at the level alpha / number of renders.
     alpha
         Level of all of them together.
+    noise
+        Which of the renders is noisier, where and why, with the one that the others are contrasted
+        with; None if that was not asked for.
     """
 
     contrasts: Mapping[str, Contrast]
     alpha: float
+    noise: NoiseRanking | None = None
 
     def __getitem__(self, name: str) -> Contrast:
         return self.contrasts[name]
@@ -391,13 +405,40 @@ class Contrasts(Tabled):
     @property
     def conclusion(self) -> str:
         """What was found, in words."""
-        counts = [sum(c.outcome == name for c in self.contrasts.values()) for name in _OUTCOMES]
+        return " ".join([self.means, *([] if self.noise is None else [self.noise.conclusion])])
+
+    @property
+    def means(self) -> str:
+        """Whether the means agree, in words; if renders are ranked, with their names."""
         alarm = f"chance of any false alarm {percent(self.alpha)}"
-        found = f"{counts[2]} of {_counted(sum(counts), 'render')} differ ({alarm})"
-        return f"{found}; {counts[1]} cannot be told." if counts[1] else f"{found}."
+        by_outcome: dict[str, list[str]] = {name: [] for name in _OUTCOMES}
+        for name, of in self.contrasts.items():
+            by_outcome[of.outcome].append(name)
+        if self.noise is None:
+            counts = [len(by_outcome[name]) for name in _OUTCOMES]
+            found = f"{counts[2]} of {_counted(sum(counts), 'render')} differ ({alarm})"
+            return f"{found}; {counts[1]} cannot be told." if counts[1] else f"{found}."
+        last = self.noise.names[-1]
+        same, unknown, differ = (_listed(names) for names in by_outcome.values())
+        parts = [f"no difference from {last} found in {same}"] if same else []
+        parts += [f"for {unknown} that cannot be told"] if unknown else []
+        parts += [f"{differ} differ{'s' * (len(by_outcome['differ']) == 1)} from {last}"] * bool(
+            differ
+        )
+        less = " A render that lacks light also has less noise." if differ else ""
+        return f"Means: {'; '.join(reversed(parts))} ({alarm}).{less}"
 
     def table(self) -> list[dict[str, Any]]:
-        """Return a row for each render."""
+        """Return a row for each render; if renders are ranked, the least noisy one first."""
+        means = self.mean_rows()
+        if self.noise is None:
+            return means
+        by_name = {row["render"]: row for row in means}
+        missing = dict.fromkeys(means[0])
+        return [missing | by_name.get(row["render"], {}) | row for row in self.noise.table()]
+
+    def mean_rows(self) -> list[dict[str, Any]]:
+        """Return what was found of the mean of each render, but of the last one."""
         return [
             {
                 "render": name,
@@ -417,11 +458,52 @@ class Contrasts(Tabled):
         """Return the numbers of all contrasts, ready for JSON."""
         of_each = {name: of.to_dict() for name, of in self.contrasts.items()}
         about = {"outcome": self.outcome, "conclusion": self.conclusion, "alpha": self.alpha}
-        return dict(plain(about | {"contrasts": of_each}))
+        noise = {} if self.noise is None else {"noise": self.noise.to_dict()}
+        return dict(plain(about | {"contrasts": of_each} | noise))
+
+    def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
+        """Draw the renders, their noise, and where each is the least noisy.
+
+        Raises
+        ------
+        InputError
+            If the renders are not ranked by their noise.
+        """
+        return draw(self, width=width, fig=fig)
+
+    def report(self, path: str | Path) -> Path:
+        """Write a short PDF: the ranking, where in the image each render wins, and why.
+
+        Parameters
+        ----------
+        path
+            The PDF to write; an existing one is replaced.
+
+        Raises
+        ------
+        InputError
+            If the path does not end in .pdf, or the renders are not ranked by their noise.
+        """
+        return report(self, checked_target(path, ".pdf"))
 
     def _card(self) -> Card:
-        of_each = {name: of.conclusion for name, of in self.contrasts.items()}
-        return Card("Contrasts", {"conclusion": self.conclusion} | of_each)
+        if self.noise is None:
+            of_each = {name: of.conclusion for name, of in self.contrasts.items()}
+            return Card("Contrasts", {"conclusion": self.conclusion} | of_each)
+        facts = {"means": self.means.removeprefix("Means: ")} | self.noise.facts(brief=True)
+        return Card("Contrasts", facts, self.noise.in_words())
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a list in a sentence.
+
+    Examples
+    --------
+    >>> _listed(["a", "b", "c"]), _listed([])
+    ('a, b and c', '')
+    """
+    *first, last = names or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 class _Options(TypedDict, total=False):
@@ -434,12 +516,16 @@ class _Options(TypedDict, total=False):
 
 
 @overload
+def contrast(
+    a: Mapping[str, Any] | Sequence[Any], b: None = None, **options: Unpack[_Options]
+) -> Contrasts: ...
+@overload
 def contrast(a: Mapping[str, Any], b: _RenderLike, **options: Unpack[_Options]) -> Contrasts: ...
 @overload
 def contrast(a: _RenderLike | Draw, b: _RenderLike, **options: Unpack[_Options]) -> Contrast: ...
 def contrast(
-    a: _RenderLike | Draw | Mapping[str, Any],
-    b: _RenderLike,
+    a: _RenderLike | Draw | Mapping[str, Any] | Sequence[Any],
+    b: _RenderLike | None = None,
     *,
     alpha: float = 0.05,
     spp: int | None = None,
@@ -448,7 +534,9 @@ def contrast(
     distributions: bool = False,
     seed: Seed = 0,
 ) -> Contrast | Contrasts:
-    """Test whether two renders of a view have the same mean, pixel by pixel and over regions.
+    """Test whether renders of a view have the same mean; of several, rank them by noise, too.
+
+    The means are tested pixel by pixel and over regions.
 
     **Equal numbers of samples.** Sample i of A and sample i of B make a term, B - A. If both
     renders have one distribution, both signs of a term are equally likely. Flipping signs then
@@ -483,12 +571,17 @@ def contrast(
     apart, or `spp` are drawn. It is looked at after a quarter, a half and all of them, with levels
     that add up to `alpha`.
 
+    **Several renders**, a list without `b`, are each contrasted with the last one, and ranked by
+    their noise: which is noisier at equal spp and at equal time, where in the image, and why
+    (`chdstat.inference.noise_rankings`).
+
     Parameters
     ----------
     a
         A render: `Samples`, the path of a store, or an array (y, x, channel, sample). Or a function
         that draws one from a seed, as an array (y, x, channel) or (y, x, channel, sample). Or a
-        `Reference` or an image, as `b`. Or several renders by their names.
+        `Reference` or an image, as `b`. Or several renders by their names. Or, without `b`, a list
+        of renders with samples, or several by their names, to be ranked.
     b
         Another render of the same view and size, or an image without samples: a `Reference`, which
         says how well its means are known; or else the path of an EXR file, the result of
@@ -515,7 +608,8 @@ def contrast(
     Returns
     -------
     Contrast or Contrasts
-        The conclusion in words, the numbers, and maps; for several renders, one for each.
+        The conclusion in words, the numbers, and maps; for several renders, one for each, and their
+        ranking.
 
     Raises
     ------
@@ -543,8 +637,17 @@ def contrast(
     >>> found = contrast(a, b)
     >>> found.outcome, found.window
     ('differ', (0, 0, 16, 16))
+    >>> c = 1 + (a - 2) * 0.5  # a quarter of the variance
+    >>> contrast({"a": a, "c": c + 1}).noise.order.names
+    ('c', 'a')
     """
     options: dict[str, Any] = {"seconds": seconds, "seed": seed, "distributions": distributions}
+    if b is None:
+        if (spp, finds) != (None, None) or not isinstance(a, Mapping | list | tuple):
+            given = type(a).__name__ if (spp, finds) == (None, None) else "spp or finds"
+            message = f"without b, expected a list of finished renders, got {given}; give b, too"
+            raise InputError(message)
+        return _ranked(a, alpha=alpha, **options)
     if isinstance(a, Mapping):
         if not a:
             message = "contrast needs a render, got an empty mapping"
@@ -564,6 +667,53 @@ def contrast(
         message = "spp and finds are for a function that draws samples, got a finished render"
         raise InputError(message)
     return finished(contrasting(a, b, alpha=alpha, **options))
+
+
+def _ranked(given: Mapping[str, Any] | Sequence[Any], *, alpha: float, **options: Any) -> Contrasts:
+    """Return several renders contrasted with the last one, and ranked by their noise."""
+    if isinstance(given, Mapping):
+        renders = {str(name): independent(of) for name, of in given.items()}
+    else:
+        renders = named_renders([independent(of) for of in given])
+    if len(renders) < 2:
+        message = f"a ranking needs two renders or more, got {len(renders)}"
+        raise InputError(message)
+    check_one_view(renders)
+    *names, last = renders
+    found = {
+        name: contrast(renders[name], renders[last], alpha=alpha / len(names), **options)
+        for name in names
+    }
+    return with_noise(Contrasts(found, alpha), renders)
+
+
+def with_noise(
+    found: Contrasts, renders: Mapping[str, Samples], *, patterns: bool = True
+) -> Contrasts:
+    """Return contrasts of renders with the last one, with their ranking by noise.
+
+    Parameters
+    ----------
+    found
+        Contrast of each render with the last one.
+    renders
+        Samples of all renders by name, in the same order.
+    patterns
+        Say which patterns hold the noise, too; that takes longer than all else.
+    """
+    contrasts = [*found.contrasts.values()]
+    sides = [*((of, "a", 0) for of in contrasts), (contrasts[0], "b", 1)]
+    ranked = [
+        RankedRender(
+            name,
+            samples,
+            of.maps[f"mean_{side}"].to_numpy()[..., -samples.shape[2] :],
+            of.maps[f"variance_{side}"].to_numpy(),
+            of.seconds[i],
+        )
+        for (name, samples), (of, side, i) in zip(renders.items(), sides, strict=True)
+    ]
+    return replace(found, noise=noise_ranking(ranked, alpha=found.alpha, patterns=patterns))
 
 
 def contrasting(
@@ -798,9 +948,7 @@ def _efficiency(maps: dict[str, Array], seconds: tuple[float, float]) -> Interva
     known = np.isfinite(costs).all(axis=0)
     if not known.any():
         return Interval.unknown()
-    blocks = Blocks.grid(*mean.shape)[known]
-    one, other = (blocks.sums(cost[known]) for cost in costs)
-    return interval_of(lambda w: (w @ one) / (w @ other), blocks, bounds=(0, np.inf))
+    return cost_ratio(costs[0][known], costs[1][known], Blocks.strata(*mean.shape)[known])
 
 
 def _median(x: Array) -> float:

@@ -190,8 +190,8 @@ class Pair:
                     "the noise of neither is known: give a variance and a number of samples of one"
                 )
                 raise InputError(message)
-        a = first.to_samples(variance) if first else _independent(one)
-        b = second or _independent(two)
+        a = first.to_samples(variance) if first else independent(one)
+        b = second or independent(two)
         if a.shape[:2] != b.shape[:2]:
             (height, width), (rows, columns) = a.shape[:2], b.shape[:2]
             message = (
@@ -417,7 +417,7 @@ class Pair:
             tests = shuffles.p_of_variances, shuffles.p_of_distributions
             for ys in spans(size[0], max(1, _AT_ONCE // (size[1] * sum(self.spp)))):
                 one, other = (
-                    _luminance(x.read(ys, ss=slice(spp))).reshape(-1, spp)
+                    light_of(x.read(ys, ss=slice(spp))).reshape(-1, spp)
                     for x, spp in zip((self.a, self.b), self.spp, strict=True)
                 )
                 known = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
@@ -533,7 +533,7 @@ class Pair:
         total = np.concatenate([render.unit_total for render in ordered], axis=-1)
         number = np.concatenate([render.unit_number for render in ordered], axis=-1)
         good, number = number > 0, np.maximum(number, 1)
-        bands = [_luminance(total)] if total.shape[2] == 3 else []
+        bands = [light_of(total)] if total.shape[2] == 3 else []
         alone = self.of_image and self.terms < FEWEST_FLIPS
         units, levels = [], []
         for band, of_band in enumerate([*bands, *np.moveaxis(total, 2, 0)]):
@@ -616,7 +616,7 @@ class _Sums:
         for own, to in _runs(units):
             self.unit_total[..., to] += x[..., own]
             self.unit_number[..., to] += good[..., own]
-        bright = _luminance(x)
+        bright = light_of(x)
         if self._extremes:
             bands = [bright, x] if x.shape[2] == 3 else [x]
             low = [values.min(axis=-1) for values in bands]
@@ -653,7 +653,7 @@ def _runs(numbers: Counts) -> Iterator[tuple[slice, slice]]:
         yield slice(start, stop), slice(numbers[start], numbers[stop - 1] + 1)
 
 
-def _luminance(x: Array) -> Array:
+def light_of(x: Array) -> Array:
     """Return luminance of (y, x, channel, sample), or the mean of channels other than R, G, B."""
     weights = LUMINANCE if x.shape[2] == 3 else np.full(x.shape[2], 1 / x.shape[2], np.float32)
     return np.asarray(np.einsum("yxcs,c->yxs", x, weights.astype(x.dtype), optimize=True))
@@ -674,7 +674,7 @@ def _correlation(a: Array, b: Array) -> Floats:
     return np.asarray(product / np.sqrt(first * second))
 
 
-def _independent(source: Any) -> Samples:
+def independent(source: Any) -> Samples:
     """Return samples, or averages that are independent if the samples are not."""
     found = samples_of(source, averages=True, dependent=True)
     return found.sequence_means() if sequence_of(found.attrs) > 1 else found

@@ -29,6 +29,7 @@ from chdstat._core.arrays import (
     place_attributes,
 )
 from chdstat._core.display import Card, Shown, number, percent, with_interval
+from chdstat._core.doors import classified
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import q_values
 from chdstat._core.statistic import MapKind, Result, Statistic, result, variable
@@ -43,6 +44,7 @@ from chdstat.fit.error_bars import (
 from chdstat.fit.families import FAMILIES
 from chdstat.patterns.cures import cure_in, renderer_of
 from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
+from chdstat.samples import Samples
 from chdstat.samples.tiles import Region
 from chdstat.summary.runner import Source, of_source, run
 
@@ -498,3 +500,6 @@ def _purest(mask: npt.NDArray[np.bool_], edge: int) -> tuple[float, float, float
         float(end / length) for end, length in zip(ends, (width, height) * 2, strict=True)
     )
     return left, top, right, bottom
+
+
+classified.register(Samples, classify)

@@ -1,0 +1,853 @@
+"""Noise rankings: which of several renders of a view is noisier, where in the image, and why.
+
+Noise is the relative variance of the luminance of a sample, weighted as in relMSE, over one image
+for all renders. At equal time, it is multiplied by the time of a sample. Of two renders, the ratio
+of these sums over the image has an interval of a bootstrap over blocks of pixels. All intervals of
+a ranking hold together (Bonferroni).
+
+Where in the image a render is the least noisy is tested in square cells of pixels. Let x and y be
+samples k of two renders in a pixel, and m the mean of both renders there. If both have one
+distribution, (x - m)^2 - (y - m)^2 is as likely to have either sign, and its sum over the samples
+is the difference of the variances. So the test of equal means by flips of signs is one of equal
+variances, too, with any tails.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from chdstat._core.arrays import (
+    Array,
+    Floats,
+    Image,
+    Mask,
+    block_sums,
+    flag_names,
+    is_bad,
+    label_variables,
+    plain,
+)
+from chdstat._core.display import Tabled, number, percent, with_interval
+from chdstat._core.doors import classified
+from chdstat._core.image_scales import relative_scale
+from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
+from chdstat._core.statistic import RADIANCE
+from chdstat.errors import InputError
+from chdstat.inference.permutations import p_of_signs
+from chdstat.inference.render_pairs import light_of
+from chdstat.samples import Samples
+from chdstat.samples.layout import differing
+from chdstat.samples.samples import provenance
+from chdstat.samples.tiles import tiles
+
+At = Literal["equal spp", "equal time"]
+
+_TERMS = 256
+"""Most terms of a cell; of more samples, several make a term."""
+_CELLS, _LEAST_CELL = 32, 4
+"""Most cells along the longer edge of the image, and least edge of a cell in pixels."""
+_PATTERNS = 3
+"""Most patterns by which the noise of a render is explained."""
+_PIXELS = 2
+"""Pixels whose samples are kept as examples."""
+
+
+def cost_ratio(
+    one: Array, other: Array, blocks: Blocks, *, level: float = LEVEL, least: float = 0
+) -> Interval[float]:
+    """Return the sum of costs (pixel,) over that of others, with its interval over blocks.
+
+    Examples
+    --------
+    >>> cost = np.arange(1.0, 17.0)
+    >>> str(cost_ratio(2 * cost, cost, Blocks.grid(4, 4)))
+    '2.00'
+    """
+    a, b = blocks.sums(one), blocks.sums(other)
+    return interval_of(lambda w: (w @ a) / (w @ b), blocks, level=level, bounds=(least, np.inf))
+
+
+@dataclass(frozen=True)
+class RankedRender:
+    """A render that is ranked by its noise.
+
+    Parameters
+    ----------
+    name
+        What it is called.
+    samples
+        Its samples, independent of each other, or averages that are.
+    mean, variance
+        Mean, shape (y, x, channel), and variance of the luminance of a sample, shape (y, x).
+    seconds
+        Rendering time of one sample in every pixel; NaN if it is unknown.
+    """
+
+    name: str
+    samples: Samples
+    mean: Floats
+    variance: Floats
+    seconds: float
+
+    @property
+    def light(self) -> Floats:
+        """Mean luminance, or the mean of channels other than R, G and B, shape (y, x)."""
+        return np.asarray(light_of(self.mean[..., np.newaxis])[..., 0])
+
+    def noise(self, scale: Array) -> Floats:
+        """Return the relative variance of a sample, shape (y, x).
+
+        Where pixels have different numbers of samples, it is the variance of the mean of a pixel
+        times the samples of an average one.
+        """
+        counts = self.samples.counts if self.samples.unequal else np.ones((1, 1))
+        with np.errstate(all="ignore"):
+            return np.asarray(self.variance / scale * (counts.mean() / counts))
+
+
+@dataclass(frozen=True)
+class NoiseOrder:
+    """Renders in the order of their noise, at equal spp or at equal time.
+
+    Attributes
+    ----------
+    at
+        "equal spp" or "equal time".
+    names
+        Names of the renders, the least noisy first.
+    noise
+        Relative variance of a sample, the mean over the image, by name; at equal time, times the
+        seconds of a sample in every pixel.
+    ratios
+        Noise of one render over that of one behind it, by their names, with intervals that hold
+        together for all pairs of the ranking.
+    doubtful
+        Pairs whose order does not hold without the pixels whose variance cannot be trusted.
+    """
+
+    at: At
+    names: tuple[str, ...]
+    noise: Mapping[str, float]
+    ratios: Mapping[tuple[str, str], Interval[float]]
+    doubtful: frozenset[tuple[str, str]] = frozenset()
+
+    def surely(self, one: str, other: str) -> bool:
+        """Return whether one render is less noisy than another: its whole interval says so."""
+        return (one, other) in self.ratios and self.ratios[one, other].high < 1
+
+    def rank(self, name: str) -> tuple[int, int]:
+        """Return the best and the worst rank that a render may have."""
+        better = sum(self.surely(other, name) for other in self.names)
+        worse = sum(self.surely(name, other) for other in self.names)
+        return 1 + better, len(self.names) - worse
+
+    @property
+    def conclusion(self) -> str:
+        """The order in words, each render with the next one."""
+        cost = "variance × time" if self.at == "equal time" else "variance"
+        parts = []
+        for one, other in itertools.pairwise(self.names):
+            ratio = with_interval(*_ends(self.ratios[one, other]))
+            if self.surely(one, other):
+                parts.append(f"{one} has {ratio} of the {cost} of {other}")
+            else:
+                parts.append(f"{one} and {other} cannot be told apart, ratio {ratio}")
+        return f"At {self.at}, {'; '.join(parts)}."
+
+
+def _ends(found: Interval[float]) -> tuple[float, float, float]:
+    return found.value, found.low, found.high
+
+
+@dataclass(frozen=True)
+class NoiseCause:
+    """A pattern that holds some of what a render has more noise than the least noisy one.
+
+    Attributes
+    ----------
+    name, least
+        Names of the render, and of the least noisy one at equal spp.
+    pattern
+        Primary pattern of its samples, by `chdstat.classify`.
+    pixels
+        Share of the image in pixels with this pattern.
+    share
+        Share of the additional variance in these pixels. More than 1 if the render has less noise
+        elsewhere.
+    ratio
+        Variance over that of the least noisy render in these pixels.
+    null_share, least_null_share
+        Share of null samples there, in both renders.
+    tail_index
+        Median tail index of luminance there; NaN if it is unknown.
+    """
+
+    name: str
+    least: str
+    pattern: str
+    pixels: float
+    share: Interval[float]
+    ratio: Interval[float]
+    null_share: Interval[float]
+    least_null_share: float
+    tail_index: float
+
+    @property
+    def details(self) -> str:
+        """The numbers of the pixels in words."""
+        share = with_interval(*_ends(self.share), write=percent)
+        null = with_interval(*_ends(self.null_share), write=percent)
+        tail = f", tail index {number(self.tail_index)}" if np.isfinite(self.tail_index) else ""
+        return (
+            f"{share} is in {self.pattern} pixels, {percent(self.pixels)} of the image: "
+            f"variance {self.ratio} times as large, {null} of the samples null "
+            f"({percent(self.least_null_share)} in {self.least}){tail}"
+        )
+
+
+@dataclass(frozen=True)
+class ExamplePixel:
+    """A pixel that shows what the renders differ in.
+
+    Attributes
+    ----------
+    y, x
+        Its place.
+    least
+        Name of the render that is the least noisy around it.
+    samples
+        Its samples, shape (channel, sample), by the name of the render.
+    """
+
+    y: int
+    x: int
+    least: str
+    samples: Mapping[str, Image]
+
+
+@dataclass(frozen=True, repr=False)
+class NoiseRanking(Tabled):
+    """Which of several renders of a view is noisier, where in the image, and why.
+
+    Attributes
+    ----------
+    orders
+        The renders in the order of their noise, by "equal spp" and, if all times are known, by
+        "equal time".
+    maps
+        ``mean`` of each render, (render, y, x, channel), and ``relative_variance`` of a sample,
+        (render, y, x), on one scale. ``least_noisy``, (at, y, x): the render that is the least
+        noisy in the cell of the pixel, as its number in ``render``, -1 where that cannot be told at
+        a false discovery rate of `alpha`; and its ``q_value``.
+    spp
+        Samples per pixel, by name, in words.
+    seconds
+        Rendering time of one sample in every pixel, by name; NaN if it is unknown.
+    causes
+        What the additional noise of each render comes from that is surely noisier than the least
+        noisy one at equal spp; empty if patterns were not asked for, or cannot be told.
+    doubtful
+        Share of the variance of each render in pixels whose variance cannot be trusted, since their
+        error bars fail or one sample decides them; empty without patterns.
+    examples
+        Pixels that show the difference.
+    settings
+        What differs in how the renders were made: the values of each by the name of the setting.
+    level
+        Coverage of all intervals of the ratios together.
+    alpha
+        False discovery rate of the map.
+    """
+
+    orders: Mapping[At, NoiseOrder]
+    maps: Any
+    spp: Mapping[str, str]
+    seconds: Mapping[str, float]
+    causes: tuple[NoiseCause, ...]
+    doubtful: Mapping[str, float]
+    examples: tuple[ExamplePixel, ...]
+    settings: Mapping[str, tuple[str, ...]]
+    level: float
+    alpha: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the renders, in the order in which they were given."""
+        return tuple(self.spp)
+
+    @property
+    def order(self) -> NoiseOrder:
+        """The order at equal spp."""
+        return self.orders["equal spp"]
+
+    def wins(self, at: At = "equal spp") -> dict[str, tuple[float, float]]:
+        """Return where each render is the least noisy: shares of the pixels, and of the noise.
+
+        The noise is that of all renders together.
+        """
+        least = self.maps["least_noisy"].sel(at=at).to_numpy()
+        noise = self.maps["relative_variance"].to_numpy()
+        noise = np.where(np.isfinite(noise).all(axis=0), noise, 0).sum(axis=0)
+        total = noise.sum() or np.nan
+        return {
+            name: (float((least == i).mean()), float(noise[least == i].sum() / total))
+            for i, name in enumerate(self.names)
+        }
+
+    @property
+    def conclusion(self) -> str:
+        """What was found, in words."""
+        return " ".join(self.sentences())
+
+    def sentences(self) -> list[str]:
+        """Return what was found, sentence by sentence."""
+        found = [order.conclusion for order in self.orders.values()]
+        return found + [
+            f"{name[0].upper()}{name[1:]}: {text}." for name, text in self.facts().items()
+        ]
+
+    def facts(self, *, brief: bool = False) -> dict[str, str]:
+        """Return what there is to know beside the order, by what it is about."""
+        found = {}
+        if "equal time" not in self.orders:
+            found["equal time"] = "no ranking, since rendering times are unknown"
+        pairs = sorted({pair for order in self.orders.values() for pair in order.doubtful})
+        if pairs:
+            which = ", ".join(f"{one} before {other}" for one, other in pairs)
+            found["doubt"] = (
+                f"{which} only by pixels whose variance cannot be trusted, since error bars fail "
+                "or one sample decides"
+            )
+        found["where"] = self._where()
+        for name in self.order.names:
+            if causes := [cause for cause in self.causes if cause.name == name]:
+                found[f"why {name}"] = _why(causes, brief=brief)
+        if self.settings:
+            found["settings that differ"] = ", ".join(self.settings).lower()
+        return found
+
+    def _where(self) -> str:
+        won = {name: shares for name, shares in self.wins().items() if shares[0]}
+        if not won:
+            return "no part of the image tells which render is the least noisy there"
+        parts = [
+            f"{name} is the least noisy in {percent(pixels)} of the pixels, with "
+            f"{percent(noise)} of the noise"
+            for name, (pixels, noise) in sorted(won.items(), key=lambda item: -item[1][0])
+        ]
+        rest = max(0.0, 1 - sum(pixels for pixels, _ in won.values()))
+        rate = percent(self.alpha)
+        return f"{', '.join(parts)}; {percent(rest)} undecided (false discovery rate {rate})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, without maps, ready for JSON."""
+        orders = {
+            at: {
+                "names": order.names,
+                "noise": order.noise,
+                "ratios": [
+                    {"render": one, "other": other, **ratio.to_dict()}
+                    for (one, other), ratio in order.ratios.items()
+                ],
+                "doubtful": sorted(order.doubtful),
+            }
+            for at, order in self.orders.items()
+        }
+        causes = [
+            {n: v.to_dict() if isinstance(v, Interval) else v for n, v in vars(cause).items()}
+            for cause in self.causes
+        ]
+        wins = {at: self.wins(at) for at in self.orders}
+        about = {"orders": orders, "least_noisy": wins, "causes": causes, "table": self.table()}
+        more = {"doubtful": self.doubtful, "settings": self.settings, "level": self.level}
+        return dict(plain(about | more))
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return a row for each render, the least noisy at equal spp first.
+
+        Ratios are those to the first one.
+        """
+        rows = []
+        won, first = self.wins(), self.order.names[0]
+        for name in self.order.names:
+            row: dict[str, Any] = {"render": name, "spp": self.spp[name]}
+            for at, order in self.orders.items():
+                key = at.replace("equal ", "at_equal_")
+                ratio = _to_first(order, name, first)
+                row |= {
+                    f"best_rank_{key}": order.rank(name)[0],
+                    f"worst_rank_{key}": order.rank(name)[1],
+                    f"noise_{key}": order.noise[name],
+                    f"ratio_{key}": ratio.value,
+                    f"ratio_{key}_low": ratio.low,
+                    f"ratio_{key}_high": ratio.high,
+                }
+            row |= {"seconds_per_sample": self.seconds[name]}
+            row |= {"least_noisy_pixels": won[name][0], "least_noisy_noise": won[name][1]}
+            rows.append(row | {"doubtful_noise": self.doubtful.get(name, np.nan)})
+        return rows
+
+    def in_words(self) -> list[dict[str, str]]:
+        """Return the rows of the table as text, by the titles of the columns."""
+        rows = []
+        won, first = self.wins(), self.order.names[0]
+        for name in self.order.names:
+            row = {"render": name, "spp": self.spp[name]}
+            for at, order in self.orders.items():
+                low, high = order.rank(name)
+                ratio = with_interval(*_ends(_to_first(order, name, first)))
+                row[at] = f"{low}" if low == high else f"{low} to {high}"
+                row["variance" if at == "equal spp" else "variance × time"] = ratio
+            row["least noisy in"] = percent(won[name][0])
+            rows.append(row)
+        return rows
+
+
+def _why(causes: Sequence[NoiseCause], *, brief: bool) -> str:
+    """Return in words where what a render has more variance than the least noisy one is."""
+    first, *others = causes
+    if brief:
+        parts = [f"{percent(of.share.value)} in {of.pattern}" for of in causes]
+        return f"of its additional variance, {', '.join(parts)} pixels"
+    more = "".join(f"; {percent(of.share.value)} in {of.pattern} pixels" for of in others)
+    return f"of what it has more variance than {first.least}, {first.details}{more}"
+
+
+def _to_first(order: NoiseOrder, name: str, first: str) -> Interval[float]:
+    """Return the noise of a render over that of the first one at equal spp."""
+    if name == first:
+        return Interval.unknown(1.0)
+    if (name, first) in order.ratios:
+        return order.ratios[name, first]
+    ratio = order.ratios[first, name]
+    with np.errstate(all="ignore"):
+        value, low, high = (float(np.divide(1.0, end)) for end in _ends(ratio))
+    return Interval(value, high, low, ratio.level)
+
+
+def noise_ranking(
+    renders: Sequence[RankedRender],
+    *,
+    alpha: float = 0.05,
+    patterns: bool = True,
+    progress: bool | None = None,
+) -> NoiseRanking:
+    """Rank renders of one view by their noise.
+
+    Parameters
+    ----------
+    renders
+        Two renders or more, of one size.
+    alpha
+        Chance that any interval of the ranking does not hold, and false discovery rate of the map.
+    patterns
+        Say which patterns hold the noise, too.
+    progress
+        Show progress bars; None shows them on a terminal.
+    """
+    names = [render.name for render in renders]
+    light = np.stack([render.light for render in renders])
+    weights = np.array([render.samples.spp for render in renders], float)
+    known = np.isfinite(light).all(axis=0)
+    mean = np.where(known, np.tensordot(weights / weights.sum(), np.nan_to_num(light), 1), np.nan)
+    scale = relative_scale(mean)
+    noise = np.stack([render.noise(scale) for render in renders])
+    shown = {
+        name: classified(render.samples, progress=progress)
+        for name, render in zip(names, renders, strict=True)
+        if patterns and _has_patterns(render.samples)
+    }
+    suspect = {name: _doubtful(found) for name, found in shown.items()}
+    seconds = {render.name: render.seconds for render in renders}
+    timed = all(np.isfinite(each) for each in seconds.values())
+    ats: list[At] = ["equal spp", "equal time"] if timed else ["equal spp"]
+    edge = _cell_edge(*scale.shape)
+    terms = _cell_terms(renders, scale, ats, edge)
+    orders = _orders(ats, renders, noise, suspect, terms, alpha)
+    least, q = _least_noisy(renders, noise, terms, ats, alpha, edge)
+    with np.errstate(all="ignore"):
+        doubtful = {
+            name: float(
+                np.nansum(noise[names.index(name)][there]) / np.nansum(noise[names.index(name)])
+            )
+            for name, there in suspect.items()
+        }
+    return NoiseRanking(
+        orders=orders,
+        maps=_dataset(renders, noise, least, q, ats),
+        spp={render.name: render.samples.spp_range for render in renders},
+        seconds=seconds,
+        causes=tuple(_causes(names, noise, orders["equal spp"], shown)),
+        doubtful=doubtful,
+        examples=_examples(renders, noise, least[0], orders["equal spp"]),
+        settings=_settings(renders),
+        level=1 - alpha,
+        alpha=alpha,
+    )
+
+
+def _has_patterns(samples: Samples) -> bool:
+    """Return whether the patterns of a render can be told: not of averages, or odd channels."""
+    return samples.attrs.get("averaged", 1) == 1 and samples.shape[2] in (1, 3)
+
+
+def _doubtful(found: Any) -> Mask:
+    """Return where the variance of a pixel cannot be trusted, shape (y, x)."""
+    return np.asarray(found["long_tail"].to_numpy() | found["firefly_dominated"].to_numpy(), bool)
+
+
+def _orders(
+    ats: Sequence[At],
+    renders: Sequence[RankedRender],
+    noise: Floats,
+    suspect: Mapping[str, Mask],
+    terms: Mapping[tuple[int, int], Floats],
+    alpha: float,
+) -> dict[At, NoiseOrder]:
+    """Return the orders at equal spp and, if times are known, at equal time."""
+    names = [render.name for render in renders]
+    level = 1 - alpha / (len(terms) * len(ats))
+    known = np.isfinite(noise).all(axis=0)
+    trusted = {name: (known & ~suspect.get(name, ~known)).ravel() for name in names}
+    ratio = partial(_ratio_over, Blocks.strata(*known.shape), level)
+    found = {}
+    for a, at in enumerate(ats):
+        factor = [render.seconds if at == "equal time" else 1.0 for render in renders]
+        costs = {n: of.ravel() * f for n, of, f in zip(names, noise, factor, strict=True)}
+        differ = {
+            frozenset((names[i], names[j])): bool(
+                p_of_signs(d[a].sum(axis=(0, 1))[np.newaxis])[0] <= 1 - level
+            )
+            for (i, j), d in terms.items()
+        }
+        found[at] = _order(at, costs, known.ravel(), trusted, differ, ratio)
+    return found
+
+
+def _ratio_over(blocks: Blocks, level: float, one: Floats, other: Floats, use: Mask) -> Any:
+    """Return the ratio of two costs over some pixels."""
+    return cost_ratio(one[use], other[use], blocks[use], level=level)
+
+
+def _order(
+    at: At,
+    costs: Mapping[str, Floats],
+    known: Mask,
+    trusted: Mapping[str, Mask],
+    differ: Mapping[frozenset[str], bool],
+    ratio: Callable[[Floats, Floats, Mask], Interval[float]],
+) -> NoiseOrder:
+    """Return renders in the order of their costs (pixel,) over the known pixels.
+
+    Blocks do not show how rare the brightest samples are: an interval holds 1 unless the flips of
+    signs, too, tell the two renders apart.
+    """
+    number = known.sum() or np.nan
+    total = {name: float(cost[known].sum() / number) for name, cost in costs.items()}
+    ordered = tuple(sorted(costs, key=lambda name: total[name]))
+    ratios: dict[tuple[str, str], Interval[float]] = {}
+    doubtful = set()
+    for one, other in itertools.combinations(ordered, 2):
+        found = ratio(costs[one], costs[other], known)
+        if not differ[frozenset((one, other))]:
+            found = replace(found, high=max(found.high, 1.0))
+        ratios[one, other] = found
+        both = trusted[one] & trusted[other]
+        if found.high < 1 and (both != known).any():
+            again = ratio(costs[one], costs[other], both)
+            if not again.high < 1:
+                doubtful.add((one, other))
+    return NoiseOrder(at, ordered, total, ratios, frozenset(doubtful))
+
+
+# --- where in the image -----------------------------------------------------------------------
+
+
+def _cell_edge(height: int, width: int) -> int:
+    """Return the edge of cells: a power of two, as that of tiles."""
+    edge = _LEAST_CELL
+    while edge * _CELLS < max(height, width):
+        edge *= 2
+    return edge
+
+
+def _least_noisy(
+    renders: Sequence[RankedRender],
+    noise: Floats,
+    terms: Mapping[tuple[int, int], Floats],
+    ats: Sequence[At],
+    alpha: float,
+    edge: int,
+) -> tuple[Array, Floats]:
+    """Return which render is the least noisy in the cell of each pixel, and q-values, (at, y, x).
+
+    A render is the least noisy if it is less noisy than each other one, an intersection-union test.
+    Its p-value is the largest over the others, times half the number of renders: if several are
+    equally noisy, each of them may win by accident, in one direction of its tests.
+    """
+    (height, width), p = noise.shape[1:], _p_of_cells(terms, len(renders))
+    known = np.where(np.isfinite(noise).all(axis=0), noise, 0)
+    winners, qs = [], []
+    for a, at in enumerate(ats):
+        factor = [render.seconds if at == "equal time" else 1.0 for render in renders]
+        costs = [
+            block_sums(f * cost[..., np.newaxis], edge)[..., 0]
+            for f, cost in zip(factor, known, strict=True)
+        ]
+        best = np.argmin(costs, axis=0)
+        others = np.moveaxis(np.take_along_axis(p[a], best[np.newaxis, np.newaxis], 0)[0], 0, -1)
+        with np.errstate(all="ignore"):
+            largest = np.nanmax(np.where(np.isfinite(others), others, -1), axis=-1)
+        missing = np.isnan(others).sum(axis=-1) > 1  # that against itself is always missing
+        combined = np.where(missing, np.nan, np.minimum(1, largest * len(renders) / 2))
+        q = q_values(combined)
+        winners.append(_spread(np.where(q <= alpha, best, -1), edge)[:height, :width])
+        qs.append(_spread(q, edge)[:height, :width])
+    return np.array(winners, np.int8), np.array(qs)
+
+
+def _spread(cells: Array, edge: int) -> Array:
+    """Return the value of its cell for each pixel."""
+    return np.asarray(np.repeat(np.repeat(cells, edge, axis=0), edge, axis=1))
+
+
+@np.errstate(all="ignore")
+def _cell_terms(
+    renders: Sequence[RankedRender], scale: Floats, ats: Sequence[At], edge: int
+) -> dict[tuple[int, int], Floats]:
+    """Return sums over cells of the terms of each pair of renders, (at, y, x, term).
+
+    A pair has equally many samples of both, since fewer are likelier to miss what is rare.
+    """
+    height, width = scale.shape
+    rows, columns = -(-height // edge), -(-width // edge)
+    sums = {}
+    for i, j in itertools.combinations(range(len(renders)), 2):
+        spp = min(renders[i].samples.spp, renders[j].samples.spp)
+        sums[i, j] = np.zeros((len(ats), rows, columns, spp // -(-spp // _TERMS)))
+    most = max((render.samples.shape for render in renders), key=lambda shape: shape[3])
+    for ys, xs in tiles(most):
+        light = [_light_and_good(render.samples.read(ys, xs)) for render in renders]
+        weight = np.nan_to_num(1 / scale[ys, xs], nan=0, posinf=0)
+        at = tuple(slice(of.start // edge, -(-of.stop // edge)) for of in (ys, xs))
+        for (i, j), total in sums.items():
+            both = [(renders[i], *light[i]), (renders[j], *light[j])]
+            for a, terms in enumerate(_terms(both, weight, ys, xs, ats)):
+                total[a][at] += _folded(block_sums(terms, edge), total.shape[-1])
+    return sums
+
+
+def _p_of_cells(terms: Mapping[tuple[int, int], Floats], number: int) -> Floats:
+    """Return p-values that a render is less noisy than another, (at, render, other, y, x).
+
+    NaN where nothing varies, and of a render against itself.
+    """
+    ats, rows, columns, _ = next(iter(terms.values())).shape
+    p = np.full((ats, number, number, rows, columns), np.nan)
+    for (i, j), d in terms.items():
+        two_sided = p_of_signs(d.reshape(-1, d.shape[-1])).reshape(ats, rows, columns)
+        no = np.where(np.isnan(two_sided), np.nan, 1)
+        p[:, i, j] = np.where(d.sum(axis=-1) < 0, two_sided, no)
+        p[:, j, i] = np.where(d.sum(axis=-1) > 0, two_sided, no)
+    return p
+
+
+def _terms(
+    both: Sequence[tuple[RankedRender, Image, Mask]],
+    weight: Array,
+    ys: slice,
+    xs: slice,
+    ats: Sequence[At],
+) -> Iterator[Image]:
+    """Yield terms (y, x, sample) that sum up to differences of the noise of two renders.
+
+    At equal spp, both deviate from the mean of both, so that flips of signs are exact.
+    """
+    count = min(light.shape[-1] for _, light, _ in both)
+    good = both[0][2][..., :count] & both[1][2][..., :count]
+    number = np.maximum(good.sum(axis=-1, keepdims=True), 1)
+    x = [np.where(good, light[..., :count], 0) for _, light, _ in both]
+    means = [(part.sum(axis=-1, keepdims=True) / number).astype(np.float32) for part in x]
+    middle = (means[0] + means[1]) / 2
+    factors = []
+    for render, _, _ in both:
+        counts = render.samples.counts if render.samples.unequal else None
+        share = 1.0 if counts is None else counts.mean() / counts[ys, xs]
+        factors.append((weight * share)[..., np.newaxis].astype(np.float32))
+    for at in ats:
+        own = [middle, middle] if at == "equal spp" else means
+        costs = [1.0, 1.0] if at == "equal spp" else [render.seconds for render, _, _ in both]
+        one, other = (
+            np.float32(cost / max(costs)) * factor * (part - center) ** 2
+            for cost, factor, part, center in zip(costs, factors, x, own, strict=True)
+        )
+        yield np.where(good, one - other, 0)
+
+
+def _folded(sums: Array, count: int) -> Floats:
+    """Return sums of samples k, k + count, k + 2 count..., shape (y, x, count)."""
+    each = sums.shape[-1] // count
+    whole = sums[..., : each * count].reshape(*sums.shape[:2], each, count)
+    return np.asarray(whole.sum(axis=2, dtype=float))
+
+
+def _light_and_good(x: Image) -> tuple[Image, Mask]:
+    good = ~is_bad(x).any(axis=2)
+    return np.asarray(light_of(x), np.float32), np.asarray(good)
+
+
+# --- why ----------------------------------------------------------------------------------------
+
+
+@np.errstate(all="ignore")
+def _causes(
+    names: Sequence[str], noise: Floats, order: NoiseOrder, shown: Mapping[str, Any]
+) -> Iterator[NoiseCause]:
+    """Yield what the noise of each render comes from that is surely noisier than the first."""
+    least = order.names[0]
+    known = np.isfinite(noise).all(axis=0).ravel()
+    if not known.any() or least not in shown:
+        return
+    blocks = Blocks.strata(*noise.shape[1:])[known]
+    first = noise[names.index(least)].ravel()[known]
+    null = {
+        name: found["null_heavy_statistic"].to_numpy().ravel()[known]
+        for name, found in shown.items()
+    }
+    for name in order.names[1:]:
+        if not (order.surely(least, name) and name in shown):
+            continue
+        own, found = noise[names.index(name)].ravel()[known], shown[name]
+        labels = found["label"].to_numpy().ravel()[known]
+        more = own - first
+        held = {code: more[labels == code].sum() for code in np.unique(labels)}
+        tails = found["luminance_tail_index"].to_numpy().ravel()[known]
+        for code in sorted(held, key=lambda label: -held[label])[:_PATTERNS]:
+            here = labels == code
+            tail = tails[here & np.isfinite(tails)]
+            yield NoiseCause(
+                name=name,
+                least=least,
+                pattern=flag_names(found["label"].attrs)[int(code)].replace("_", "-"),
+                pixels=float(here.mean()),
+                share=cost_ratio(np.where(here, more, 0), more, blocks, least=-np.inf),
+                ratio=cost_ratio(own[here], first[here], blocks[here]),
+                null_share=mean_of(null[name][here], blocks[here]),
+                least_null_share=float(null[least][here].mean()),
+                tail_index=float(np.median(tail)) if tail.size else np.nan,
+            )
+
+
+def _examples(
+    renders: Sequence[RankedRender], noise: Floats, least: Array, order: NoiseOrder
+) -> tuple[ExamplePixel, ...]:
+    """Return pixels that show what the renders differ in: where the first wins, and another."""
+    names = [render.name for render in renders]
+    gap = np.nan_to_num(noise.max(axis=0) - noise.min(axis=0), nan=-1, posinf=-1)
+    found: list[ExamplePixel] = []
+    wanted = [names.index(name) for name in order.names] + [-1]
+    for winner in wanted:
+        here = np.flatnonzero((least == winner) & (gap > 0))
+        if winner >= 0:
+            # The winner of a cell should look like it in the pixel, too.
+            here = here[noise.reshape(len(names), -1)[:, here].argmin(axis=0) == winner]
+        if not len(here) or len(found) == _PIXELS:
+            continue
+        # The pixel in the middle of the additional noise, and not its most extreme one.
+        by_gap = here[np.argsort(gap.ravel()[here])]
+        total = np.cumsum(gap.ravel()[by_gap])
+        y, x = divmod(int(by_gap[np.searchsorted(total, total[-1] / 2)]), least.shape[1])
+        samples = {
+            render.name: render.samples.read(slice(y, y + 1), slice(x, x + 1))[0, 0]
+            for render in renders
+        }
+        of = names[winner] if winner >= 0 else ""
+        found.append(ExamplePixel(y, x, of, samples))
+    return tuple(found)
+
+
+def _settings(renders: Sequence[RankedRender]) -> dict[str, tuple[str, ...]]:
+    """Return what differs in how renders were made, in words, without a list of equal values."""
+    made = [provenance(render.samples.attrs, render.samples.shape) for render in renders]
+    names = {name: None for one in made for other in made for name in differing(one, other)}
+    return {name: tuple(of.get(name, "—") for of in made) for name in names}
+
+
+def _dataset(
+    renders: Sequence[RankedRender], noise: Floats, least: Array, q: Floats, ats: Sequence[At]
+) -> Any:
+    import xarray as xr
+
+    names = [render.name for render in renders]
+    height, width, _ = renders[0].mean.shape
+    coords = {
+        "render": np.array(names, object),
+        "y": np.arange(height),
+        "x": np.arange(width),
+        "channel": np.array(renders[0].samples.channels, object),
+        "at": np.array(ats, object),
+    }
+    variables = {
+        "mean": (("render", "y", "x", "channel"), np.stack([render.mean for render in renders])),
+        "relative_variance": (("render", "y", "x"), noise),
+        "least_noisy": (("at", "y", "x"), least),
+        "q_value": (("at", "y", "x"), q),
+    }
+    labels: dict[str, str | tuple[str, str]] = {
+        "mean": ("mean of the samples", RADIANCE),
+        "relative_variance": ("relative variance of the luminance of a sample", "1"),
+        "least_noisy": "number of the least noisy render, -1 where that cannot be told",
+        "q_value": "q-value of the least noisy render of a cell",
+    }
+    return label_variables(xr.Dataset(variables, coords), labels)
+
+
+def named_renders(renders: Sequence[Samples]) -> dict[str, Samples]:
+    """Return renders by the names of their stores; by letters where these are missing or alike.
+
+    Examples
+    --------
+    >>> [*named_renders([Samples.from_array(np.ones((4, 4, 8)))] * 2)]
+    ['A', 'B']
+    """
+    names = ["" if render.path is None else render.path.stem for render in renders]
+    if "" in names or len({*names}) < len(names):
+        names = [chr(ord("A") + i) if i < 26 else f"{i + 1}" for i in range(len(renders))]
+    return dict(zip(names, renders, strict=True))
+
+
+def check_one_view(renders: Mapping[str, Samples]) -> None:
+    """Refuse renders of different sizes, channels or scenes.
+
+    Raises
+    ------
+    InputError
+        If the renders are not of one view.
+    """
+    (first, one), *others = renders.items()
+    for name, other in others:
+        sizes = [
+            f"{x.shape[1]} x {x.shape[0]} pixels of {x.shape[2]} channels" for x in (one, other)
+        ]
+        if one.shape[:3] != other.shape[:3]:
+            message = (
+                f"expected renders of one size, got {sizes[0]} in {first} and {sizes[1]} in "
+                f"{name}: render all at one size, or cut them with isel(y=, x=)"
+            )
+            raise InputError(message)
+        scenes = [str(x.attrs.get("scene") or "") for x in (one, other)]
+        hashes = [x.attrs.get("scene_hash") for x in (one, other)]
+        same = hashes[0] is not None and hashes[0] == hashes[1]
+        if all(scenes) and scenes[0] != scenes[1] and not same:
+            message = (
+                f"expected renders of one scene, got {scenes[0]} in {first} and {scenes[1]} in "
+                f"{name}: noise of different scenes has no ranking; chdstat.contrast(a, b) "
+                "contrasts their means"
+            )
+            raise InputError(message)
