@@ -35,13 +35,12 @@ from chdstat.viz.image import Mark, firefly_pair, region_study, side_by_side, wi
 from chdstat.viz.maps import (
     atlas,
     categorical_map,
-    contrast,
     image_map,
     map_grid,
     n_needed,
-    renders_compared,
     value_map,
 )
+from chdstat.viz.several_renders import contrast, renders_compared
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [

@@ -144,7 +144,7 @@ def with_marks(
         main, places = cells[:, 0], [cells[i % rows, 1 + i // rows] for i in range(len(marks))]
     draw_marked(figure.add_subplot(main), shown, marks)
     for i, (mark, cell) in enumerate(zip(marks, places, strict=True)):
-        _inset(figure.add_subplot(cell), shown, mark, i, letters=letters)
+        draw_inset(figure.add_subplot(cell), shown, mark, i, letters=letters)
     return figure
 
 
@@ -179,7 +179,7 @@ def draw_marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
         )  # fmt: skip
 
 
-def _inset(
+def draw_inset(
     ax: Axes, shown: Array, mark: Mark, place: int, *, letters: int = 99, titled: bool = True
 ) -> None:
     """Show a region and its surroundings, with the pixel whose distribution is shown."""
@@ -264,7 +264,7 @@ def region_study(
     colors = qualitative(rows)
     for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
         inset, *axes = cells[i]
-        _inset(inset, shown, mark, i, titled=False)
+        draw_inset(inset, shown, mark, i, titled=False)
         for ax, scale in zip(axes, kinds, strict=True):
             _draw_region(ax, panel, scale, colors[i])
             ax.tick_params(pad=1.5, labelbottom=i == rows - 1 or scale == "linear")

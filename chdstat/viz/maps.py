@@ -1,15 +1,12 @@
 """Maps: one value, label or colour per pixel, with its scale.
 
 `map_grid` makes a grid for several maps. `atlas` draws the recurring distributions as a map and as
-small multiples. `contrast` draws two renders and where they differ; `renders_compared` draws
-several renders and the CHDs of the same places.
+small multiples.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from textwrap import fill
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,20 +21,18 @@ from matplotlib.colors import (
     to_hex,
 )
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 
-from chdstat._core.arrays import Array, flag_names, luminance
-from chdstat._core.display import Width, colour
-from chdstat._core.image_scales import display_stops, tonemap
+from chdstat._core.arrays import flag_names
+from chdstat._core.display import Width
+from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError
-from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
-from chdstat.viz.chd import Channels, Panel, draw_histograms, draw_means, one_of
-from chdstat.viz.image import Mark, draw_marked, one_channel
+from chdstat.viz.chd import Channels
+from chdstat.viz.image import one_channel
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
-    UNIT,
     axes_in,
     bar_ticks,
     bare,
@@ -48,16 +43,13 @@ from chdstat.viz.styling import (
     grid,
     grow,
     inches,
-    narrow,
     page,
     per_cent,
     qualitative,
     style,
-    swatches,
     two_parts,
     upright,
     verbatim,
-    within,
 )
 
 if TYPE_CHECKING:
@@ -286,7 +278,7 @@ def categorical_map(
         if (array == code).any():
             share = f" {_percent(float((array == code).mean()))}" if shares else ""
             patches.append(Patch(color=shades[i], label=f"{verbatim(name)}{share}"))
-    _draw_labels(ax, rank, shades[: len(names)], title)
+    draw_labels(ax, rank, shades[: len(names)], title)
     if columns is None:
         columns = 2 if _room(ax) >= _TWO_NAMES else 1
         grow(ax.get_figure(), _LINE * (-(-len(patches) // columns) - _LINES))
@@ -304,7 +296,7 @@ def _room(ax: Axes) -> float:
     return across / spec.get_gridspec().ncols if spec else across * ax.get_position().width
 
 
-def _draw_labels(
+def draw_labels(
     ax: Axes, labels: npt.NDArray[np.integer[Any]], colors: Sequence[str], title: str
 ) -> None:
     """Draw the labels 0, 1, 2 and so on in their colours; negative labels are grey."""
@@ -411,7 +403,7 @@ def atlas(found: Atlas, *, width: Width = "page", fig: Figure | None = None) -> 
     note = f"   (grey: none, {_percent(missing)})" if missing else ""
     colors = qualitative(number)
     ax = left.subplots()
-    _draw_labels(ax, found.labels, colors or [MISSING], f"Shape of each pixel{note}")
+    draw_labels(ax, found.labels, colors or [MISSING], f"Shape of each pixel{note}")
     for k, (y, x) in enumerate(found.medoids):
         ring = {"boxstyle": "circle,pad=0.18", "facecolor": "white", "edgecolor": colors[k]}
         ax.annotate(
@@ -448,197 +440,3 @@ def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
         0.99, 0.93, f"y {y}\nx {x}", transform=ax.transAxes, ha="right", va="top",
         color="#555555",
     )  # fmt: skip
-
-
-# --- renders of one view ------------------------------------------------------------------------
-
-_LETTERS = 16
-"""Letters of a line of text per inch."""
-
-
-@style()
-def contrast(
-    found: Contrast,
-    *,
-    channels: Channels = None,
-    width: Width = "page",
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw two images, where their means differ, p-values and efficiency, with the conclusion.
-
-    A rectangle marks the most significant window; it is solid if there is a difference. The
-    histogram of p-values has a line: for renders with the same mean, bars stay at or below it.
-
-    Parameters
-    ----------
-    found
-        Result of `chdstat.contrast`.
-    channels
-        A channel to draw, with images in grey: its name, "red", "green", "blue" or "luminance".
-        None draws images in colour, differences of luminance, and p-values of all channels.
-        Efficiency is always for luminance.
-    width
-        Width of the figure: "column", "page" or inches.
-    fig
-        Where to draw; None makes a figure.
-    """
-    maps = found.maps
-    names = [str(name) for name in maps["channel"].to_numpy()]
-    shown, tested, of = slice(1, None) if len(names) == 4 else slice(0, 1), slice(None), ""
-    if channels is not None:
-        name = one_of(names, channels)
-        shown = tested = slice(names.index(name), names.index(name) + 1)
-        of = f", {verbatim(colour(name))}"  # a channel is not render B
-    first = tested.start or 0
-    across = inches(width, fig)
-    columns, aspect = 2 if narrow(across) else 3, upright(maps.sizes["y"], maps.sizes["x"])
-    conclusion = fill(found.conclusion, int(_LETTERS * across))
-    rows = (0.8 * across / columns * aspect + 0.3) * 6 / columns
-    height = rows + 0.16 * (1 + conclusion.count("\n")) + 0.3
-    figure = page(fig, height, width, wspace=0.06)
-    axes = grid(figure, 6, columns)
-    means = [maps[f"mean_{name}"].to_numpy()[..., shown] for name in ("a", "b")]
-    exposure = display_stops(means[0])
-    for ax, mean, letter, name in zip(axes, means, "AB", found.names, strict=False):
-        most = int(11 * across / columns)
-        short = name if len(name) <= most else f"...{name[2 - most :]}"
-        image_map(mean, title=f"{letter}: {verbatim(short)}", exposure=exposure, ax=ax)
-    _mark(axes[1], found)
-    level, p = (
-        np.abs(maps["mean_a"].to_numpy()[..., first]),
-        maps["p_value"].to_numpy()[..., tested],
-    )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        relative = maps["difference"].to_numpy()[..., first] / np.where(level > 0, level, np.nan)
-    significance, efficiency = np.fmin.reduce(p, axis=-1), maps["efficiency"].to_numpy()
-    value_map(100 * relative, title=f"B − A over A{of}", unit="%", diverging=True, ax=axes[2])
-    _mark(axes[2], found)
-    look: dict[str, Any] = {"log": True, "limits": (1e-4, 1), "cmap": "viridis_r"}
-    value_map(significance, title="Significance", unit="p", **look, ax=axes[3])
-    _p_values(axes[4], p)
-    if np.isfinite(efficiency).any():
-        value_map(efficiency, title="Efficiency of B over A", log=True, diverging=True, ax=axes[5])
-    else:
-        axes[5].set_axis_off()
-    figure.suptitle(conclusion, x=0.01, ha="left", fontsize=8.5)
-    return figure
-
-
-def _mark(ax: Axes, found: Contrast) -> None:
-    y, x, height, width = found.window
-    ax.add_patch(
-        Rectangle(
-            (x - 0.5, y - 0.5), width, height, fill=False, edgecolor=PALETTE[5],
-            linewidth=1.2, linestyle="-" if found.outcome == "differ" else ":",
-        )
-    )  # fmt: skip
-
-
-def _p_values(ax: Axes, p: Array) -> None:
-    p = p[np.isfinite(p)]
-    ax.hist(p, bins=20, range=(0, 1), color=PALETTE[1], weights=np.full(p.size, 1 / max(1, p.size)))
-    ax.axhline(1 / 20, color="#444444", linewidth=0.8, linestyle=":")
-    ax.set(xlabel="p-value", title="Pixels by p-value", yticks=[], box_aspect=0.8)
-    ax.spines["left"].set_visible(False)
-
-
-@style()
-def renders_compared(
-    images: Mapping[str, npt.ArrayLike],
-    samples: Mapping[str, Sequence[npt.ArrayLike]] | None = None,
-    marks: Sequence[Mark] = (),
-    *,
-    difference: tuple[str, str] | None = None,
-    maps: Sequence[Callable[..., Any]] = (),
-    colors: Mapping[str, str] | None = None,
-    exposure: float | None = None,
-    width: Width = "page",
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw renders of one view, how two of them differ, and CHDs of the same places.
-
-    The CHDs of a place are log histograms of luminance, drawn over each other, with a dashed line
-    at the mean. A render without samples has a dotted line at its luminance.
-
-    Parameters
-    ----------
-    images
-        Linear radiance (y, x, channel) by the name of the render.
-    samples
-        For all or some renders, the samples (channel, sample) of each mark.
-    marks
-        Places; each has a number in the images, and a CHD.
-    difference
-        Names of two renders; the luminance of the first minus the second is drawn, too.
-    maps
-        Functions that draw a further panel into their ``ax``, such as a partial of `value_map`.
-    colors
-        Colour of the CHDs of each render; None takes those of `chdstat.viz.PALETTE`.
-    exposure
-        As in `tonemap`; all images share it. None exposes for the first image.
-    width
-        Of a new figure: "column" or "page" of a paper, or inches.
-    fig
-        Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If there is no image, or a render does not have samples for each mark.
-
-    Examples
-    --------
-    >>> x = np.random.default_rng(0).gamma(1.0, size=(2, 8, 8, 3, 64))
-    >>> mark = Mark("wall", slice(3, 4), slice(4, 5), (3, 4))
-    >>> images = dict(zip("ab", x.mean(axis=-1)))
-    >>> figure = renders_compared(images, {"a": [x[0, 3, 4]]}, [mark], difference=("a", "b"))
-    >>> len(figure.axes)  # with the colour bar
-    5
-    """
-    samples = samples or {}
-    if not images or any(len(those) != len(marks) for those in samples.values()):
-        message = "expected at least one image, and samples of as many places as there are marks"
-        raise InputError(message)
-    arrays = {name: np.asarray(image, float) for name, image in images.items()}
-    first = next(iter(arrays.values()))
-    exposure = display_stops(first) if exposure is None else exposure
-    if difference is not None:
-        one, two = (luminance(arrays[name], channel_axis=-1) for name in difference)
-        look: Any = {"title": " − ".join(difference), "unit": "luminance", "diverging": True}
-        maps = [partial(value_map, one - two, **look), *maps]
-    count, wide = len(arrays) + len(maps), inches(width, fig)
-    across, places = fitting(wide, min(count, 4), 1.6), len(marks) if samples else 0
-    columns = fitting(wide, min(places, 2), 2.5)
-    height = wide / across * upright(*first.shape[:2]) + 0.25
-    rows, below = -(-count // across), -(-places // columns)
-    figure = page(fig, rows * height + 1.5 * below + 0.3, width)
-    ratios = [rows * height, 1.5 * below] if places else [1]
-    parts = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
-    cells = parts[0].subgridspec(rows, across)
-    axes = [figure.add_subplot(cells[i // across, i % across]) for i in range(count)]
-    for ax, (name, image) in zip(axes, arrays.items(), strict=False):
-        draw_marked(ax, tonemap(image, exposure=exposure), marks)
-        bare(ax, within(name, wide / across))
-    for ax, further in zip(axes[len(arrays) :], maps, strict=True):
-        further(ax=ax)
-        ax.set_title(within(ax.get_title(), wide / across))
-    colors = {**dict(zip(arrays, qualitative(len(arrays)), strict=True)), **(colors or {})}
-    cells = parts[-1].subgridspec(max(1, below), columns, wspace=0.12)
-    for i, mark in enumerate(marks if places else ()):
-        ax = figure.add_subplot(cells[i // columns, i % columns])
-        panels = {name: Panel.of(name, those[i]) for name, those in samples.items()}
-        found = {name: [*panel.histograms("log").values()][-1] for name, panel in panels.items()}
-        draw_histograms(ax, found, colors=[colors[name] for name in found])
-        for name, color in colors.items():
-            if name in panels:
-                draw_means(ax, panels[name].mean[-1:], [color])
-            else:
-                seen = luminance(arrays[name][mark.ys, mark.xs], channel_axis=-1)
-                draw_means(ax, [float(np.nanmean(seen))], [color], dashes=":")
-        ax.set_title(verbatim(f"{i + 1} {mark.name}"), loc="left", fontweight="bold", pad=3)
-        ax.set_xlabel(f"luminance ({UNIT}), log scale")
-        ax.set_ylabel("" if i % columns else "density")
-    if places:
-        where: Any = {"loc": "outside lower center", "ncols": 2 * columns, "handlelength": 1}
-        figure.legend(handles=swatches(colors), **where)
-    return figure

@@ -14,7 +14,7 @@ from chdstat._core.doors import draw
 from chdstat.comparison.comparisons import Breakdown, Comparison, ErrorCurve, PixelEstimates
 from chdstat.fit.families import Fit
 from chdstat.fit.tail import Tail
-from chdstat.inference.contrasts import Contrast
+from chdstat.inference.contrasts import Contrast, Contrasts
 from chdstat.inference.modes import Modality
 from chdstat.patterns.pixel import Pixel, Regions
 from chdstat.viz.chd import Panel, chd_pair, fit_curve, mode_stems, tail_curve
@@ -25,7 +25,7 @@ from chdstat.viz.estimators import (
     pixel_estimates,
 )
 from chdstat.viz.image import Mark, region_study
-from chdstat.viz.maps import contrast
+from chdstat.viz.several_renders import contrast
 
 _AROUND = 2
 """Pixels around that of a region that are marked with it."""
@@ -75,6 +75,7 @@ _PANELS: Mapping[type, Callable[..., Axes]] = {
 _FIGURES: Mapping[type, Callable[..., Figure]] = {
     Comparison: estimator_measures,
     Contrast: contrast,
+    Contrasts: contrast,
     ErrorCurve: error_curves,
     Pixel: _pixel,
     Regions: _regions,
