@@ -351,7 +351,7 @@ def _stores_of_one_view(sources: list[str]) -> dict[str, Samples]:
     from chdstat.inference.render_pairs import independent
     from chdstat.samples import is_store
 
-    if len(sources) < 2 or not all(map(is_store, sources)):
+    if len({*sources}) < max(2, len(sources)) or not all(map(is_store, sources)):
         return {}
     found = {name: independent(name) for name in sources}
     try:
