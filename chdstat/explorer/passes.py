@@ -54,14 +54,14 @@ class Passes:
         self._changed = threading.Condition()
         threading.Thread(target=self._run, name="chdstat-passes", daemon=True).start()
 
-    def ask(self, who: Hashable, name: str, work: Pass) -> None:
+    def ask(self, who: Hashable, name: str, work: Pass, *, patient: bool = False) -> None:
         """Let somebody wait for a pass, instead of what they waited for before.
 
-        `work` is taken where the pass has not begun.
+        `work` is taken where the pass has not begun. What is patient waits for all others.
         """
         with self._changed:
             self._asked.pop(who, None)
-            self._asked[who] = name
+            self._asked = {who: name, **self._asked} if patient else {**self._asked, who: name}
             self._work.setdefault(name, work)
             self.failures.pop(name, None)
             self._changed.notify()

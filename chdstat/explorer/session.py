@@ -31,7 +31,7 @@ from chdstat.explorer.image_sources import MOST_SPP, ImageSource, SceneSource, S
 from chdstat.explorer.overlays import Map, map_kind
 from chdstat.explorer.panels import encode_panels, mark_colors
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
-from chdstat.explorer.tables import Table, errors_table, headline, why
+from chdstat.explorer.tables import Table, errors_line, errors_table, headline, why
 from chdstat.explorer.workspace import Workspace, first_pixel
 
 _log = logging.getLogger("chdstat")
@@ -190,12 +190,16 @@ class Session:
         workspace = self._workspace
         if len(workspace.sources) == 1:
             return
-        _, reference = self.view.of_images(len(workspace.sources))
+        shown, reference = self.view.of_images(len(workspace.sources))
         workspace.want_errors(self, reference)
         said = workspace.passes.failures.get(f"errors {reference}", "being measured")
         found = workspace.errors.get(reference)
-        table = errors_table(found, workspace.names[reference], said)
-        self._page.send({"kind": "tables", "tables": {"errors": table}})
+        names = workspace.names[shown], workspace.names[reference]
+        table = errors_table(found, names[1], said)
+        self._page.send(
+            {"kind": "tables", "tables": {"errors": table}},
+            {"kind": "scores", "text": errors_line(table, *names)},
+        )
 
     def _on_export(self, *, format: str) -> None:  # noqa: A002 - its name on the page
         if format not in EXPORTS:

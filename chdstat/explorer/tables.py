@@ -213,12 +213,28 @@ def compared_table(found: Difference, channels: Sequence[str], names: tuple[str,
 
 def errors_table(found: ImageErrors | None, reference: str, said: str) -> Table:
     """Return the errors of the images against one of them; `said` where they are not known yet."""
-    title = f"Errors against {reference}"
-    if found is None or not found.shown:
-        return _table(title, [], [], said)
-    columns = list(found.shown[0])
-    rows = [[row[column] for column in columns] for row in found.shown]
-    return _table(title, columns, rows, "; ".join(found.notes))
+    title, shown = f"Errors against {reference}", found.shown if found else []
+    columns = list(shown[0]) if shown else ["image"]
+    rows = [[row[column] for column in columns] for row in shown]
+    return _table(title, columns, rows, "; ".join(found.notes) if found else said)
+
+
+def errors_line(table: Table, image: str, reference: str) -> str:
+    """Return the row of the image that is shown, of a table of errors, as one line.
+
+    Examples
+    --------
+    >>> table = {"columns": ["image", "MSE"], "rows": [["a", "0.1"]], "note": "being measured"}
+    >>> errors_line(table, "a", "b"), errors_line(table, "c", "b")
+    ('Against b: MSE 0.1', 'Errors against b: being measured')
+    """
+    if image == reference:
+        return "This image is the reference."
+    for name, *cells in table["rows"]:
+        if name == image:
+            errors = map(" ".join, zip(table["columns"][1:], cells, strict=True))
+            return f"Against {reference}: {' · '.join(errors)}"
+    return f"Errors against {reference}: {table['note']}"
 
 
 def light_table(title: str, rows: Sequence[Mapping[str, str | float]]) -> Table:

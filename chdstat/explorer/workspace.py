@@ -269,7 +269,8 @@ class Workspace:
     def want_errors(self, who: Hashable, reference: int) -> None:
         """Let a page wait for the errors of the images against one of them."""
         if len(self.sources) > 1 and self._drawn and reference not in self.errors:
-            self.passes.ask((who, "errors"), f"errors {reference}", self._measure(reference))
+            work, name = self._measure(reference), f"errors {reference}"
+            self.passes.ask((who, "errors"), name, work, patient=True)
 
     def map(self, view: View) -> Map | None:
         """Return what there is of the map of a view."""

@@ -658,8 +658,40 @@ def test_nothing_overlaps_or_sticks_out(person, store_path):
         one.page.set_viewport_size({"width": width, "height": 900})
         assert one.page.evaluate("document.documentElement.scrollWidth") <= width
         assert one.page.evaluate(OVERLAPS) == []
+    # A phone: the image is first, fingers hit what they want, and tables end where the page does.
+    for width, height in ((390, 844), (360, 740)):
+        one.page.set_viewport_size({"width": width, "height": height})
+        one.waits_for(
+            "document.querySelector('#controls').contains(document.querySelector('#auto'))"
+        )
+        image, controls = (one.page.locator(q).bounding_box() for q in (".image", "#controls"))
+        assert image["y"] + image["height"] <= min(controls["y"], height)
+        for folded in ("#controls", "#drawing", ".tables details"):
+            if one.page.locator(folded).get_attribute("open") is None:
+                one.page.locator(f"{folded} > summary").click()
+        assert one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert one.page.evaluate(OVERLAPS) == []
+        assert one.page.evaluate(SMALL) == []
+        for table in one.page.locator(".table:visible").all():
+            assert table.evaluate(REACHED)
+    one.page.set_viewport_size({"width": 1280, "height": 900})
+    one.waits_for("document.querySelector('header').contains(document.querySelector('#theme'))")
 
 
+SMALL = """() => [...document.querySelectorAll('button, select, summary, label, input[type=range]')]
+  .filter((e) => e.tagName !== 'LABEL' || e.closest('fieldset'))
+  .filter((e) => e.getClientRects().length && !e.closest('#why'))
+  .filter((e) => { const r = e.getBoundingClientRect(); return r.height < 44 || r.width < 44; })
+  .map((e) => e.outerHTML.slice(0, 80))"""
+"""What is smaller than a finger needs (WCAG 2.2, 2.5.5); links within a sentence may be."""
+REACHED = """(e) => {
+  const right = (e) => e.getBoundingClientRect().right;
+  e.scrollLeft = e.scrollWidth;
+  const end = Math.max(0, ...[...e.querySelectorAll('th, td')].map(right)), edge = right(e);
+  e.scrollLeft = 0;
+  return end <= edge + 1 && edge <= innerWidth && getComputedStyle(e).overflowX === 'auto';
+}"""
+"""Whether the last column of a table comes into view, within the page."""
 OVERLAPS = """() => {
   const parts = [...document.querySelectorAll(
     'header > *, .controls > *, .panel, .tables > .table:not([hidden]), #readout, #chips,'

@@ -49,6 +49,7 @@ window.chdstat = (() => {
 
   function tap(event) {
     const [x, y] = [Math.floor(event.x), Math.floor(event.y)];
+    read(event, y, x);  // a finger does not point before it taps
     if (following && added) { added = false; return; }  // it is there: from here on it stays
     clearTimeout(resting);  // what is clicked is read at once: not twice side by side
     send("pick", { y, x, add: Boolean(event.modifiers && event.modifiers.shift) });
@@ -97,6 +98,11 @@ window.chdstat = (() => {
     if (!inside(x, y)) { $("#readout").textContent = "outside the image"; return; }
     near(y, x);
     if (following) followed(y, x);
+    read(event, y, x);
+  }
+
+  function read(event, y, x) {
+    if (!inside(x, y)) return;
     const at = y * models.width + x, which = Math.max(0, models.figures.indexOf(event.origin));
     const data = models.radiances[which].data;
     const parts = models.channels.map((c) => `${c} ${number(data[c][0][at])}`);
@@ -331,6 +337,7 @@ window.chdstat = (() => {
       $("#suggested").hidden = !buttons.length;
       $("#suggested").replaceChildren(make("span", "Worth a look", { class: "label" }), ...buttons);
     },
+    scores(item) { $("#scores").textContent = item.text; },
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
       if ("statistics" in item.tables) {
@@ -350,7 +357,7 @@ window.chdstat = (() => {
       $("#described").textContent = item.texts.length === 1 ? item.texts[0] : "";
       for (const [i, button] of all("[data-show]").entries()) button.title = item.texts[i];
       $("main").classList.toggle("imageonly", !item.samples);
-      $("header .group").hidden = !item.samples;  // there is nothing to export
+      $("#export").hidden = !item.samples;  // there is nothing to export
     },
     working(item) { $("#working").textContent = item.text; },
     alert(item) {
@@ -670,6 +677,24 @@ window.chdstat = (() => {
       if (!apart(ticks)) ticks = decades([1], every);
     return ticks;
   }
+
+  // --- phones ---
+  // Where there is little width, the image comes first, and its controls are folded below it.
+  const little = matchMedia("(max-width: 600px)");
+  const homes = new Map();
+  function fold() {
+    for (const part of all("[data-fold]")) {
+      if (!homes.has(part)) {
+        homes.set(part, document.createComment(""));
+        part.before(homes.get(part));
+      }
+      if (little.matches) $(`#${part.dataset.fold}`).append(part);
+      else homes.get(part).after(part);
+    }
+    for (const folded of all("details.fold")) folded.hidden = !little.matches;
+  }
+  document.addEventListener("DOMContentLoaded", fold);
+  little.addEventListener("change", fold);
 
   // --- the start ---
   // Bokeh writes a style sheet for each axis and glyph whenever it paints, mostly the same as before,
