@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final, Literal
 from urllib.parse import urlencode
 
 from chdstat.errors import InputError
@@ -44,6 +44,13 @@ _MAP_CHARACTERS = set("abcdefghijklmnopqrstuvwxyz0123456789_:")
 
 PixelIndex = tuple[int, int]
 Box = tuple[int, int, int, int]
+NULLS: Final = "null"
+Brush = tuple[float | None, float | None] | Literal["null"]
+"""Radiance from and to, None for no end; or the null samples."""
+BRUSHED = "brushed"
+"""Name of the map of the samples of a brush."""
+LOOKS = ("map", "brush", "limits", "cmap", "signed", "exposure", "tone", "gamma")
+"""Options that change the image, but not the results of the selection."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,8 @@ class View:
         Ends of the colour bar of a map of numbers; None for automatic ends.
     cmap, signed
         Names of the colour maps of numbers, and of numbers to both sides of a middle.
+    brush
+        Samples whose pixels are shown instead of the map; None for none.
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
@@ -94,6 +103,7 @@ class View:
     limits: tuple[float, float] | None = None
     cmap: str = MAGNITUDES[0]
     signed: str = SIGNED[0]
+    brush: Brush | None = None
     channel: str = "all"
     families: tuple[str, ...] = ("best",)
     batch: int = 32
@@ -177,10 +187,17 @@ class View:
             if value is not None and not (len(value) == 2 and value[0] < value[1] < math.inf):
                 message = f"limits must be two numbers, the smaller first, got {value}"
                 raise InputError(message)
+        elif option == "brush":
+            value = _checked_brush(value)
         elif option != "map" or not set(value) <= _MAP_CHARACTERS:
             message = f"there is no option {option!r} with the value {value!r}"
             raise InputError(message)
         return replace(self, **{option: value})
+
+    @property
+    def overlay(self) -> str:
+        """Name of the map that is shown: that of the brush, if there is one."""
+        return self.map if self.brush is None else BRUSHED
 
     def of_samples(self, spp: int) -> View:
         """Lower N to the largest number that so many samples allow.
@@ -214,7 +231,9 @@ class View:
         for key, (name, _) in _OPTIONS.items():
             value = getattr(self, name)
             if value != getattr(_DEFAULT, name):
-                text = ",".join(map(str, value)) if isinstance(value, tuple) else value
+                text = value
+                if isinstance(value, tuple):
+                    text = ",".join("" if v is None else str(v) for v in value)
                 pairs.append((key, text))
         return urlencode(pairs)
 
@@ -231,6 +250,12 @@ def row_of(channel: str, names: Sequence[str]) -> int:
     """
     last = len(names) - 1
     return last if channel in ("all", "luminance") else min(int(channel), max(0, last - 1))
+
+
+def channel_name(channel: str, channels: Sequence[str]) -> str:
+    """Return the name of the channel that a brush counts by: luminance for "all" of three."""
+    names = (*channels, "luminance") if len(channels) > 1 else channels
+    return names[row_of(channel, names)]
 
 
 def box_between(
@@ -285,6 +310,32 @@ def check_pixel(y: int, x: int, height: int, width: int) -> None:
         raise InputError(message)
 
 
+def _checked_brush(value: Any) -> Brush | None:
+    if value is None or value == NULLS:
+        return None if value is None else NULLS
+    ends = tuple(None if v is None else float(v) for v in value)
+    numbers = [v for v in ends if v is not None]
+    if (
+        len(ends) == 2
+        and numbers
+        and all(map(math.isfinite, numbers))
+        and numbers[0] <= numbers[-1]
+    ):
+        return ends
+    message = (
+        "a range of radiance must be two numbers, the smaller first, of which one may be left out, "
+        f"or {NULLS!r} for the null samples; got {value}"
+    )
+    raise InputError(message)
+
+
+def _brush(text: str) -> Any:
+    if text == NULLS:
+        return text
+    parts = text.split(",")
+    return [_numbers(p, "a range of radiance must be numbers")[0] if p else None for p in parts]
+
+
 def _integers(text: str, count: int) -> tuple[int, ...]:
     parts = text.split(",")
     if len(parts) != count or not all(re.fullmatch(r"\s*[0-9]{1,9}\s*", p) for p in parts):
@@ -307,6 +358,7 @@ _OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "lim": ("limits", lambda text: _numbers(text, "limits must be numbers")),
     "cm": ("cmap", str),
     "cs": ("signed", str),
+    "b": ("brush", _brush),
     "c": ("channel", str),
     "f": ("families", lambda text: tuple(part for part in text.split(",") if part)),
     "n": ("batch", lambda text: _integers(text, 1)[0]),

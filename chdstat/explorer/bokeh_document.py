@@ -28,7 +28,7 @@ from bokeh.plotting import figure
 from chdstat._core.arrays import Image, luminance
 from chdstat._core.display import png
 from chdstat._core.image_scales import tonemap
-from chdstat.explorer.address import BATCH_SIZES, FITS
+from chdstat.explorer.address import BATCH_SIZES, FITS, LOOKS
 from chdstat.explorer.export import EXPORTS
 from chdstat.explorer.image_sources import AnySource, StoreSource
 from chdstat.explorer.overlays import CONTRASTS, DIFFERENCES, IMAGES, MAPS, Map, ramp
@@ -207,6 +207,7 @@ class Page:
             "differences": [(k.name, k.title) for k in {**DIFFERENCES, **CONTRASTS}.values()],
             "cmaps": {"cmap": MAGNITUDES, "signed": SIGNED},
             "light": LIGHT,
+            "looks": LOOKS,
             "labels": [(called(x.name.lower()), x, x.cure_by(drawn)) for x in Label],
             "given": [(name, found.title) for name, found in given.items()],
             "families": [(name, called(name), DASHES.get(name)) for name in FITS],

@@ -12,7 +12,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from chdstat._core.arrays import Floats, Image, generator, is_bad, luminance, seed_number, spans
+from chdstat._core.arrays import (
+    Counts,
+    Floats,
+    Image,
+    generator,
+    is_bad,
+    luminance,
+    seed_number,
+    spans,
+)
 from chdstat._core.image_scales import display_stops
 from chdstat._core.moments import PixelMoments
 from chdstat.errors import ChdstatError, SceneError, StoreError
@@ -24,7 +33,7 @@ from chdstat.samples import open as open_store
 from chdstat.samples.dependence import sequence_of
 from chdstat.samples.layout import BLOCK
 from chdstat.samples.tiles import TILE, Chunk
-from chdstat.summary.histograms import sample_masks
+from chdstat.summary.histograms import StreamingHistogram, sample_masks
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -32,6 +41,10 @@ V = TypeVar("V")
 MOST_POOLED = 2**15
 """Samples of a region, and samples of any place that fits, tests and modes look at."""
 _BLOCK_BYTES, _KEPT_BYTES = 16 * 2**20, 128 * 2**20
+
+
+BINS = np.geomspace(1e-12, 1e12, 481)
+"""Edges of the bins of an image's histogram, twenty for each decade."""
 
 
 def drop_oldest(held: dict[K, V], size: Callable[[V], int]) -> None:
@@ -63,6 +76,9 @@ class Overall:
     extreme, others
         The sample that is farthest from 0 and the sum of the others, averaged over channels,
         radiance, shape (y, x).
+    histogram
+        Good, non-null samples of all pixels by the logarithm of radiance, for each channel and
+        luminance: those below `BINS`, in each bin, and above, shape (row, bin + 2).
     """
 
     mean: Image
@@ -73,6 +89,7 @@ class Overall:
     variation: Image
     extreme: Image
     others: Image
+    histogram: Counts
 
     @property
     def relative_error(self) -> Image:
@@ -89,12 +106,14 @@ class Overall:
     def empty(cls, height: int, width: int, channels: int) -> Overall:
         """Return the image of no samples."""
         mean = np.full((height, width, channels), np.nan, np.float32)
-        return cls(mean, *np.full((7, height, width), np.nan, np.float32))
+        maps = np.full((7, height, width), np.nan, np.float32)
+        return cls(mean, *maps, np.zeros((channels + 1, len(BINS) + 1), np.int64))
 
     def put(self, ys: slice, xs: slice, part: Overall) -> None:
-        """Write a part of the image."""
-        for field in fields(self):
+        """Write a part of the image, which must not be there yet."""
+        for field in fields(self)[:-1]:
             getattr(self, field.name)[ys, xs] = getattr(part, field.name)
+        self.histogram[:] += part.histogram
 
 
 class ImageAccumulator:
@@ -103,6 +122,7 @@ class ImageAccumulator:
     def __init__(self, height: int, width: int) -> None:
         self._pixels = PixelMoments()
         self._extreme, self._others = np.zeros((2, height, width))
+        self._histogram = StreamingHistogram(support=(BINS[0], BINS[-1]), bins=len(BINS) - 1)
 
     def add(self, block: Image) -> None:
         """Count more samples."""
@@ -110,7 +130,11 @@ class ImageAccumulator:
             _add_grey(row, extreme, others)
         with np.errstate(invalid="ignore", over="ignore"):
             rows = np.concatenate([block, luminance(block)[..., np.newaxis, :]], axis=-2)
-        self._pixels.update(rows, *sample_masks(block))
+        masks = sample_masks(block)
+        self._pixels.update(rows, *masks)
+        pooled = np.moveaxis(rows, -2, 0).reshape(rows.shape[-2], -1)
+        null, bad = (None if m is None else np.resize(m, pooled.shape) for m in masks)
+        self._histogram.update(pooled, null=null, bad=bad)
 
     def overall(self) -> Overall:
         """Return the image of the samples so far."""
@@ -123,7 +147,9 @@ class ImageAccumulator:
             share = counts["null_count"] / count
             found = (mean[..., :-1], share, count, counts["bad_count"], variance, variation)
             maps = [part.astype(np.float32) for part in (*found, self._extreme, self._others)]
-        return Overall(*maps)
+        counted = self._histogram.read()
+        inside = counted.underflow[:, np.newaxis], counted.counts, counted.overflow[:, np.newaxis]
+        return Overall(*maps, np.concatenate(inside, axis=-1))
 
 
 def _add_grey(x: Image, extreme: Floats, others: Floats) -> None:
@@ -268,6 +294,13 @@ class StoreSource:
                 part = np.moveaxis(part, 3, 2)[np.arange(part.shape[3]) < counts][..., np.newaxis]
             parts.append(part.reshape(-1, *part.shape[-2:]))
         return _mixed(np.concatenate(parts))
+
+    def held(self, box: Box) -> int:
+        """Return how many samples a region has."""
+        top, left, bottom, right = box
+        if self._counts is None:
+            return (bottom - top) * (right - left) * self.samples.spp
+        return int(self._counts[top:bottom, left:right].sum())
 
     def read(self, ys: slice, xs: slice, ss: slice = slice(None)) -> Image:
         """Read a part, and make sure that it was there: what is gone reads as NaN."""

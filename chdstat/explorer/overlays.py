@@ -22,6 +22,7 @@ from chdstat._core.arrays import Array, Image, spans
 from chdstat._core.positive import PositivePart
 from chdstat._core.statistic import MapKind, Statistic, shown_statistics
 from chdstat.errors import InputError
+from chdstat.explorer.address import BRUSHED, NULLS, View
 from chdstat.explorer.image_sources import MOST_POOLED, StoreSource
 from chdstat.inference.contrasts import Contrast
 from chdstat.io.writing import open_maps
@@ -36,6 +37,8 @@ _DECADES = 8.0
 _TILE, _CELL = 16, 8
 """Pixels of a tile and of a cell, of which one pixel is computed first."""
 _COARSE_SHARE = 0.05
+_DARK = 80
+"""Colours at the dark end of a ramp that are not used over the dimmed image."""
 _LONGEST = 60
 """Characters of a description beside a colour bar."""
 _LABELS = (
@@ -86,7 +89,8 @@ class Map(MapKind):
         """Colours of the numbers, or of the codes in ascending order; a ramp if these have one."""
         count = len(self.names)
         if not count:
-            return list(ramp(self.colors_by_name))
+            # Over the dimmed image, pixels that hold a single sample are to be seen, too.
+            return list(ramp(self.colors_by_name)[_DARK if self.name == BRUSHED else 0 :])
         if self.ordered:
             return [ramp()[255 * i // max(1, count - 1)] for i in range(count)]
         others = (_LABELS[i % len(_LABELS)] for i in range(count))
@@ -149,6 +153,7 @@ IMAGES = _table(
 """Maps that come with the image, a scene's too; attributes of an `Overall`."""
 MAPS = IMAGES | {name: shown for name, (shown, _) in _of_statistics(MOST_POOLED).items()}
 """Those, and maps for which samples are read: statistics of the luminance, for `walk`."""
+_BRUSH = Map(BRUSHED, "Samples in the range", "share of the good samples", log=True)
 DIFFERENCES = _table(
     Map("diff:signed", "Difference", "shown minus reference, luminance", lambda a, b: b - a,
         diverging=True),
@@ -167,6 +172,13 @@ CONTRASTS = _table(
         lambda found: found.maps["efficiency"], log=True, ends=(1 / 8, 8), diverging=True),
 )  # fmt: skip
 """Maps of what `chdstat.contrast` says of two renders."""
+
+
+def map_of_view(view: View, spp: int = 0) -> Map:
+    """Return the map that a view shows, or that of its brush, without values; as `map_kind`."""
+    if view.brush is None:
+        return map_kind(view.map, spp)
+    return replace(_BRUSH, title="Null samples") if view.brush == NULLS else _BRUSH
 
 
 def map_of(name: str, *found: Any, note: str = "") -> Map:

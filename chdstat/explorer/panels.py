@@ -23,10 +23,11 @@ import numpy.typing as npt
 from bokeh import models
 from bokeh.plotting import figure
 
-from chdstat._core.arrays import Array
+from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import as_p, number, percent
 from chdstat._core.resampling import Z_95
 from chdstat.explorer.address import View, row_of
+from chdstat.explorer.image_sources import BINS, Overall
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
@@ -453,6 +454,72 @@ def _gaussian(averages: Array, edges: Array, color: str) -> Trace:
     return Trace(x, y, color, "dotted", 1.8)
 
 
+# --- the whole image ----------------------------------------------------------------------------
+
+_RARE = 0.0025
+"""Share of the samples below which the axis of an image begins."""
+
+
+def image_panel(view: View, overalls: Mapping[str, Overall], channels: Sequence[str]) -> PanelData:
+    r"""Return the densities of all samples of each image, and of the means of its pixels.
+
+    Examples
+    --------
+    >>> from chdstat.explorer.image_sources import StoreSource, stream
+    >>> from chdstat.samples import Samples
+    >>> x = np.random.default_rng(1).gamma(2.0, size=(4, 4, 1, 8)) * np.array([0.0, 1] * 4)
+    >>> *_, (_, whole) = stream(StoreSource(Samples.from_array(x)))
+    >>> image_panel(View(), {"noise": whole}, ["Y"]).notes
+    ['50\xa0% null · filled: samples, dashed: means of pixels']
+    """
+    lines, notes = list[Trace](), list[str]()
+    for k, (name, overall) in enumerate(overalls.items()):
+        color = RENDER_COLORS[k % 6] if len(overalls) > 1 else BLENDED
+        outline = image_outline(view.channel, overall, len(channels))
+        if outline[0].size:
+            lines.append(Trace(*outline, color, fill=True))
+            good = float(np.nansum(overall.good_count))
+            nulls = float(np.nansum(overall.null_share * overall.good_count)) / good
+            notes.append(f"{f'{name}: ' if len(overalls) > 1 else ''}{percent(nulls)} null")
+        row = row_of(view.channel, (*channels, "luminance") if len(channels) > 1 else channels)
+        mean = overall.mean if row < len(channels) else luminance(overall.mean, channel_axis=-1)
+        mean = mean[..., row] if row < len(channels) else mean
+        counts = np.histogram(mean[np.isfinite(mean) & (mean > 0)], BINS)[0]
+        means = _per_decade(counts)
+        if means[0].size:
+            lines.append(Trace(*means, color, "6 4", 1.6))
+    if len(lines) > 1:
+        notes.append("filled: samples, dashed: means of pixels")
+    return PanelData(lines, notes=[" · ".join(notes)] if notes else ["no samples of the image yet"])
+
+
+def image_outline(channel: str, overall: Overall, channels: int) -> tuple[Array, Array]:
+    """Return the outline of the density of all samples of an image; empty without any."""
+    row = -1 if channel in ("all", "luminance") or channels == 1 else int(channel)
+    return _per_decade(overall.histogram[row, 1:-1])
+
+
+def _per_decade(counts: Array) -> tuple[Array, Array]:
+    total = counts.sum()
+    if not total:
+        return np.empty(0), np.empty(0)
+    # Few samples close to 0 would make an axis of many decades.
+    density = np.where(counts.cumsum() > _RARE * total, counts / total, 0) * (len(counts) / 24)
+    return _steps(BINS, density[np.newaxis], 0)
+
+
+def beside(panel: PanelData, overall: Overall, series: Sequence[_Series]) -> PanelData:
+    """Return the log histogram of a region with that of the whole image, dotted."""
+    around, own = [], np.concatenate([np.empty(0), *(line.x for line in panel.lines)])
+    low, high = own.min(initial=np.inf), own.max(initial=0.0)
+    for s in {s.row: s for s in series}.values():
+        channel = str(s.row) if s.row < len(s.place.channels) else "luminance"
+        x, y = image_outline(channel, overall, len(s.place.channels))
+        inside = (x >= low) & (x <= high)
+        around.append(Trace(x[inside], y[inside], s.color, "2 4", 1.4))
+    return replace(panel, lines=[*panel.lines, *around], notes=[*panel.notes, "dotted: the image"])
+
+
 # --- the table ----------------------------------------------------------------------------------
 
 
@@ -465,7 +532,7 @@ class _PanelKind:
     title, x, y
         Text above the panel and along its axes.
     draw
-        Returns what it draws of the series of a view.
+        Returns what it draws of the series of a view; None for what draws the whole image.
     x_scale, y_scale
         Scales of the axes.
     from_zero
@@ -475,7 +542,7 @@ class _PanelKind:
     title: str
     x: str
     y: str
-    draw: Callable[[View, Sequence[_Series]], PanelData]
+    draw: Callable[[View, Sequence[_Series]], PanelData] | None
     x_scale: Scale = "linear"
     y_scale: Scale = "linear"
     from_zero: bool = False
@@ -494,12 +561,15 @@ PANELS = {
     "averages": _PanelKind(
         "Averages of N samples", "radiance", "density", _averages, from_zero=True
     ),
+    "image": _PanelKind(
+        "Histogram of the image", "radiance", "density per decade", None, "log", from_zero=True
+    ),
 }  # fmt: skip
 
 
 def panels(view: View, series: Sequence[_Series]) -> dict[str, PanelData]:
     """Return all panels by name."""
-    return {name: kind.draw(view, series) for name, kind in PANELS.items()}
+    return {name: kind.draw(view, series) for name, kind in PANELS.items() if kind.draw}
 
 
 # --- figures, and how what they draw travels to the page ----------------------------------------

@@ -71,6 +71,14 @@ class Passes:
         with self._changed:
             self._asked.pop(who, None)
 
+    def drop(self, kind: str) -> None:
+        """Drop the passes that nobody waits for, of names that begin alike."""
+        with self._changed:
+            waited = set(self._asked.values())
+            for name in [n for n in self._work if n.startswith(kind) and n not in waited]:
+                del self._work[name]
+                self.shares.pop(name, None)
+
     def forget(self) -> None:
         """Drop all passes, begun or not."""
         with self._changed:

@@ -16,6 +16,7 @@ from chdstat.comparison.estimator_choice import notes
 from chdstat.explorer import batch_estimates, tables
 from chdstat.explorer.address import Box, PixelIndex, View
 from chdstat.explorer.batch_estimates import BATCHES_AROUND, PlaceEstimates
+from chdstat.explorer.brushing import grouped
 from chdstat.explorer.image_sources import (
     MOST_POOLED,
     ImageSource,
@@ -24,7 +25,7 @@ from chdstat.explorer.image_sources import (
     StoreSource,
     drop_oldest,
 )
-from chdstat.explorer.panels import PanelData, panels, series_of
+from chdstat.explorer.panels import PanelData, beside, panels, series_of
 from chdstat.explorer.tables import MOST_TESTED, RESAMPLES, Table
 from chdstat.explorer.workspace import Workspace
 from chdstat.fit import Goodness
@@ -89,11 +90,15 @@ class SelectionPlots:
     @property
     def title(self) -> str:
         """Name of the place that tables describe, and how many samples it has."""
-        samples = f"{self.place.spp:,} samples".replace(",", "\u2009")
+        samples = f"{grouped(self.place.spp)} samples"
         samples += f" of {self.name}" if len(self.found) > 1 else ""
         if len(self.key) == 4:
             top, left, bottom, right = self.key
-            return f"Region y {top}–{bottom - 1}, x {left}–{right - 1} · {samples}"
+            where = f"Region y {top}–{bottom - 1}, x {left}–{right - 1}"
+            whole = self.source.held(self.key) if isinstance(self.source, StoreSource) else 0
+            of = f" of {grouped(whole)}" if whole > self.place.spp else ""
+            samples = samples.replace(" samples", f"{of} samples", 1)
+            return f"{where} · {grouped((bottom - top) * (right - left))} pixels · {samples}"
         which = f" {self.view.active + 1}" if len(self.places) > 1 else ""
         return f"Pixel{which} · y {self.key[0]}, x {self.key[1]} · {samples}"
 
@@ -143,8 +148,11 @@ class SelectionResults:
         series = series_of(view, {workspace.names[i]: those for i, those in found.items()})
         legend = list(dict.fromkeys((s.name, s.color) for s in series))
         source: Any = workspace.sources[index]
-        name = workspace.names[index]
-        return SelectionPlots(view, keys, found, index, source, name, panels(view, series), legend)
+        name, drawn = workspace.names[index], panels(view, series)
+        overall = workspace.overalls[index]
+        if view.region is not None and overall.histogram.any():
+            drawn["log"] = beside(drawn["log"], overall, series)
+        return SelectionPlots(view, keys, found, index, source, name, drawn, legend)
 
     def describe(self, plots: SelectionPlots) -> tuple[dict[str, Table], list[PlaceEstimates]]:
         """Return the tables of the active place by name, and the estimates of quick estimators."""

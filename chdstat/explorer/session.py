@@ -23,13 +23,13 @@ import numpy as np
 from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
-from chdstat.explorer.address import BATCHES, View, box_between, check_pixel, parse_view
+from chdstat.explorer.address import BATCHES, LOOKS, View, box_between, check_pixel, parse_view
 from chdstat.explorer.batch_estimates import PlaceEstimates
 from chdstat.explorer.bokeh_document import Page, coarse_png, colorbar, isolated, rgba
 from chdstat.explorer.export import EXPORTS, exported
 from chdstat.explorer.image_sources import MOST_SPP, ImageSource, SceneSource, StoreSource
-from chdstat.explorer.overlays import Map, map_kind
-from chdstat.explorer.panels import encode_panels, mark_colors
+from chdstat.explorer.overlays import Map, map_kind, map_of_view
+from chdstat.explorer.panels import encode_panels, image_panel, mark_colors
 from chdstat.explorer.selection import SelectionPlots, SelectionResults
 from chdstat.explorer.tables import Table, errors_line, errors_table, headline, why
 from chdstat.explorer.workspace import Workspace, first_pixel
@@ -42,9 +42,6 @@ _LOOK = 0.4
 """Seconds of sampling between two updates of the selected pixel of a scene."""
 _OWN_ACCORD = -1
 """Number of an update that does not follow from a command."""
-
-_LOOKS = frozenset({"map", "limits", "cmap", "signed", "exposure", "tone", "gamma"})
-"""Options that change the image, but not the results of the selection."""
 
 T = TypeVar("T")
 Found = tuple[SelectionPlots, dict[str, Table], list[PlaceEstimates]] | None
@@ -85,7 +82,7 @@ class Session:
         if not self.view.pixels and self.view.region is None:
             self.view = self.view.pick(*first_pixel(workspace.overalls[0]))
         # A map or a part of the image has another look: then there is nothing to be seen at first.
-        coarse = [] if self.view.map != "image" or "z" in arguments else self._coarse()
+        coarse = [] if self.view.overlay != "image" or "z" in arguments else self._coarse()
         self._page = Page(
             document, workspace.sources, workspace.names, workspace.given, coarse, self._gone
         )
@@ -123,6 +120,7 @@ class Session:
     def _on_ready(self) -> None:
         self._describe()
         self._show_image()
+        self._show_histogram()
         notes = list(self._notes)
         try:
             self._workspace.want(self, self.view)
@@ -161,16 +159,18 @@ class Session:
             message = f"the ends of a logarithmic colour bar must be above 0, got {view.limits[0]}"
             raise InputError(message)
         if option == "map":
-            view = view.changed("limits", None)
+            view = replace(view, limits=None, brush=None)
             self._workspace.want(self, view)
-        if option in _LOOKS:
+        if option in LOOKS:
             self.view = view
             self._show_view()
         else:
             self._go(view)
         if option in {"exposure", "tone", "gamma", "channel"}:
             self._show_image()
-        elif option in {"shown", "reference"}:
+        if option == "channel":
+            self._show_histogram()
+        if option in {"shown", "reference", "brush", "channel"}:
             self._want()
             self._want_errors()
         elif option in {"map", "limits", "cmap", "signed"}:
@@ -271,6 +271,7 @@ class Session:
             self._want_errors()
         elif what == "image":
             self._show_image()
+            self._show_histogram()
             self._show_view()
             self._show_map()
         elif what == "source":
@@ -333,23 +334,35 @@ class Session:
 
     def _map(self) -> Map | None:
         """Return what there is of the map, as it is shown."""
-        found = None if self.view.map == "image" else self._workspace.map(self.view)
+        found = None if self.view.overlay == "image" else self._workspace.map(self.view)
         if found is None:
             return None
         cmap = self.view.signed if found.diverging else self.view.cmap
-        return replace(found, ends=self.view.limits or found.ends, cmap=cmap)
+        limits = self.view.limits if self.view.brush is None else None
+        return replace(found, ends=limits or found.ends, cmap=cmap)
 
     def _show_map(self) -> None:
         """Show the finished part of the map and its progress, or remove the map."""
         said = self._refused
         found = None if said else self._map()
-        if self.view.map != "image" and not said and (found is None or found.done < 1):
+        if self.view.overlay != "image" and not said and (found is None or found.done < 1):
             passes, key = self._workspace.passes, self._workspace.key(self.view)
             share = passes.shares.get(key)
             done = "being computed" if share is None else f"{100 * share:.0f} %"
-            said = f"{map_kind(self.view.map).title}: {passes.failures.get(key, done)}"
+            said = f"{map_of_view(self.view).title}: {passes.failures.get(key, done)}"
+        told = ""
+        if found is not None and self.view.brush is not None:
+            told, found = found.note, replace(found, note="")
         self._page.show_map(found, self.view.of_images(len(self._workspace.sources))[0])
-        self._page.send({"kind": "colorbar", "bar": colorbar(found), "said": said})
+        bar = {"kind": "colorbar", "bar": colorbar(found), "said": said}
+        self._page.send(bar, {"kind": "brushed", "text": told})
+
+    def _show_histogram(self) -> None:
+        """Show the histogram of the images as far as they are read."""
+        named = dict(zip(self._workspace.names, self._workspace.overalls, strict=True))
+        panel = image_panel(self.view, named, self._workspace.sources[0].channels)
+        notes = {"image": list(panel.notes)}
+        self._page.send({"kind": "histogram", **encode_panels({"image": panel}), "notes": notes})
 
     def _exported(self, future: Future[tuple[str, bytes]]) -> None:
         self._page.send({"kind": "working", "text": ""})

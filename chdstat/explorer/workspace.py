@@ -28,7 +28,8 @@ from chdstat._core.positive import PositivePart
 from chdstat.comparison.image_errors import ImageErrors, measuring_errors
 from chdstat.errors import InputError
 from chdstat.estimators.training import TrainedModel, load_model
-from chdstat.explorer.address import PixelIndex, View
+from chdstat.explorer.address import BRUSHED, PixelIndex, View, channel_name
+from chdstat.explorer.brushing import brushed
 from chdstat.explorer.image_sources import (
     AnySource,
     ImageSource,
@@ -45,6 +46,7 @@ from chdstat.explorer.overlays import (
     Map,
     map_kind,
     map_of,
+    map_of_view,
     read_maps,
     walk,
 )
@@ -60,6 +62,8 @@ from chdstat.summary.runner import measured
 
 _MOST_FILES = 64
 _FIRST_SPP = 64
+_MOST_BRUSHED = 8
+"""Maps of brushes that are kept."""
 _SHOWN_EVERY = 0.5
 """The image is shown again after 0.4 s plus this share of the time since drawing began."""
 
@@ -237,6 +241,8 @@ class Workspace:
     def key(self, view: View) -> str:
         """Return what a map is called here, those of one contrast alike."""
         shown, reference = view.of_images(len(self.sources))
+        if view.brush is not None:
+            return f"{BRUSHED} {shown} {view.channel} {view.brush}"
         return f"contrast {shown} {reference}" if view.map in CONTRASTS else f"{view.map} {shown}"
 
     def want(self, who: Hashable, view: View) -> None:
@@ -249,16 +255,19 @@ class Workspace:
         """
         self.passes.leave(who)
         found = self.map(view)
-        if view.map == "image" or (found is not None and found.done >= 1):
+        if view.overlay == "image" or (found is not None and found.done >= 1):
             return
-        kind, key = map_kind(view.map), self.key(view)
+        kind, key = map_of_view(view), self.key(view)
         shown, reference = view.of_images(len(self.sources))
         source = self.sources[shown]
-        if view.map in (*DIFFERENCES, *CONTRASTS) and shown == reference:
+        if view.overlay in (*DIFFERENCES, *CONTRASTS) and shown == reference:
             message = "this image is the reference: choose another one"
             raise InputError(message)
-        if view.map in CONTRASTS:
+        if view.overlay in CONTRASTS:
             self.passes.ask(who, key, self._contrast(key, shown, reference))
+        elif isinstance(source, StoreSource) and view.brush is not None:
+            self.passes.drop(BRUSHED)
+            self.passes.ask(who, key, self._brush(source, key, view))
         elif isinstance(source, StoreSource):
             self.passes.ask(who, key, self._walk(source, key, view.map))
         else:
@@ -275,7 +284,7 @@ class Workspace:
     def map(self, view: View) -> Map | None:
         """Return what there is of the map of a view."""
         shown, reference = view.of_images(len(self.sources))
-        name, overall = view.map, self.overalls[shown]
+        name, overall = view.overlay, self.overalls[shown]
         if name in self.given:
             return self.given[name]
         if name in DIFFERENCES and shown != reference:
@@ -359,6 +368,19 @@ class Workspace:
         found = yield from measuring_errors(images, truth, name=name, means=means)
         if source is self.sources[reference]:  # else it has grown
             self.errors[reference] = found
+
+    def _brush(self, source: StoreSource, key: str, view: View) -> Pass:
+        assert view.brush is not None
+        kind, channel = map_of_view(view), channel_name(view.channel, source.channels)
+        earlier = [known for known in self.maps if known[1] == BRUSHED]
+        for known in earlier[:-_MOST_BRUSHED]:  # each is another range
+            self.maps.pop(known)
+        for share, found in brushed(source, view.brush, view.channel):
+            note = found.told(view.brush, channel) if share >= 1 else ""
+            if source in self.sources:
+                now = replace(kind, values=found.share, done=share, note=note)
+                self.maps[key, BRUSHED] = now
+            yield "counting samples", share
 
     def _contrast(self, key: str, shown: int, reference: int) -> Pass:
         pair = reference, shown

@@ -21,6 +21,7 @@ from chdstat.io import write_exr
 from chdstat.patterns import Label
 from chdstat.samples.store import Store
 from chdstat.viz.styling import called
+from tests.luminance import LUMINANCE
 
 SIZE = 32
 PATIENCE = 600_000
@@ -253,7 +254,9 @@ def test_a_box_picks_a_region(person, store_path):
         one.page.mouse.up()
     assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
     assert one.query == {"r": ["4,6,12,16"]}
-    assert one.text("#headline h2").startswith("Region y 4–11, x 6–15 · 5\u2009120 samples")
+    assert one.text("#headline h2").startswith(
+        "Region y 4–11, x 6–15 · 80 pixels · 5\u2009120 samples"
+    )
     with one.answered():  # a press that is held is a click ...
         one.page.mouse.move(*one.place(12, 9))
         one.page.mouse.down()
@@ -268,6 +271,51 @@ def test_a_box_picks_a_region(person, store_path):
         one.page.mouse.up()
     one.waits_for("document.querySelector('#chips').innerText.includes('region')")
     assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
+
+
+BAND = "document.querySelector('#panel-image .brush')"
+
+
+def test_samples_of_a_range_are_found_in_the_image(person, store_path):
+    """By the mouse, the keyboard and the address; Escape undoes it."""
+    told = "document.querySelector('#brushed').innerText"
+    one = person(store_path).open("?p=20,10&b=null")
+    one.waits_for(f"{told}.includes('null samples')")
+    one.page.keyboard.press("Escape")
+    one.waits_for("!location.search.includes('b=')")
+    plot = one.page.locator("#panel-image .plot")
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    one.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 40)
+    one.page.mouse.down()
+    one.page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 40, steps=3)
+    assert not one.page.evaluate(f"{BAND}.hidden")  # while it is drawn
+    one.page.mouse.up()
+    one.waits_for(f"location.search.includes('b=') && {told}.includes('samples with luminance')")
+    low, high = (float(v) for v in one.query["b"][0].split(","))
+    x = chd.open(store_path).read()
+    inside = np.einsum("yxcs,c->yxs", x, LUMINANCE)
+    inside = ((inside >= np.float32(low)) & (inside <= np.float32(high))).sum(axis=-1)
+    pixels, samples = (
+        (f"{int(v):,}".replace(",", "\u2009")) for v in ((inside > 0).sum(), inside.sum())
+    )
+    assert one.page.evaluate(told).startswith(f"{pixels} pixels hold {samples} samples")
+    values = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].data_source.data.image[0]"
+    shown = np.array(one.page.evaluate(f"Array.from({values})"), float).reshape(SIZE, SIZE)
+    np.testing.assert_allclose(np.nan_to_num(10**shown), inside / 64, rtol=1e-5)
+    one.page.keyboard.press("Escape")
+    one.waits_for(f"!location.search.includes('b=') && {told} === '' && {BAND}.hidden")
+    one.page.keyboard.press("w")
+    one.page.keyboard.type("0.5")
+    one.page.keyboard.press("Tab")
+    one.waits_for(f"location.search.includes('b=0.5') && {told}.includes('of 0.500 or more')")
+    one.page.keyboard.press("Escape")  # from within the field, too
+    one.waits_for("!location.search.includes('b=')")
+    one.page.locator("h1").click()
+    one.page.keyboard.press("o")
+    one.waits_for(f"location.search.includes('b=null') && {told}.includes('null samples')")
+    one.page.locator("select[data-option=map]").select_option("null_share")
+    one.waits_for("!location.search.includes('b=') && location.search.includes('map=')")
 
 
 def test_a_click_outside_changes_nothing(person, store_path):

@@ -2,7 +2,7 @@
 // says into text. It computes nothing. All text from the server is set as text, never as markup.
 window.chdstat = (() => {
   "use strict";
-  let models = null, sent = 0, view = null, label = null, query = "", lastMap = "null_share", drawn = null;
+  let models = null, sent = 0, view = null, label = null, query = "", lastMap = "null_share", drawn = null, histogram = null;
   const timings = [], RESULTS = "#headline, .panels, .tables";
   const $ = (query) => document.querySelector(query);
   const all = (query) => [...document.querySelectorAll(query)];
@@ -16,8 +16,8 @@ window.chdstat = (() => {
 
   // --- what is fresh ---
   // What shows the selection is marked as soon as something else is asked for, until it shows that.
-  const SELECTS = ["ready", "pick", "move", "box", "activate", "drop"], LOOKS = ["map", "limits", "exposure", "tone", "gamma"];
-  let unanswered = [], held = null;
+  const SELECTS = ["ready", "pick", "move", "box", "activate", "drop"];
+  let unanswered = [], held = null, looks = [];
   const outdate = (query, on) => all(query).forEach((e) => e.setAttribute("aria-busy", String(on)));
   const freshen = (query, seq) => { if (!unanswered.some((n) => n > seq)) outdate(query, false); };
   function answered(item) {
@@ -31,7 +31,7 @@ window.chdstat = (() => {
 
   function send(command, options = {}) {
     sent += 1;
-    if (SELECTS.includes(command) || (command === "set" && !LOOKS.includes(options.option))) {
+    if (SELECTS.includes(command) || (command === "set" && !looks.includes(options.option))) {
       unanswered.push(sent);
       outdate(RESULTS, true);
     }
@@ -235,6 +235,64 @@ window.chdstat = (() => {
     } else if (y !== undefined) send("box", { box: [y - AROUND, x - AROUND, y + AROUND + 1, x + AROUND + 1] });
   }
 
+  // --- brushing: a range of radiance across a histogram, or the null samples ---
+  const BRUSHED = ["log", "linear", "image"];
+  const across = (name) => Bokeh.index.find_one(models.panels[name].at(-1))?.frame;
+  const brushable = (name) => !$(`#panel-${name}`).hidden && models.panels[name][5].visible;
+  let brushing = null;
+  function brush(value) {
+    if (value === null && (!view || view.brush === null)) return;
+    set("brush", value);
+  }
+  function band(name, ends) {
+    const mark = $(`#panel-${name} .brush`), frame = ends && brushable(name) ? across(name) : null;
+    mark.hidden = true;
+    if (!frame) return;
+    const { left, right } = frame.bbox;
+    const at = (v, none) => v === null ? none : v <= 0 && name !== "linear" ? -Infinity : frame.x_scale.compute(v);
+    const low = Math.max(left, at(ends[0], left)), high = Math.min(right, at(ends[1], right));
+    if (low > high) return;
+    mark.hidden = false;
+    mark.style.left = `${low}px`;
+    mark.style.width = `${Math.max(1, high - low)}px`;
+  }
+  function bands() {
+    const ends = Array.isArray(view?.brush) ? view.brush : null;
+    for (const name of BRUSHED) band(name, ends);
+  }
+  function brushes(name) {
+    const plot = $(`#panel-${name} .plot`);
+    const at = (event) => {
+      const { left, right } = across(name).bbox;
+      return Math.min(right, Math.max(left, event.clientX - plot.getBoundingClientRect().left));
+    };
+    const ends = (event) => [brushing, at(event)].sort((a, b) => a - b)
+      .map((sx) => Number(across(name).x_scale.invert(sx).toPrecision(3)));
+    plot.addEventListener("pointerdown", (event) => {
+      if (event.button || !brushable(name) || !across(name)) return;
+      brushing = at(event);
+      plot.setPointerCapture(event.pointerId);
+      event.preventDefault();
+    });
+    plot.addEventListener("pointermove", (event) => {
+      if (brushing !== null) band(name, ends(event));
+    });
+    plot.addEventListener("pointerup", (event) => {
+      if (brushing === null) return;
+      const found = Math.abs(at(event) - brushing) < 4 ? null : ends(event);
+      brushing = null;
+      if (found) brush(found);
+      else bands();
+    });
+    plot.addEventListener("pointercancel", () => { brushing = null; bands(); });
+  }
+  function typed() {
+    const value = all("#brushing input").map((e) => e.value === "" ? null : e.valueAsNumber);
+    if (value.some((v) => v !== null)) brush(value);
+    else brush(null);
+  }
+  function nulls() { brush(view.brush === "null" ? null : "null"); }
+
   const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
   const LETTERS = { k: "ArrowUp", j: "ArrowDown", h: "ArrowLeft", l: "ArrowRight" };
   function channel(by) {
@@ -245,6 +303,7 @@ window.chdstat = (() => {
   function key(event) {
     const target = event.composedPath()[0];
     if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.key === "Escape" && !$("#help").matches(":popover-open")) brush(null);
     if (target.closest?.("input, select, textarea")) return;
     if (event.key in ARROWS && target.closest?.(".right, #help")) return;  // there, they scroll
     const name = event.key.toLowerCase(), shift = event.shiftKey, digit = /^Digit([1-9])$/.exec(event.code);
@@ -271,6 +330,8 @@ window.chdstat = (() => {
     else if (name === "x" && several()) { const [one, other] = [front, back]; show(other); refer(one); }
     else if (name === "s" && several()) side(!$("main").classList.contains("side"));
     else if (name === "d" && several()) differ();
+    else if (name === "o") nulls();
+    else if (name === "w") $("#brushing input").focus();
     else if (event.key === "?") explain("keys", $("#keys"));
     else if (name === "n") around();
     else if (event.key === "b") drag("box");
@@ -300,6 +361,11 @@ window.chdstat = (() => {
       $("#auto").setAttribute("aria-pressed", String(automatic));
       $("#gamma").hidden = view.gamma === 1;
       $("#gamma").textContent = `gamma ${view.gamma}`;
+      const range = Array.isArray(view.brush) ? view.brush : [null, null];
+      for (const [i, e] of all("#brushing input").entries()) if (e !== document.activeElement) e.value = range[i] ?? "";
+      $("#nulls").setAttribute("aria-pressed", String(view.brush === "null"));
+      $("#unbrush").hidden = view.brush === null;
+      bands();
       pixelColors = item.colors;
       marks(item.colors);
       chips(item.colors);
@@ -352,6 +418,12 @@ window.chdstat = (() => {
       colorbar(item.bar);
       $("#progress").textContent = item.said;
       $("#progress").hidden = !item.said;
+    },
+    brushed(item) { $("#brushed").textContent = item.text; },
+    histogram(item) {
+      draw(item);
+      $("#note-image").textContent = item.notes.image.join("  |  ");
+      histogram = item;
     },
     described(item) {
       $("#described").textContent = item.texts.length === 1 ? item.texts[0] : "";
@@ -433,6 +505,7 @@ window.chdstat = (() => {
         major_label_text_color: color("text"), major_tick_line_color: color("faint"), axis_line_color: color("line") }, quiet);
     }
     if (drawn) fill(drawn);
+    if (histogram) says.histogram(histogram);
     if (view) chips(pixelColors);
   }
   function preferred() {
@@ -483,6 +556,7 @@ window.chdstat = (() => {
       change(yaxis, { axis_label: panel.y, visible: !panel.rows });
       for (const part of [xaxis, xgrid]) change(part, { visible: !panel.own_x });
     }
+    requestAnimationFrame(bands);  // when the axes are laid out
   }
 
   function change(model, values) {
@@ -606,7 +680,7 @@ window.chdstat = (() => {
     const parent = $("#colorbar");
     parent.hidden = $("#ranging").hidden = !bar;
     if (!bar) return;
-    $("#limits").hidden = Boolean(bar.names);
+    $("#limits").hidden = Boolean(bar.names) || view.brush !== null;
     for (const option of ["cmap", "signed"]) $(`[data-option=${option}]`).parentElement.hidden = bar.signed !== (option === "signed");
     if (bar.limits) all("#limits input").forEach((e, i) => { if (e !== document.activeElement) e.value = bar.limits[i]; });
     const parts = [make("span", bar.unit ? `${bar.title} (${bar.unit})` : bar.title)];
@@ -708,6 +782,7 @@ window.chdstat = (() => {
     models = given;
     spare();
     light = JSON.parse($("#light").textContent);
+    looks = JSON.parse($("#looks").textContent);
     theme(preferred());
     const asked = new URLSearchParams(location.search).get("z")?.split(",").map(Number) ?? [];
     if (asked.length === 4 && asked.every(Number.isFinite) && asked[0] < asked[2] && asked[1] < asked[3]) {
@@ -756,6 +831,11 @@ window.chdstat = (() => {
     $("#exposure").addEventListener("input", (e) => set("exposure", Number(e.target.value)));
     $("#auto").addEventListener("click", () => set("exposure", null));
     $("#opacity").addEventListener("input", () => { fade(); zoomed(); });
+    for (const name of BRUSHED) brushes(name);
+    for (const e of all("#brushing input")) e.addEventListener("change", typed);
+    $("#nulls").addEventListener("click", nulls);
+    $("#unbrush").addEventListener("click", () => { brush(null); $("#nulls").focus(); });
+    addEventListener("resize", () => requestAnimationFrame(bands));
     for (const e of all("#limits input")) e.addEventListener("change", () => {
       const value = all("#limits input").map((i) => i.valueAsNumber);
       if (value.every(Number.isFinite)) set("limits", value);
