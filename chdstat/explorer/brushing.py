@@ -44,8 +44,9 @@ class Brushed:
     @classmethod
     def empty(cls, height: int, width: int) -> Brushed:
         """Return what is known before there are samples."""
-        counts, sums = np.zeros((2, height, width), np.int32), np.zeros((2, height, width))
-        return cls(*counts, *sums, np.full((height, width), np.nan, np.float32))
+        count, good = np.zeros((2, height, width), np.int32)
+        light, total = np.zeros((2, height, width))
+        return cls(count, good, light, total, np.full((height, width), np.nan, np.float32))
 
     def add(self, ys: slice, xs: slice, block: Image, brush: Brush, channel: str) -> None:
         """Count further samples, (y, x, channel, sample), of some pixels."""

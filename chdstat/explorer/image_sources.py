@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
@@ -89,7 +89,7 @@ class Overall:
     variation: Image
     extreme: Image
     others: Image
-    histogram: Counts
+    histogram: Counts = field(kw_only=True)
 
     @property
     def relative_error(self) -> Image:
@@ -107,12 +107,13 @@ class Overall:
         """Return the image of no samples."""
         mean = np.full((height, width, channels), np.nan, np.float32)
         maps = np.full((7, height, width), np.nan, np.float32)
-        return cls(mean, *maps, np.zeros((channels + 1, len(BINS) + 1), np.int64))
+        return cls(mean, *maps, histogram=np.zeros((channels + 1, len(BINS) + 1), np.int64))
 
     def put(self, ys: slice, xs: slice, part: Overall) -> None:
         """Write a part of the image, which must not be there yet."""
-        for field in fields(self)[:-1]:
-            getattr(self, field.name)[ys, xs] = getattr(part, field.name)
+        for own in fields(self):
+            if own.name != "histogram":
+                getattr(self, own.name)[ys, xs] = getattr(part, own.name)
         self.histogram[:] += part.histogram
 
 
@@ -149,7 +150,7 @@ class ImageAccumulator:
             maps = [part.astype(np.float32) for part in (*found, self._extreme, self._others)]
         counted = self._histogram.read()
         inside = counted.underflow[:, np.newaxis], counted.counts, counted.overflow[:, np.newaxis]
-        return Overall(*maps, np.concatenate(inside, axis=-1))
+        return Overall(*maps, histogram=np.concatenate(inside, axis=-1))
 
 
 def _add_grey(x: Image, extreme: Floats, others: Floats) -> None:

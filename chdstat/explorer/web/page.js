@@ -680,7 +680,7 @@ window.chdstat = (() => {
     const parent = $("#colorbar");
     parent.hidden = $("#ranging").hidden = !bar;
     if (!bar) return;
-    $("#limits").hidden = Boolean(bar.names) || view.brush !== null;
+    $("#limits").hidden = Boolean(bar.names || view?.brush);
     for (const option of ["cmap", "signed"]) $(`[data-option=${option}]`).parentElement.hidden = bar.signed !== (option === "signed");
     if (bar.limits) all("#limits input").forEach((e, i) => { if (e !== document.activeElement) e.value = bar.limits[i]; });
     const parts = [make("span", bar.unit ? `${bar.title} (${bar.unit})` : bar.title)];
