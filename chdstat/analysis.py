@@ -31,7 +31,7 @@ from chdstat._core.files import checkpoints, release, unused, writing
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
-from chdstat._core.resampling import Blocks, Interval, mean_of, quantile_of, wilson
+from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of, quantile_of, wilson
 from chdstat._core.statistic import (
     RADIANCE,
     Result,
@@ -570,16 +570,9 @@ class NoiseShares:
 
 def noise_of(found: xr.Dataset) -> NoiseShares:
     """Return where the relative variance of luminance is, weighted as in relMSE."""
-    mean = found["luminance_mean"].values
-    spread = found["coefficient_of_variation"].values * mean
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = spread**2 / relative_scale(mean)
-    variance = np.where(np.isfinite(variance), variance, 0.0)
+    variance, shown = _relative_variance(found), _labelled(found)
     total = float(variance.sum()) or np.nan
     count = max(1, round(_NOISIEST * variance.size))
-    labels = flag_names(found["label"].attrs)
-    shown = {name: found["label"].values == code for code, name in labels.items()}
-    shown = {name: here for name, here in shown.items() if here.any()}
     held = {name: float(variance[here].sum()) / total for name, here in shown.items()}
     held = dict(sorted(held.items(), key=lambda item: -item[1]))
     return NoiseShares(
@@ -587,6 +580,59 @@ def noise_of(found: xr.Dataset) -> NoiseShares:
         pixels={name: float(shown[name].mean()) for name in held},
         share=held,
     )
+
+
+def _relative_variance(found: xr.Dataset) -> Floats:
+    mean = found["luminance_mean"].values
+    spread = found["coefficient_of_variation"].values * mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = spread**2 / relative_scale(mean)
+    return np.where(np.isfinite(variance), variance, 0.0)
+
+
+def _labelled(found: xr.Dataset) -> dict[str, npt.NDArray[np.bool_]]:
+    """Return where each primary label that occurs is."""
+    shown = {
+        name: found["label"].values == code
+        for code, name in flag_names(found["label"].attrs).items()
+    }
+    return {name: here for name, here in shown.items() if here.any()}
+
+
+@dataclass(frozen=True)
+class NoiseIntervals:
+    """How sure it is where the noise of an image is: intervals over blocks of pixels.
+
+    Attributes
+    ----------
+    share
+        Share of the relative variance in the pixels of each primary pattern, by name.
+    lead
+        How much more the first of these patterns holds than any other.
+    """
+
+    share: dict[str, Interval[float]]
+    lead: Interval[float]
+
+
+def noise_intervals(found: xr.Dataset, noise: NoiseShares, blocks: Blocks) -> NoiseIntervals:
+    """Return intervals of the shares of the noise."""
+    shown, variance = _labelled(found), _relative_variance(found).ravel()
+    held = blocks.sums(np.stack([variance * shown[n].ravel() for n in noise.share], axis=-1))
+
+    def shares(weights: Floats) -> Floats:
+        sums = weights @ held
+        return np.asarray(sums / sums.sum(axis=1, keepdims=True))
+
+    def lead(weights: Floats) -> Floats:
+        first, *others = shares(weights).T
+        return np.asarray(first - np.max([np.zeros_like(first), *others], axis=0))
+
+    def of_label(place: int) -> Interval[float]:
+        return interval_of(lambda w: shares(w)[:, place], blocks, bounds=(0.0, 1.0))
+
+    each = {name: of_label(i) for i, name in enumerate(noise.share)}
+    return NoiseIntervals(each, interval_of(lead, blocks))
 
 
 def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float]]:

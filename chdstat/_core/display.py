@@ -17,8 +17,9 @@ import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -39,44 +40,97 @@ _SENTENCE = 84
 """Letters after which sentences wrap."""
 _LONG = 400
 """Most letters of a value."""
+_PERCENT = 0.01
 _IN_FULL = 12
 """Arrays up to this size are written number by number."""
 
 
-def number(value: float, digits: int = 3) -> str:
+class Writer(Protocol):
+    """Writes a number; of the digits that it has, those below `step` are left out."""
+
+    def __call__(self, value: float, /, *, step: float = 0.0) -> str:
+        """Return the number as text."""
+
+
+def number(value: float, digits: int = 3, *, step: float = 0.0) -> str:
     """Return a number with three digits, or so many, and a real minus sign.
+
+    Fewer if the last ones are below `step`, but at least one.
 
     Examples
     --------
     >>> number(0.012345), number(1234.5), number(-2.0), number(float("nan")), number(0.5, 2)
     ('0.0123', '1230', '−2.00', '—', '0.50')
+    >>> number(0.8412, step=0.01), number(0.0106, step=0.1), number(321.0, step=100.0)
+    ('0.84', '0.01', '300')
     """
     if not math.isfinite(value):
         return "—"
     if value == 0:
         return "0"
-    rounded = float(f"{value:.{digits}g}")
-    places = max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
-    text = f"{rounded:.{places}f}" if 1e-4 <= abs(rounded) < 1e7 else f"{rounded:.1e}"
+    kept = _digits(value, step, digits)
+    rounded = float(f"{value:.{kept}g}")
+    places = max(0, kept - 1 - math.floor(math.log10(abs(rounded))))
+    plain_range = 1e-4 <= abs(rounded) < 1e7
+    text = f"{rounded:.{places}f}" if plain_range else f"{rounded:.{min(kept - 1, 1)}e}"
     return text.replace("-", "−")
 
 
-def percent(share: float, *, sign: bool = False) -> str:
+def _digits(value: float, step: float, most: int) -> int:
+    """Return how many digits of a number are shown: none below the step, but one at least."""
+    if not step > 0:
+        return most
+    places = math.floor(math.log10(abs(value))) - round(math.log10(step)) + 1
+    return min(max(places, 1), most)
+
+
+def percent(share: float, *, sign: bool = False, step: float = 0.0) -> str:
     r"""Return a share in per cent, without a line break before the sign.
+
+    Tenths are left out if they are below the `step` of the share.
 
     Examples
     --------
     >>> percent(0.574), percent(0.0002), percent(-0.031, sign=True), percent(0.0)
     ('57\xa0%', '< 0.1\xa0%', '−3.1\xa0%', '0\xa0%')
+    >>> percent(0.574, step=0.1), percent(0.031, step=0.01), percent(0.004, step=0.01)
+    ('57\xa0%', '3\xa0%', '0.4\xa0%')
     """
     if not math.isfinite(share):
         return "—"
     if 0 < share < 0.0005 and not sign:
         return "< 0.1\N{NO-BREAK SPACE}%"
     digits = 0 if abs(share) >= 0.0995 or share == 0 else 1
+    if step >= _PERCENT and abs(share) >= _PERCENT:
+        digits = 0
     rounded = round(100 * share, digits) + 0.0  # no minus before 0
     text = f"{rounded:{'+' if sign and rounded else ''}.{digits}f}\N{NO-BREAK SPACE}%"
     return text.replace("-", "−")
+
+
+def step_of(low: float, high: float, *, beside: Sequence[float] = ()) -> float:
+    """Return the place of the last digit that an interval supports, a power of ten; 0 for all.
+
+    Half of the interval has two digits there if they are at most 35, otherwise one (Particle Data
+    Group, "Review of Particle Physics", introduction, section 5.3). No end that lies beside one of
+    the numbers `beside`, such as the limit of a claim, is rounded to it.
+
+    Examples
+    --------
+    >>> step_of(0.21, 0.44), step_of(0.25, 0.42), step_of(150, 600), step_of(2.0, 2.0)
+    (0.01, 0.01, 10.0, 0.0)
+    >>> step_of(0.01, 0.96), step_of(0.01, 0.96, beside=[1.0])
+    (0.1, 0.01)
+    """
+    half = (high - low) / 2
+    if not 0 < half < math.inf:
+        return 0.0
+    place = math.floor(math.log10(half))
+    place -= half < 3.55 * 10.0**place
+    apart = [abs(end - other) for end in (low, high) for other in beside if end != other]
+    if apart:
+        place = min(place, max(math.floor(math.log10(1.99 * min(apart))), -9))
+    return float(f"1e{place}")
 
 
 def with_margin(value: float, margin: float) -> str:
@@ -93,18 +147,70 @@ def with_margin(value: float, margin: float) -> str:
 
 
 def with_interval(
-    value: float, low: float, high: float, write: Callable[[float], str] = number
+    value: float,
+    low: float,
+    high: float,
+    write: Writer = number,
+    *,
+    beside: Sequence[float] = (),
 ) -> str:
     """Return a value with its interval, or alone if that is unknown or has no width.
+
+    No digit is shown that the interval does not support: see `step_of`.
 
     Examples
     --------
     >>> with_interval(0.9131, 0.8691, 0.9502), with_interval(1.0, float("nan"), float("nan"))
-    ('0.913 [0.869, 0.950]', '1.00')
+    ('0.91 [0.87, 0.95]', '1.00')
     """
     if not (math.isfinite(low) and math.isfinite(high)) or low == high:
         return write(value)
+    write = partial(write, step=step_of(low, high, beside=beside))
     return f"{write(value)} [{write(low)}, {write(high)}]"
+
+
+def ends_in_words(
+    low: float, high: float, write: Writer = number, *, beside: Sequence[float] = ()
+) -> str:
+    """Return the ends of an interval in words; "" if there is none.
+
+    Examples
+    --------
+    >>> ends_in_words(0.2134, 0.4419), ends_in_words(0.5, math.inf), ends_in_words(0, math.nan)
+    ('0.21 to 0.44', '0.500 or more', '')
+    """
+    if math.isnan(low) or math.isnan(high):
+        return ""
+    write = partial(write, step=step_of(low, high, beside=beside))
+    return f"{write(low)} or more" if math.isinf(high) else f"{write(low)} to {write(high)}"
+
+
+def about(value: float, low: float, high: float, unit: str) -> str:
+    """Return a number that is known to a factor, in words with its range.
+
+    Examples
+    --------
+    >>> about(321.0, 152.4, 610.0, "samples"), about(1234.5, 1100.0, 1400.0, "spp")
+    ('about 300 samples, 150 to 610', 'about 1,200 spp, 1,100 to 1,400')
+    >>> about(160.0, 64.0, 270.0, "spp"), about(9.7e3, 4e3, 2e4, "spp")
+    ('about 150 spp, 64 to 270', 'about 10,000 spp, 4,000 to 20,000')
+    >>> about(82.0, 63.0, math.inf, "samples"), about(87.2, math.nan, math.nan, "spp")
+    ('about 80 samples, 63 or more', 'about 87 spp')
+    """
+
+    def rounded(x: float) -> str:
+        return f"{float(f'{x:.2g}'):,.0f}"
+
+    if not (math.isfinite(low) and high > low):
+        return f"about {rounded(value)} {unit}"
+    half = ((2 * value if math.isinf(high) else high) - low) / 2
+    place = 10.0 ** math.floor(math.log10(value))
+    if half > place / 2:  # known to a factor: 1, 1.5, 2, 2.5, 3, 4 ...
+        place /= 2 if value < 2.75 * place else 1
+        value = max(round(value / place), 1) * place
+    least, most = rounded(low), rounded(high) if math.isfinite(high) else ""
+    reach = f", {least} to {most}" if most else f", {least} or more"
+    return f"about {rounded(value)} {unit}{reach if least != most else ''}"
 
 
 def byte_size(count: float) -> str:
@@ -167,7 +273,7 @@ def each(write: Callable[..., str], values: npt.ArrayLike, *others: npt.ArrayLik
     Examples
     --------
     >>> each(with_interval, [0.5, 2.0], [0.25, 1.0], [1.0, 4.0])
-    '[0.500 [0.250, 1.00], 2.00 [1.00, 4.00]]'
+    '[0.5 [0.2, 1.0], 2.0 [1.0, 4.0]]'
     """
     x = np.asarray(values)
     if x.size > _IN_FULL:
@@ -343,7 +449,7 @@ def _html(frame: pd.DataFrame, **options: bool) -> str:
 _LATEX = str.maketrans({
     **{letter: f"${letter}$" for letter in "<>"},
     "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "÷": r"$\div$",
-    "≤": r"$\le$", "≥": r"$\ge$", "µ": r"$\mu$", "|": r"\textbar{}",
+    "≤": r"$\le$", "≥": r"$\ge$", "▲": r"$\triangle$", "µ": r"$\mu$", "|": r"\textbar{}",
     "—": "---", "–": "--", "…": r"\dots{}", "\N{NO-BREAK SPACE}": "~",
 })  # fmt: skip
 """What LaTeX has for letters that its fonts lack."""

@@ -8,7 +8,7 @@ pixels are drawn with replacement instead, separately within each region.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import special, stats
 
 from chdstat._core.arrays import Counts, Floats, block_numbers, generator, spans
-from chdstat._core.display import with_interval, written
+from chdstat._core.display import Writer, ends_in_words, number, with_interval, written
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -146,18 +146,24 @@ class Interval(Generic[Value]):
         """Return the number and the ends of its interval by name."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
-    def ends(self: Interval[float], write: Callable[[float], str]) -> str:
+    def ends(self: Interval[float], write: Writer, *, beside: Sequence[float] = ()) -> str:
         """Return the ends in words, formatted by `write`; "" without an interval.
+
+        None that lies beside one of the numbers `beside` is rounded to it.
 
         Examples
         --------
-        >>> Interval(1.0, 0.5, math.inf).ends(str)
-        '0.5 or more'
+        >>> from chdstat._core.display import percent
+        >>> Interval(1.0, 0.5, math.inf).ends(percent).replace("\N{NO-BREAK SPACE}", " ")
+        '50 % or more'
         """
-        if math.isnan(self.low) or math.isnan(self.high):
-            return ""
-        low = write(self.low)
-        return f"{low} or more" if math.isinf(self.high) else f"{low} to {write(self.high)}"
+        return ends_in_words(self.low, self.high, write, beside=beside)
+
+    def shown(
+        self: Interval[float], write: Writer = number, *, beside: Sequence[float] = ()
+    ) -> str:
+        """Return the value with its interval, with the digits that this supports."""
+        return with_interval(self.value, self.low, self.high, write, beside=beside)
 
     def root(self: Interval[float]) -> Interval[float]:
         """Return the interval of the square root; squares that noise made negative give 0."""

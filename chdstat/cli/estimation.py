@@ -657,12 +657,14 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
         f"{found.test_pixels.sum()} test pixels; 95 % intervals in brackets\n"
     )
     output.print_rows(_in_words(found.table()), _COMPARED)
-    output.print_notes(found.notes)
     of_patterns = found.breakdown, {"label": "pattern", "pixels": "pixels"}
+    notes = found.notes
     for more, columns in (of_patterns, (curve, {"n": "N"})):
         if more is not None:
             typer.echo()
             output.print_rows(_in_words(more.table()), columns | _COMPARED, text=["estimator"])
+            notes = notes | more.marks
+    output.print_notes(notes)
 
 
 def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -35,6 +35,7 @@ from chdstat.comparison.metrics import (
     Columns,
     columns_of,
     described,
+    legend,
     stacked,
     titled,
 )
@@ -128,8 +129,13 @@ class _Scores(Tabled):
             for k, name in enumerate(self.estimators)
         ]
 
+    @property
+    def marks(self) -> dict[str, str]:
+        """What the signs in the table mean, by sign."""
+        return legend(text for row in titled(self.table()) for text in row.values())
+
     def _card(self) -> Card:
-        return Card(self._title, table=titled(self.table()))
+        return Card(self._title, self.marks, titled(self.table()))
 
     def plot(self, *, width: Width = "page", fig: Figure | None = None) -> Figure:
         """Draw the measures, as `chdstat.viz` does."""
@@ -292,7 +298,8 @@ class Comparison(_Scores):
         `chdstat.comparison.DEFAULT_ESTIMATORS` were left out, and why.
         """
         left_out = self.provenance.get("left_out", {})
-        return notes(self.estimators, uses_neighbours=self.uses_neighbours, left_out=left_out)
+        found = notes(self.estimators, uses_neighbours=self.uses_neighbours, left_out=left_out)
+        return found | self.marks
 
     @property
     def reusable_models(self) -> dict[str, Model]:

@@ -23,14 +23,21 @@ import importlib
 import importlib.util
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import Array, generator, spans
-from chdstat._core.display import number, percent, with_interval, written
+from chdstat._core.display import (
+    ends_in_words,
+    number,
+    percent,
+    step_of,
+    with_interval,
+    written,
+)
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
 from chdstat.comparison.judges import Judge
@@ -220,11 +227,70 @@ def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interva
     return found
 
 
+Effect = Literal["lower", "higher", "no gain", "cannot tell"]
+"""What the interval of an error over the mean's says."""
+WORSE = "▲"
+"""Marks an error that is surely above the mean's."""
+_GAIN = 0.1
+"""Share of the mean's error from which a gain is worth a word."""
+_ONE = 5e-4
+"""Distance to 1 that three digits do not show."""
+
+
+def effect_of(row: Mapping[str, Any], name: str) -> Effect:
+    """Return what the interval of a ratio of errors says, in a row of `Comparison.table`.
+
+    "lower" and "higher" if the whole interval lies below or above 1, "no gain" if it holds 1 and a
+    gain of a tenth lies outside of it.
+
+    Examples
+    --------
+    >>> ends = (0.2, 0.9), (1.2, 3.0), (0.951, 1.15), (0.2, 1.01), (np.nan, np.nan)
+    >>> [effect_of({"mse_ratio_low": a, "mse_ratio_high": b}, "mse_ratio") for a, b in ends]
+    ['lower', 'higher', 'no gain', 'cannot tell', 'cannot tell']
+    """
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    if not (np.isfinite(low) and np.isfinite(high) and high > low):
+        return "cannot tell"
+    if high < 1 - _ONE:
+        return "lower"
+    if low > 1 + _ONE:
+        return "higher"
+    return "no gain" if low >= 1 - _GAIN else "cannot tell"
+
+
 def shown_ratio(row: Mapping[str, Any], name: str) -> str:
-    """Return a measure from a row of `Comparison.table`, with its 95 % interval."""
+    r"""Return a ratio of errors from a row of `Comparison.table`, with its 95 % interval.
+
+    A sign marks one that is surely above 1.
+
+    Examples
+    --------
+    >>> row = {"mse_ratio": 1.84, "mse_ratio_low": 1.45, "mse_ratio_high": 2.31}
+    >>> shown_ratio(row, "mse_ratio").replace("\N{NO-BREAK SPACE}", " ")
+    '1.8 [1.4, 2.3] ▲'
+    """
     if not np.isfinite(row[name]):
         return "cannot tell"
-    return with_interval(row[name], row[f"{name}_low"], row[f"{name}_high"])
+    sign = f"\N{NO-BREAK SPACE}{WORSE}" if effect_of(row, name) == "higher" else ""
+    return ratio_in_words(row, name) + sign
+
+
+def ratio_in_words(row: Mapping[str, Any], name: str) -> str:
+    """Return a ratio of errors with its 95 % interval, of which no end is rounded to 1."""
+    return with_interval(row[name], row[f"{name}_low"], row[f"{name}_high"], beside=[1.0])
+
+
+def legend(shown: Iterable[str], baseline: str = "the mean") -> dict[str, str]:
+    """Return what the sign of worse errors means, if a text has it.
+
+    Examples
+    --------
+    >>> legend(["1.00", "1.8 [1.4, 2.3] ▲"]), legend([])
+    ({'▲': 'surely worse than the mean: the whole interval is above 1'}, {})
+    """
+    means = f"surely worse than {baseline}: the whole interval is above 1"
+    return {WORSE: means} if any(WORSE in text for text in shown) else {}
 
 
 def in_words(row: Mapping[str, Any]) -> dict[str, str]:
@@ -234,13 +300,17 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
     --------
     >>> ends = {"mse_ratio": 0.9131, "mse_ratio_low": 0.8691, "mse_ratio_high": 0.9502}
     >>> rest = dict.fromkeys(["relmse_ratio", "relmse_ratio_low", "relmse_ratio_high"], np.nan)
-    >>> others = {"mse": 0.5, "bias": -0.012, "fireflies_left": 0.0}
+    >>> others = {"mse": 0.5, "bias": -0.012, "bias_low": -0.05, "bias_high": 0.03}
     >>> others |= {"improved": np.nan, "improved_low": 0.46, "improved_high": 0.64}
+    >>> others |= {f"fireflies_left{end}": 0.0 for end in ("", "_low", "_high")}
     >>> words = in_words({"estimator": "catoni", **ends, **rest, **others})
     >>> words["mse_ratio"], words["relmse_ratio"], words["improved"].replace("\xa0", " ")
-    ('0.913 [0.869, 0.950]', 'cannot tell', '46 % to 64 %')
+    ('0.91 [0.87, 0.95]', 'cannot tell', '46 % to 64 %')
+    >>> words["bias"].replace("\xa0", " ")
+    '−1 %'
     """
     label = {"label": row["label"].replace("_", "-")} if "label" in row else {}
+    left = "fireflies_left"
     return {
         **label,
         "name": LABELS.get(row["estimator"], row["estimator"]),
@@ -248,17 +318,22 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
         "mse_ratio": shown_ratio(row, "mse_ratio"),
         "relmse_ratio": shown_ratio(row, "relmse_ratio"),
         "improved": "" if row["estimator"] == "mean" else _shown_share(row, "improved"),
-        "bias": percent(row["bias"], sign=True),
-        "fireflies": number(row["fireflies_left"]),
+        "bias": percent(row["bias"], sign=True, step=_step(row, "bias")),
+        "fireflies": number(row[left], step=_step(row, left)),
     }
+
+
+def _step(row: Mapping[str, Any], name: str) -> float:
+    """Return the place of the last digit that the interval of a measure supports."""
+    return step_of(row[f"{name}_low"], row[f"{name}_high"])
 
 
 def _shown_share(row: Mapping[str, Any], name: str) -> str:
     """Return a share from a row, or the ends of its interval if these are all that is known."""
     low, high = row[f"{name}_low"], row[f"{name}_high"]
     if np.isfinite(row[name]) or not np.isfinite(low):
-        return percent(row[name])
-    return f"{percent(low)} to {percent(high)}"
+        return percent(row[name], step=_step(row, name))
+    return ends_in_words(low, high, percent)
 
 
 def columns_of(measures: Measures) -> Columns:

@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from chdstat._core.arrays import Array, plain
-from chdstat._core.display import Card, Shown, with_interval
+from chdstat._core.display import Card, Shown, number
 from chdstat._core.resampling import LEVEL, Interval
 
 T = TypeVar("T")
@@ -101,11 +101,15 @@ class ClaimTest:
         if the interval is open on that side, NaN without an interval.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
-        ends = [end for end in (self.least, self.most) if math.isfinite(end)]
-        arms = [value - low if end < value else high - value for end in ends]
-        if not ends or not min(arms) > 0:
+        arms = [value - low if end < value else high - value for end in self.limits]
+        if not arms or not min(arms) > 0:
             return math.nan
-        return min(abs(value - end) / arm for end, arm in zip(ends, arms, strict=True))
+        return min(abs(value - end) / arm for end, arm in zip(self.limits, arms, strict=True))
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """The ends of the range of the claim that are numbers."""
+        return tuple(end for end in (self.least, self.most) if math.isfinite(end))
 
     @property
     def claimed(self) -> str:
@@ -117,7 +121,7 @@ class ClaimTest:
         return f"{_number(self.least)} to {_number(self.most)}"
 
     def __str__(self) -> str:
-        interval = self.interval.ends(_number) or "no interval"
+        interval = self.interval.ends(number, beside=self.limits) or "no interval"
         return f"{self.name} is {_number(self.interval.value)} ({interval}), claimed {self.claimed}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -281,7 +285,7 @@ class Finding(Shown):
         rows = [
             {
                 "statistic": t.name,
-                "value": with_interval(t.interval.value, t.interval.low, t.interval.high),
+                "value": t.interval.shown(beside=t.limits),
                 "claimed": t.claimed,
                 "verdict": t.verdict,
             }

@@ -134,13 +134,15 @@ def attribute(
 class _LargestPart(NamedTuple):
     """The part of the light that makes most of the variance, over the pixels where that is known.
 
-    ``share`` is its share of the variance with an interval, ``mean`` its share of the light, and
-    ``place`` its place among the parts, -1 for the last.
+    ``share`` is its share of the variance with an interval, ``lead`` how much that is above the
+    share of any other part, ``mean`` its share of the light, and ``place`` its place among the
+    parts, -1 for the last.
     """
 
     name: str
     place: int
     share: Interval[float]
+    lead: Interval[float]
     mean: float
 
 
@@ -152,11 +154,15 @@ def largest_part(samples: Samples, blocks: Blocks, *, by: By) -> _LargestPart | 
     known = np.isfinite(held[:, 0])
     if not known.any():
         return None
-    most = int(held[known].mean(axis=0).argmax())
-    share = mean_of(held[known, most].astype(np.float64), blocks[known])
+    held = held.astype(np.float64)
+    *_, second, most = held[known].mean(axis=0).argsort().tolist()
+    share, lead = (
+        mean_of(shares[known], blocks[known])
+        for shares in (held[:, most], held[:, most] - held[:, second])
+    )
     name = str(light["paths" if by == "depth" else "light"].to_numpy()[most])
     place = -1 if most == held.shape[1] - 1 else most
-    return _LargestPart(name, place, share, float(mean[known, most].mean()))
+    return _LargestPart(name, place, share, lead, float(mean[known, most].mean()))
 
 
 def part_names(parts: Sequence[LightPart]) -> list[str]:

@@ -7,29 +7,36 @@ claims, and the tables of regions, families, patterns and estimators follow.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from chdstat._core.display import number, percent, with_interval, with_margin
+from chdstat._core.display import Writer, number, percent, step_of, with_margin
 from chdstat._core.resampling import Interval
 from chdstat.analysis import (
-    NoiseShares,
     Overview,
     key_intervals,
+    noise_intervals,
     pooled_shares,
 )
 from chdstat.comparison import Comparison
 from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
 from chdstat.comparison.metrics import in_words, shown_ratio
 from chdstat.estimators import Combination
-from chdstat.estimators.default_estimate.error import spp_in_words
 from chdstat.estimators.elek2019 import PAPER
 from chdstat.patterns import PATTERNS, Atlas, Label
-from chdstat.patterns.attribution import largest_part
-from chdstat.patterns.clamping import clamped_share
 from chdstat.rendering.recipes import remake_of
+from chdstat.reporting.headlines import (
+    FEW_PIXELS,
+    FEW_SAMPLES,
+    LITTLE,
+    bias_in_words,
+    headlines,
+    pixels_of,
+    row_of,
+    rows_by_label,
+)
 from chdstat.samples import Samples
 from chdstat.samples.samples import provenance
 from chdstat.studies.claims import CLAIMS, Claim, ClaimTest, Finding, SceneData
@@ -45,18 +52,9 @@ Contents = Literal["short", "full", "claims"]
 
 PUBLISHED_SPP, PUBLISHED_SIZE = 2000, 800
 """Samples per pixel, and pixels along each edge, of the images of Elek et al. 2019."""
-FEW_SAMPLES, FEW_PIXELS = 32, 64
-"""Fewest samples for describing distributions, and fewest pixels for drawing maps."""
-_MANY_NULLS = 0.25
-"""Share of null samples from which a report mentions them."""
-_CLAMPED = 1e-3
-"""Share of the light that a clamp takes from which a report mentions it."""
 _LITTLE = 5e-4
 """Share below which a number counts as none."""
 _TINY = 1e-4
-_ERRORS = 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001
-"""Relative errors for which a report says the number of samples."""
-
 
 # --- the report on a scene ----------------------------------------------------------------------
 
@@ -84,15 +82,13 @@ def report_content(
         entries |= {
             "spp": each,
             "key_figures": _key_figures(found),
-            "findings": _headlines(found, estimate),
+            "findings": headlines(found, estimate),
             "regions": _region_table(data),
             "regions_chosen": found.chosen,
             "alpha": percent(float(dataset.attrs["threshold_alpha"])),
         }
         if found.noise and spp >= FEW_SAMPLES and scene.pixels >= FEW_PIXELS:
-            entries["noise"] = _noise_table(
-                found.noise, found.comparison, scene.pixels, data.samples.attrs
-            )
+            entries["noise"] = _noise_table(found)
         if found.comparison is not None:
             entries["estimators"] = _estimator_table(found.comparison)
     if contents != "short":
@@ -130,7 +126,7 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
     scene, noise = found.overview, found.noise
     where = (
         f"The noisiest tenth of the pixels holds {percent(noise.noisiest)} of the relative "
-        f"variance; {_pixels(noise.label)} hold {percent(noise.share[noise.label])} of it."
+        f"variance; {pixels_of(noise.label)} hold {percent(noise.share[noise.label])} of it."
     )
     return {
         "sentences": [
@@ -141,7 +137,7 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
             where if noise else "The samples of no pixel vary.",
             _bad_samples(scene, samples),
         ],
-        "findings": [f"{row['finding']} {row['because']}" for row in _headlines(found, None)],
+        "findings": [f"{row['finding']} {row['because']}" for row in headlines(found, None)],
         "families": _family_table(dataset),
         "patterns": _pattern_table(scene),
     }
@@ -151,206 +147,33 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     """Return up to four numbers, with 95 % intervals over blocks of pixels if possible."""
     scene = found.overview
     of_image = key_intervals(found.data.analysis, found.data.whole().blocks)
-    nulls = of_image["null_share"].ends(percent)
+    nulls = of_image["null_share"]
     if scene.pixels == 1:  # there are no blocks of pixels, but its samples
         ends = found.data.analysis["null_heavy_interval"].values.ravel()
-        nulls = Interval(scene.null_share, *map(float, ends)).ends(percent)
-    shown = [(percent(scene.null_share), "of the samples find no light", nulls)]
+        nulls = Interval(scene.null_share, *map(float, ends))
+    shown = [(*_known(nulls, percent), "of the samples find no light")]
     if scene.spp >= FEW_SAMPLES:
-        spread = of_image["coefficient_of_variation"].ends(number)
+        spread = of_image["coefficient_of_variation"]
         label = "standard deviation of the samples over their mean"
         label += ", in the median pixel" * (scene.pixels > 1)
-        shown.append((number(scene.variation[1]), label, spread))
+        shown.append((*_known(spread, number), label))
         if scene.pixels >= FEW_PIXELS:
             label = "of the relative variance is in the noisiest tenth of the pixels"
-            shown.append((percent(found.noise.noisiest), label, ""))
-    row = _row_of(found.comparison, DEFAULT_ESTIMATE)
+            shown.append((percent(found.noise.noisiest), "", label))
+    row = row_of(found.comparison, DEFAULT_ESTIMATE)
     if found.comparison is not None and row is not None:
-        low, high = (number(row[f"mse_ratio_{end}"]) for end in ("low", "high"))
+        ratio = Interval(*(row[f"mse_ratio{end}"] for end in ("", "_low", "_high")))
         label = f"squared error of the default estimate over the mean's, {found.comparison.n} "
-        shown.append((number(row["mse_ratio"]), f"{label}samples", f"{low} to {high}"))
-    names = ("value", "label", "interval")
-    # An interval whose ends read as the value says nothing more.
-    rows = [(v, label, "" if ends == f"{v} to {v}" else ends) for v, label, ends in shown]
-    return [dict(zip(names, row, strict=True)) for row in rows if row[0] != "—"]
+        shown.append((*_known(ratio, number, beside=[1.0]), f"{label}samples"))
+    names = ("value", "interval", "label")
+    return [dict(zip(names, row, strict=True)) for row in shown if row[0] != "—"]
 
 
-def _headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str, str]]:
-    """Return at most six findings in plain words, each with its evidence.
-
-    They say what is noisy, why, what helps, and by how much.
-    """
-    scene, noise = found.overview, found.noise
-    if scene.spp < FEW_SAMPLES:
-        rows = [
-            (
-                f"{scene.spp} samples per pixel tell no distribution.",
-                f"From {FEW_SAMPLES} on, a report describes where the noise is and why, from "
-                f"{2 * FEW_SAMPLES} on, what helps against it.",
-            )
-        ]
-    else:
-        attrs = found.data.samples.attrs
-        rows = [*_where_noise_is(scene, noise, attrs), *_which_paths(found.data)]
-        rows += [] if noise.label == "null_heavy" else _nulls(scene)
-        rows += [*_clamp(found.data.samples), *_trust(scene), *_fireflies(scene, noise)]
-    if estimate is not None:
-        rows += _how_many_samples(estimate)
-    if found.comparison is not None:
-        rows += _what_helps(found.comparison)
-    return [dict(zip(("finding", "because"), row, strict=True)) for row in rows[:6]]
-
-
-def _where_noise_is(
-    scene: Overview, noise: NoiseShares, attrs: Mapping[str, Any]
-) -> Iterator[tuple[str, str]]:
-    """Yield which pattern holds most of the noise, and what it means."""
-    label = Label[noise.label.upper()] if noise else Label.UNDETERMINED
-    why = f"{label.meaning[0].upper()}{label.meaning[1:]}."
-    if scene.bad_samples == scene.pixels * scene.spp:
-        yield "No sample is a number.", "All are NaN or infinite: nothing can be said of the image."
-    elif not noise:
-        yield "Nothing is noisy here.", "The samples of no pixel vary."
-    elif len(noise.share) == 1:
-        which = "The pixel is" if scene.pixels == 1 else "All pixels are"
-        yield f"{which} {called(noise.label)}.", f"{why} What helps: {label.cure_by(attrs)}."
-    else:
-        yield (
-            f"The largest part of the noise is in {_pixels(noise.label)}.",
-            f"They are {percent(noise.pixels[noise.label])} of the image, by the first pattern of "
-            f"each pixel, and hold {percent(noise.share[noise.label])} of its relative variance. "
-            f"{why} What helps: {label.cure_by(attrs)}.",
-        )
-
-
-def _nulls(scene: Overview) -> Iterator[tuple[str, str]]:
-    if scene.null_share == 1:
-        yield "No sample finds light.", "The scene has no emitter, or the camera sees none of it."
-    elif scene.null_share >= _MANY_NULLS:
-        yield (
-            f"{percent(scene.null_share)} of all samples find no light.",
-            "They cost as much as the others: sampling the lights better would help.",
-        )
-
-
-def _fireflies(scene: Overview, noise: NoiseShares) -> Iterator[tuple[str, str]]:
-    share = scene.patterns["firefly_dominated"]
-    if share > 0 and noise.label != "firefly_dominated":
-        yield (
-            f"In {percent(share)} of the pixels, one sample decides at {scene.spp} spp.",
-            "It carries so much of their sum that their mean is too bright with it, or too dark "
-            "without it.",
-        )
-
-
-def _which_paths(data: SceneData) -> Iterator[tuple[str, str]]:
-    """Yield which paths and lights cause most of the variance, if samples are split by them."""
-    samples = data.samples
-    known = {"depth": samples.depths, "light": samples.lights}
-    for by in ("depth", "light"):
-        part = largest_part(samples, data.whole().blocks, by=by) if known[by] else None
-        if part is None:
-            continue
-        if by == "light":
-            who = "Other light makes" if part.place < 0 else f"Light from {part.name} makes"
-        else:
-            who = f"Paths of {part.name} make" if part.place else "Emitted and direct light makes"
-        yield (
-            f"{who} the largest part of the variance.",
-            f"In the average pixel that is {percent(part.share.value)} of it "
-            f"[{part.share.ends(percent)}], and {percent(part.mean)} of the light.",
-        )
-
-
-def _pixels(label: str) -> str:
-    """Return the name of the pixels of a primary label."""
-    own = label not in {"black", "undetermined", "other"}
-    return f"{called(label)} pixels" if own else f"pixels labelled '{called(label)}'"
-
-
-def _clamp(samples: Samples) -> Iterator[tuple[str, str]]:
-    """Yield how much light the clamp of the scene file takes, if it has one that matters."""
-    level, share = clamped_share(samples) or (0.0, 0.0)
-    if share >= _CLAMPED:
-        yield (
-            f"The clamp of the file takes up to {percent(share)} of the light.",
-            f"It is off here. At {level:g}, as in the file, it makes the image darker, most "
-            "where it is noisy. Each contribution of a path is clamped, so that the loss may be "
-            "smaller.",
-        )
-
-
-def _trust(scene: Overview) -> Iterator[tuple[str, str]]:
-    """Yield how far error bars can be trusted, if averages were tested."""
-    if not any(math.isfinite(share) for share in scene.averages.values()):
-        return
-    most = max(scene.averages)
-    rejected = scene.averages[most]
-    yield (
-        f"Averages of {most} samples are not Gaussian in {percent(rejected)} of the channels.",
-        "Error bars that assume Gaussian averages mislead there. In "
-        f"{percent(scene.doubtful_variance)} of the channels, the error bar of {scene.spp} spp is "
-        "said to fail, by the pixels around, too; in "
-        f"{percent(scene.unidentified_variance)}, the samples do not tell.",
-    )
-
-
-def _how_many_samples(estimate: Combination) -> Iterator[tuple[str, str]]:
-    """Yield the samples per pixel at which the default estimate has a smaller, round error."""
-    smaller = [error for error in _ERRORS if error < 0.8 * estimate.relative_error]
-    needed = [(percent(error), spp_in_words(estimate.spp_for(error))) for error in smaller[:2]]
-    if needed:
-        also = "".join(f"; for {error}, you need {spp}" for error, spp in needed[1:])
-        yield (
-            "For {} you need {}.".format(*needed[0]),
-            f"From all {estimate.spp} samples, the default estimate has a relative error, the root "
-            f"of its relMSE, of about {percent(estimate.relative_error)}{also}.",
-        )
-
-
-def _what_helps(comparison: Comparison) -> Iterator[tuple[str, str]]:
-    """Yield what the default estimate gains over the mean, and which estimator gains more."""
-    own = _row_of(comparison, DEFAULT_ESTIMATE)
-    others = [
-        row for row in comparison.table() if row["estimator"] not in (DEFAULT_ESTIMATE, "mean")
-    ]
-    others = [row for row in others if math.isfinite(row["relmse_ratio"])]
-    # Estimators that increase the squared error come last: they trade one error for another.
-    others = [row for row in others if not row["mse_ratio_low"] > 1] or others
-    best = min(others, key=lambda row: row["relmse_ratio"], default=None)
-    if own is not None:
-        yield _gain(own, "the default estimate", comparison.n)
-    if best is not None and not (
-        own is not None and best["relmse_ratio_high"] >= own["relmse_ratio_low"]
-    ):
-        yield _gain(best, called(best["estimator"]), comparison.n)
-
-
-def _gain(row: Mapping[str, Any], name: str, n: int) -> tuple[str, str]:
-    """Return the gain of an estimator over the mean of n samples, as a finding."""
-    name = name[0].upper() + name[1:]
-    surely = row["mse_ratio_high"] < 1
-    equal = f", as of a mean of {n / row['mse_ratio']:.0f} samples" if surely else ""
-    errors = (
-        f"From {n} samples, its squared error is {shown_ratio(row, 'mse_ratio')} times the mean's"
-        f"{equal}; its relative squared error is {shown_ratio(row, 'relmse_ratio')} times."
-    )
-    measures = {"squared": "mse_ratio", "relative": "relmse_ratio"}
-    lower = [word for word, measure in measures.items() if row[f"{measure}_high"] < 1]
-    if not lower:
-        return f"{name} is not clearly better than the mean.", errors
-    return (
-        f"{name} lowers the {' and the '.join(lower)} error.",
-        f"{errors} It improves {in_words(row)['improved']} of the estimates, with a bias of "
-        f"{percent(row['bias'], sign=True)}.",
-    )
-
-
-def _row_of(comparison: Comparison | None, name: str) -> dict[str, Any] | None:
-    """Return the row of an estimator, if its errors are known; else None."""
-    rows = [] if comparison is None else comparison.table()
-    known = (row for row in rows if row["estimator"] == name and math.isfinite(row["mse_ratio"]))
-    return next(known, None)
+def _known(found: Interval[float], write: Writer, beside: Sequence[float] = ()) -> tuple[str, str]:
+    """Return a number and the ends of its interval, if they say more, with the digits it has."""
+    ends = found.ends(write, beside=beside)
+    value = write(found.value, step=step_of(found.low, found.high, beside=beside))
+    return value, "" if ends == f"{value} to {value}" else ends
 
 
 def _bad_samples(scene: Overview, samples: Samples) -> str:
@@ -475,11 +298,12 @@ def _numbered(claim: Claim | Finding) -> str:
 
 def _test_content(test: ClaimTest) -> dict[str, str]:
     unit = test.unit
+    value, ends = _known(test.interval, number, beside=test.limits)
     written = f"√{unit.removesuffix('^1/2')}" if unit.endswith("^1/2") else unit
     return {
         "name": test.name + ("" if unit == "1" else f" ({written})"),
-        "value": number(test.interval.value),
-        "interval": test.interval.ends(number) or "—",
+        "value": value,
+        "interval": ends or "—",
         "claimed": test.claimed,
         "verdict": test.verdict,
     }
@@ -528,37 +352,32 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
     return rows
 
 
-def _noise_table(
-    noise: NoiseShares,
-    comparison: Comparison | None,
-    pixels: int,
-    attrs: Mapping[str, Any],
-) -> list[dict[str, str]]:
+def _noise_table(found: SceneStudy) -> list[dict[str, str]]:
     """Return a row for each primary label: its share of image and noise, and what helps.
 
     Labels with few pixels have no ratio of errors.
     """
-    by_label = None if comparison is None else comparison.breakdown
-    rows = [] if by_label is None else by_label.table()
-    ratio = {
-        row["label"]: row["relmse_ratio"] for row in rows if row["estimator"] == DEFAULT_ESTIMATE
+    noise, data = found.noise, found.data
+    told = rows_by_label(found.comparison, noise, found.overview.pixels)
+    own = {
+        label: shown_ratio(row, "relmse_ratio")
+        for label, rows in told.items()
+        for row in rows
+        if row["estimator"] == DEFAULT_ESTIMATE
     }
+    shares = noise_intervals(data.analysis, noise, data.whole().blocks).share
     return [
         {
             "name": called(label),
             "color": LABEL_COLORS[called(label)],
             "pixels": percent(noise.pixels[label]),
-            "share": percent(share),
+            "share": shares[label].shown(percent),
             "meaning": Label[label.upper()].meaning,
-            "cure": Label[label.upper()].cure_by(attrs),
-            "estimate": number(
-                ratio.get(label, math.nan)
-                if share >= _LITTLE and noise.pixels[label] * pixels >= FEW_PIXELS
-                else math.nan
-            ),
+            "cure": Label[label.upper()].cure_by(data.samples.attrs),
+            "estimate": own.get(label, "—"),
         }
         for label, share in noise.share.items()
-        if max(share, noise.pixels[label]) >= _LITTLE
+        if max(share, noise.pixels[label]) >= LITTLE
     ]
 
 
@@ -568,10 +387,7 @@ def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
     columns = {key: pooled_shares(found, name) for key, name in criteria.items() if name in found}
     return [
         {"name": called(name)}
-        | {
-            key: with_interval(shares[name].value, shares[name].low, shares[name].high, percent)
-            for key, shares in columns.items()
-        }
+        | {key: shares[name].shown(percent) for key, shares in columns.items()}
         for name in columns["bic"]
     ]
 
@@ -603,7 +419,9 @@ def _estimator_table(comparison: Comparison) -> dict[str, Any]:
     """Return the measures of each estimator, and the settings of the comparison."""
     network: Any = comparison.models.get(PAPER)
     rows = [
-        in_words(row) | {"name": estimator_name(row["estimator"]) + " *" * row["uses_neighbours"]}
+        in_words(row)
+        | {"name": estimator_name(row["estimator"]) + " *" * row["uses_neighbours"]}
+        | {"bias": bias_in_words(row) if row["estimator"] != "mean" else ""}
         for row in comparison.table()
     ]
     return {

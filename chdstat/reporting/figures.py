@@ -24,11 +24,13 @@ from chdstat._core.image_scales import worst_parts
 from chdstat.analysis import save
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.comparison.estimator_choice import DEFAULT_ESTIMATE
+from chdstat.comparison.metrics import shown_ratio
 from chdstat.errors import StoreError
 from chdstat.estimators.registry import Estimates
 from chdstat.estimators.training import TrainedModel
 from chdstat.inference import MORE_THAN_TESTED
-from chdstat.reporting.content import FEW_PIXELS, FEW_SAMPLES, with_others
+from chdstat.reporting.content import with_others
+from chdstat.reporting.headlines import FEW_PIXELS, FEW_SAMPLES
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.whole_image import brightest_firefly
@@ -232,10 +234,9 @@ def _estimates(shown: ReportData) -> Figure | None:
     order = ["mean", DEFAULT_ESTIMATE, *images]
     chosen = [n for n in dict.fromkeys(order) if n in names]
     notes = {
-        estimator_name(row["estimator"]): f"relMSE {number(row['relmse'])}, "
-        f"{number(row['relmse_ratio'])} × the mean's"
+        estimator_name(row["estimator"]): f"relMSE {shown_ratio(row, 'relmse_ratio')} × the mean's"
         for row in found.table()
-        if np.isfinite(row["relmse_ratio"])
+        if row["estimator"] != "mean" and np.isfinite(row["relmse_ratio"])
     }
     named: dict[str, npt.ArrayLike] = {estimator_name(name): images[name] for name in chosen}
     return viz.side_by_side(

@@ -46,6 +46,7 @@ from chdstat.rendering.renders import render
 from chdstat.reporting import content, figures
 from chdstat.reporting.content import Contents
 from chdstat.reporting.documents import Document, typeset
+from chdstat.reporting.headlines import FEW_PIXELS
 from chdstat.samples import Region, Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.dependence import check_distribution
@@ -211,7 +212,7 @@ class _Report:
         dataset = patterns_of(samples, families=not short, **about)
         noise = noise_of(dataset)
         comparison, why_not = self.compared(dataset, noise)
-        if samples.shape[0] * samples.shape[1] < content.FEW_PIXELS:
+        if samples.shape[0] * samples.shape[1] < FEW_PIXELS:
             regions = ()  # which share their pixels
         shown = regions or _by_noise(choose_regions(dataset), noise)
         data = SceneData(
@@ -243,7 +244,7 @@ class _Report:
         samples, estimators = self.samples, self.estimators
         if not noise:
             return None, ""
-        if samples.shape[0] * samples.shape[1] < content.FEW_PIXELS:
+        if samples.shape[0] * samples.shape[1] < FEW_PIXELS:
             return None, "There are too few pixels to compare estimators."
         try:
             if self.contents == "short" and estimators is None:

@@ -40,6 +40,7 @@ from chdstat.comparison.metrics import (
     errors_of,
     exposures,
     flip,
+    legend,
     measures_of,
     moved,
     shown_ratio,
@@ -308,7 +309,8 @@ class Bench(Tabled):
     def _card(self) -> Card:
         scenes, spp = {c.scene: None for c in self.cases}, {c.spp: None for c in self.cases}
         facts = {"scenes": ", ".join(scenes), "spp": ", ".join(map(str, spp))}
-        facts |= self.notes
+        cells = (text for row in self.shown() for text in row.values())
+        facts |= self.notes | legend(cells, self.baseline)
         if not HAS_FLIP:
             facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
         return Card(f"Benchmark: errors over those of {self.baseline}", facts, self.shown())

@@ -297,7 +297,7 @@ def test_rows_are_in_the_order_asked_for():
     assert found.uses_neighbours.tolist() == [True, False, False]
     assert [row["uses_neighbours"] for row in found.table()] == [True, False, False]
     assert found.to_dataset()["uses_neighbours"].values.tolist() == [True, False, False]
-    assert found.notes == {"use neighbours": "Zirr et al. 2018"}
+    assert found.notes["use neighbours"] == "Zirr et al. 2018"
 
 
 # --- how sure it is -----------------------------------------------------------------------------

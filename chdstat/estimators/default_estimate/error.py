@@ -50,8 +50,9 @@ import numpy as np
 from scipy import optimize, stats
 
 from chdstat._core.arrays import Floats, Reals, block_sums, spans
-from chdstat._core.display import duration, percent
+from chdstat._core.display import about, duration, percent, with_interval
 from chdstat._core.image_scales import TOLERANCE, relative_scale
+from chdstat._core.resampling import LEVEL
 from chdstat.estimators.default_estimate.weights import Proposal
 
 _USUAL, _WIDTH = 1.0, 1.0
@@ -124,11 +125,20 @@ class ErrorOfEstimate:
     @property
     def surely(self) -> float:
         """Relative error that nine of ten such images do not exceed; NaN if it is not known."""
+        return self._at(_SURE)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of the relative error that holds it in 95 of 100 such images."""
+        return self._at((1 - LEVEL) / 2), self._at((1 + LEVEL) / 2)
+
+    def _at(self, probability: float) -> float:
+        """Return the relative error that such images do not exceed with a probability."""
         if not self.relative > 0:
             return self.relative
         # Of a log-normal distribution of the squared error with this mean and standard deviation.
         spread = math.sqrt(math.log1p((self.spread / self.relative**2) ** 2))
-        return self.relative * math.exp((stats.norm.ppf(_SURE) * spread - spread**2 / 2) / 2)
+        return self.relative * math.exp((stats.norm.ppf(probability) * spread - spread**2 / 2) / 2)
 
     def reaches(self, error: float) -> bool:
         """Return whether a relative error is reached, with a tenth to spare in nine of ten images.
@@ -157,34 +167,68 @@ class ErrorOfEstimate:
         --------
         >>> found = ErrorOfEstimate(bias=0.0, noise=0.01, of_mean=0.01, spread=0.001, spp=100)
         >>> found.told(0.02, seconds=10.0).replace("\N{NO-BREAK SPACE}", " ")
-        'relative error 10 %; 2.0 % takes about 2,500 spp, 4 min more'
+        'relative error 10 % [9.0 %, 11 %]; 2.0 % takes about 2,500 spp, 2,000 to 3,100, 4 min more'
         """
         if not self.relative >= 0:
             return "the samples do not tell the relative error"
-        about = f"relative error {percent(self.relative)}"
+        told = f"relative error {self.in_words()}"
         if wanted is None and not self.relative:
-            return about
+            return told
         wanted = self.relative / 2 if wanted is None else wanted
         if self.relative <= wanted:
-            return about + ("" if self.reaches(wanted) else f"; {percent(wanted)} is not yet sure")
+            return told + ("" if self.reaches(wanted) else f"; {percent(wanted)} is not yet sure")
         spp = self.spp_for(wanted)
         if not math.isfinite(spp):
-            return f"{about}; no number of samples gives {percent(wanted)}"
+            return f"{told}; no number of samples gives {percent(wanted)}"
         more = seconds * (spp / self.spp - 1)
         after = f", {duration(more)} more" if math.isfinite(more) else ""
-        return f"{about}; {percent(wanted)} takes {spp_in_words(spp)}{after}"
+        return f"{told}; {percent(wanted)} takes {self.spp_in_words(wanted)}{after}"
+
+    def in_words(self) -> str:
+        """Return the relative error with its interval."""
+        return with_interval(self.relative, *self.interval, percent)
+
+    def spp_in_words(self, error: float) -> str:
+        """Return the samples per pixel that a relative error takes, with their range.
+
+        Examples
+        --------
+        >>> found = ErrorOfEstimate(bias=0.0, noise=0.01, of_mean=0.01, spread=0.003, spp=100)
+        >>> found.spp_in_words(0.05)
+        'about 400 spp, 220 to 690'
+        """
+        return about(self.spp_for(error), *self.spp_range(error), "spp")
 
     def spp_for(self, error: float) -> float:
         """Return the samples per pixel at which this estimate has a relative error.
 
         NaN if the error is not known, and infinite if no number of samples is enough.
         """
+        return self._spp_for(error, self.relative**2, sum(self._rates) / 2)
+
+    def spp_range(self, error: float) -> tuple[float, float]:
+        """Return the range of `spp_for`.
+
+        The ends take the present error to be at the ends of its interval, and smoothing to gain at
+        the faster and the slower of both rates. Fireflies that no sample has shown are in no range.
+        """
+        (low, high), rates = self.interval, self._rates
+        return (
+            self._spp_for(error, low**2, max(rates)),
+            self._spp_for(error, high**2, min(rates)),
+        )
+
+    @property
+    def _rates(self) -> tuple[float, float]:
+        """Powers of the number of samples with which the error of smoothing may fall."""
         squared = self.relative**2
+        return _RATE, math.log2(1 + self.noise / squared) if squared > 0 else _RATE
+
+    def _spp_for(self, error: float, squared: float, rate: float) -> float:
         if not squared > 0:
             return self.spp if squared == 0 else math.nan
         of_mean = max(self.of_mean, squared / _SHARE)
         smooth = 1 / (1 / squared - 1 / of_mean)
-        rate = (_RATE + math.log2(1 + self.noise / squared)) / 2
 
         def above(factor: float) -> float:
             now = math.exp(factor) / of_mean + math.exp(rate * factor) / smooth
@@ -193,17 +237,6 @@ class ErrorOfEstimate:
         if above(_FACTOR) > 0:
             return math.inf
         return self.spp * math.exp(optimize.brentq(above, -_FACTOR, _FACTOR))
-
-
-def spp_in_words(spp: float) -> str:
-    """Return a forecast number of samples per pixel, with the two digits that it has.
-
-    Examples
-    --------
-    >>> spp_in_words(1234.5), spp_in_words(87.2)
-    ('about 1,200 spp', 'about 87 spp')
-    """
-    return f"about {float(f'{spp:.2g}'):,.0f} spp"
 
 
 def error_of(
