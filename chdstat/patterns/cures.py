@@ -339,7 +339,7 @@ CURES: Mapping[str, Mapping[str, str]] = {
         "{ptracer}; until then, take the default estimate, not the mean, and trust no error bar of "
         "so many samples",
         "firefly_dominated": "draw more samples of the pixel: if others are as bright, its tail is "
-        "long; if none is, it had bad luck, and the default estimate is closer than the mean",
+        "long; if none is, it had bad luck, and estimates that look at its neighbours may help",
         "bimodal": "{samples}: " + _AT_RATE + "; an emitter that makes one of the two gets more "
         "samples by {weight}",
         "multimodal": "more {weight} for the one that makes most of the variance; then {samples}: "

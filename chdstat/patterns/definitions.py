@@ -472,7 +472,7 @@ PATTERNS: tuple[Pattern, ...] = (
         name="firefly_dominated",
         meaning="one sample decides the pixel: a firefly",
         cure="draw more samples of the pixel: if others are as bright, its tail is long; if none "
-        "is, it had bad luck, and the default estimate is closer than the mean",
+        "is, it had bad luck, and estimates that look at its neighbours may help",
         typical="a wall in a room by night: one sample far to the right of all others; the "
         "running mean jumps once",
         statistic="share of the sum of all samples that the largest one carries",
