@@ -54,7 +54,7 @@ from chdstat.inference.averages import (
 from chdstat.inference.modes import ModalMixture, Modes
 from chdstat.inference.normality import TESTS, Normality
 from chdstat.patterns.classification import Classification
-from chdstat.patterns.definitions import PATTERNS, Thresholds
+from chdstat.patterns.definitions import BODIES, PATTERNS, Thresholds
 from chdstat.samples import ImageLike, checkpoint_key, samples_of
 from chdstat.samples.assembly import assemble
 from chdstat.samples.samples import SampleStream
@@ -69,7 +69,10 @@ if TYPE_CHECKING:
 
     from chdstat.samples import Samples
 
-_PREFIXED = ("modality", "normality", "averages")
+_PREFIXED = (
+    *("modality", "normality", "averages"),
+    *("luminance_logarithms", "luminance_averages"),
+)
 """Stages whose variables begin with the stage's name."""
 _AT_ONCE = 2**26
 """Bytes of maps that are written together."""
@@ -206,7 +209,8 @@ def patterns_of(
 ) -> xr.Dataset:
     """Return the part of an analysis that says where the noise is, in a tenth of the time.
 
-    That is `summarize`, `classify`, and mean and variation of luminance. With `families`, it takes
+    That is `summarize`, `classify`, and of luminance mean and variation, and the normality of
+    logarithms and of averages, whose variables have a prefix. With `families`, it takes
     half of the time of `analyze` and has everything in `overview` except modes. That adds, for each
     channel, families and their distance from the samples, tails, and the normality of logarithms
     and averages. The numbers are those of `analyze`.
@@ -214,6 +218,8 @@ def patterns_of(
     statistics: dict[str, Statistic[Any] | None] = {
         "luminance": _LuminanceMoments(),
         "patterns": Classification(),
+        "luminance_logarithms": _LuminanceNormality(),
+        "luminance_averages": _LuminanceAverages.of_pixel(samples.spp),
     }
     if families:
         statistics |= {
@@ -308,6 +314,18 @@ class _LuminanceMoments(Statistic[_Luminance]):
         moments = Moments.of(np.where(good, part.x, 0), good)
         ratio = np.sqrt(moments.variance) / moments.mean
         return _Luminance(moments.mean, np.where(moments.mean > 0, ratio, np.nan))
+
+
+class _LuminanceNormality(Normality):
+    """Whether the logarithms of luminance are Gaussian."""
+
+    rows: ClassVar = "luminance"
+
+
+class _LuminanceAverages(NormalityOfMeans):
+    """Whether averages of luminance are Gaussian."""
+
+    rows: ClassVar = "luminance"
 
 
 def _of_summary(
@@ -490,7 +508,8 @@ def overview(found: xr.Dataset) -> Overview:
     )
     distance = _values(found, "best_goodness_effect", fit_test="kolmogorov-smirnov")
     margin, known = _values(found, "margin"), np.isfinite(_values(found, "tail_coverage"))
-    sizes = [found.isel(size=i) for i in range(found.sizes.get("size", 0))]
+    tested = "averages_rejected" in found  # of luminance alone, other variables have the sizes
+    sizes = [found.isel(size=i) for i in range(found.sizes.get("size", 0) * tested)]
     families, held_out = (
         {name: pooled.value for name, pooled in pooled_shares(found, variable).items()}
         if variable in found
@@ -633,6 +652,54 @@ def noise_intervals(found: xr.Dataset, noise: NoiseShares, blocks: Blocks) -> No
 
     each = {name: of_label(i) for i, name in enumerate(noise.share)}
     return NoiseIntervals(each, interval_of(lead, blocks))
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """What describes the samples of luminance, as shares of the pixels with 95 % intervals.
+
+    Attributes
+    ----------
+    bodies
+        Share of each of `chdstat.patterns.definitions.BODIES` among the pixels where one is known.
+    gaussian_logarithms
+        Share of the pixels in which normality of the logarithms is not rejected.
+    gaussian_averages
+        Share of the pixels whose averages pass for Gaussian from N samples on, or from fewer, by N.
+    level
+        False discovery rate of the rejections over the image.
+    n_means
+        Number of averages that are tested at each N.
+    """
+
+    bodies: dict[str, Interval[float]]
+    gaussian_logarithms: Interval[float]
+    gaussian_averages: dict[int, Interval[float]]
+    level: float
+    n_means: int
+
+
+def bodies_of(found: xr.Dataset, blocks: Blocks) -> Bodies | None:
+    """Return what describes the samples of an image, from `patterns_of`; None if nothing does."""
+    body = found["body"].values.ravel()
+    if not (body >= 0).any():
+        return None
+    among = {n: np.where(body < 0, np.nan, body == code) for code, n in enumerate(BODIES)}
+    rejected = found["luminance_logarithms_rejected"].values.ravel()
+    gaussian: dict[int, Interval[float]] = {}
+    if "luminance_averages_n_needed" in found:
+        needed = found["luminance_averages_n_needed"].values.ravel()
+        tested = needed != UNTESTED
+        for n in found["size"].values.tolist():
+            passed = tested & (needed != MORE_THAN_TESTED) & (needed <= n)
+            gaussian[n] = mean_of(np.where(tested, passed, np.nan), blocks)
+    return Bodies(
+        {name: mean_of(here, blocks) for name, here in among.items()},
+        mean_of(1 - rejected.astype(np.float64), blocks),
+        gaussian,
+        level=float(found.attrs["false_discovery_rate"]),
+        n_means=int(found.attrs.get("n_means", 0)),
+    )
 
 
 def key_intervals(found: xr.Dataset, blocks: Blocks) -> dict[str, Interval[float]]:

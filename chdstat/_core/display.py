@@ -45,7 +45,7 @@ _IN_FULL = 12
 """Arrays up to this size are written number by number."""
 
 
-class Writer(Protocol):
+class NumberWriter(Protocol):
     """Writes a number; of the digits that it has, those below `step` are left out."""
 
     def __call__(self, value: float, /, *, step: float = 0.0) -> str:
@@ -150,7 +150,7 @@ def with_interval(
     value: float,
     low: float,
     high: float,
-    write: Writer = number,
+    write: NumberWriter = number,
     *,
     beside: Sequence[float] = (),
 ) -> str:
@@ -170,7 +170,7 @@ def with_interval(
 
 
 def ends_in_words(
-    low: float, high: float, write: Writer = number, *, beside: Sequence[float] = ()
+    low: float, high: float, write: NumberWriter = number, *, beside: Sequence[float] = ()
 ) -> str:
     """Return the ends of an interval in words; "" if there is none.
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import special, stats
 
 from chdstat._core.arrays import Counts, Floats, block_numbers, generator, spans
-from chdstat._core.display import Writer, ends_in_words, number, with_interval, written
+from chdstat._core.display import NumberWriter, ends_in_words, number, with_interval, written
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -146,7 +146,7 @@ class Interval(Generic[Value]):
         """Return the number and the ends of its interval by name."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
-    def ends(self: Interval[float], write: Writer, *, beside: Sequence[float] = ()) -> str:
+    def ends(self: Interval[float], write: NumberWriter, *, beside: Sequence[float] = ()) -> str:
         """Return the ends in words, formatted by `write`; "" without an interval.
 
         None that lies beside one of the numbers `beside` is rounded to it.
@@ -160,7 +160,7 @@ class Interval(Generic[Value]):
         return ends_in_words(self.low, self.high, write, beside=beside)
 
     def shown(
-        self: Interval[float], write: Writer = number, *, beside: Sequence[float] = ()
+        self: Interval[float], write: NumberWriter = number, *, beside: Sequence[float] = ()
     ) -> str:
         """Return the value with its interval, with the digits that this supports."""
         return with_interval(self.value, self.low, self.high, write, beside=beside)

@@ -43,7 +43,7 @@ from chdstat.fit.error_bars import (
 )
 from chdstat.fit.families import FAMILIES
 from chdstat.patterns.cures import cure_in, renderer_of
-from chdstat.patterns.definitions import PATTERNS, Thresholds, gather
+from chdstat.patterns.definitions import BODIES, PATTERNS, Thresholds, body_of, gather
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Region
 from chdstat.summary.runner import Source, of_source, run
@@ -144,6 +144,9 @@ class Patterns(Result):
         Index of the best family in `chdstat.fit.families.FAMILIES`, -1 for none.
     misfit
         Kolmogorov-Smirnov distance between the samples and the better of gamma and log-normal.
+    body
+        What describes the samples: 0 for gamma, 1 for log-normal, 2 for a mixture of several modes,
+        3 for one mode that neither describes, -1 where nothing is known.
     luminance_tail_index, long_tail_se
         Tail index without a sample that dominates, and its standard error.
     variance_unidentified
@@ -167,6 +170,7 @@ class Patterns(Result):
     dip: Floats = variable("Hartigan's dip of log10 luminance")
     luminance_family: npt.NDArray[np.int8] = variable("family of luminance with the smallest BIC")
     misfit: Floats = variable("Kolmogorov distance to the better of gamma and log-normal")
+    body: npt.NDArray[np.int8] = variable("what describes the samples of luminance")
     luminance_tail_index: Floats = variable("tail index of luminance, without a firefly")
     long_tail_se: Floats = variable("standard error of the tail index of luminance")
     variance_unidentified: Mask = variable("the samples do not tell whether their error bar holds")
@@ -233,6 +237,7 @@ class Classification(Statistic[Patterns]):
             dip=found.modes.dip,
             luminance_family=found.family,
             misfit=found.misfit,
+            body=body_of(found, thresholds),
             luminance_tail_index=np.asarray(found.tail.xi),
             long_tail_se=np.asarray(found.tail.standard_error),
             variance_unidentified=found.tail.variance_unidentified,
@@ -280,6 +285,7 @@ class Classification(Statistic[Patterns]):
             texts[name] += f"; at {spp}"
         dataset = label_variables(super().finish(dataset), texts)
         dataset["luminance_family"].attrs.update(place_attributes(tuple(FAMILIES)))
+        dataset["body"].attrs.update(place_attributes(BODIES))
         dataset["label"].attrs.update(flag_attributes(Label))
         dataset["label_agreement"].attrs.update(
             observed=found.observed, by_chance=found.expected, kappa=found.kappa

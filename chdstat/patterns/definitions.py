@@ -335,6 +335,21 @@ def largest_misfit(n: npt.NDArray[np.int64], thresholds: Thresholds) -> Floats:
     return np.maximum(thresholds.misfit, _CHANCE / np.sqrt(np.maximum(n, 1)))
 
 
+BODIES = ("gamma", "lognormal", "mixture", "neither")
+"""What may describe the positive samples of a pixel, apart from one that dominates."""
+
+
+def body_of(e: _PixelStatistics, t: Thresholds) -> npt.NDArray[np.int8]:
+    """Return what describes the samples, as a place in `BODIES`; -1 where nothing is known.
+
+    One mode has the likelier of gamma and log-normal, unless it misfits; several have a mixture.
+    """
+    one, known = _is_described(e, t), ~(_log_spread(e) <= t.constant)
+    cases = one & (e.vuong_z > 0), one, _clear_modes(e, t) > 1, _clear_modes(e, t) == 1
+    codes = [np.int8(code) for code in range(len(BODIES))]
+    return np.asarray(np.where(known, np.select(cases, codes, np.int8(-1)), np.int8(-1)))
+
+
 def _misses(e: _PixelStatistics) -> Floats:
     return np.asarray(1 - e.error_bars.coverage_own)
 

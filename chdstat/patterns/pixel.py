@@ -296,7 +296,7 @@ class Pixel(Shown):
             of_modes = take_rows(self.measured(ModalMixture()), row, axis=0)
             if of_modes.k >= modes:
                 yield of_modes
-            yield take_rows(measured(self.part.rows(slice(row, row + 1)), _MORE), 0, axis=0)
+            yield take_rows(measured(self.part.rows(slice(row, row + 1 or None)), _MORE), 0, axis=0)
 
     def averages(self, n: int) -> Floats:
         """Return the averages of consecutive good samples, n each, shape (row, average)."""

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from chdstat._core.display import Writer, number, percent, step_of, with_margin
+from chdstat._core.display import NumberWriter, number, percent, step_of, with_margin
 from chdstat._core.resampling import Interval
 from chdstat.analysis import (
     Overview,
+    bodies_of,
     key_intervals,
     noise_intervals,
     pooled_shares,
@@ -56,6 +57,16 @@ _LITTLE = 5e-4
 """Share below which a number counts as none."""
 _TINY = 1e-4
 
+_FLAGS = {pattern.name for pattern in PATTERNS}
+_BODIES = {
+    "gamma": "a gamma distribution: many small contributions add up",
+    "lognormal": "a log-normal distribution: many factors multiply",
+    "mixture": "a mixture: several modes, as of several kinds of paths",
+    "neither": "one mode, which neither of these two describes",
+}
+"""What describes samples, in words."""
+
+
 # --- the report on a scene ----------------------------------------------------------------------
 
 
@@ -86,9 +97,12 @@ def report_content(
             "regions": _region_table(data),
             "regions_chosen": found.chosen,
             "alpha": percent(float(dataset.attrs["threshold_alpha"])),
+            "misfit": percent(float(dataset.attrs["threshold_misfit"])),
+            "order": ", ".join(label.words for label in Label if label.name.lower() in _FLAGS),
         }
         if found.noise and spp >= FEW_SAMPLES and scene.pixels >= FEW_PIXELS:
             entries["noise"] = _noise_table(found)
+            entries["shapes"] = _shape_table(data)
         if found.comparison is not None:
             entries["estimators"] = _estimator_table(found.comparison)
     if contents != "short":
@@ -169,7 +183,9 @@ def _key_figures(found: SceneStudy) -> list[dict[str, str]]:
     return [dict(zip(names, row, strict=True)) for row in shown if row[0] != "—"]
 
 
-def _known(found: Interval[float], write: Writer, beside: Sequence[float] = ()) -> tuple[str, str]:
+def _known(
+    found: Interval[float], write: NumberWriter, beside: Sequence[float] = ()
+) -> tuple[str, str]:
     """Return a number and the ends of its interval, if they say more, with the digits it has."""
     ends = found.ends(write, beside=beside)
     value = write(found.value, step=step_of(found.low, found.high, beside=beside))
@@ -379,6 +395,30 @@ def _noise_table(found: SceneStudy) -> list[dict[str, str]]:
         for label, share in noise.share.items()
         if max(share, noise.pixels[label]) >= LITTLE
     ]
+
+
+def _shape_table(data: SceneData) -> dict[str, Any] | None:
+    """Return what describes the samples, and from how many on averages are Gaussian."""
+    found = bodies_of(data.analysis, data.whole().blocks)
+    if found is None:
+        return None
+    averages = [*found.gaussian_averages.items()]
+    # The first, one in the middle and the last N.
+    chosen = sorted({0, len(averages) // 2, len(averages) - 1}) if averages else []
+    gaussian = {"logarithms of single samples": found.gaussian_logarithms}
+    gaussian |= {f"averages of {n} samples": share for n, share in (averages[i] for i in chosen)}
+    return {
+        "bodies": [
+            {"name": _BODIES[name], "share": share.shown(percent)}
+            for name, share in found.bodies.items()
+        ],
+        "gaussian": [
+            {"name": name.replace("of 1 samples", "of 1 sample"), "share": share.shown(percent)}
+            for name, share in gaussian.items()
+        ],
+        "level": percent(found.level),
+        "n_means": found.n_means,
+    }
 
 
 def _family_table(found: xr.Dataset) -> list[dict[str, str]]:

@@ -210,7 +210,7 @@ def _noise_maps(shown: ReportData) -> Figure | None:
     left, right = figure.axes
     title = "Standard deviation over mean"
     viz.value_map(found["coefficient_of_variation"].values, title=title, ax=left)
-    viz.categorical_map(found["label"], title="First pattern", ax=right)
+    viz.categorical_map(found["label"], title="Pattern", ax=right)
     right.legend_ = None  # the table below has the colours
     return figure
 
@@ -405,8 +405,9 @@ their mean."""),
 are the best of the fitted families, dashed lines the means."""),
     ReportFigure("noise", "noise", _noise_maps, """
 *Noise and patterns.* Left: standard deviation of the samples over their mean, of luminance; the
-scale covers 98 % of the pixels. Right: the first pattern of each pixel, in the colours of
-@patterns, found at a false-discovery rate of #data.alpha over the image."""),
+scale covers 98 % of the pixels. Right: the pattern of each pixel, in the colours of
+@patterns, found at a false-discovery rate of #data.alpha over the image; of several, the first of
+#data.order."""),
     ReportFigure("estimates", "estimates", _estimates, """
 *The image from #if "estimators" in data [#data.estimators.n samples, by estimators, beside the
 reference] else [#data.spp samples: their mean, and the default estimate]*, under one exposure. The

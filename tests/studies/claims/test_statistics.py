@@ -313,7 +313,7 @@ def test_the_whole_interval_has_to_be_on_one_side(low, high, verdict):
 def test_an_open_interval_refutes_nothing_above():
     test = ClaimTest("tail", Interval(4.0, 3.5, np.inf), least=6)
     assert test.verdict == "cannot tell"
-    assert "3.5 or more" in str(test)
+    assert "3.50 or more" in str(test)
     reason = Finding((test,), spp=512).reason
     assert "512 spp do not show how far its tail reaches" in reason
     assert ClaimTest("tail", Interval(8.0, 7.5, np.inf), least=6).verdict == "supported"
