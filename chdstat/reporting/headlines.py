@@ -39,7 +39,7 @@ _ERRORS = 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001
 _MOST = 6
 """Most findings."""
 
-Headline = tuple[str, str]
+_Headline = tuple[str, str]
 """A finding, and its evidence."""
 
 
@@ -73,7 +73,7 @@ def headlines(found: SceneStudy, estimate: Combination | None) -> list[dict[str,
 # --- where the noise is ---------------------------------------------------------------------------
 
 
-def _where_noise_is(data: SceneData, scene: Overview, noise: NoiseShares) -> Iterator[Headline]:
+def _where_noise_is(data: SceneData, scene: Overview, noise: NoiseShares) -> Iterator[_Headline]:
     """Yield which pattern holds most of the noise, and what it means."""
     if scene.bad_samples == scene.pixels * scene.spp:
         yield "No sample is a number.", "All are NaN or infinite: nothing can be said of the image."
@@ -87,7 +87,7 @@ def _where_noise_is(data: SceneData, scene: Overview, noise: NoiseShares) -> Ite
         yield _largest_noise(data, noise)
 
 
-def _largest_noise(data: SceneData, noise: NoiseShares) -> Headline:
+def _largest_noise(data: SceneData, noise: NoiseShares) -> _Headline:
     """Return which of several patterns holds most of the noise, if that is sure."""
     first, second, *_ = noise.share
     found = noise_intervals(data.analysis, noise, data.whole().blocks)
@@ -122,7 +122,7 @@ def pixels_of(label: str) -> str:
     return f"{called(label)} pixels" if own else f"pixels labelled '{called(label)}'"
 
 
-def _nulls(scene: Overview) -> Iterator[Headline]:
+def _nulls(scene: Overview) -> Iterator[_Headline]:
     if scene.null_share == 1:
         yield "No sample finds light.", "The scene has no emitter, or the camera sees none of it."
     elif scene.null_share >= _MANY_NULLS:
@@ -132,7 +132,7 @@ def _nulls(scene: Overview) -> Iterator[Headline]:
         )
 
 
-def _fireflies(data: SceneData, scene: Overview, noise: NoiseShares) -> Iterator[Headline]:
+def _fireflies(data: SceneData, scene: Overview, noise: NoiseShares) -> Iterator[_Headline]:
     flags = data.analysis["firefly_dominated"].values.reshape(-1).astype(float)
     if flags.any() and noise.label != "firefly_dominated":
         share = mean_of(flags, data.whole().blocks).shown(percent)
@@ -143,7 +143,7 @@ def _fireflies(data: SceneData, scene: Overview, noise: NoiseShares) -> Iterator
         )
 
 
-def _which_paths(data: SceneData) -> Iterator[Headline]:
+def _which_paths(data: SceneData) -> Iterator[_Headline]:
     """Yield which paths and lights cause most of the variance, if samples are split by them."""
     samples = data.samples
     known = {"depth": samples.depths, "light": samples.lights}
@@ -167,7 +167,7 @@ def _which_paths(data: SceneData) -> Iterator[Headline]:
         )
 
 
-def _clamp(samples: Samples) -> Iterator[Headline]:
+def _clamp(samples: Samples) -> Iterator[_Headline]:
     """Yield how much light the clamp of the scene file takes, if it has one that matters."""
     level, share = clamped_share(samples) or (0.0, 0.0)
     if share >= _CLAMPED:
@@ -179,7 +179,7 @@ def _clamp(samples: Samples) -> Iterator[Headline]:
         )
 
 
-def _trust(scene: Overview) -> Iterator[Headline]:
+def _trust(scene: Overview) -> Iterator[_Headline]:
     """Yield how far error bars can be trusted, if averages were tested."""
     if not any(math.isfinite(share) for share in scene.averages.values()):
         return
@@ -194,7 +194,7 @@ def _trust(scene: Overview) -> Iterator[Headline]:
     )
 
 
-def _how_many_samples(estimate: Combination) -> Iterator[Headline]:
+def _how_many_samples(estimate: Combination) -> Iterator[_Headline]:
     """Yield the samples per pixel at which the default estimate has a smaller, round error."""
     error = estimate.error
     smaller = [e for e in _ERRORS if e < 0.8 * error.relative and e < error.interval[0]][:2]
@@ -215,7 +215,7 @@ _WORDS = {"mse_ratio": "squared", "relmse_ratio": "relative"}
 """Errors over those of the mean, in words."""
 
 
-def _what_helps(comparison: Comparison) -> Iterator[Headline]:
+def _what_helps(comparison: Comparison) -> Iterator[_Headline]:
     """Yield what the default estimate gains over the mean, and which estimator gains more."""
     rows = {row["estimator"]: row for row in comparison.table()}
     own = rows.pop(DEFAULT_ESTIMATE, None)
@@ -235,7 +235,7 @@ def _surely_below(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return bool(one["relmse_ratio_high"] < other["relmse_ratio_low"])
 
 
-def gain(row: Mapping[str, Any], name: str, n: int) -> Headline:
+def gain(row: Mapping[str, Any], name: str, n: int) -> _Headline:
     """Return the gain of an estimator over the mean of n samples, as a finding.
 
     Examples
@@ -322,7 +322,7 @@ def rows_by_label(
 
 def _where_it_harms(
     comparison: Comparison, scene: Overview, noise: NoiseShares
-) -> Iterator[Headline]:
+) -> Iterator[_Headline]:
     """Yield in which pixels the default estimate is worse than the mean, and what is better."""
     worse = {}
     for label, rows in rows_by_label(comparison, noise, scene.pixels).items():

@@ -479,7 +479,7 @@ def test_each_pass_says_its_error(run, tmp_path, caplog, quiet):
     assert run(*asked, *size)[0] == 0
     told = "\n".join(caplog.messages).replace("\N{NO-BREAK SPACE}", " ")
     passes = re.findall(
-        r"(\d+) spp: relative error .+ %; .+ % takes about [\d,]+ spp, .+ more", told
+        r"(\d+) spp: relative error .+ %\]; .+ % takes about [\d,]+ spp, .+ more", told
     )
     assert passes == ([] if quiet else ["16", "32"])
 
