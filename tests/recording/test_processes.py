@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -196,18 +195,17 @@ def test_it_ends_with_a_killed_parent(tmp_path: Path) -> None:
 
 def test_ctrl_c_is_for_the_parent(start: Starter) -> None:
     process = start("""
-        import os, time
+        import os, signal, time
         def pid():
             return {"pid": os.getpid(), "group": os.getpgrp()}
         def draw():
+            os.kill(os.getppid(), signal.SIGINT)  # only now does the parent wait
             time.sleep(60)
     """)
     about, _ = process.call("pid")
     assert about["group"] != os.getpgrp(), "a terminal would reach it"
     # Tests that run in the background ignore the signal.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     try:
         with pytest.raises(KeyboardInterrupt):
             process.call("draw")
