@@ -59,10 +59,10 @@ _TINY = 1e-4
 
 _FLAGS = {pattern.name for pattern in PATTERNS}
 _BODIES = {
-    "gamma": "a gamma distribution: many small contributions add up",
-    "lognormal": "a log-normal distribution: many factors multiply",
-    "mixture": "a mixture: several modes, as of several kinds of paths",
-    "neither": "one mode, which neither of these two describes",
+    "gamma": "A gamma distribution: many small contributions add up",
+    "lognormal": "A log-normal distribution: many factors multiply",
+    "mixture": "A mixture: several modes, as of several kinds of paths",
+    "neither": "One mode, which neither of these two describes",
 }
 """What describes samples, in words."""
 
@@ -405,8 +405,8 @@ def _shape_table(data: SceneData) -> dict[str, Any] | None:
     averages = [*found.gaussian_averages.items()]
     # The first, one in the middle and the last N.
     chosen = sorted({0, len(averages) // 2, len(averages) - 1}) if averages else []
-    gaussian = {"logarithms of single samples": found.gaussian_logarithms}
-    gaussian |= {f"averages of {n} samples": share for n, share in (averages[i] for i in chosen)}
+    gaussian = {"Logarithms of single samples": found.gaussian_logarithms}
+    gaussian |= {f"Averages of {n} samples": share for n, share in (averages[i] for i in chosen)}
     return {
         "bodies": [
             {"name": _BODIES[name], "share": share.shown(percent)}

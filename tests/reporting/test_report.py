@@ -132,6 +132,7 @@ def test_a_full_report_has_all_its_parts(radiance, tmp_path, documents):
     [
         ("two samples", lambda x: x[:8, :8, :, :2], "2 samples per pixel tell no distribution", []),
         ("four samples", lambda x: x[..., :4], "4 samples per pixel tell no", ["estimates"]),
+        ("32 samples", lambda x: x[:8, :8, :, :32], "", ["regions", "noise", "estimates"]),
         ("all null", lambda x: x[:8, :8] * 0, "No sample finds light", []),
         ("all bad", lambda x: x[:8, :8] * np.nan, "No sample is a number", []),
         ("constant", lambda x: x[:8, :8] * 0 + 2, "Nothing is noisy here", ["regions"]),
