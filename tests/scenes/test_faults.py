@@ -115,7 +115,7 @@ def scenes(mi: Any) -> dict[str, tuple[Part, str]]:
         "texture": ({"b": textured(data=np.ones((1, 1, 3)))}, GOOD),
         "blender": ({"m": {"type": "blender", "vertices": 1}}, "reads the memory of Blender"),
         "surrogate": ({"\ud800": {"type": "sphere"}}, "cannot read the scene"),
-        "deep": (chain(200_000), "nested more than 1000 deep"),
+        "deep": (chain(20_000), "nested more than 1000 deep"),
         "as deep": (chain(100), GOOD),
         **{
             name: ({"m": lamp({"type": name.split(".")[1], "filename": name})}, words)
