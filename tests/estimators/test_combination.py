@@ -24,6 +24,7 @@ from chdstat.estimators.default_estimate.weighting_network import (
 from chdstat.estimators.default_estimate.weights import Proposal, weight_of_mean
 from chdstat.estimators.registry import interval_of_mean
 from chdstat.io import read_exr, write_estimates
+from chdstat.rendering.backend import probe
 from tests.luminance import relative_error
 
 
@@ -39,8 +40,9 @@ def found(samples):
 
 @pytest.fixture(scope="module")
 def reference():
+    backend = "llvm" if probe("llvm").works else "scalar"  # which takes twice as long
     rendered = chd.render(
-        "bathroom", spp=256, size=(64, 64), seed=4, backend="scalar", progress=False
+        "bathroom", spp=256, size=(64, 64), seed=4, backend=backend, progress=False
     )
     x = rendered.read().astype(np.float64)
     return x.mean(axis=-1), x.std(axis=-1, ddof=1) / np.sqrt(256)
