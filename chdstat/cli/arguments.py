@@ -51,6 +51,12 @@ _PLACE: Any = typer.Argument(parser=place_of)
 # Behind the types of arguments that several commands take: metavar, and what the help says.
 SceneName = Annotated[str, _SCENE, "SCENE", "Built-in name or scene file."]
 SceneOrStore = Annotated[str, _SCENE, "SCENE|STORE", "Built-in name, scene file or finished store."]
+ScenesOrStores = Annotated[
+    list[str],
+    _SCENE,
+    "SCENE|STORE...",
+    "Built-in name, scene file or finished store; or several stores of one view.",
+]
 StorePath = Annotated[Path, _PLACE, "STORE", "A finished store, or its URL."]
 Location = Annotated[Path, _PLACE]
 """An argument that is a path or a URL."""

@@ -7,6 +7,7 @@ import functools
 import itertools
 import logging
 import reprlib
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -37,10 +38,16 @@ _MEANT = {
     "plot": "explore",
     "view": "explore",
     "diff": "contrast",
+    "rank": "contrast",
     "benchmark": "bench",
     "version": "--version",
 }
 """Commands by other names that users may try."""
+_OF_ONE = {
+    "compare": "Estimators are compared, renders are contrasted: 'chdstat contrast {}'.",
+    "analyze": "It takes one store. 'chdstat report {} -o report.pdf' says which is noisier.",
+}
+"""Commands that take one store, and what to do with several."""
 
 
 class _Commands(typer.core.TyperGroup):
@@ -53,6 +60,12 @@ class _Commands(typer.core.TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return a command; for an unknown name, suggest the command that is meant."""
         name = args[0]
+        if name in _OF_ONE:
+            from chdstat.samples import is_store
+
+            stores = [one for one in args[1:] if is_store(one)]
+            if len(stores) > 1:
+                ctx.fail(_OF_ONE[name].format(shlex.join(stores)))
         if name not in self.commands and name in _MEANT:
             ctx.fail(f"No such command {name!r}. It is what 'chdstat {_MEANT[name]}' does.")
         return super().resolve_command(ctx, args)

@@ -14,7 +14,7 @@ from chdstat.cli.arguments import (
     VIEW,
     CommonOptions,
     OptionalWords,
-    SceneOrStore,
+    ScenesOrStores,
     StorePath,
     Words,
     pairs_of,
@@ -112,7 +112,7 @@ def _thresholds_of(given: list[str] | None) -> Thresholds:
     seed="the recipe's, or 0",
 )
 def report(
-    source: SceneOrStore,
+    sources: ScenesOrStores,
     out: Path,
     asked: CommonOptions,
     recipe: Path | None = None,
@@ -121,6 +121,8 @@ def report(
     as_published: bool = False,
 ) -> None:
     """Render, analyse, compare and typeset: a PDF on what is noisy in a scene, and what helps.
+
+    Of several stores of one view, it says which is noisier, where in the image, and why.
 
     Parameters
     ----------
@@ -143,12 +145,12 @@ def report(
     if full and claims:
         message = "--full has the claims, too: give it or --claims"
         raise InputError(message)
-    given = asked.source(source)
-    if as_published and isinstance(given, Scene):
+    given: list[Path | Scene] = [asked.source(one) for one in sources]
+    if as_published and isinstance(given[0], Scene):
         from chdstat.reporting.scene_report import published_seconds
 
         backend = asked.settings.get("backend", "auto")
-        hours = published_seconds(given, recipe, backend=backend) / 3600
+        hours = published_seconds(given[0], recipe, backend=backend) / 3600
         kept = asked.store or out.with_suffix(".zarr")
         typer.echo(
             f"rendering as published takes about {hours:.1f} h here, the rest about as long; "
@@ -156,7 +158,7 @@ def report(
             err=True,
         )
     path = chdstat.report(
-        given,
+        given if len(given) > 1 else given[0],
         out,
         contents="full" if full else "claims" if claims else "short",
         recipe=recipe,
@@ -168,7 +170,7 @@ def report(
         **asked.settings,
     )
     output.say_written(path, as_json=asked.as_json, pages=pages_of(path))
-    output.say_next(asked.quiet, ("explore", asked.store or source))
+    output.say_next(asked.quiet, ("explore", *([asked.store] if asked.store else sources)))
 
 
 @command(

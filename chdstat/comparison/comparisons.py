@@ -39,10 +39,10 @@ from chdstat.comparison.metrics import (
     stacked,
     titled,
 )
-from chdstat.errors import check_option
+from chdstat.errors import InputError, check_option
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.registry import Model
-from chdstat.samples import ImageLike, samples_of
+from chdstat.samples import ImageLike, Samples, is_store, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -540,6 +540,7 @@ def compare(
     mean 1.0 False
     median_of_means 1.7 True
     """
+    _check_not_renders(samples, estimators)
     samples, seed = samples_of(samples), seed_number(seed)
     n = whole("n", n, least=1)
     chosen = choose(estimators, [n], samples=samples)
@@ -577,6 +578,19 @@ def compare(
         provenance=found.provenance,
         **common,
     )
+
+
+def _check_not_renders(samples: Any, estimators: Any) -> None:
+    """Refuse renders to be compared, a list of them or a second one in place of estimators."""
+    given = samples if isinstance(samples, list | tuple) else [samples]
+    second = estimators if isinstance(estimators, list | tuple) else [estimators]
+    renders = [one for one in (*given, *second) if isinstance(one, Samples) or is_store(one)]
+    if len(renders) > 1:
+        message = (
+            f"expected one image and names of estimators, got {len(renders)} renders: estimators "
+            "are compared, renders are contrasted, by chdstat.contrast([a, b])"
+        )
+        raise InputError(message)
 
 
 def error_curve(

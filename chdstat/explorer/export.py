@@ -95,7 +95,7 @@ def _compared(
     front, reference = plots.view.of_images(len(names))
     samples = {names[i]: [p.radiance for p in those] for i, those in plots.found.items()}
     differ = shown is None and front != reference
-    return viz.renders_compared(
+    return viz.renders_contrasted(
         images, samples, _marks(plots, len(names)), exposure=exposure,
         difference=(names[front], names[reference]) if differ else None,
         maps=[partial(_draw_map, shown)] if shown else [],
@@ -168,7 +168,7 @@ def _image(
     if shown is None:
         return viz.with_marks(image, marks, exposure=exposure, fig=fig)
     maps = [partial(_draw_map, shown)]
-    return viz.renders_compared(
+    return viz.renders_contrasted(
         {plots.name: image}, None, marks, maps=maps, exposure=exposure, fig=fig
     )
 

@@ -671,6 +671,13 @@ def contrast(
 
 def _ranked(given: Mapping[str, Any] | Sequence[Any], *, alpha: float, **options: Any) -> Contrasts:
     """Return several renders contrasted with the last one, and ranked by their noise."""
+    for one in given.values() if isinstance(given, Mapping) else given:
+        if (image := Reference.of(one)) is not None:
+            message = (
+                f"a ranking by noise needs the samples of each render, got an image, {image.name}: "
+                "contrast renders with it as the second argument, b"
+            )
+            raise InputError(message)
     if isinstance(given, Mapping):
         renders = {str(name): independent(of) for name, of in given.items()}
     else:

@@ -33,7 +33,7 @@ from chdstat._core.arrays import (
     label_variables,
     plain,
 )
-from chdstat._core.display import Tabled, number, percent, with_interval
+from chdstat._core.display import Tabled, number, percent
 from chdstat._core.doors import classified
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of, mean_of, q_values
@@ -153,16 +153,12 @@ class NoiseOrder:
         cost = "variance × time" if self.at == "equal time" else "variance"
         parts = []
         for one, other in itertools.pairwise(self.names):
-            ratio = with_interval(*_ends(self.ratios[one, other]))
+            ratio = self.ratios[one, other].shown(beside=[1])
             if self.surely(one, other):
                 parts.append(f"{one} has {ratio} of the {cost} of {other}")
             else:
                 parts.append(f"{one} and {other} cannot be told apart, ratio {ratio}")
         return f"At {self.at}, {'; '.join(parts)}."
-
-
-def _ends(found: Interval[float]) -> tuple[float, float, float]:
-    return found.value, found.low, found.high
 
 
 @dataclass(frozen=True)
@@ -201,11 +197,11 @@ class NoiseCause:
     @property
     def details(self) -> str:
         """The numbers of the pixels in words."""
-        share = with_interval(*_ends(self.share), write=percent)
-        null = with_interval(*_ends(self.null_share), write=percent)
+        share = self.share.shown(percent)
+        null = self.null_share.shown(percent)
         tail = f", tail index {number(self.tail_index)}" if np.isfinite(self.tail_index) else ""
         return (
-            f"{share} is in {self.pattern} pixels, {percent(self.pixels)} of the image: "
+            f"{share} is in {_worded(self.pattern)} pixels, {percent(self.pixels)} of the image: "
             f"variance {self.ratio} times as large, {null} of the samples null "
             f"({percent(self.least_null_share)} in {self.least}){tail}"
         )
@@ -401,7 +397,7 @@ class NoiseRanking(Tabled):
             row = {"render": name, "spp": self.spp[name]}
             for at, order in self.orders.items():
                 low, high = order.rank(name)
-                ratio = with_interval(*_ends(_to_first(order, name, first)))
+                ratio = _to_first(order, name, first).shown(beside=[1])
                 row[at] = f"{low}" if low == high else f"{low} to {high}"
                 row["variance" if at == "equal spp" else "variance × time"] = ratio
             row["least noisy in"] = percent(won[name][0])
@@ -409,13 +405,17 @@ class NoiseRanking(Tabled):
         return rows
 
 
+def _worded(pattern: str) -> str:
+    return pattern.replace("_", "-")
+
+
 def _why(causes: Sequence[NoiseCause], *, brief: bool) -> str:
     """Return in words where what a render has more variance than the least noisy one is."""
     first, *others = causes
     if brief:
-        parts = [f"{percent(of.share.value)} in {of.pattern}" for of in causes]
+        parts = [f"{percent(of.share.value)} in {_worded(of.pattern)}" for of in causes]
         return f"of its additional variance, {', '.join(parts)} pixels"
-    more = "".join(f"; {percent(of.share.value)} in {of.pattern} pixels" for of in others)
+    more = "".join(f"; {percent(of.share.value)} in {_worded(of.pattern)} pixels" for of in others)
     return f"of what it has more variance than {first.least}, {first.details}{more}"
 
 
@@ -427,7 +427,9 @@ def _to_first(order: NoiseOrder, name: str, first: str) -> Interval[float]:
         return order.ratios[name, first]
     ratio = order.ratios[first, name]
     with np.errstate(all="ignore"):
-        value, low, high = (float(np.divide(1.0, end)) for end in _ends(ratio))
+        value, low, high = (
+            float(np.divide(1.0, end)) for end in (ratio.value, ratio.low, ratio.high)
+        )
     return Interval(value, high, low, ratio.level)
 
 
@@ -734,7 +736,7 @@ def _causes(
             yield NoiseCause(
                 name=name,
                 least=least,
-                pattern=flag_names(found["label"].attrs)[int(code)].replace("_", "-"),
+                pattern=flag_names(found["label"].attrs)[int(code)],
                 pixels=float(here.mean()),
                 share=cost_ratio(np.where(here, more, 0), more, blocks, least=-np.inf),
                 ratio=cost_ratio(own[here], first[here], blocks[here]),
@@ -843,8 +845,8 @@ def check_one_view(renders: Mapping[str, Samples]) -> None:
             raise InputError(message)
         scenes = [str(x.attrs.get("scene") or "") for x in (one, other)]
         hashes = [x.attrs.get("scene_hash") for x in (one, other)]
-        same = hashes[0] is not None and hashes[0] == hashes[1]
-        if all(scenes) and scenes[0] != scenes[1] and not same:
+        # Samples of other programs have the name of their file, and no hash.
+        if all(hashes) and hashes[0] != hashes[1] and scenes[0] != scenes[1]:
             message = (
                 f"expected renders of one scene, got {scenes[0]} in {first} and {scenes[1]} in "
                 f"{name}: noise of different scenes has no ranking; chdstat.contrast(a, b) "

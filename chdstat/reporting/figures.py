@@ -294,7 +294,7 @@ def _paths(shown: ReportData) -> Figure | None:
         name: [np.concatenate(np.concatenate(samples.read(m.ys, m.xs)), axis=-1) for m in marks]
         for name, samples in renders.items()
     }
-    return viz.renders_compared(dict(zip(renders, means, strict=True)), pooled, marks)
+    return viz.renders_contrasted(dict(zip(renders, means, strict=True)), pooled, marks)
 
 
 def _atlas(shown: ReportData) -> Figure | None:

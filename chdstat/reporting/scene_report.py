@@ -31,6 +31,7 @@ from chdstat.estimators import Combination, LearnedEstimator, estimate
 from chdstat.estimators.held_out import draw_pixels
 from chdstat.estimators.registry import Model
 from chdstat.estimators.training import first_samples
+from chdstat.inference import contrast
 from chdstat.patterns import atlas, choose_regions
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
@@ -76,7 +77,7 @@ _REGIONS = 6
 
 
 def report(
-    source: str | Path | dict[str, Any] | Scene | Samples,
+    source: str | Path | dict[str, Any] | Scene | Samples | Sequence[Any],
     path: str | Path,
     *,
     contents: Contents = "short",
@@ -88,12 +89,14 @@ def report(
     progress: bool | None = None,
     **settings: Unpack[RenderSettings],
 ) -> Path:
-    """Write a PDF report on the sample distributions of a scene.
+    """Write a PDF report on the sample distributions of a scene, or on several renders of it.
 
     Parameters
     ----------
     source
-        What `chdstat.load_scene` takes, the path of a finished store, or `Samples`.
+        What `chdstat.load_scene` takes, the path of a finished store, or `Samples`. Or a list of
+        stores or `Samples` of one view, for a report on which is noisier, where and why, as
+        ``chdstat.contrast(source).report(path)``; no option is for it.
     path
         The PDF to write.
     contents
@@ -144,6 +147,11 @@ def report(
         whole("iterations", iterations, least=1)
     given: dict[str, Any] = {n: value for n, value in settings.items() if value is not None}
     named = load_recipe(recipe) if recipe else None
+    if isinstance(source, list | tuple):
+        options = {"recipe": recipe, "store": store, "estimators": estimators, **given}
+        options |= {"iterations": iterations, "as_published": as_published or None}
+        options |= {"contents": None if contents == "short" else contents}
+        return _of_several(source, target, options)
     finished = open_samples(source) if is_store(source) else source
     if isinstance(finished, Samples):
         refuse_render(finished, given | {"spp": None, "store": store})
@@ -164,6 +172,21 @@ def report(
     with kept_until_written(target) as checkpoint:
         document = report_.document(named.regions if named else regions_of(samples), checkpoint)
         return typeset(document, target)
+
+
+def _of_several(sources: Sequence[Any], target: Path, options: Mapping[str, Any]) -> Path:
+    """Write the report on several renders."""
+    if others := [name for name, value in options.items() if value not in (None, "auto")]:
+        message = f"a report on several renders takes no {', '.join(others)}: leave it out"
+        raise InputError(message)
+    for one in sources:
+        if isinstance(one, Scene) or not (isinstance(one, Samples) or is_store(one)):
+            message = (
+                "a report on several renders takes finished stores of one view, got "
+                f"{one.name if isinstance(one, Scene) else one}: render it first, with -o or out="
+            )
+            raise InputError(message)
+    return contrast(sources).report(target)
 
 
 def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:

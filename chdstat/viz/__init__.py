@@ -40,7 +40,7 @@ from chdstat.viz.maps import (
     n_needed,
     value_map,
 )
-from chdstat.viz.several_renders import contrast, renders_compared
+from chdstat.viz.several_renders import contrast, renders_contrasted
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [
@@ -71,7 +71,7 @@ __all__ = [
     "pattern_breakdown",
     "pixel_estimates",
     "region_study",
-    "renders_compared",
+    "renders_contrasted",
     "side_by_side",
     "style",
     "tail_curve",

@@ -1,6 +1,6 @@
 """Renders of one view: where their means differ, how noisy each is, and CHDs of the same places.
 
-`contrast` draws what `chdstat.contrast` finds, of two renders or of several. `renders_compared`
+`contrast` draws what `chdstat.contrast` finds, of two renders or of several. `renders_contrasted`
 draws several images and the CHDs of the same places.
 """
 
@@ -152,7 +152,7 @@ def _p_values(ax: Axes, p: Array) -> None:
 
 
 @style()
-def renders_compared(
+def renders_contrasted(
     images: Mapping[str, npt.ArrayLike],
     samples: Mapping[str, Sequence[npt.ArrayLike]] | None = None,
     marks: Sequence[Mark] = (),
@@ -200,7 +200,7 @@ def renders_compared(
     >>> x = np.random.default_rng(0).gamma(1.0, size=(2, 8, 8, 3, 64))
     >>> mark = Mark("wall", slice(3, 4), slice(4, 5), (3, 4))
     >>> images = dict(zip("ab", x.mean(axis=-1)))
-    >>> figure = renders_compared(images, {"a": [x[0, 3, 4]]}, [mark], difference=("a", "b"))
+    >>> figure = renders_contrasted(images, {"a": [x[0, 3, 4]]}, [mark], difference=("a", "b"))
     >>> len(figure.axes)  # with the colour bar
     5
     """
@@ -277,6 +277,8 @@ _LEAST = 1.1
 """Least width of an image, in inches."""
 _NAMED = 1.6
 """Width of an image from which the title says that a number is its noise."""
+_UPPER = 0.15
+"""Share of the image at whose marks there is no room for a title."""
 _DECADES = 4
 """Most decades of the scale of noise."""
 
@@ -337,7 +339,11 @@ def _draw_images(
         shown = tonemap(mean, exposure=exposure)
         ax = figure.add_subplot(parts[0])
         draw_marked(ax, shown, marks)
-        bare(ax, within(f"{name}, {found.spp[name]} spp", room))
+        bare(ax)
+        # Numbers of marks at the upper edge stand above the image.
+        high = any(mark.ys.start < _UPPER * len(shown) for mark in marks)
+        title = within(f"{name}, {found.spp[name]} spp", room)
+        ax.set_title(title, pad=13 if high else None)
         insets = parts[-1].subgridspec(1, max(1, len(marks)), wspace=0.04)
         for k, mark in enumerate(marks):
             draw_inset(figure.add_subplot(insets[k]), shown, mark, k, titled=False)
@@ -395,15 +401,19 @@ def _draw_winners(
     for ax, order in zip(axes, maps, strict=True):
         least = found.maps["least_noisy"].sel(at=order).to_numpy()
         title = f"least noisy at {order}"
-        won = [f"{verbatim(n)} {percent(p)}" for n, (p, _) in found.wins(order).items() if p]
+        won = [
+            f"{within(name, across / columns - 0.4)} {percent(pixels)}"
+            for name, (pixels, _) in found.wins(order).items()
+            if pixels
+        ]
         draw_labels(ax, least, [*colors.values()], title)
-        ax.set_xlabel(fill(", ".join(won) or "cannot be told", int(_LETTERS * across / columns)))
+        ax.set_xlabel("\n".join(won) or "cannot be told")
     undecided = bool((found.maps["least_noisy"] < 0).any())
-    handles: list[Any] = [Patch(color=c, label=verbatim(name)) for name, c in colors.items()]
-    handles += [Patch(color=MISSING, label="cannot be told")] if undecided else []
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=fitting(across, len(handles), 1.1)
-    )
+    shades = colors | ({"cannot be told": MISSING} if undecided else {})
+    across_legend = fitting(across, len(shades), 1.5)
+    room = across / across_legend - 0.5
+    handles = [Patch(color=shade, label=within(name, room)) for name, shade in shades.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=across_legend)
     for k, example in enumerate(examples):
         place = rows[1 + k] if small else first[len(maps) + k]
         ax = figure.add_subplot(place)

@@ -40,7 +40,7 @@ x = {
     for name, depth in depths.items()
 }
 marks = [viz.Mark(r.name, *r.pixels(64, 64), r.center(64, 64)) for r in regions]
-viz.renders_compared(images, {name: [*those] for name, those in x.items()}, marks)
+viz.renders_contrasted(images, {name: [*those] for name, those in x.items()}, marks)
 
 # %%
 # Longer paths add light, so that the image is brighter and fewer samples are null. They add it at

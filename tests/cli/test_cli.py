@@ -301,7 +301,32 @@ def compared(stored, tmp_path_factory):
     return right, dark, reference
 
 
-def test_several_renders_are_compared_with_one_reference(run, compared, tmp_path):
+def test_stores_are_ranked_by_their_noise(run, stored, tmp_path):
+    stores = [stored(spp=96, size=(12, 10), seed=seed) for seed in (0, 3)]
+    noisy = chd.Samples.from_array(
+        16 * chd.open(stores[0]).read() * (np.arange(96) % 16 == 0).astype(np.float32),
+        scene="cornell-box",
+    )
+    stores.append(noisy.save(tmp_path / "noisy.zarr").path)
+    page = tmp_path / "page.pdf"
+    _, out, err = run("contrast", *stores, "-o", page)
+    *_, last = [line.split() for line in out.splitlines() if line.startswith(str(tmp_path))]
+    assert last[:3] == [str(stores[-1]), "96", "3"]
+    assert "least noisy" in out
+    assert f"next: chdstat report {stores[0]}" in err
+    assert len(PdfDocument(page)) == 1
+    code, out, _ = run("contrast", *stores, "--json", "-q")
+    order = json.loads(out)["noise"]["orders"]["equal spp"]
+    assert (code, order["names"][-1]) == (run("contrast", *stores, "-q")[0], str(stores[-1]))
+    code, out, _ = run("report", *stores[:2], "-o", tmp_path / "report.pdf", "-q")
+    assert (code, "2 pages" in out) == (0, True)
+    for command, meant in {"compare": "contrast", "analyze": "report"}.items():
+        code, _, err = run(command, *stores[:2])
+        assert code == 2
+        assert f"chdstat {meant}" in " ".join(err.split())
+
+
+def test_several_renders_are_contrasted_with_one_reference(run, compared, tmp_path):
     right, dark, reference = compared
     table = tmp_path / "found.xml"
     code, out, err = run("contrast", right, dark, reference, "--junit", table)

@@ -66,7 +66,7 @@ def test_excess_noise_is_explained_by_the_pattern_that_has_it():
     null_heavy = np.where(there, np.where(hit, 4 * null_heavy, 0), null_heavy)
     noise = chd.contrast({"misses": null_heavy, "finds": image(0.1, seed=4)}).noise
     cause = noise.causes[0]
-    assert (cause.name, cause.least, cause.pattern) == ("misses", "finds", "null-heavy")
+    assert (cause.name, cause.least, cause.pattern) == ("misses", "finds", "null_heavy")
     assert cause.share.low > 0.9
     assert cause.pixels == pytest.approx(0.5, abs=0.05)
     assert cause.null_share.low - 0.02 < 0.75 < cause.null_share.high + 0.02
@@ -250,7 +250,7 @@ SMALL = np.ones((16, 16, 1, 16), np.float32)
         ([SMALL], "got 1"),
         ([SMALL, SMALL[:8]], "16 x 16 pixels of 1 channels in A and 16 x 8"),
         (
-            [Samples.from_array(SMALL, scene="box"), Samples.from_array(SMALL, scene="fog")],
+            [Samples.from_array(SMALL, scene=n, scene_hash=n) for n in ("box", "fog")],
             "box in A and fog in B",
         ),
     ],
@@ -265,6 +265,15 @@ def test_what_cannot_be_ranked_is_refused():
         chd.contrast(SMALL)
     with pytest.raises(InputError, match="got spp or finds"):
         chd.contrast([SMALL, SMALL], spp=8)
+    with pytest.raises(InputError, match="got an image"):
+        chd.contrast([SMALL, SMALL[..., 0]])
+
+
+def test_renders_are_contrasted_and_not_compared():
+    renders = Samples.from_array(SMALL), Samples.from_array(SMALL)
+    for given in ((list(renders),), renders, (renders[0], [renders[1]])):
+        with pytest.raises(InputError, match="estimators are compared, renders are contrasted"):
+            chd.compare(*given)
 
 
 def test_strata_are_blocks_within_regions():

@@ -233,7 +233,7 @@ def test_all_batches_and_their_means_are_drawn():
 def test_renders_of_a_view_share_one_exposure(image):
     mark = viz.Mark("wall", slice(0, 2), slice(0, 2), (1, 1))
     x = {name: [np.full((3, 8), level)] for name, level in (("long", 2.0), ("short", 1.0))}
-    figure = viz.renders_compared({"long": image, "short": image / 2}, x, [mark])
+    figure = viz.renders_contrasted({"long": image, "short": image / 2}, x, [mark])
     bright, dark = (a.images[0].get_array().mean() for a in figure.axes if a.images)
     assert dark < 0.85 * bright
     assert {"1 wall", "long", "short"} <= texts(figure)

@@ -70,8 +70,8 @@ def examples():
         "pattern_breakdown": partial(viz.pattern_breakdown, compared.breakdown),
         "pixel_estimates": partial(viz.pixel_estimates, compared.draw_pixels(4)),
         "region_study": partial(viz.region_study, IMAGE, [MARK], [PANEL]),
-        "renders_compared": partial(
-            viz.renders_compared,
+        "renders_contrasted": partial(
+            viz.renders_contrasted,
             {NAME: IMAGE, "b": 2 * IMAGE},
             {NAME: [np.ones((3, 4))]},
             [MARK],
@@ -134,6 +134,8 @@ def test_figures_have_room_for_names(examples, name, monkeypatch):
 
 LONG = "the wall beside the window, at night"
 MARKS = [replace(MARK, ys=slice(y, y + 2), xs=slice(y, y + 2)) for y in (1, 5, 9)]
+_NOISE = RNG.gamma(1.0, size=(3, 16, 16, 3, 16)) * np.reshape([1, 1.5, 2], (3, 1, 1, 1, 1))
+RANKED = chd.contrast({LONG: _NOISE[0], "b": _NOISE[1], NAME: 1.01 * _NOISE[2]})
 CROWDED = {
     "batches": lambda w: viz.batch_histograms({LONG + i: np.ones((8, 4)) for i in "abcd"}, width=w),
     "images": lambda w: viz.side_by_side({LONG: IMAGE, "b": IMAGE, "reference": IMAGE}, width=w),
@@ -145,10 +147,11 @@ CROWDED = {
         width=w,
     ),
     "fits": lambda w: viz.fits(*ONE.values(), {LONG: np.ones_like, "b": np.ones_like}, width=w),
+    "ranking": lambda w: viz.contrast(RANKED, width=w),
     "regions": lambda w: viz.region_study(
         IMAGE, [replace(MARK, name=LONG)], [replace(PANEL, note="48 % null, gamma")], width=w
     ),
-    "renders": lambda w: viz.renders_compared(
+    "renders": lambda w: viz.renders_contrasted(
         {LONG: IMAGE, "b": IMAGE}, {LONG: [RNG.random((3, 64))] * 3}, MARKS, width=w
     ),
     "verdicts": lambda w: viz.verdict_matrix(
@@ -252,8 +255,10 @@ def test_a_million_samples_make_a_small_file():
         (lambda: viz.region_study(IMAGE, [MARK], []), "got 0 for 1"),
         (lambda: viz.firefly_pair(IMAGE, {"firefly": (5, 5)}, {}), "got 1 pixels"),
         (lambda: viz.side_by_side({}), "at least one image"),
-        (lambda: viz.renders_compared({}), "at least one image"),
-        (lambda: viz.renders_compared({"a": IMAGE}, {"a": []}, [MARK]), "as many places"),
+        (lambda: viz.renders_contrasted({}), "at least one image"),
+        (lambda: viz.contrast(RANKED, channels="red"), "got red for several"),
+        (lambda: viz.contrast(replace(RANKED, noise=None)), "ranked by their noise"),
+        (lambda: viz.renders_contrasted({"a": IMAGE}, {"a": []}, [MARK]), "as many places"),
         (lambda: viz.chd_axes(LOG, names=["a", "b"]), "2 channels, got one of shape"),
         (lambda: viz.fits(LINEAR, LOG, {}), r"1 channels, got one of shape \(3, 100\)"),
         (lambda: viz.categorical_map(np.zeros((4, 4), int)), "flag_meanings.*pass names="),
