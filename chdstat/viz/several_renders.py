@@ -409,7 +409,7 @@ def _draw_winners(
         draw_labels(ax, least, [*colors.values()], title)
         ax.set_xlabel("\n".join(won) or "cannot be told")
     undecided = bool((found.maps["least_noisy"] < 0).any())
-    shades = colors | ({"cannot be told": MISSING} if undecided else {})
+    shades = {**colors, **({"cannot be told": MISSING} if undecided else {})}
     across_legend = fitting(across, len(shades), 1.5)
     room = across / across_legend - 0.5
     handles = [Patch(color=shade, label=within(name, room)) for name, shade in shades.items()]
