@@ -41,6 +41,7 @@ import pytest
 from filelock import FileLock
 
 import chdstat as chd
+from chdstat._core.arrays import say_once
 from chdstat.rendering.backend import probe
 
 _SCENES = "CHDSTAT_SCENES"
@@ -76,6 +77,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "external" in item.keywords:
             item.add_marker(skip)
+
+
+@pytest.fixture(autouse=True)
+def nothing_said_before() -> None:
+    """Let each test hear what is said once in a process."""
+    say_once.cache_clear()
 
 
 @pytest.fixture(scope="session", autouse=True)

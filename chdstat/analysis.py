@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +31,7 @@ from chdstat._core.files import checkpoints, release, unused, writing
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Part, PositivePart
+from chdstat._core.progress import portion, track
 from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of, quantile_of, wilson
 from chdstat._core.statistic import (
     RADIANCE,
@@ -89,7 +90,7 @@ def analyze(
     held_out: bool = True,
     resamples: int = 0,
     seed: Seed = 0,
-    progress: bool | None = None,
+    progress: bool = True,
     client: Client | None = None,
     checkpoint: str | Path | None = None,
 ) -> xr.Dataset:
@@ -114,7 +115,7 @@ def analyze(
         costs about as much as the fits. With 0, there are statistics and effect sizes, but no
         p-values and no ``best_goodness_rejected``.
     progress
-        Show progress bars; None shows them on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     client
         A Dask client, whose workers analyse one tile per task. The results are the same to the bit.
     checkpoint
@@ -204,7 +205,7 @@ def patterns_of(
     samples: Samples,
     *,
     families: bool = False,
-    progress: bool | None = None,
+    progress: bool = True,
     checkpoint: str | Path | None = None,
 ) -> xr.Dataset:
     """Return the part of an analysis that says where the noise is, in a tenth of the time.
@@ -273,8 +274,9 @@ def _of_block(statistics: Mapping[str, Statistic[Any]], block: Image) -> Mapped:
     # Statistics of channels and of luminance share their work.
     shared = {"selection": FamilySelection(), "tail": TailIndex(), "mixture": ModalMixture()}
     for stage, statistic in shared.items():
-        if stage in statistics:
-            measured(both, statistic)
+        with portion(1 / (len(shared) + 1)):  # about as long as all others together
+            if stage in statistics:
+                measured(both, statistic)
     channels, luminance = both.rows(slice(block.shape[-2])), both.rows(-1)
     return _variables(statistics, {"channels": channels, "luminance": luminance})
 
@@ -331,7 +333,7 @@ class _LuminanceAverages(NormalityOfMeans):
 def _of_summary(
     summary: xr.Dataset,
     goodness: GoodnessOfFit,
-    progress: bool | None,
+    progress: bool,
     client: Client | None,
     folder: Path | None = None,
 ) -> xr.Dataset:
@@ -362,9 +364,10 @@ def _of_summary(
     counted = counted.drop_vars(["y", "x"], errors="ignore")
     places = [*tiles((height, width, 1, 1))]
 
-    def placed() -> Iterator[tuple[slice, slice, Mapped]]:
+    def placed(advance: Callable[[float], None]) -> Iterator[tuple[slice, slice, Mapped]]:
         items = (counted.isel(y=ys, x=xs) for ys, xs in places)
-        for place, variables in zip(places, in_order(task, items, client=client), strict=True):
+        how: Any = {"client": client, "advance": advance, "size": _pixels}
+        for place, variables in zip(places, in_order(task, items, **how), strict=True):
             yield *place, variables
             if folder is not None:
                 _released(counted)
@@ -376,12 +379,16 @@ def _of_summary(
         unequal=False,
         attrs={},
     )
-    about: Any = {"progress": progress, "folder": folder}
-    whole_image = assemble(image, placed(), description="fitting", **about).drop_vars(["y", "x"])
+    with track("fitting", height * width, unit="px", show=progress) as advance:
+        whole_image = assemble(image, placed(advance), folder=folder).drop_vars(["y", "x"])
     parts = [*_finished(whole_image, statistics)]
     if folder is not None:
         _released(whole_image)
     return xr.merge([summary, *parts], compat="override").assign_attrs(summary.attrs)
+
+
+def _pixels(of: xr.Dataset) -> int:
+    return of.sizes["y"] * of.sizes["x"]
 
 
 def _released(found: xr.Dataset) -> None:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import copy
 import enum
+import functools
 import json
+import logging
 import operator
 import sys
 import warnings
@@ -308,6 +310,12 @@ def warn_left_out(
 def _warn(count: int, total: int, what: str) -> None:
     message = f"{100 * count / total:.1f} % of the samples ({count} of {total}) are {what}"
     warn_caller(message, LeftOutWarning)
+
+
+@functools.cache
+def say_once(message: str) -> None:
+    """Log a warning, once in a process: another render of the same scene would repeat it."""
+    logging.getLogger("chdstat").warning(message)
 
 
 def warn_caller(message: str, category: type[Warning] = InputWarning) -> None:

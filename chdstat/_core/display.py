@@ -1,7 +1,7 @@
 """Display: numbers as a reader wants them, and results that show themselves.
 
 A result says once, in a `Card`, what is worth seeing of it: facts, rows of a table, images. `Shown`
-makes of that a notebook's HTML, at most twelve lines of text, and LaTeX. A `Tabled` result has rows
+makes of that a notebook's HTML, text that fits a terminal, and LaTeX. A `Tabled` result has rows
 of numbers, too, as a data frame or as a file.
 """
 
@@ -12,8 +12,10 @@ import contextlib
 import dataclasses
 import html
 import io
+import itertools
 import json
 import math
+import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,10 +36,9 @@ if TYPE_CHECKING:
 Width = Literal["column", "page"] | float
 """Width of a figure: that of a column or a page of a paper, or in inches."""
 
-_LINES, _WIDTH = 12, 108
-"""Most lines of a representation as text, and most letters of a line."""
-_SENTENCE = 84
-"""Letters after which sentences wrap."""
+_LINES, _WIDTH = 24, 80
+"""Lines and letters of a terminal, which a representation as text fits."""
+_INDENT = 2
 _LONG = 400
 """Most letters of a value."""
 _PERCENT = 0.01
@@ -383,31 +384,14 @@ class Card:
         return {name: text for name, text in texts.items() if text}
 
     def text(self) -> str:
-        """Return at most twelve lines: the facts, then the rows of the table."""
-        facts = self.known()
-        width = max(map(len, facts), default=0)
-        indent = " " * (width + 2)
-        lines = [
-            line
-            for name, text in facts.items()
-            for line in textwrap.wrap(
-                f"{name:{width}}  {text}",
-                _SENTENCE,
-                subsequent_indent=indent,
-                max_lines=3,
-                placeholder="...",
-            )
-        ]
+        """Return at most 24 lines of 80 letters: the facts, then the rows of the table."""
+        lines = _in_columns([*self.known().items()])
         if self.table:
-            rows = [[*self.table[0]], *([*row.values()] for row in self.table)]
-            widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-            cells = ([f"{c:{w}}" for c, w in zip(row, widths, strict=True)] for row in rows)
-            lines += ["  ".join(row).rstrip() for row in cells]
+            lines += _in_columns([[*self.table[0]], *([*row.values()] for row in self.table)])
         if len(lines) > _LINES - 1:
             left_out = len(lines) - (_LINES - 2)
             lines = [*lines[: _LINES - 2], f"... and {left_out} more lines"]
-        lines = [line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..." for line in lines]
-        return "\n".join([self.title, *(f"  {line}" for line in lines)])
+        return "\n".join([self.title, *(f"{' ' * _INDENT}{line}" for line in lines)])
 
     def html(self) -> str:
         """Return images and tables side by side, in the colours of the page that shows them."""
@@ -433,8 +417,50 @@ class Card:
         if self.table:
             return latex(self.table)
         rows = [{"quantity": name, "value": text} for name, text in self.known().items()]
-        wide = max((len(row["value"]) for row in rows), default=0) > _SENTENCE
+        wide = max((len(row["value"]) for row in rows), default=0) > _WIDTH
         return latex(rows, r"lp{0.7\linewidth}" if wide else "ll")
+
+
+_INTERVAL = re.compile(r"\[[^\[\],]*, [^\[\],]*\]")
+
+
+def _unbroken(interval: re.Match[str]) -> str:
+    return interval[0].replace(" ", "\0")
+
+
+def _in_columns(rows: Sequence[Sequence[str]], width: int = _WIDTH - _INDENT) -> list[str]:
+    """Return the lines of rows of text in columns, wider than asked for rather than cut.
+
+    Cells wrap between words, those of the widest columns first; an interval is one word if there is
+    room.
+
+    Examples
+    --------
+    >>> _in_columns([["test", "verdict"], ["nulls", "cannot tell"]], 14)
+    ['test   verdict', 'nulls  cannot', '       tell']
+    """
+    whole = [[_INTERVAL.sub(_unbroken, text) for text in row] for row in rows]
+    for cells in whole, rows:
+        columns = [*zip(*cells, strict=True)]
+        widths = [max(1, *map(len, column)) for column in columns]
+        least = [max(len(w) for text in column for w in text.split(" ")) for column in columns]
+        if sum(least) + 2 * (len(least) - 1) <= width:
+            break
+    while sum(widths) + 2 * (len(widths) - 1) > width:
+        wide = [i for i, size in enumerate(widths) if size > max(least[i], 1)]
+        if not wide:
+            break
+        widths[max(wide, key=lambda i: widths[i])] -= 1
+    lines = []
+    for row in cells:
+        wrapped = [
+            textwrap.wrap(text, size, break_long_words=False, break_on_hyphens=False) or [""]
+            for text, size in zip(row, widths, strict=True)
+        ]
+        for parts in itertools.zip_longest(*wrapped, fillvalue=""):
+            padded = (f"{part:{size}}" for part, size in zip(parts, widths, strict=True))
+            lines.append("  ".join(padded).rstrip().replace("\0", " "))
+    return lines
 
 
 def _html(frame: pd.DataFrame, **options: bool) -> str:
@@ -485,7 +511,7 @@ def latex(rows: Sequence[Mapping[str, str]], columns: str = "") -> str:
 
 
 class Shown:
-    """A result that shows itself: in a notebook, or in at most twelve lines of text.
+    """A result that shows itself: in a notebook, or as text on a screen of a terminal.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Long work: threads or a Dask cluster, interrupts, and progress.
+"""Long work: threads or a Dask cluster, and interrupts.
 
 NumPy releases Python's lock while it computes, so that one thread per core, with shared memory, is
 enough. With a Dask client, the workers of a cluster replace the threads. Ctrl-C ends the work in
@@ -10,12 +10,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import logging
-import math
 import os
 import signal
-import sys
 import threading
-import time
 import warnings
 from asyncio import CancelledError as AsyncCancelledError
 from collections import deque
@@ -28,19 +25,18 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
+from contextvars import copy_context
 from multiprocessing import resource_tracker
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from chdstat._core.arrays import Result
-from chdstat._core.display import duration
+from chdstat._core.progress import portion
 from chdstat.errors import ClusterError, InputError
 
 if TYPE_CHECKING:
     from distributed import Client
-    from rich.progress import ProgressColumn, Task
-    from rich.text import Text
 
 # Functions of the signal module may only be called in the main thread.
 _get_handler = ctypes.pythonapi.PyOS_getsig
@@ -173,12 +169,15 @@ def in_order(
     *,
     workers: int | None = None,
     client: Client | None = None,
+    advance: Callable[[float], None] | None = None,
+    size: Callable[[_Item], float] = lambda _: 1.0,
 ) -> Iterator[Result]:
     """Yield the results of a function in the order of its items, computed by `workers` threads.
 
     About as many results wait for their turn, so that memory stays bounded. An exception of the
     function is raised in place of its result, and no further work begins. With a Dask client, its
-    workers compute instead of threads.
+    workers compute instead of threads. `advance` gets the sizes of items that are done; in threads,
+    those of portions within them, too.
 
     Raises
     ------
@@ -190,17 +189,31 @@ def in_order(
     >>> list(in_order(abs, [-1, 2, -3], workers=2))
     [1, 2, 3]
     """
-    waiting: deque[Future[Result]] = deque()
+
+    def counted(item: _Item) -> Result:
+        with portion(size(item), advance):
+            return function(item)
+
+    waiting: deque[tuple[float, Future[Result]]] = deque()
+
+    def first() -> Result:
+        amount, future = waiting.popleft()
+        result = at_work.result(future)
+        if advance is not None and client is not None:
+            advance(amount)
+        return result
+
     with pool(workers, client) as at_work:
         try:
             for item in items:
-                waiting.append(at_work.submit(function, item))
+                given = (function,) if client is not None else (copy_context().run, counted)
+                waiting.append((size(item), at_work.submit(*given, item)))
                 if len(waiting) > at_work.window:
-                    yield at_work.result(waiting.popleft())
+                    yield first()
             while waiting:
-                yield at_work.result(waiting.popleft())
+                yield first()
         finally:
-            for future in waiting:
+            for _, future in waiting:
                 future.cancel()
 
 
@@ -374,120 +387,3 @@ def _wait_for_workers(client: Client) -> None:
             f"start some with: dask worker {address}"
         )
         raise ClusterError(message) from error
-
-
-_LINE_EVERY = 10.0
-"""Seconds between two lines of progress without a terminal."""
-
-
-@contextlib.contextmanager
-def track(
-    description: str,
-    total: float,
-    *,
-    unit: str = "it",
-    show: bool | None = None,
-    line_every: float = _LINE_EVERY,
-) -> Iterator[Callable[[float], None]]:
-    """Show the progress of a piece of work while the context lasts.
-
-    Parameters
-    ----------
-    description
-        What is being done, a few words.
-    total
-        Total amount, in `unit`.
-    unit
-        What is counted; the rate is shown in units per second.
-    show
-        Show the progress: as a bar if the error stream is a terminal, otherwise as lines. None
-        shows the bar only.
-    line_every
-        Seconds between two lines.
-
-    Yields
-    ------
-    callable
-        Call it with the amount done since the last call.
-
-    Examples
-    --------
-    >>> with track("counting", 3, show=False) as advance:
-    ...     for _ in range(3):
-    ...         advance(1)
-    """
-    terminal = sys.stderr.isatty()
-    if not (terminal if show is None else show):
-        yield lambda _: None
-        return
-    if not terminal:
-        with _lines(description, total, line_every) as advance:
-            yield advance
-        return
-    from rich import progress as bars
-    from rich.console import Console
-
-    columns = (
-        bars.TextColumn("{task.description}"),
-        bars.BarColumn(),
-        bars.TaskProgressColumn(),
-        _rate_column(unit),
-        bars.TimeRemainingColumn(),
-    )
-    with bars.Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda amount: bar.advance(task, amount)
-
-
-_PAUSE = 1.0
-"""Seconds without work after which new work begins."""
-_line_before = _ended = -math.inf
-"""When the last line of progress was written, and when work ended, so that many short pieces of
-work have lines, too."""
-
-
-@contextlib.contextmanager
-def _lines(description: str, total: float, every: float) -> Iterator[Callable[[float], None]]:
-    """Write a line of progress now and then while the context lasts, even if work stands still."""
-    global _line_before, _ended
-    start, ended, done = time.monotonic(), threading.Event(), 0.0
-    if start > _ended + _PAUSE:
-        _line_before = start
-
-    def advance(amount: float) -> None:
-        nonlocal done
-        done += amount
-
-    def write() -> None:
-        global _line_before
-        while not ended.wait(max(0, _line_before + every - time.monotonic())):
-            _line_before = time.monotonic()
-            share, passed = done / total if total else 1.0, duration(max(1, _line_before - start))
-            sys.stderr.write(f"{description}: {share:.0%} after {passed}\n")
-            sys.stderr.flush()
-
-    writer = threading.Thread(target=write, name="chdstat-progress", daemon=True)
-    writer.start()
-    try:
-        yield advance
-    finally:
-        ended.set()
-        writer.join()
-        _ended = time.monotonic()
-
-
-def _rate_column(unit: str) -> ProgressColumn:
-    """Return a rich column that shows the speed as 1.2 M unit/s."""
-    from rich.filesize import pick_unit_and_suffix
-    from rich.progress import ProgressColumn
-    from rich.text import Text
-
-    class Rate(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            speed = task.finished_speed or task.speed
-            if speed is None:
-                return Text("")
-            scale, suffix = pick_unit_and_suffix(int(speed), ["", "k", "M", "G"], 1000)
-            return Text(f"{speed / scale:.2f} {suffix}{unit}/s")
-
-    return Rate()

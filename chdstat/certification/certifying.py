@@ -37,8 +37,8 @@ from chdstat._core.arrays import (
     whole,
 )
 from chdstat._core.files import checked_target, replacing, shown
+from chdstat._core.progress import track
 from chdstat._core.statistic import RADIANCE
-from chdstat._core.work import track
 from chdstat.certification.reduction import (
     AVERAGED,
     BANDWIDTHS,
@@ -263,7 +263,7 @@ def certify(
     blocks: int = BLOCKS,
     seed: int = SEED,
     backend: Backend = "auto",
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Certify pixels of a scene: draw about a million samples of each, and reduce them to numbers.
 
@@ -339,7 +339,7 @@ def of_scenes(
     spp: int | None = None,
     size: tuple[int, int] | None = None,
     folder: Path | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> xr.Dataset:
     """Return certified pixels of several scenes; without scenes, those of the library.
 
@@ -377,9 +377,7 @@ def of_scenes(
     return xr.concat(parts, "pixel", data_vars="all", combine_attrs="override")
 
 
-def _kept(
-    scene: Scene, folder: Path | None, options: dict[str, Any], progress: bool | None
-) -> xr.Dataset:
+def _kept(scene: Scene, folder: Path | None, options: dict[str, Any], progress: bool) -> xr.Dataset:
     """Return certified pixels of a scene, from the folder if they are there."""
     if folder is None:
         return certify(scene, **options, progress=progress)
@@ -447,7 +445,7 @@ def draw(
     *,
     seed: int = FRESH_SEED,
     backend: Backend = "scalar",
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Image:
     """Draw samples of certified pixels, to try a method on.
 

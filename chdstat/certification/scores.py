@@ -278,7 +278,7 @@ def bench(
     n: Sequence[int] = COUNTS,
     seed: int = FRESH_SEED,
     backend: Backend = "scalar",
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> CertifiedBench:
     """Judge what this library answers from a few samples of certified pixels.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import dataclass, field
@@ -298,6 +298,56 @@ def parameter(declared: Parameter, told: Mapping[str, _Described], unset: str | 
         default = default or ("none" if declared.default is None else None)
     how.show_default = default or how.show_default
     return declared.replace(kind=Parameter.KEYWORD_ONLY, annotation=Annotated[kind, how])
+
+
+_ALIASES = {
+    "seconds": "time",
+    "relative_error": "error",
+    "by_light": "light",
+    "estimators": "estimator",
+    "references": "reference",
+    "images": "image",
+}
+"""Parameters of the library whose options have other names, unless a command has that name."""
+
+
+def typed_names(options: Iterable[Parameter]) -> dict[str, str]:
+    """Return the options of a command by the names of the library's parameters."""
+    hows = {one.name: get_args(one.annotation)[1] for one in options}
+    found = {
+        name: max(how.param_decls or (f"--{name.replace('_', '-')}",), key=len)
+        for name, how in hows.items()
+        if isinstance(how, OptionInfo)
+    }
+    return {name: found[own] for name, own in _ALIASES.items() if own in found} | found
+
+
+def as_typed(text: str, options: Mapping[str, str]) -> str:
+    """Return a message with the options of a command in place of the library's parameters.
+
+    Examples
+    --------
+    >>> options = {"axes": "--axes", "append": "--append", "size": "--size", "spp": "--spp"}
+    >>> as_typed("give axes='syxc', append=True, size=(64, 32)", options)
+    'give --axes syxc, --append, --size 64x32'
+    >>> as_typed("spp must be at least 1, got 0", options)
+    '--spp must be at least 1, got 0'
+    """
+    if not options:
+        return text
+    names = "|".join(sorted(options, key=len, reverse=True))
+
+    def option(found: re.Match[str]) -> str:
+        name, value = options[found[1]], (found[2] or "").strip("'\"[]")
+        if value in ("", "True"):
+            return name
+        size = re.fullmatch(r"\((\d+), (\d+)\)", value)
+        return f"{name} {'x'.join(size.groups()) if size else value}"
+
+    values = r"""('[^']*'|"[^"]*"|\[[^\]]*\]|\([^)]*\)|[-+\w.]*\w)?"""
+    text = re.sub(rf"(?<![-\w.])({names})={values}", option, text)
+    alone = rf"(?<![-\w.'])({names})(?= must | above )"
+    return re.sub(alone, lambda found: options[found[1]], text)
 
 
 def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:

@@ -20,6 +20,7 @@ import typer
 
 from chdstat._core.files import checked_target, writing
 from chdstat.samples.dependence import sequence_of
+from chdstat.scenes.scene import RENDERERS
 
 if TYPE_CHECKING:
     from chdstat.cli.arguments import CommonOptions
@@ -44,10 +45,17 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
         number = f"{samples.spp} sample{'s' * (samples.spp > 1)} per pixel"
         if samples.unequal:
             number += f" at most, {samples.fewest} at least, {counts.mean():.0f} on average"
-        typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {number}")
+        typer.echo(f"{path}: {_scene_of(samples)}, {width} x {height} pixels, {number}")
         for name, error in errors.items():
             typer.echo(f"{name.replace('_', ' ')}: {error}")
     say_next(quiet, *after_render(samples.attrs, path))
+
+
+def _scene_of(samples: Samples) -> str:
+    """Return the name of a scene, with its file if that is called otherwise."""
+    file = Path(str(samples.attrs.get("scene_source", "")))
+    same = file.suffix not in RENDERERS or file.stem == samples.name
+    return samples.name if same else f"{samples.name} ({file.parent.name}/{file.name})"
 
 
 def after_render(attrs: Mapping[str, Any], path: Path | None) -> Iterator[tuple[object, ...]]:

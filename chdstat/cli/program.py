@@ -19,7 +19,15 @@ import typer.core
 
 from chdstat import __version__
 from chdstat._core.files import place_of
-from chdstat.cli.arguments import SHARED, SHARED_TEXTS, CommonOptions, described, parameter
+from chdstat.cli.arguments import (
+    SHARED,
+    SHARED_TEXTS,
+    CommonOptions,
+    as_typed,
+    described,
+    parameter,
+    typed_names,
+)
 from chdstat.errors import ChdstatError, InputWarning, LeftOutWarning
 from chdstat.scenes import load_plugin
 
@@ -48,6 +56,10 @@ _OF_ONE = {
     "analyze": "It takes one store. 'chdstat report {} -o report.pdf' says which is noisier.",
 }
 """Commands that take one store, and what to do with several."""
+
+
+_typed: dict[str, str] = {}
+"""The options of this call, by the names of the library's parameters."""
 
 
 class _Commands(typer.core.TyperGroup):
@@ -95,6 +107,7 @@ def command(
 
         @functools.wraps(function)
         def run(**given: Any) -> None:
+            _typed.update(typed)
             asked = CommonOptions.of({key: given.pop(key) for key in shared})
             for file in asked.plugin or ():  # scenes and options may name what they register
                 load_plugin(file)
@@ -103,6 +116,7 @@ def command(
         about, texts = described(function)
         told = {key: SHARED_TEXTS[key] for key in shared} | texts
         options = [parameter(one, told, unset.get(one.name)) for one in taken]
+        typed = typed_names(options)
         run.__signature__ = Signature(options)  # type: ignore[attr-defined]
         return app.command(name, help=about, epilog=f"Example: chdstat {example}")(run)
 
@@ -163,7 +177,9 @@ def _show_flow(context: typer.Context) -> None:
 
 def main() -> None:
     """Run the command line; errors that a user can act on end without a traceback."""
-    logging.basicConfig(format="chdstat: %(message)s", level=logging.WARNING)
+    to_stderr = logging.StreamHandler()
+    to_stderr.setFormatter(_AsTyped("chdstat: %(message)s"))
+    logging.basicConfig(handlers=[to_stderr], level=logging.WARNING)
     warnings.showwarning = _shown_once()
     try:
         app()
@@ -185,7 +201,15 @@ def _told(error: Exception) -> str:
     if isinstance(error, OSError):  # such as a name that is too long, or a folder not to be read
         name = reprlib.repr(error.filename) if error.filename else ""
         return f"{error.strerror or error}: {name}".rstrip(": ")
-    return str(error)
+    return as_typed(str(error), _typed)
+
+
+class _AsTyped(logging.Formatter):
+    """Names the options of a command where the library names its parameters."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - as logging calls it
+        """Return the line of a message."""
+        return as_typed(super().formatMessage(record), _typed)
 
 
 def _is_begun(line: Sequence[str]) -> bool:
@@ -205,7 +229,7 @@ def _shown_once() -> Callable[..., None]:
     def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
         text = warnings.formatwarning(message, category, *place[:2]).rstrip()
         if issubclass(category, LeftOutWarning | InputWarning):
-            text = f"chdstat: {message}"
+            text = f"chdstat: {as_typed(str(message), _typed)}"
         if text not in shown:
             typer.echo(text, err=True)
         shown.add(text)

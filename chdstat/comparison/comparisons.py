@@ -457,7 +457,7 @@ def compare(
     model: Models = None,
     denoise: bool = False,
     labels: npt.ArrayLike | xr.DataArray | xr.Dataset | str | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
     client: Client | None = None,
 ) -> Comparison:
     r"""Measure estimators on the same batches of n samples, against held-out references.
@@ -512,7 +512,7 @@ def compare(
         samples bias the breakdown: a pixel may be firefly-dominated because of one batch, which is
         then easy to improve. Labels of an independent render do not.
     progress
-        Show progress bars; None shows them on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     client
         A Dask client whose workers estimate, one batch per task, with the same result to the bit.
         Training stays in this process.
@@ -601,7 +601,7 @@ def error_curve(
     seed: Seed = 0,
     max_batches: int | None = 16,
     model: Models = None,
-    progress: bool | None = None,
+    progress: bool = True,
     client: Client | None = None,
 ) -> ErrorCurve:
     """Measure the error of estimators at many numbers of samples, N.

@@ -20,8 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Array, block_numbers, flag_attributes, flag_names, whole
+from chdstat._core.progress import portion, track
 from chdstat._core.resampling import Interval
-from chdstat._core.work import in_order, track
+from chdstat._core.work import in_order
 from chdstat.comparison.estimator_choice import (
     Chosen,
     Denoised,
@@ -128,7 +129,7 @@ def trained_candidates(
     seed: int,
     max_batches: int | None,
     model: Models,
-    progress: bool | None,
+    progress: bool,
     denoise: bool = False,
 ) -> Candidates:
     """Train the learned estimators, except those with a given model.
@@ -265,7 +266,7 @@ def labels_of(
     given: npt.ArrayLike | xr.DataArray | xr.Dataset | str,
     samples: Samples,
     *,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> tuple[npt.NDArray[np.int64], dict[int, str]]:
     """Return the labels of an image as codes (y, x), and the names of the codes.
 
@@ -372,7 +373,7 @@ def judge(
     units: Units,
     *,
     n: int,
-    progress: bool | None,
+    progress: bool,
     client: Client | None,
 ) -> Errors:
     """Sum the errors of every estimator that takes n samples, on the same batches.
@@ -396,13 +397,13 @@ def judge(
     light = replace(candidates, samples=samples.isel(sample=slice(1)))
     task = partial(_errors_of_batch, light, units, n)
     with track(f"comparing at N = {n}", rounds * height * width, unit="px", show=progress) as told:
-        results = in_order(task, enumerate(parts), workers=1, client=client)
+        counted: Any = {"advance": told, "size": lambda _: height * width}
+        results = in_order(task, enumerate(parts), workers=1, client=client, **counted)
         for index, (of_batch, without, images, reference) in enumerate(results):
             if index == 0:
                 (first_mean, *estimates), first_reference = images, reference
             by_unit += of_batch
             excluded += without
-            told(height * width)
     if not counts(by_unit).any():
         message = (
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
@@ -439,7 +440,9 @@ def _errors_of_batch(
             if not takes(entry, n):
                 continue
             own = without_denoiser(entry).name
-            estimate = estimate_by(entry, x, features=features, model=candidates.models.get(own))
+            with portion(1 / len(entries)):
+                model = candidates.models.get(own)
+                estimate = estimate_by(entry, x, features=features, model=model)
             if estimate.shape != average.shape:
                 message = (
                     f"{entry.name} must return one estimate for each pixel and channel, shape "

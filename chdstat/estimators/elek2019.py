@@ -40,7 +40,7 @@ from chdstat._core.arrays import (
     warn_left_out,
     whole,
 )
-from chdstat._core.work import track
+from chdstat._core.progress import track
 from chdstat.errors import InputError, check_option, check_probability
 from chdstat.estimators import training
 from chdstat.estimators.held_out import (
@@ -214,7 +214,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         iterations: int | None = None,
         patience: int | None = None,
         pixels: npt.ArrayLike | None = None,
-        progress: bool | None = None,
+        progress: bool = True,
     ) -> Self:
         """Train on a part of an image's pixels, against their leave-batch-out references.
 
@@ -232,7 +232,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         pixels
             Train on these, rows (y, x), and draw none.
         progress
-            Show a progress bar; None shows it on a terminal.
+            Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
         Returns
         -------
@@ -382,7 +382,7 @@ class MLP(training.TrainedModel[_TrainedMLP]):
         if samples.shape[-1] != self.inputs:
             message = (
                 f"{self.name} takes exactly {self.inputs} samples on the last axis, got shape "
-                f"{samples.shape}; take as many, as by spp={self.inputs} or --spp {self.inputs}"
+                f"{samples.shape}; take as many, as by spp={self.inputs}"
             )
             raise InputError(message)
         rows = samples.reshape(-1, self.inputs)
@@ -489,7 +489,7 @@ def _fit(
     iterations: int,
     patience: int | None,
     rng: np.random.Generator,
-    progress: bool | None,
+    progress: bool,
 ) -> tuple[Weights, npt.NDArray[np.float64], Indices]:
     """Minimise the squared error on batches (batch, channel, sample) and references.
 

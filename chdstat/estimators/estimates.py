@@ -34,6 +34,7 @@ from scipy import special
 from chdstat._core.arrays import Image, Reals, as_pixels
 from chdstat._core.denoiser import denoise as run_denoiser
 from chdstat._core.files import checkpoints
+from chdstat._core.progress import track
 from chdstat._core.work import check_memory
 from chdstat.errors import InputError, check_probability
 from chdstat.estimators.default_estimate.candidates import Measured, through_denoiser
@@ -83,7 +84,7 @@ def estimate(
     spp: int | None = None,
     level: float = 0.9,
     denoise: bool = False,
-    progress: bool | None = None,
+    progress: bool = True,
     client: Client | None = None,
     checkpoint: str | Path | None = None,
 ) -> Estimates:
@@ -110,7 +111,8 @@ def estimate(
         pixel is denoised once more in proportion to the weight of its denoised candidates, and
         stays within the interval of its mean.
     progress
-        Show progress bars; None shows them on a terminal. A rendering shows its own.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds. A
+        rendering shows its own.
     client, checkpoint
         Without a model only, as for `chdstat.analyze`: a Dask client whose workers do the work, and
         a folder for finished parts, from which the same call resumes.
@@ -150,7 +152,7 @@ class EstimateOptions:
     spp: int | None = None
     level: float = 0.9
     denoise: bool = False
-    progress: bool | None = False
+    progress: bool = False
     client: Client | None = None
     checkpoint: str | Path | None = None
 
@@ -354,7 +356,8 @@ def _combined(
     client, progress = options.client, options.progress
     with checkpoints(options.checkpoint, partial(checkpoint_key, image)) as kept:
         measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
-    return _combination_of(measured, features, level=options.level, client=client)
+    with track("combining candidates", 0, show=progress):
+        return _combination_of(measured, features, level=options.level, client=client)
 
 
 class CombinationStream:

@@ -298,7 +298,7 @@ def train_model(
     spp: int | None = None,
     seed: Seed = 0,
     iterations: int | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> TrainedModel[Any]:
     """Train an estimator on an image.
 
@@ -318,7 +318,7 @@ def train_model(
     iterations
         Minibatches; None for the estimator's default.
     progress
-        Show a progress bar; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------

@@ -282,6 +282,6 @@ def walk(source: StoreSource, name: str) -> Iterator[tuple[float, Image]]:
             parts.append((ys, xs, statistic.variables(found) if shown.decided else {}))
     if shown.decided:
         # Over the image, labels are decided with p-values corrected for its size.
-        whole = assemble(source.samples, iter(parts), progress=False)
+        whole = assemble(source.samples, iter(parts))
         values = statistic.finish(whole)[shown.decided].to_numpy().astype(np.float32)
     yield 1.0, values

@@ -331,7 +331,7 @@ def fit(
     family: str | Family,
     *,
     null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Fit | xr.Dataset:
     """Fit a zero-inflated family by maximum likelihood.
 
@@ -354,7 +354,8 @@ def fit(
     null
         Mask of the null samples of an array, broadcastable to it; by default, its exact zeros.
     progress
-        For `Samples`: show a progress bar; None shows it on a terminal.
+        For `Samples`: show progress, as a bar in a terminal or notebook, elsewhere as a line every
+        ten seconds.
 
     Returns
     -------
@@ -401,7 +402,7 @@ def family_fit(name: str) -> OfSource[..., Fit]:
     family = get_family(name)
 
     def function(
-        x: Source, *, null: npt.ArrayLike | None = None, progress: bool | None = None
+        x: Source, *, null: npt.ArrayLike | None = None, progress: bool = True
     ) -> Fit | xr.Dataset:
         return fit(x, family, null=null, progress=progress)
 

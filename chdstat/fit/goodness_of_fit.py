@@ -237,7 +237,7 @@ def goodness(
     seed: Seed = 0,
     alpha: float = 0.05,
     null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Goodness | xr.Dataset:
     """Test whether the positive samples are of a family whose parameters are estimated from them.
 

@@ -387,7 +387,7 @@ def mixture(
     max_k: int = 3,
     effort: Effort = "thorough",
     null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Mixture | xr.Dataset:
     """Fit a zero-inflated mixture of log-normal or gamma components by maximum likelihood.
 

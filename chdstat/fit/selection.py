@@ -295,7 +295,7 @@ def select(
     *,
     held_out: bool = False,
     null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Selection | xr.Dataset:
     """Fit several families and select the one that describes the samples best.
 

@@ -362,7 +362,7 @@ def tail_index(
     tested: float = 0.25,
     level: float = 0.95,
     null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Tail | xr.Dataset:
     """Estimate the tail index from the largest samples.
 

@@ -230,7 +230,7 @@ def gaussianity_of_means(
     n_means: int = N_MEANS,
     test: TestName = "shapiro-wilk",
     alpha: float = 0.05,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> GaussianityOfMeans | xr.Dataset:
     """Test whether pixel estimates, the averages of N samples, are Gaussian, for N = 1, 2, 4, ...
 

@@ -291,7 +291,7 @@ class ModalMixture(MixtureFit):
 
 @of_source
 def modality(
-    x: Source, *, null: npt.ArrayLike | None = None, progress: bool | None = None
+    x: Source, *, null: npt.ArrayLike | None = None, progress: bool = True
 ) -> Modality | xr.Dataset:
     """Count the modes of the positive samples in the log domain, and test whether there is one.
 

@@ -418,7 +418,7 @@ def gaussianity(
     test: TestName | Sequence[TestName] = "anderson-darling",
     null: npt.ArrayLike | None = None,
     alpha: float = 0.05,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Gaussianity | xr.Dataset:
     """Test whether the transformed positive samples are Gaussian, with unknown mean and variance.
 

@@ -240,7 +240,7 @@ def write_estimates(
     spp: int | None = None,
     level: float = 0.9,
     denoise: bool = False,
-    progress: bool | None = None,
+    progress: bool = True,
     client: Client | None = None,
     checkpoint: str | Path | None = None,
     seconds: float | None = None,

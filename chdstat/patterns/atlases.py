@@ -135,7 +135,7 @@ def atlas(
     min_share: float = 0.005,
     nulls: bool = False,
     seed: Seed = 0,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Atlas:
     """Find the shapes of distributions that recur over an image.
 
@@ -175,7 +175,8 @@ def atlas(
         Seed of the halves, of the start of k-means, and of the up to 4096 pixels that it learns
         from.
     progress
-        For `Samples`: show a progress bar; None shows it on a terminal.
+        For `Samples`: show progress, as a bar in a terminal or notebook, elsewhere as a line every
+        ten seconds.
 
     Returns
     -------
@@ -276,9 +277,7 @@ class Shapes:
     reason: npt.NDArray[np.int8]
 
 
-def _of_samples(
-    samples: Samples, rng: np.random.Generator, *, progress: bool | None = None
-) -> Shapes:
+def _of_samples(samples: Samples, rng: np.random.Generator, *, progress: bool = True) -> Shapes:
     """Return the shapes of the luminance of an image."""
 
     def of_tile(tile: Samples, blocks: SampleBlocks) -> Mapped:

@@ -39,7 +39,7 @@ By = Literal["depth", "light"]
 
 
 def attribute(
-    samples: ImageLike | npt.ArrayLike, *, by: By = "depth", progress: bool | None = None
+    samples: ImageLike | npt.ArrayLike, *, by: By = "depth", progress: bool = True
 ) -> xr.Dataset:
     """Return the shares of path lengths, or of lights, in each pixel's luminance and variance.
 
@@ -55,7 +55,7 @@ def attribute(
     by
         "depth" for path lengths, "light" for lights.
     progress
-        Show a progress bar; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------

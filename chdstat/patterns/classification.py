@@ -336,7 +336,7 @@ def _label(
 
 @of_source
 def classify(
-    x: Source, *, thresholds: Thresholds | None = None, progress: bool | None = None
+    x: Source, *, thresholds: Thresholds | None = None, progress: bool = True
 ) -> Patterns | xr.Dataset:
     """Return the patterns that the sample distribution of each pixel shows.
 
@@ -354,7 +354,8 @@ def classify(
     thresholds
         Thresholds of the patterns; None for the defaults.
     progress
-        For `Samples`: show a progress bar; None shows it on a terminal.
+        For `Samples`: show progress, as a bar in a terminal or notebook, elsewhere as a line every
+        ten seconds.
 
     Returns
     -------

@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, warn_caller, whole
+from chdstat._core.arrays import Image, say_once, warn_caller, whole
 from chdstat._core.files import place_of
-from chdstat._core.work import check_memory, in_order, track
+from chdstat._core.progress import track
+from chdstat._core.work import check_memory, in_order
 from chdstat.errors import ChdstatError, ClusterError, InputError, RenderError, StoreError, brief
 from chdstat.recording.pass_checks import findings
 from chdstat.recording.pass_sources import SEEDS, DrawnPass, PassSource, checked_pass, seed_of_pass
@@ -65,7 +66,7 @@ def record(
     name: str | None = None,
     seconds: float | None = None,
     client: Client | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
     **attrs: Any,
 ) -> Samples:
     """Record the samples of any renderer that draws an image of one sample per pixel.
@@ -101,7 +102,7 @@ def record(
     client
         A Dask client, whose workers draw the passes; each has a copy of `draw`.
     progress
-        Show a progress bar; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     **attrs
         More provenance, such as ``integrator="path"``; samples of another one are not mixed with
         these.
@@ -221,13 +222,11 @@ class _Recording:
 
     # --- drawing --------------------------------------------------------------------------------
 
-    def draw(
-        self, spp: int, seconds: float | None, client: Client | None, progress: bool | None
-    ) -> None:
+    def draw(self, spp: int, seconds: float | None, client: Client | None, progress: bool) -> None:
         """Draw the passes that are missing, and keep what was drawn whatever happens."""
         start = time.monotonic()
         if self._attrs["notes"]:
-            _log.warning("%s: %s", self._attrs["scene"], "; ".join(self._attrs["notes"]))
+            say_once(f"{self._attrs['scene']}: {'; '.join(self._attrs['notes'])}")
 
         def numbers() -> Iterator[int]:
             yield 0  # drawn once more than it is kept
@@ -393,7 +392,7 @@ class _Recording:
         said = f"{self._where}: {_OTHERS}"
         if self._main.attrs.get("code") != self._attrs.get("code"):
             said += ". The code of draw has changed since; nothing shows if it draws the same scene"
-        _log.warning(said)
+        say_once(said)
 
     # --- keeping --------------------------------------------------------------------------------
 

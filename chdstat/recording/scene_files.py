@@ -15,7 +15,7 @@ from chdstat.errors import InputError, RenderError, SceneError
 from chdstat.recording.pass_sources import DrawnPass
 from chdstat.recording.processes import RendererProcess
 from chdstat.samples.tiles import DIRECT_DEPTH, LightPart
-from chdstat.scenes.scene import digest_of
+from chdstat.scenes.scene import digest_of, scene_name
 
 
 class SceneFileSource(ABC):
@@ -100,7 +100,7 @@ class SceneFileSource(ABC):
     @property
     def name(self) -> str:
         """Name of the scene."""
-        return self._path.stem
+        return scene_name(self._path)
 
     @property
     def attrs(self) -> dict[str, Any]:

@@ -234,7 +234,7 @@ class Adaptive:
         """Return what to tell of an error that is larger than what was asked for."""
         assert self.error is not None, "an error was asked for"
         of = "" if self.percentile is None else f" of {self.percentile:g} % of the pixels"
-        advice = f"a larger spp than {most} goes on"
+        advice = f"spp above {most} goes on"
         if spp < 0.99 * most:
             advice = f"error={self.error**2 / found.value:.2g} goes on"
         return f"the error{of} is {found}, more than the {self.error:g} asked for; {advice}"

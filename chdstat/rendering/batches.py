@@ -15,7 +15,8 @@ import numpy as np
 
 from chdstat._core.arrays import Image, spans, whole
 from chdstat._core.display import Card
-from chdstat._core.work import Interrupts, track
+from chdstat._core.progress import track
+from chdstat._core.work import Interrupts
 from chdstat.rendering.backend import activate
 from chdstat.rendering.jobs import Job, RenderSettings, with_settings
 from chdstat.rendering.mitsuba_renderer import MitsubaRenderer
@@ -35,7 +36,7 @@ def render_batches(
     scene: SceneLike,
     *,
     batch: int = 16,
-    progress: bool | None = None,
+    progress: bool = True,
     **options: Unpack[RenderSettings],
 ) -> Rendering:
     """Render a scene batch by batch and keep nothing; memory holds one batch.
@@ -49,7 +50,7 @@ def render_batches(
     batch
         Samples per pixel in a batch; the last one may have fewer.
     progress
-        Show a progress bar while batches are drawn; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     **options
         As for `render`: `spp`, the total samples per pixel, `size`, `seed`, `max_depth`, `sensor`,
         `integrator`, `crop`, `color`, `sampler`, `sequence` and `backend`.
@@ -100,7 +101,7 @@ class Rendering:
     (8, 8, 3)
     """
 
-    def __init__(self, renderer: MitsubaRenderer, *, batch: int, progress: bool | None) -> None:
+    def __init__(self, renderer: MitsubaRenderer, *, batch: int, progress: bool) -> None:
         self._job, self._renderer, self._progress = renderer.job, renderer, progress
         self.spp, self.batch, self._seconds = renderer.job.options["spp"], batch, 0.0
 
@@ -179,6 +180,8 @@ class Rendering:
 
     def _tracked(self) -> contextlib.AbstractContextManager[Callable[[float], None]]:
         height, width, _, spp = self.shape
+        if not self._progress:  # whoever iterates shows what they want between two batches
+            return contextlib.nullcontext(lambda _: None)
         about = f"rendering {self.name}"
         return track(about, height * width * spp, unit="S", show=self._progress)
 

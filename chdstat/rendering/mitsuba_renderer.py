@@ -10,7 +10,6 @@ import contextlib
 import gc
 import hashlib
 import importlib.metadata
-import logging
 import math
 import re
 import threading
@@ -25,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 import chdstat
-from chdstat._core.arrays import Image, seed_number
+from chdstat._core.arrays import Image, say_once, seed_number
 from chdstat._core.work import Interrupted
 from chdstat.errors import (
     ChdstatError,
@@ -43,7 +42,6 @@ from chdstat.scenes.plugins import code_of, failure, plugins_made, used
 from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import check_variant
 
-_log = logging.getLogger("chdstat")
 _LIBRARIES = tuple(str(Path(file).parent) for file in (chdstat.__file__, np.__file__))
 """Folders with functions that are not part of a scene."""
 _RUN = 16
@@ -262,7 +260,7 @@ class MitsubaRenderer:
                 hits = FirstHits(self._mi, *objects, integrator=kind, hides=hides)
                 found = hits.features(*self.size, as_it_is=self._as_it_is)
         except ChdstatError as error:
-            _log.warning("no first-hit features: %s", brief(error))
+            say_once(f"{self.job.scene.name}: no first-hit features: {brief(error)}")
             return kept, brief(error)
         return kept | found, ""
 

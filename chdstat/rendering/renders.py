@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Image, whole
+from chdstat._core.arrays import Image, say_once, whole
 from chdstat._core.files import free_disk, place_of
-from chdstat._core.work import check_memory, pool, track
+from chdstat._core.progress import track
+from chdstat._core.work import check_memory, pool
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.recording import record
 from chdstat.recording.recordings import check_seconds
@@ -62,7 +63,7 @@ def render(
     seconds: float | None = None,
     out: str | Path | None = None,
     client: Client | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
     **options: Unpack[RenderSettings],
 ) -> Samples:
     """Render a scene and keep every sample.
@@ -149,7 +150,7 @@ def render(
     client
         A Dask client, whose workers render one chunk per task.
     progress
-        Show a progress bar; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------
@@ -510,7 +511,7 @@ def checked_renderer(job: Job, *, kept: int, out: Path | None) -> MitsubaRendere
         )
         raise InputError(message)
     if renderer.notes:
-        _log.warning("%s: %s", job.scene.name, "; ".join(renderer.notes))
+        say_once(f"{job.scene.name}: {'; '.join(renderer.notes)}")
     return renderer
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from chdstat._core.arrays import whole
 from chdstat._core.files import checked_target, kept_until_written
+from chdstat._core.progress import track
 from chdstat.analysis import NoiseShares, noise_of, patterns_of
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.estimator_choice import (
@@ -86,7 +87,7 @@ def report(
     estimators: Sequence[str | Entry] | None = None,
     iterations: int | None = None,
     as_published: bool = False,
-    progress: bool | None = None,
+    progress: bool = True,
     **settings: Unpack[RenderSettings],
 ) -> Path:
     """Write a PDF report on the sample distributions of a scene, or on several renders of it.
@@ -120,7 +121,7 @@ def report(
         minibatches, unless other options say so. It takes hours; the samples are kept beside the
         PDF, so that the work can resume.
     progress
-        Show progress bars; None shows them on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     **settings
         As for `chdstat.render`: ``spp``, ``size``, ``seed``, ``max_depth``, ``backend`` and others;
         the samples must be independent. The defaults are those of the recipe, or 512 spp and 128
@@ -169,7 +170,10 @@ def report(
     training = {name: {"iterations": iterations} for name in _TRAINING} if iterations else _TRAINING
     report_ = _Report(samples, contents, estimators, {} if as_published else training, progress)
     # The analysis may not fit in memory: keep it in files beside the report while it is made.
-    with kept_until_written(target) as checkpoint:
+    with (
+        kept_until_written(target) as checkpoint,
+        track(f"writing {target.name}", 0, show=progress),
+    ):
         document = report_.document(named.regions if named else regions_of(samples), checkpoint)
         return typeset(document, target)
 
@@ -226,7 +230,7 @@ class _Report:
     contents: Contents
     estimators: Sequence[str | Entry] | None
     training: Mapping[str, dict[str, Any]]
-    progress: bool | None
+    progress: bool
 
     def document(self, regions: tuple[Region, ...], checkpoint: Path | None) -> Document:
         """Compute everything for the report, and return it ready to typeset."""

@@ -7,6 +7,7 @@ batch, in constant memory.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -15,7 +16,8 @@ import numpy as np
 
 from chdstat._core.arrays import Array, LeftOut, Mapped, plain_attributes
 from chdstat._core.files import Cache, release, room
-from chdstat._core.work import in_order, track
+from chdstat._core.progress import portion, track
+from chdstat._core.work import in_order
 from chdstat.samples.tiles import SampleBlocks, Work, tiles
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ def over_tiles(
     logarithms
         As for `Samples.map`.
     description, progress
-        Label of the progress bar, and whether to show it; None for a terminal only.
+        What is done, and whether to show its progress, counted in pixels.
     workers
         Tiles at a time; None for one per core.
     client
@@ -59,7 +61,7 @@ def over_tiles(
         Keeps tiles as soon as they are computed, and has earlier ones. The dataset is in its files.
     """
     left_out, client = LeftOut(logarithms=logarithms), work.get("client")
-    checkpoint, workers = work.get("checkpoint"), work.get("workers")
+    checkpoint, show = work.get("checkpoint"), work.get("progress", True)
     task = functools.partial(_of_tile, function, logarithms, description, checkpoint)
     sent = client is not None and image.source is not None and image.source.frames
 
@@ -68,13 +70,16 @@ def over_tiles(
             part = image.isel(y=ys, x=xs)
             yield ys, xs, part.load() if sent else part
 
-    def parts() -> Iterator[tuple[slice, slice, Mapped]]:
-        for ys, xs, found, counts in in_order(task, items(), workers=workers, client=client):
-            left_out.add(counts)
-            yield ys, xs, found
+    with track(description, math.prod(image.shape[:2]), unit="px", show=show) as advance:
+        at: Any = {"workers": work.get("workers"), "client": client}
+        at |= {"advance": advance, "size": lambda item: math.prod(item[2].shape[:2])}
 
-    about: Any = {"progress": work.get("progress"), "folder": checkpoint and checkpoint.folder}
-    dataset = assemble(image, parts(), description=description, **about)
+        def parts() -> Iterator[tuple[slice, slice, Mapped]]:
+            for ys, xs, found, counts in in_order(task, items(), **at):
+                left_out.add(counts)
+                yield ys, xs, found
+
+        dataset = assemble(image, parts(), folder=checkpoint.folder if checkpoint else None)
     left_out.warn()
     return dataset
 
@@ -119,7 +124,8 @@ def reduce_tiles(
         def blocks() -> SampleBlocks:
             for *place, block in part.blocks():
                 left_out.see(block, channel_axis=-2, absent=part.absent(*place))
-                yield block
+                with portion(block.nbytes / part.nbytes):
+                    yield block
 
         return function(part, blocks())
 
@@ -131,8 +137,6 @@ def assemble(
     image: Samples,
     parts: Iterable[tuple[slice, slice, Mapped]],
     *,
-    description: str = "analysing",
-    progress: bool | None = None,
     folder: Path | None = None,
 ) -> xr.Dataset:
     """Return the dataset of an image from variables that were computed tile by tile.
@@ -142,15 +146,13 @@ def assemble(
     """
     height, width = image.shape[:2]
     results: dict[str, tuple[tuple[str, ...], Array]] = {}
-    with track(description, height * width, unit="px", show=progress) as advance:
-        for ys, xs, variables in parts:
-            for name, (dims, part) in variables.items():
-                if name not in results:
-                    whole = room((height, width, *part.shape[2:]), part.dtype, folder)
-                    results[name] = (("y", "x", *dims), whole)
-                results[name][1][ys, xs] = part
-                release(results[name][1])
-            advance((ys.stop - ys.start) * (xs.stop - xs.start))
+    for ys, xs, variables in parts:
+        for name, (dims, part) in variables.items():
+            if name not in results:
+                whole = room((height, width, *part.shape[2:]), part.dtype, folder)
+                results[name] = (("y", "x", *dims), whole)
+            results[name][1][ys, xs] = part
+            release(results[name][1])
     if image.unequal:
         absent = image.shape[3] - image.counts
         for name, (_, found) in results.items():

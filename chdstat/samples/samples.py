@@ -477,9 +477,7 @@ class Samples:
         loaded._parts = {which: part.load() for which, part in self._parts.items()}
         return loaded
 
-    def save(
-        self, path: str | Path, *, append: bool = False, progress: bool | None = None
-    ) -> Samples:
+    def save(self, path: str | Path, *, append: bool = False, progress: bool = True) -> Samples:
         """Write the samples to a store, and return the samples of the store.
 
         An interrupted call continues when it is repeated.
@@ -489,7 +487,7 @@ class Samples:
         path
             The store to write, a path or a URL.
         append, progress
-            Whether to add the samples to those of an existing store, and to show a progress bar.
+            Whether to add the samples to those of an existing store, and to show progress.
 
         Raises
         ------
@@ -603,8 +601,8 @@ class Samples:
         dependent
             Whether the function takes samples that depend on each other, see `sequence_means`.
         description, **work
-            Label of the progress bar; ``progress`` to show it, None for a terminal only; ``client``
-            for a Dask client, whose workers then compute the tiles.
+            What is done; ``progress`` to show how much of it; ``client`` for a Dask client, whose
+            workers then compute the tiles.
         """
         check_single(self.attrs)
         if not dependent:
@@ -819,14 +817,14 @@ def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
         return
     short = next((i for i in (3, 0, 1) if shape[i] <= _MOST_CHANNELS), None)
     likely = {
-        3: "axes='yxsc' if it is (y, x, sample, channel), 'syxc' if (sample, y, x, channel)",
-        0: "axes='cyxs' if it is (channel, y, x, sample)",
-        1: "axes='scyx' if it is (sample, channel, y, x)",
-        None: "axes='yxsc' if it is (y, x, sample, channel)",
+        3: "axes='yxsc' if (y, x, sample, channel), axes='syxc' if (sample, y, x, channel)",
+        0: "axes='cyxs' if (channel, y, x, sample)",
+        1: "axes='scyx' if (sample, channel, y, x)",
+        None: "axes='yxsc' if (y, x, sample, channel)",
     }[short]
     message = (
         f"{name} of shape {shape} would have {channels} channels of {spp} samples; say what the "
-        f"axes are: {likely}, or 'yxcs' if this is right"
+        f"axes are: {likely}, or axes='yxcs' if this is right"
     )
     raise InputError(message)
 

@@ -37,7 +37,7 @@ from chdstat._core.files import (
     shown,
     zarr_store,
 )
-from chdstat._core.work import track
+from chdstat._core.progress import track
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import layout
 from chdstat.samples.dependence import (
@@ -771,7 +771,7 @@ def samples_of(
 # --- saving -------------------------------------------------------------------------------------
 
 
-def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -> Samples:
+def save(samples: Samples, path: Path, *, append: bool, progress: bool) -> Samples:
     """Write samples to a new store, or append them to an existing one; see `Samples.save`."""
     attrs = _described(samples)
     if not is_store(path):
@@ -899,7 +899,7 @@ def _appended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> list[di
     return appended
 
 
-def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> None:
+def _fill(store: Store, samples: Samples, first: int, progress: bool) -> None:
     """Write the missing chunks; the samples begin at number `first`."""
     chunks = store.pending()
     by_frame = samples.source is not None and samples.source.frames

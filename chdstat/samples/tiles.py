@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Image, Mapped, spans
 from chdstat._core.files import Cache
+from chdstat._core.progress import portion
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ SampleBlocks = Iterator[Image]
 class Work(TypedDict, total=False):
     """How to work on tiles, see `over_tiles`."""
 
-    progress: bool | None
+    progress: bool
     workers: int | None
     client: Client | None
     checkpoint: Cache | None
@@ -242,7 +243,10 @@ def by_pixels(function: Callable[[Image], Mapped], block: Image) -> Mapped:
     size = block.shape[:2]
     row = block.reshape(1, -1, *block.shape[2:])
     most = max(_AT_ONCE // max(row[:, :1].nbytes, 1), 1)
-    parts = [function(row[:, part]) for part in spans(row.shape[1], most)]
+    parts = []
+    for part in spans(row.shape[1], most):
+        with portion((part.stop - part.start) / row.shape[1]):
+            parts.append(function(row[:, part]))
     found = {}
     for name, (dims, _) in parts[0].items():
         values = np.concatenate([part[name][1] for part in parts], axis=1)

@@ -42,6 +42,8 @@ SceneLike = str | Path | Mapping[str, Any] | Any
 MITSUBA = "Mitsuba"
 RENDERERS = {".xml": MITSUBA, ".blend": "Cycles", ".cfg": "LuxCore", ".scn": "LuxCore"}
 """The renderer of a scene file, by its suffix."""
+_NO_NAME = re.compile(r"scene([-_]?v?[0-9.]+)?")
+"""Names of scene files that tell nothing: that of their folder does."""
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types whose values are equal if they print the same."""
 _LISTED = 1000
@@ -55,7 +57,7 @@ class Scene(Shown):
     Parameters
     ----------
     name
-        A short name: of a built-in scene, or the stem of the file.
+        A short name: of a built-in scene, or what `scene_name` makes of a file's path.
     source
         A scene file of one of `RENDERERS`, a scene dict in Mitsuba's form, or a scene that Mitsuba
         has built. Values in a dict are plain: matrices are (4, 4) or (3, 3) arrays, ``{"type":
@@ -155,7 +157,8 @@ def load_scene(source: SceneLike, **parameters: object) -> Scene:
     ----------
     source
         A name in `BUILTIN`; the path of a scene file: Mitsuba's XML, ``.blend`` of Blender's
-        Cycles, or ``.cfg`` or ``.scn`` of LuxCore; a dict in Mitsuba's form; or a ``mi.Scene``,
+        Cycles, or ``.cfg`` or ``.scn`` of LuxCore, of which ``bathroom/scene.xml`` is named after
+        its folder; a dict in Mitsuba's form; or a ``mi.Scene``,
         which is rendered as it is, in this process; so is a dict that holds Mitsuba objects, such
         as shapes or materials. A `Scene` is returned as it is.
     **parameters
@@ -229,7 +232,21 @@ def _checked_file(path: Path) -> tuple[str, Path]:
         )
         raise SceneError(message)
     path = path.absolute()  # of a link as of a file: Mitsuba looks for others beside the link
-    return path.parent.name if path.stem == "scene" else path.stem, path
+    return scene_name(path), path
+
+
+def scene_name(path: Path) -> str:
+    """Return a short name for a scene file: its own without ending, or that of its folder.
+
+    Scenes are shared as folders whose file is called ``scene.xml`` or, by version of the renderer,
+    ``scene_v3.xml``: the folder then names the scene.
+
+    Examples
+    --------
+    >>> [scene_name(Path(file)) for file in ("w/kitchen.xml", "bathroom/scene_v3.xml")]
+    ['kitchen', 'bathroom']
+    """
+    return (_NO_NAME.fullmatch(path.stem) and path.absolute().parent.name) or path.stem
 
 
 def _nothing_at(path: Path) -> str:

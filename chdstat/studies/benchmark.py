@@ -21,8 +21,8 @@ import numpy as np
 from chdstat._core.arrays import Array, Seed, plain, seed_number, whole
 from chdstat._core.display import Card, Tabled, number, percent
 from chdstat._core.files import replacing
+from chdstat._core.progress import portion, track
 from chdstat._core.resampling import Blocks, Interval, interval_of
-from chdstat._core.work import track
 from chdstat.comparison.estimator_choice import (
     Entry,
     choose,
@@ -51,6 +51,7 @@ from chdstat.io import read_exr
 from chdstat.rendering import render, render_batches
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
+from chdstat.scenes.scene import scene_name
 
 Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
@@ -348,7 +349,7 @@ def bench(
     images: Images | None = None,
     baseline: str | None = None,
     folder: str | Path | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Bench:
     """Measure estimators on several scenes, against references from other samples.
 
@@ -393,7 +394,7 @@ def bench(
     folder
         Folder that keeps rendered samples and references for a second run; None keeps nothing.
     progress
-        Show a progress bar; None shows it on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------
@@ -441,14 +442,14 @@ def bench(
             parts: list[list[Case]] = []
             truth = source.reference(name, scene, (references or {}).get(name))
             for i in range(seeds):
-                samples = source.samples(name, scene, i)
-                if not (cases or parts):  # networks are loaded before time is measured
-                    small = samples.isel(y=slice(_SMALL), x=slice(_SMALL))
-                    for entry in chosen.entries.values():
-                        estimate_by(entry, small.read(), features=small.features)
-                inputs = images or {}, numbers, truth, samples, name, baseline
-                parts.append(_measured(chosen.entries, *inputs))
-                advance(1)
+                with portion(1, advance):
+                    samples = source.samples(name, scene, i)
+                    if not (cases or parts):  # networks are loaded before time is measured
+                        small = samples.isel(y=slice(_SMALL), x=slice(_SMALL))
+                        for entry in chosen.entries.values():
+                            estimate_by(entry, small.read(), features=small.features)
+                    inputs = images or {}, numbers, truth, samples, name, baseline
+                    parts.append(_measured(chosen.entries, *inputs))
             cases += [Case.average([part[k] for part in parts]) for k in range(len(numbers))]
     return Bench(tuple(names), baseline, tuple(cases), chosen.left_out)
 
@@ -456,8 +457,7 @@ def bench(
 def _name(scene: Any) -> str:
     if isinstance(scene, Samples):
         return scene.name
-    path = Path(str(scene))
-    return path.parent.name if path.stem == "scene" else path.stem
+    return scene_name(Path(str(scene)))
 
 
 @dataclass(frozen=True)
@@ -485,9 +485,7 @@ class _Inputs:
         if self.folder is not None:
             Path(self.folder).mkdir(parents=True, exist_ok=True)
             out = Path(self.folder) / f"{name}-{self.seed + i}.zarr"
-        found = render(
-            scene, spp=self.numbers[-1], size=self.size, seed=self.seed + i, out=out, progress=False
-        )
+        found = render(scene, spp=self.numbers[-1], size=self.size, seed=self.seed + i, out=out)
         return found.first(self.numbers[-1])
 
     def reference(self, name: str, scene: Any, given: Any) -> Truth:
@@ -523,7 +521,6 @@ class _Inputs:
             batch=min(_BATCH, max(1, self.reference_spp // PARTS)),
             size=self.size,
             seed=self.seed + _APART,
-            progress=False,
         )
         kept = None
         if self.folder is not None:
@@ -586,7 +583,8 @@ def _measured(
         for name, entry in entries.items():
             if takes(entry, n):
                 start = time.perf_counter()
-                image = estimate_by(entry, few.read(), features=few.features)
+                with portion(1 / (len(entries) * len(numbers) + 1)):  # and a part to render
+                    image = estimate_by(entry, few.read(), features=few.features)
                 found[name] = image, time.perf_counter() - start
         for name, of_scene in images.items():
             if scene in of_scene:

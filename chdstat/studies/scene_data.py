@@ -304,14 +304,14 @@ class SceneData:
     @cached_property
     def analysis(self) -> xr.Dataset:
         """Everything per pixel."""
-        return analyze(self.samples, progress=False) if self.given is None else self.given
+        return analyze(self.samples) if self.given is None else self.given
 
     @cached_property
     def summary(self) -> xr.Dataset:
         """Statistics and histograms per pixel, from the analysis where that is at hand."""
         if self.given is not None or "analysis" in self.__dict__:
             return self.analysis
-        return summarize(self.samples, progress=False)
+        return summarize(self.samples)
 
     @cached_property
     def batch_light(self) -> Floats:
@@ -324,7 +324,7 @@ class SceneData:
         """Statistics and histograms per pixel of the shorter paths."""
         if self.shorter is None or self.given_shorter is not None:
             return self.given_shorter
-        return summarize(self.shorter, progress=False)
+        return summarize(self.shorter)
 
     @cached_property
     def with_guided(self) -> tuple[SceneData, SceneData]:

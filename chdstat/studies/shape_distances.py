@@ -235,7 +235,7 @@ def squares_of_pairs(one: Samples, two: Samples) -> Floats:
         for samples in (one, two):
             x = samples.read(ss=slice(0, spp))[:, :, middle : middle + 1, first::2]
             half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
-            datasets.append(summarize(half, progress=False)[list(LOG_VARIABLES)])
+            datasets.append(summarize(half)[list(LOG_VARIABLES)])
         thin = _equally_many(datasets, rng)
         halves.append([of_histograms(dataset, rng).cumulative[..., 0, :] for dataset in thin])
     return _squared([np.stack(pair, axis=-2) for pair in zip(*halves, strict=True)])

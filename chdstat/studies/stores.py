@@ -174,7 +174,7 @@ class Stores:
 
     folder: Path | None
     backend: Backend = "auto"
-    progress: bool | None = None
+    progress: bool = True
     sampler: SamplerName = "independent"
     integrators: bool = False
 

@@ -19,6 +19,7 @@ from chdstat._core.arrays import plain
 from chdstat._core.display import Card, Shown, duration
 from chdstat._core.doors import report
 from chdstat._core.files import checked_target, writing
+from chdstat._core.progress import portion, track
 from chdstat.analysis import NoiseShares, Overview, noise_of, overview
 from chdstat.comparison import Comparison
 from chdstat.comparison.estimator_choice import Entry, entry_of
@@ -229,7 +230,7 @@ def study(
     sampler: SamplerName = "independent",
     integrators: bool = False,
     backend: Backend = "auto",
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Study:
     """Render scenes, or continue earlier renders, and test all claims of the paper in them.
 
@@ -267,7 +268,7 @@ def study(
         Russian roulette, with lights found by BSDF sampling alone, and direct light by sampling
         lights, BSDFs, or both.
     progress
-        Show progress bars; None shows them on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
 
     Returns
     -------
@@ -316,14 +317,21 @@ def study(
             message = f"cannot keep renders in {folder}: {error.strerror or error}"
             raise StoreError(message) from error
     start, studied = time.monotonic(), []
-    for i, scene in enumerate(chosen):
-        _log.info("studying %s (%d of %d)", scene.name, i + 1, len(chosen))
-        studied.append(_scene(scene, stores, estimators))
-    across = _across([scene.data for scene in studied], stores)
+    what = f"studying {len(chosen)} scene{'s' * (len(chosen) > 1)}"
+    with track(what, len(chosen), unit="scene", show=progress) as advance:
+        for i, scene in enumerate(chosen):
+            _log.info("studying %s (%d of %d)", scene.name, i + 1, len(chosen))
+            with portion(1, advance):
+                studied.append(_scene(scene, stores, estimators))
+        across = _across([scene.data for scene in studied], stores)
     packages = ("chdstat", "mitsuba", "numpy", "scipy")
     versions = {package: importlib.metadata.version(package) for package in packages}
     seconds = round(time.monotonic() - start, 1)
     return Study(tuple(studied), across, {**versions, "seconds": seconds})
+
+
+_STAGES = 7
+"""Stages of the study of a scene."""
 
 
 def _scene(
@@ -334,7 +342,8 @@ def _scene(
 
     def timed(name: str, work: Callable[[], T]) -> T:
         start = time.monotonic()
-        result = work()
+        with portion(1 / _STAGES):
+            result = work()
         seconds[name] = round(time.monotonic() - start, 3)
         return result
 

@@ -70,7 +70,7 @@ def run(
     x: Source,
     *,
     null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> Found | xr.Dataset:
     """Apply a statistic.
 

@@ -1,9 +1,10 @@
-"""Display: what results show of themselves, in ten lines and in a notebook."""
+"""Display: what results show of themselves, in a terminal and in a notebook."""
 
 from __future__ import annotations
 
 import base64
 import io
+import re
 from dataclasses import dataclass
 from html.parser import HTMLParser
 
@@ -103,11 +104,11 @@ class Many(Shown):
         return Card("Many", {f"fact {i}": value for i, value in enumerate(self.rows)})
 
 
-def test_at_most_twelve_lines_say_how_many_are_left_out():
-    assert repr(Many((1.0,) * 11)).count("\n") == 11
+def test_a_screen_says_how_many_lines_are_left_out():
+    assert repr(Many((1.0,) * 23)).count("\n") == 23
     text = repr(Many((1.0,) * 30))
-    assert text.count("\n") == 11
-    assert text.endswith("... and 20 more lines")
+    assert text.count("\n") == 23
+    assert text.endswith("... and 8 more lines")
     assert Many((1.0,) * 30)._repr_html_().count("<tr>") == 30
 
 
@@ -163,8 +164,11 @@ def results(samples, stored, model):
 def test_results_show_themselves(results):
     for name, result in results.items():
         text = repr(result)
-        assert len(text.splitlines()) <= 12, name
-        assert max(map(len, text.splitlines())) <= 110, name
+        lines = text.splitlines()
+        assert len(lines) <= 24, name
+        assert max(map(len, lines)) <= 80, text
+        more = lines[-1].startswith("  ... and ")
+        assert not re.search(r"\.\.\.|…", "\n".join(lines[:-1] if more else lines)), text
         assert "object at 0x" not in text, name
         assert Tags(result._repr_html_()).texts, name
 

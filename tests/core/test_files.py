@@ -18,7 +18,7 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.files import Lock, read_record, replacing, room, scratch, sweep, write_record
-from chdstat._core.work import in_order, track
+from chdstat._core.work import in_order
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas
@@ -206,22 +206,6 @@ def test_items_are_taken_only_as_results_are_asked_for():
     next(results)
     assert len(taken) <= 4
     results.close()
-
-
-def test_a_log_gets_progress_if_asked_for(capfd):
-    with track("counting", 4, show=True, line_every=0.001) as advance:
-        advance(1)
-        said = ""
-        while "counting: 25% after" not in said:
-            said += capfd.readouterr().err
-    assert "\r" not in said
-
-
-@pytest.mark.parametrize("show", [None, False])
-def test_a_log_stays_clean_otherwise(capfd, show):
-    with track("counting", 4, show=show, line_every=0.0) as advance:
-        advance(1)
-    assert capfd.readouterr().err == ""
 
 
 def test_a_full_disk_is_an_error(tmp_path, monkeypatch):

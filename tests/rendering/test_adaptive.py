@@ -325,7 +325,7 @@ def test_an_error_is_reached_or_told(wavefront, caplog):
     assert not found.attrs["error"]["reached"]
     assert found.counts.mean() + found.attrs["noise"]["trials"] == pytest.approx(64, abs=0.5)
     assert "takes about" in caplog.text
-    assert "more than the 0.001 asked for; a larger spp than 64 goes on" in caplog.text
+    assert "more than the 0.001 asked for; spp above 64 goes on" in caplog.text
 
 
 def test_trial_samples_are_not_kept(wavefront):

@@ -214,7 +214,7 @@ def integrators(data: SceneData) -> Finding:
     # Sample skewness grows with the number of samples: each integrator has as many.
     least = min(samples.spp for samples in renders.values())
     summaries = {
-        name: summarize(s if s.spp == least else s.isel(sample=slice(0, least)), progress=False)
+        name: summarize(s if s.spp == least else s.isel(sample=slice(0, least)))
         for name, s in renders.items()
     }
     pairs = {
@@ -595,5 +595,5 @@ def _squares(data: SceneData) -> Floats | None:
         return squares_of_pairs(data.samples, other)
     theirs = data.shorter_summary if other is data.shorter else None
     if theirs is None:
-        theirs = summarize(other, progress=False)
+        theirs = summarize(other)
     return squares(data.summary, theirs)

@@ -310,7 +310,6 @@ def guided(data: SceneData) -> Finding:
             ["mean", *learned],
             n=comparison.n,
             model={name: comparison.models[name] for name in learned},
-            progress=False,
         )
         for scene in pair
     )
