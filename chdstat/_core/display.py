@@ -566,7 +566,7 @@ class Shown:
 
 
 class Tabled(Shown):
-    """A result with rows of numbers, which can be taken away.
+    """A result with rows of numbers, which can be taken away as a data frame or a file.
 
     Examples
     --------
@@ -582,7 +582,7 @@ class Tabled(Shown):
     """File formats that `save` writes."""
 
     def table(self) -> list[dict[str, Any]]:
-        """Return rows of numbers and names by the titles of the columns."""
+        """Return rows of all numbers and names, ready for JSON, by the names of the columns."""
         raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
@@ -590,10 +590,14 @@ class Tabled(Shown):
         return {"table": plain(self.table())}
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return the rows of `table` as a `pandas.DataFrame`."""
+        """Return what one reads of `table` as a `pandas.DataFrame`."""
         import pandas as pd
 
-        return pd.DataFrame(self.table())
+        return pd.DataFrame(self._shown_rows())
+
+    def _shown_rows(self) -> list[dict[str, Any]]:
+        """Return the rows and columns of the data frame; by default, all of `table`."""
+        return self.table()
 
     def save(self, path: str | Path) -> Path:
         """Write `table` to a .csv, or everything to a .json file.
@@ -607,9 +611,11 @@ class Tabled(Shown):
         """
         target = checked_target(path, *self.FORMATS)
         with replacing(target) as file:
-            text = json.dumps(self.to_dict(), indent=1)
+            text = json.dumps(self.to_dict(), indent=1, ensure_ascii=False)
             if target.suffix == ".csv":
-                text = str(self.to_dataframe().to_csv(index=False))
+                import pandas as pd
+
+                text = str(pd.DataFrame(self.table()).to_csv(index=False))
             file.write_text(text, encoding="utf-8")
         return target
 

@@ -346,8 +346,8 @@ def as_typed(text: str, options: Mapping[str, str]) -> str:
 
     values = r"""('[^']*'|"[^"]*"|\[[^\]]*\]|\([^)]*\)|[-+\w.]*\w)?"""
     text = re.sub(rf"(?<![-\w.])({names})={values}", option, text)
-    alone = rf"(?<![-\w.'])({names})(?= must | above )"
-    return re.sub(alone, lambda found: options[found[1]], text)
+    alone = rf"(?<![-\w.'])(?:(?<=smaller )({names})\b|({names})(?= must | above ))"
+    return re.sub(alone, lambda found: options[found[1] or found[2]], text)
 
 
 def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:

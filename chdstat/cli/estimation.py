@@ -52,14 +52,15 @@ _CONTRASTED = {
 _ENDLESS = 2**20
 """Samples per pixel of a render that is stopped by time or error."""
 _COMPARED = {
-    "estimator": "estimator",
+    "name": "estimator",
     "mse_ratio": "MSE / mean's",
     "relmse_ratio": "relMSE / mean's",
     "improved": "improved",
     "bias": "bias",
     "fireflies": "fireflies left",
+    "estimator": "-e",
 }
-"""Columns of the tables of estimators."""
+"""Columns of the tables of estimators; the last says what one types."""
 
 
 @command(
@@ -656,19 +657,21 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
         f"{len(found.estimators)} estimators from {found.n} samples, on "
         f"{found.test_pixels.sum()} test pixels; 95 % intervals in brackets\n"
     )
-    output.print_rows(_in_words(found.table()), _COMPARED)
+    output.print_rows(_in_words(found.table()), _COMPARED, text=["estimator"])
     of_patterns = found.breakdown, {"label": "pattern", "pixels": "pixels"}
     notes = found.notes
     for more, columns in (of_patterns, (curve, {"n": "N"})):
         if more is not None:
             typer.echo()
-            output.print_rows(_in_words(more.table()), columns | _COMPARED, text=["estimator"])
+            output.print_rows(
+                _in_words(more.table()), columns | _COMPARED, text=["name", "estimator"]
+            )
             notes = notes | more.marks
     output.print_notes(notes)
 
 
 def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of measures as in a report, with the names that commands take."""
+    """Return rows of measures as in a report, with what one types for each estimator."""
     from chdstat.comparison.metrics import in_words
 
     return [row | in_words(row) for row in rows]

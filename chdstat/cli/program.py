@@ -107,6 +107,7 @@ def command(
 
         @functools.wraps(function)
         def run(**given: Any) -> None:
+            _typed.clear()
             _typed.update(typed)
             asked = CommonOptions.of({key: given.pop(key) for key in shared})
             for file in asked.plugin or ():  # scenes and options may name what they register

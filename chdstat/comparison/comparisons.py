@@ -36,6 +36,7 @@ from chdstat.comparison.metrics import (
     columns_of,
     described,
     legend,
+    ranked,
     stacked,
     titled,
 )
@@ -45,6 +46,7 @@ from chdstat.estimators.registry import Model
 from chdstat.samples import ImageLike, Samples, is_store, samples_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
     from distributed import Client
     from matplotlib.figure import Figure
@@ -116,9 +118,10 @@ class _Scores(Tabled):
         raise NotImplementedError
 
     def table(self) -> list[dict[str, Any]]:
-        """Return a row for each estimator, with every measure.
+        """Return a row for each estimator, with every measure, in the given order.
 
-        The columns ``<measure>_se``, ``_low`` and ``_high`` are the standard error and the interval
+        `to_dataframe` has what one reads of it, ranked. ``estimator`` is the name that one types;
+        the columns ``<measure>_se``, ``_low`` and ``_high`` are the standard error and the interval
         over blocks; NaN where the reference cannot tell.
         """
         columns = columns_of(self.measures)
@@ -133,6 +136,18 @@ class _Scores(Tabled):
     def marks(self) -> dict[str, str]:
         """What the signs in the table mean, by sign."""
         return legend(text for row in titled(self.table()) for text in row.values())
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return what one reads as a `pandas.DataFrame`: the smallest error first.
+
+        Rows are ranked by relMSE over that of the sample mean. ``estimator`` is the title of each,
+        and ``name`` what one types. Ratios to the mean's errors have 95 % intervals, ``_low`` to
+        ``_high``; `table` has every measure.
+        """
+        return super().to_dataframe()
+
+    def _shown_rows(self) -> list[dict[str, Any]]:
+        return ranked(self.table())
 
     def _card(self) -> Card:
         return Card(self._title, self.marks, titled(self.table()))
@@ -535,10 +550,10 @@ def compare(
     >>> rng = np.random.default_rng(0)
     >>> samples = chd.Samples.from_array(rng.exponential(size=(8, 8, 3, 128)))
     >>> found = chd.compare(samples, ["mean", "median_of_means"])
-    >>> for row in found.table():
-    ...     print(row["estimator"], round(row["mse_ratio"], 1), row["bias"] < -0.05)
-    mean 1.0 False
-    median_of_means 1.7 True
+    >>> print(found.to_dataframe()[["estimator", "mse_ratio"]].round(1))
+             estimator  mse_ratio
+    0      sample mean        1.0
+    1  median of means        1.7
     """
     _check_not_renders(samples, estimators)
     samples, seed = samples_of(samples), seed_number(seed)

@@ -18,7 +18,13 @@ from chdstat._core.arrays import Array, whole
 from chdstat.comparison.judges import check_samples_for_judge
 from chdstat.errors import InputError
 from chdstat.estimators.default_estimate.candidates import through_denoiser
-from chdstat.estimators.registry import LABELS, Estimator, LearnedEstimator, lookup
+from chdstat.estimators.registry import (
+    LABELS,
+    Estimator,
+    LearnedEstimator,
+    lookup,
+    title_of,
+)
 from chdstat.samples import Samples
 
 DEFAULT_ESTIMATE = "combination"
@@ -324,8 +330,8 @@ def notes(
         found["default estimate"] = f"{LABELS[DEFAULT_ESTIMATE]}: {about}"
     around = [estimators[k] for k in np.flatnonzero(uses_neighbours).tolist()]
     if around:
-        found["use neighbours"] = ", ".join(LABELS.get(name, name) for name in around)
+        found["use neighbours"] = ", ".join(map(title_of, around))
     if left_out:
-        reasons = (f"{LABELS.get(name, name)} {why}" for name, why in left_out.items())
+        reasons = (f"{title_of(name)} {why}" for name, why in left_out.items())
         found["left out"] = "; ".join(reasons)
     return found

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
@@ -41,7 +42,7 @@ from chdstat._core.display import (
 from chdstat._core.image_scales import relative_scale
 from chdstat._core.resampling import LEVEL, Interval
 from chdstat.comparison.judges import Judge
-from chdstat.estimators.registry import LABELS
+from chdstat.estimators.registry import title_of
 
 Measures = Mapping[str, Interval[Array]]
 """Intervals by the names of `MEASURES`."""
@@ -293,6 +294,45 @@ def legend(shown: Iterable[str], baseline: str = "the mean") -> dict[str, str]:
     return {WORSE: means} if any(WORSE in text for text in shown) else {}
 
 
+_READ = (
+    *(f"{measure}_ratio{end}" for measure in ("relmse", "mse") for end in ("", "_low", "_high")),
+    *("improved", "bias", "fireflies_left", "flip_ratio", "mse_equal_time", "seconds"),
+    "uses_neighbours",
+)
+"""What one reads of a row of measures."""
+
+
+def ranked(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return what one reads of rows of measures, the smallest relMSE over the mean's first.
+
+    Rows that begin alike, as of one pattern, are ranked among themselves. What cannot be told comes
+    last, by MSE. ``estimator`` is the title, and ``name`` what one types.
+
+    Examples
+    --------
+    >>> rows = [{"n": 8, "estimator": "mean", "relmse_ratio": 1.0, "mse_ratio": 1.0},
+    ...         {"n": 8, "estimator": "catoni", "relmse_ratio": 0.9, "mse_ratio": 1.1}]
+    >>> [row["estimator"] for row in ranked(rows)], [*ranked(rows)[0]]
+    (['Catoni', 'sample mean'], ['n', 'estimator', 'relmse_ratio', 'mse_ratio', 'name'])
+    """
+    leads = [{k: row[k] for k in itertools.takewhile("estimator".__ne__, row)} for row in rows]
+
+    def place(pair: tuple[Mapping[str, Any], dict[str, Any]]) -> tuple[float, ...]:
+        row, lead = pair
+        ratios = (row[name] for name in ("relmse_ratio", "mse_ratio"))
+        return leads.index(lead), *(x if math.isfinite(x) else math.inf for x in ratios)
+
+    return [
+        {
+            **lead,
+            "estimator": title_of(row["estimator"]),
+            **{name: row[name] for name in _READ if name in row},
+            "name": row["estimator"],
+        }
+        for row, lead in sorted(zip(rows, leads, strict=True), key=place)
+    ]
+
+
 def in_words(row: Mapping[str, Any]) -> dict[str, str]:
     r"""Return a row of a table of estimators as text, with 95 % intervals of ratios.
 
@@ -313,7 +353,7 @@ def in_words(row: Mapping[str, Any]) -> dict[str, str]:
     left = "fireflies_left"
     return {
         **label,
-        "name": LABELS.get(row["estimator"], row["estimator"]),
+        "name": title_of(row["estimator"]),
         "mse": number(row["mse"]),
         "mse_ratio": shown_ratio(row, "mse_ratio"),
         "relmse_ratio": shown_ratio(row, "relmse_ratio"),

@@ -298,6 +298,19 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
     return ENTRIES[name]
 
 
+def title_of(estimator: str) -> str:
+    """Return what one reads for the name of an estimator, which one types.
+
+    Examples
+    --------
+    >>> from chdstat.estimators.registry import title_of
+    >>> title_of("gmon_adaptive"), title_of("mean + OIDN"), title_of("my own")
+    ('GMoNb', 'sample mean + OIDN', 'my own')
+    """
+    name, denoised, how = estimator.partition(" + ")
+    return LABELS.get(name, name) + denoised + how
+
+
 @contextlib.contextmanager
 def registered_by(file: str) -> Iterator[set[str]]:
     """Note the estimators that a plugin registers; only its own may be registered again.

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,15 +43,19 @@ from chdstat.comparison.metrics import (
     legend,
     measures_of,
     moved,
+    ranked,
     shown_ratio,
 )
 from chdstat.errors import InputError, check_option
-from chdstat.estimators.registry import LearnedEstimator
+from chdstat.estimators.registry import LearnedEstimator, title_of
 from chdstat.io import read_exr
 from chdstat.rendering import render, render_batches
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes.scene import scene_name
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Scenes = str | Path | Samples | Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
@@ -193,6 +197,16 @@ class Bench(Tabled):
         """
         return [row for rows in self._rows for row in rows.values()]
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return what one reads as a `pandas.DataFrame`: of each scene, the smallest error first.
+
+        ``estimator`` is the title of each, and ``name`` what one types; `table` has every measure.
+        """
+        return super().to_dataframe()
+
+    def _shown_rows(self) -> list[dict[str, Any]]:
+        return ranked(self.table())
+
     @cached_property
     def _rows(self) -> list[dict[str, dict[str, Any]]]:
         """Rows of every case, by estimator."""
@@ -314,13 +328,14 @@ class Bench(Tabled):
         facts |= self.notes | legend(cells, self.baseline)
         if not HAS_FLIP:
             facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
-        return Card(f"Benchmark: errors over those of {self.baseline}", facts, self.shown())
+        of = title_of(self.baseline)
+        return Card(f"Benchmark: errors over those of {of}", facts, self.shown())
 
     def shown(self) -> list[dict[str, str]]:
         """Return the summary as text under titles, with 95 % intervals of the ratios."""
         return [
             {
-                "estimator": row["estimator"],
+                "estimator": title_of(row["estimator"]),
                 **{_NAMES[measure]: shown_ratio(row, measure) for measure in _ERRORS},
                 "bias": percent(row["bias"], sign=True),
                 "fireflies": percent(row["fireflies"]),
@@ -511,7 +526,7 @@ class _Inputs:
             if held.spp < 2 * self.numbers[-1]:
                 message = (
                     f"{name} has {held.spp} samples per pixel, too few for a reference of those "
-                    f"after the first {self.numbers[-1]}; give one in references"
+                    f"after the first {self.numbers[-1]}; give one: references="
                 )
                 raise InputError(message)
             return _truth(name, held.isel(sample=slice(self.numbers[-1], None)))

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +15,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from chdstat._core.arrays import plain
-from chdstat._core.display import Card, Shown, duration
+from chdstat._core.display import Card, Shown, Tabled, duration
 from chdstat._core.doors import report
-from chdstat._core.files import checked_target, writing
+from chdstat._core.files import checked_target
 from chdstat._core.progress import portion, track
 from chdstat.analysis import NoiseShares, Overview, noise_of, overview
 from chdstat.comparison import Comparison
@@ -130,7 +129,7 @@ def _provenance(samples: Samples) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, repr=False)
-class Study(Shown):
+class Study(Tabled):
     """What a study found.
 
     Attributes
@@ -188,22 +187,6 @@ class Study(Shown):
             "across": [f.to_dict() for f in self.across],
             "scenes": [scene.to_dict() for scene in self.scenes],
         }
-
-    def save_json(self, path: str | Path) -> Path:
-        """Write `to_dict` to a file; an existing file is replaced when the new one is complete.
-
-        Raises
-        ------
-        InputError
-            If the path does not end in .json, or nothing can be written there.
-        StoreError
-            If it cannot be written.
-        """
-        target = checked_target(path, ".json")
-        text = json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-        with writing(target) as partial:
-            partial.write_text(text + "\n", encoding="utf-8")
-        return target
 
     def save_pdf(self, path: str | Path) -> Path:
         """Typeset the study.
@@ -273,7 +256,7 @@ def study(
     Returns
     -------
     Study
-        Findings on each scene and on all of them, with `Study.table`, `Study.save_json` and
+        Findings on each scene and on all of them, with `Study.table`, `Study.save` and
         `Study.save_pdf`.
 
     Raises

@@ -708,3 +708,28 @@ def test_commands_to_type_next_quote_paths_with_spaces(capsys):
         capsys.readouterr().err
         == "next: chdstat explore 'my box.zarr'  or  chdstat compare STORE\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("render cornell-box -o {}/a.zarr --spp 0", "--spp must be at least 1, got 0"),
+        ("render cornell-box -o {}/a.zarr --seed -3", "--seed must be at least 0, got -3"),
+        ("import {}/s.npy -o {}/a.zarr", "--axes yxsc if (y, x, sample, channel), --axes syxc if"),
+        ("import {}/i.npy -o {}/a.zarr", "If it holds samples, give --axes yxs"),
+        ("estimate {}/s.zarr -o {}/a.exr --level 2", "--level must lie between 0 and 1, got 2"),
+        ("compare {}/s.zarr --n 0", "--n must be at least 1, got 0"),
+        ("compare {}/s.zarr", "or take a smaller --n"),
+        ("contrast {}/s.zarr {}/s.zarr --alpha 3", "--alpha must lie between 0 and 1"),
+        ("bench cornell-box --seeds 0", "--seeds must be at least 1, got 0"),
+        ("bench {}/s.zarr --seeds 2 --spp 16", "give one: --reference"),
+    ],
+)
+def test_errors_name_options_as_they_are_typed(run, store, tmp_path, line, told):
+    x = np.random.default_rng(0).gamma(2.0, size=(4, 6, 70, 3)).astype(np.float32)
+    np.save(tmp_path / "s.npy", x)
+    np.save(tmp_path / "i.npy", x[:, :, 0])
+    (tmp_path / "s.zarr").symlink_to(store)
+    code, _, err = run(*(word.format(tmp_path) for word in line.split()))
+    assert code == 2
+    assert told in err

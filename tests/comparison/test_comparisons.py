@@ -8,6 +8,7 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -18,6 +19,7 @@ from chdstat.comparison.judging import Units
 from chdstat.comparison.metrics import SUMS, errors_of, measures_of
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
+from chdstat.estimators.registry import title_of
 from chdstat.patterns import Label
 
 THREE = ("mean", "median_of_means", "elek2019")
@@ -495,15 +497,28 @@ def test_no_more_pixels_are_drawn_than_have_a_reference():
         found.draw_pixels(0)
 
 
-def test_data_frames_have_the_columns_of_the_table(found, labelled):
-    pair = ["mean", "median"]
+def test_data_frames_rank_what_one_reads(found, labelled):
+    pair = ["mean", "median_of_means"]
     parts = chd.compare(image(), pair, labels=labelled).breakdown
-    curve = chd.comparison.error_curve(image(), pair, sizes=[4, 8])
-    for result in (found, parts, curve):
+    curve = chd.comparison.error_curve(image(), pair, sizes=[4, 16])
+    for result, lead in ((found, ""), (parts, "label"), (curve, "n")):
         frame, rows = result.to_dataframe(), result.table()
-        assert [*frame.columns] == [*rows[0]]
-        for row, again in zip(rows, frame.to_dict("records"), strict=True):
-            np.testing.assert_equal(again, row)
+        assert len(frame) == len(rows)
+        assert len(frame.columns) <= 15
+        known = {(row.get(lead), row["estimator"]): row for row in rows}
+        for row in frame.to_dict("records"):
+            whole = known[row.get(lead), row["name"]]
+            assert row["estimator"] == title_of(row["name"])
+            for name in row.keys() - {"estimator", "name"}:
+                np.testing.assert_equal(row[name], whole[name])
+        for _, part in frame.groupby(lead or (lambda _: 0)):
+            assert part["relmse_ratio"].is_monotonic_increasing
+
+
+def test_a_file_has_every_measure(found, tmp_path):
+    table = pd.read_csv(found.save(tmp_path / "a.csv"))
+    assert [*table.columns] == [*found.table()[0]]
+    assert [*table["estimator"]] == [*found.estimators]
 
 
 def test_latex_has_a_line_for_each_estimator(found):

@@ -187,7 +187,7 @@ def test_a_damaged_analysis_is_made_again(found, folder, tmp_path):
 
 
 def test_json_holds_all_but_arrays(found, tmp_path):
-    content = json.loads(found.save_json(tmp_path / "findings.json").read_text())
+    content = json.loads(found.save(tmp_path / "findings.json").read_text())
     assert [scene["scene"] for scene in content["scenes"]] == ["cornell-box", "noise"]
     assert content["scenes"][0]["renders"]["another_seed"]["seed"] == 2
     assert content["provenance"]["chdstat"] == chd.__version__
@@ -286,7 +286,7 @@ def test_wrong_input_is_refused_before_any_work(found, tmp_path):
     with pytest.raises(InputError, match=r"\.pdf"):
         found.save_pdf(tmp_path / "study.html")
     with pytest.raises(InputError, match="nowhere"):
-        found.save_json(tmp_path / "nowhere" / "findings.json")
+        found.save(tmp_path / "nowhere" / "findings.json")
 
 
 def test_scenes_of_one_name_are_told_apart():
