@@ -65,7 +65,7 @@ def _told(jobs: list[_Job], now: float) -> str:
             text += f": {percent(job.share)}".replace("\N{NO-BREAK SPACE}", " ")
         if job.share and not is_left_told:
             left, is_left_told = passed * (1 / job.share - 1), True
-            text += f", about {duration(left)} left" if left >= 1 else ", nearly done"
+            text += f", about {duration(round(left))} left" if left >= 1 else ", nearly done"
         texts.append(text)
     if not is_left_told:
         texts[-1] += f" after {duration(max(passed, 1))}"

@@ -336,6 +336,7 @@ def as_typed(text: str, options: Mapping[str, str]) -> str:
     if not options:
         return text
     names = "|".join(sorted(options, key=len, reverse=True))
+    long = "|".join(name for name in options if "_" in name) or "_"
 
     def option(found: re.Match[str]) -> str:
         name, value = options[found[1]], (found[2] or "").strip("'\"[]")
@@ -346,8 +347,9 @@ def as_typed(text: str, options: Mapping[str, str]) -> str:
 
     values = r"""('[^']*'|"[^"]*"|\[[^\]]*\]|\([^)]*\)|[-+\w.]*\w)?"""
     text = re.sub(rf"(?<![-\w.])({names})={values}", option, text)
-    alone = rf"(?<![-\w.'])(?:(?<=smaller )({names})\b|({names})(?= must | above ))"
-    return re.sub(alone, lambda found: options[found[1] or found[2]], text)
+    # A name alone may be a word of the sentence, unless it is none.
+    alone = rf"(?<![-\w./'])((?:{names})(?= must | above )|(?<=smaller )(?:{names})\b|(?:{long})\b)"
+    return re.sub(alone, lambda found: options[found[1]], text)
 
 
 def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:

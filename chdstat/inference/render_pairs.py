@@ -711,7 +711,7 @@ def _count_in(seconds: float, each: float, most: int, name: str) -> int:
     if not np.isfinite(each):
         message = (
             f"{name} does not say how long its rendering took, attrs['render_seconds']: give it to "
-            "Samples.from_array, or compare without seconds"
+            "Samples.from_array, or leave out seconds="
         )
         raise InputError(message)
     count = int(seconds / each + 1e-9)

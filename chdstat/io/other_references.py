@@ -74,7 +74,7 @@ def of_image(path: Path, image: ExrImage, variance: str | Path | None) -> Refere
         beside = _of_pair(path, image, Path(variance)) if variance is not None else None
         return beside or _first(_BESIDE, path, image) or _alone(image)
     if variance is not None:
-        message = f"{path} has variances itself: leave out variance, {variance}"
+        message = f"{path} has variances itself: leave out variance={variance}"
         raise InputError(message)
     return found
 

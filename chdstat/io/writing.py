@@ -297,7 +297,7 @@ def write_estimates(
         check_positive(relative_error=relative_error)
     rendered, begin = hasattr(samples, "batch"), time.monotonic()
     if not rendered and (seconds, relative_error) != (None, None):
-        message = "seconds and relative_error stop a rendering; these samples are there already"
+        message = "seconds= and relative_error= stop a rendering; these samples are there already"
         raise InputError(message)
     reached = relative_error is None
     for image in estimates_of(samples, model, options, seconds, relative_error):

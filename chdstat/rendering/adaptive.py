@@ -174,7 +174,7 @@ class Adaptive:
             message = f"percentile must lie between 1 and 100, 95 for 95 %, got {percentile:g}"
             raise InputError(message)
         if percentile is not None and error is None:
-            message = "percentile says where an error is to be reached: give error, too"
+            message = "percentile= says where an error is to be reached: give error=, too"
             raise InputError(message)
         if spp < _FEWEST:
             message = (

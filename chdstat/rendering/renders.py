@@ -196,9 +196,9 @@ def render(
         how = Adaptive.of(adaptive, error, percentile, settings["spp"], decided_by)
     if (depths or by_light or how is not None) and settings["sampler"] != "independent":
         message = (
-            "direct, by_depth and by_light draw the same samples again, and adaptive draws more of "
-            "some pixels, which only independent ones allow; leave them out, or the sampler "
-            f"{settings['sampler']!r}"
+            "direct=, by_depth= and by_light= draw the same samples again, and adaptive= draws "
+            "more of some pixels, which only independent ones allow; leave them out, or "
+            f"sampler={settings['sampler']!r}"
         )
         raise InputError(message)
     if by_light and isinstance(loaded.source, LiveScene):
@@ -217,8 +217,8 @@ def render(
     check_seconds(seconds)
     if seconds is not None and (depths or by_light or how):
         message = (
-            "seconds is for samples alone: direct, by_depth and by_light draw them again, and an "
-            "adaptive render decides from all that it draws; leave one of them out"
+            "seconds= is for samples alone: direct=, by_depth= and by_light= draw them again, and "
+            "an adaptive render decides from all that it draws; leave one of them out"
         )
         raise InputError(message)
     work: Work = {"client": client, "progress": progress}
@@ -327,7 +327,7 @@ class _AdaptiveRender:
                 message = (
                     f"the numbers of samples were decided for the error of {of}, not of "
                     f"{how.percentile:g} % of the pixels: render into another store, or leave "
-                    "percentile out"
+                    "out percentile="
                 )
                 raise InputError(message)
         else:

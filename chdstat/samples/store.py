@@ -776,7 +776,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool) -> Sampl
     attrs = _described(samples)
     if not is_store(path):
         if append:
-            message = f"there is no store at {path} to append to; leave append out to make one"
+            message = f"there is no store at {path} to append to; leave out append= to make one"
             raise StoreError(message)
         shape = samples.shape
         features = dict(samples.features)
