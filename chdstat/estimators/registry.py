@@ -304,8 +304,8 @@ def title_of(estimator: str) -> str:
     Examples
     --------
     >>> from chdstat.estimators.registry import title_of
-    >>> title_of("gmon_adaptive"), title_of("mean + OIDN"), title_of("my own")
-    ('GMoNb', 'sample mean + OIDN', 'my own')
+    >>> title_of("catoni"), title_of("mean + OIDN"), title_of("my own")
+    ('Catoni', 'sample mean + OIDN', 'my own')
     """
     name, denoised, how = estimator.partition(" + ")
     return LABELS.get(name, name) + denoised + how

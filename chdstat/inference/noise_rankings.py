@@ -438,7 +438,7 @@ def noise_ranking(
     *,
     alpha: float = 0.05,
     patterns: bool = True,
-    progress: bool | None = None,
+    progress: bool = True,
 ) -> NoiseRanking:
     """Rank renders of one view by their noise.
 
@@ -451,7 +451,7 @@ def noise_ranking(
     patterns
         Say which patterns hold the noise, too.
     progress
-        Show progress bars; None shows them on a terminal.
+        Show progress: a bar in a terminal or notebook, elsewhere a line every ten seconds.
     """
     names = [render.name for render in renders]
     light = np.stack([render.light for render in renders])
