@@ -303,9 +303,9 @@ def title_of(estimator: str) -> str:
 
     Examples
     --------
-    >>> from chdstat.estimators.registry import title_of
-    >>> title_of("catoni"), title_of("mean + OIDN"), title_of("my own")
-    ('Catoni', 'sample mean + OIDN', 'my own')
+    >>> from chdstat.estimators import registry
+    >>> [registry.title_of(name) for name in ("catoni", "mean + OIDN", "my own")]
+    ['Catoni', 'sample mean + OIDN', 'my own']
     """
     name, denoised, how = estimator.partition(" + ")
     return LABELS.get(name, name) + denoised + how
