@@ -186,4 +186,4 @@ def test_curves_of_several_modes_are_mixtures():
     assert [pixel.curve(-1).family for pixel in pixels] == ["mixture", "lognormal", ""]
     assert all(panel_of(pixel, "wall").select("luminance").fits[0].fit for pixel in pixels[:2])
     grey = chd.Samples.from_array(x[:, :, :1]).pixel(0, 0)
-    assert "2 components" in panel_of(grey, "wall").note
+    assert "2 components" in panel_of(grey, "wall").told

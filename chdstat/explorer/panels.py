@@ -23,7 +23,7 @@ import numpy.typing as npt
 from bokeh import models
 from bokeh.plotting import figure
 
-from chdstat._core.arrays import Array, luminance
+from chdstat._core.arrays import Array, luminance, take_rows
 from chdstat._core.display import as_p, number, percent
 from chdstat._core.resampling import Z_95
 from chdstat.explorer.address import View, row_of
@@ -32,7 +32,8 @@ from chdstat.fit.families import FAMILIES
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.averages import NormalityOfMeans
 from chdstat.patterns import Pixel
-from chdstat.summary.histograms import Scale
+from chdstat.summary.histograms import Histogram, Scale, shared_ranges, shown_range
+from chdstat.viz.chd import outside_in_words
 from chdstat.viz.styling import called
 
 BLENDED = "#d0d3d6"
@@ -300,57 +301,78 @@ def _in_row(lines: Sequence[Trace], base: int, ends: _Extent | None) -> list[Tra
 
 
 def _histograms(scale: Scale, view: View, series: Sequence[_Series]) -> PanelData:
-    return _densities(series, partial(_histogram, view, scale), scale)
+    # Several pixels have linear axes of their own.
+    keys = [s.pixel if scale == "linear" else 0 for s in series]
+    groups = {key: [s for s, k in zip(series, keys, strict=True) if k == key] for key in keys}
+    ranges = {key: _range(scale, those) for key, those in groups.items()}
+    limits = {id(s): ranges[key] for s, key in zip(series, keys, strict=True)}
+    found = _densities(series, lambda s: _histogram(view, scale, s, limits[id(s)]), scale)
+    words = [outside_in_words([_counted(s, scale) for s in those], *ranges[key] or (0, np.inf))
+             for key, those in groups.items()]  # fmt: skip
+    named = [f"{s.name} {s.place.curve(s.row, family).words}" for s in series
+             for family in view.families[:1] if scale == "log"]  # fmt: skip
+    return replace(found, notes=[*found.notes, *filter(None, words[0]), *named])
 
 
-def _histogram(view: View, scale: Scale, s: _Series) -> _SeriesCurve:
+def _counted(s: _Series, scale: Scale) -> Histogram:
+    return take_rows(s.place.histograms[scale], s.row, axis=0)
+
+
+def _range(scale: Scale, series: Sequence[_Series]) -> _Extent | None:
+    """Return what an axis of histograms shows: of several pixels, what they share."""
+    means = [[float(s.place.moments.mean[s.row])] for s in series]
+    found = [[_counted(s, scale)] for s in series]
+    if scale == "linear" or not any(s.pixel for s in series):
+        return shown_range([h for those in found for h in those], [m for (m,) in means])
+    ends = [span for span in shared_ranges(found, means) if span]
+    return (min(span[0] for span in ends), max(span[1] for span in ends)) if ends else None
+
+
+def _histogram(view: View, scale: Scale, s: _Series, limits: _Extent | None) -> _SeriesCurve:
     if s.constant is not None:
         return _SeriesCurve(value=s.constant)
-    counted = s.place.histograms[scale]
-    x, y = _steps(counted.edges, counted.density, s.row)
-    if not x.size:
+    counted = _counted(s, scale)
+    x, y = _steps(counted, limits)
+    if not x.size or limits is None:
         return _SeriesCurve()
     mean = float(s.place.moments.mean[s.row])
-    mean = mean if scale == "linear" or mean > 0 else float("nan")
-    return _SeriesCurve((x, y), _curves(view, s, scale, x[0], x[-1]), mean)
+    mean = mean if limits[0] <= mean <= limits[1] else float("nan")
+    return _SeriesCurve((x, y), _curves(view, s, counted, limits), mean)
 
 
-def _steps(edges: Array, density: Array, row: int) -> tuple[Array, Array]:
-    """Return the outline of the occupied bins, from the axis up and down to it again."""
-    # All rows of a log histogram share their edges.
-    edges = edges[row] if edges.ndim > 1 else edges
-    heights = density[row]
-    filled = np.flatnonzero(np.nan_to_num(heights) > 0)
-    if not filled.size or not np.isfinite(edges).all():
+def _steps(counted: Histogram, limits: _Extent | None) -> tuple[Array, Array]:
+    """Return the outline of the occupied bins of a row, from the axis up and down to it again."""
+    shown = counted.counts > 0
+    if limits is not None:
+        shown &= (counted.centers >= limits[0]) & (counted.centers <= limits[1])
+    filled = np.flatnonzero(shown)
+    if not filled.size:
         return np.empty(0), np.empty(0)
     bins = slice(filled[0], filled[-1] + 1)
-    x = np.repeat(edges[filled[0] : filled[-1] + 2], 2)
-    return x, np.concatenate([[0.0], np.repeat(heights[bins], 2), [0.0]])
+    x = np.repeat(counted.edges[filled[0] : filled[-1] + 2], 2)
+    return x, np.concatenate([[0.0], np.repeat(counted.density[bins], 2), [0.0]])
 
 
-def _curves(view: View, s: _Series, scale: Scale, low: float, high: float) -> list[Trace]:
-    low = max(low, 1e-300)
-    x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
-    width = float(s.place.histograms[scale].bin_width[s.row])
-    lines = []
+def _curves(view: View, s: _Series, counted: Histogram, limits: _Extent) -> list[Trace]:
+    low, high = max(limits[0], _TINY), limits[1]
+    space = np.geomspace if counted.scale == "log" else np.linspace
+    x, lines = space(low, high, _POINTS), []
     for family in view.families:
         curve = s.place.curve(s.row, family)
-        y = curve.density(x, width, scale)
+        y = curve.density(x, float(counted.bin_width), counted.scale)
         if np.isfinite(y).any():
             lines.append(Trace(x, y, s.color, DASHES[curve.family], 2.0))
     return lines
 
 
 def _uncounted(series: Sequence[_Series], scale: Scale) -> list[str]:
-    """Return what is not in the bins: nulls, bad samples, those beyond the support."""
+    """Return what is in no histogram: nulls and bad samples."""
     if not series:
         return []
     place = series[0].place
     if series[-1].place is not place:
         return [f"{s.name}: {_counts(s.place)}" for s in series if scale == "log"]
-    counted, rows = place.histograms[scale], [s.row for s in series]
-    outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
-    return [f"{_counts(place)} · {percent(outside)} outside the bins"]
+    return [_counts(place)]
 
 
 def _counts(place: Pixel) -> str:
@@ -694,7 +716,7 @@ def extent(name: str, panel: PanelData) -> tuple[_Extent, _Extent] | None:
     --------
     >>> line = Trace(np.array([0.0, 10.0]), np.array([1.0, 2.0]), "#ffffff")
     >>> extent("linear", PanelData(lines=[line]))
-    ((-0.4, 10.4), (0.0, 2.08))
+    ((0.0, 10.4), (0.0, 2.08))
     """
     kind = PANELS[name]
     across = _span([t.x for t in panel.lines], kind.x_scale)
@@ -708,7 +730,8 @@ def extent(name: str, panel: PanelData) -> tuple[_Extent, _Extent] | None:
         ends = low - _NUMBERS * (high - low), high + _LABELS * (high - low) / 2
         return (float(10.0 ** ends[0]), float(10.0 ** ends[1])), (-_BELOW, panel.rows)
     vertical = (0.0, up[1] * (1 + _MARGIN)) if kind.from_zero else _padded(up, kind.y_scale)
-    return _padded(across, kind.x_scale), vertical
+    left, right = _padded(across, kind.x_scale)
+    return (max(left, 0.0) if across[0] >= 0 else left, right), vertical
 
 
 def _span(parts: Iterable[npt.ArrayLike], scale: str) -> _Extent | None:

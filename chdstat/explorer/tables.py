@@ -23,6 +23,7 @@ from chdstat.fit.tail import TailIndex
 from chdstat.inference.differences import Difference
 from chdstat.inference.modes import Modes
 from chdstat.patterns import PATTERNS, Label, Pattern, Pixel, Thresholds
+from chdstat.patterns.definitions import largest_misfit
 from chdstat.viz.styling import called, estimator_name
 
 _ERROR = 0.01
@@ -60,7 +61,8 @@ def headline(place: Pixel) -> list[tuple[str, str, str]]:
     if constant or holds == "—":
         told = "constant samples" if constant else "too few samples"
     clear = {"fails": "at least: the error bar fails", "cannot tell": "if the error bar holds"}
-    count = int(modes.modes[-1])
+    count, p = int(modes.modes[-1]), as_p(modes.dip_p_value[-1])
+    of_modes = modes.in_words(-1).removeprefix(str(count)).lstrip(", ") if count else ""
     low, high = map(percent, map(float, place.patterns.intervals["null_heavy"]))
     xi = float(tail.xi[-1])
     return [
@@ -70,7 +72,9 @@ def headline(place: Pixel) -> list[tuple[str, str, str]]:
         (
             "Modes",
             "—" if constant or not count else str(count),
-            "constant samples" if constant else f"p of one mode {as_p(modes.dip_p_value[-1])}",
+            "constant samples"
+            if constant
+            else "; ".join(filter(None, [of_modes, f"p of one mode {p}"])),
         ),
         ("Spp for 1 % error", _count(needed), clear.get(holds, f"{place.spp} are here")),
     ]
@@ -126,7 +130,22 @@ def _pattern_value(pattern: Pattern, place: Pixel, *, alone: bool) -> str:
     hidden = place.constant[-1] and pattern.name not in {"null_heavy", "constant"}
     low, high = map(float, interval)
     shown = "—" if hidden else with_interval(value, low, high, text)
-    return f"{'●' if found.flags[pattern.name] else '○'}\N{NO-BREAK SPACE}{shown}"
+    sign = "●" if found.flags[pattern.name] else "○"
+    return f"{sign}\N{NO-BREAK SPACE}{shown}{_doubt(pattern, place)}"
+
+
+def _doubt(pattern: Pattern, place: Pixel) -> str:
+    """Return what keeps the likelier family from describing a pixel; "" where it does."""
+    found = place.patterns
+    family = pattern.name in {"gamma_like", "lognormal_like"}
+    if not family or found.flags[pattern.name] or not found.statistics[pattern.name] > 0:
+        return ""
+    for name in pattern.excluded_by:
+        if found.flags[name]:
+            return f", but {called(name)}"
+    if found.misfit > largest_misfit(place.part.n[-1], Thresholds()):
+        return f", but misfit {number(float(found.misfit), 2)}"
+    return ", but a heavy tail"
 
 
 def estimates_table(

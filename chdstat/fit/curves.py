@@ -22,6 +22,8 @@ _POINTS = 512
 _WITHIN = 3e-3
 """Shift of the logarithm of radiance that is no misfit: three times the least width of a component,
 and less than a figure shows."""
+_LISTED = 3
+"""Most components that are named: the heaviest."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,8 @@ class Curve:
             first = {name: value[:k] for name, value in found.parameters.items()}
             medians = family.distribution(first).ppf(0.5)
         shares = found.weights[:k] * (1 - found.atom_weights.sum())
-        words = [_held(*pair) for pair in zip(shares, medians, strict=True)]
+        most = np.sort(np.argsort(-shares)[:_LISTED])
+        words = [_held(shares[i], medians[i]) for i in most] + ["..."] * (k > _LISTED)
         at = zip(found.atom_weights[atoms], found.atoms[atoms], strict=True)
         return ", ".join([*words, *(f"{_held(*pair)} exactly" for pair in at)])
 

@@ -102,6 +102,8 @@ def _dip_p(dip: Floats, n: Counts) -> Floats:
 
 MODES = 3
 """Most modes, and most components of a mixture."""
+SEPARATE = 2.0
+"""Ashman's D from which neighbouring modes stand out of each other."""
 
 
 @result
@@ -183,6 +185,21 @@ class Modality(Result):
         }
         return Card("Modality", facts)
 
+    def clear(self, ashman_d: float = SEPARATE) -> Counts:
+        """Return how many modes stand out, shape (...); 0 where modes are not known.
+
+        These are the modes that a pattern counts: neighbours are apart by Ashman's D or more.
+        """
+        apart = np.count_nonzero(self.ashman_d >= ashman_d, axis=-1)
+        return np.where(self.modes > 0, 1 + apart, 0)
+
+    def in_words(self, row: int) -> str:
+        """Return the modes of a row, and how many of them stand out."""
+        modes, clear = int(self.modes[row]), int(self.clear()[row])
+        if not modes or clear == modes:
+            return str(modes or "—")
+        return f"{modes}, {clear} of them clear" if clear > 1 else f"{modes} that overlap"
+
     def plot(self, *, width: Width = "column", fig: Figure | None = None) -> Figure:
         """Draw where the modes are, as `chdstat.viz.mode_stems`.
 
@@ -210,7 +227,7 @@ class Modes(Statistic[Modality]):
     result: ClassVar = Modality
     description: ClassVar = "counting modes"
     quantities: ClassVar = (
-        Quantity("modes", lambda found, i: str(found.modes[i] or "—"), brief="modes"),
+        Quantity("modes", lambda found, i: found.in_words(i), brief="modes"),
         Quantity("dip of log radiance", lambda found, i: number(found.dip[i])),
         Quantity("p of one mode (dip test)", lambda found, i: as_p(found.dip_p_value[i])),
     )

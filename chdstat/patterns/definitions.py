@@ -23,7 +23,7 @@ from chdstat.errors import InputError
 from chdstat.fit.error_bars import FAILS, Bar, ErrorBars
 from chdstat.fit.selection import FamilySelection, Selection
 from chdstat.fit.tail import Tail, TailIndex, effective_tail_index, is_infinite
-from chdstat.inference.modes import Modality, Modes
+from chdstat.inference.modes import SEPARATE, Modality, Modes
 from chdstat.summary.runner import measured
 
 _POINTS = 32
@@ -72,7 +72,7 @@ class Thresholds:
     null_share: float = 0.5
     misses: float = 1 - FAILS
     tail_index: float = 0.2
-    ashman_d: float = 2.0
+    ashman_d: float = SEPARATE
     firefly_share: float = 0.1
     firefly_samples: float = 8.0
     misfit: float = 0.05
@@ -315,8 +315,7 @@ def _null_p_value(e: _PixelStatistics, t: Thresholds) -> Floats:
 
 def _clear_modes(e: _PixelStatistics, t: Thresholds) -> Counts:
     """Count modes that are far enough from their neighbours; 0 where modes are not known."""
-    clear = 1 + np.count_nonzero(e.widest[0] >= t.ashman_d, axis=-1)
-    return np.where(e.modes.modes > 0, clear, 0)
+    return e.modes.clear(t.ashman_d)
 
 
 def _separation_interval(e: _PixelStatistics, widest: int) -> Floats:

@@ -41,7 +41,7 @@ from chdstat.patterns.definitions import PATTERNS, Thresholds, largest_misfit
 from chdstat.samples.dependence import check_sequences, sequence_of
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import LightPart
-from chdstat.summary.histograms import Histogram, Scale, histogram, log_support
+from chdstat.summary.histograms import Histogram, Scale, drawn_histograms, histogram
 from chdstat.summary.runner import measured
 from chdstat.summary.statistics import summarize
 
@@ -174,11 +174,9 @@ class Pixel(Shown):
 
     @cached_property
     def histograms(self) -> dict[Scale, Histogram]:
-        """Linear and log10 histogram of each row, with bins where there are samples."""
+        """Linear and log10 histogram of each row, as figures draw them."""
         null, bad = (np.broadcast_to(mask, self.rows.shape) for mask in (self.null, self.bad))
-        linear = histogram(self.rows, scale="linear", null=null, bad=bad)
-        log = histogram(self.rows, support=log_support(self.rows), null=null, bad=bad)
-        return {"linear": linear, "log": log}
+        return drawn_histograms(self.rows, null=null, bad=bad)
 
     # --- what is measured of each row, once for all users ---------------------------------------
 

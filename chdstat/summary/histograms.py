@@ -11,6 +11,7 @@ they are underflow.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
@@ -49,6 +50,8 @@ LOG_VARIABLES = (*(f"log_{name}" for name in _OF_LOG), "null_count", "bad_count"
 """Variables that make up the log histogram in the dataset of an image."""
 
 _PADDING = 0.25
+_ROUNDING = 1e-3
+"""Padding of samples that are all to be in bins, however these round."""
 
 
 @dataclass(frozen=True)
@@ -100,44 +103,188 @@ def linear_support(
     if bad is None:
         bad = np.zeros(first.shape, dtype=np.bool_)
     used = ~(null | bad)
-    empty = ~used.any(axis=-1)
     low = np.where(used, first, np.inf).min(axis=-1).astype(np.float64)
     high = np.where(used, first, -np.inf).max(axis=-1).astype(np.float64)
+    return _around(low, high, _PADDING, first.dtype, all_bad=np.asarray(bad.all(axis=-1)))
+
+
+def _around(
+    low: Floats, high: Floats, padding: float, dtype: npt.DTypeLike, *, all_bad: Mask
+) -> Support:
+    """Return the support around samples from `low` to `high`, infinite where there are none."""
+    empty = low > high
     low, high = np.where(empty, 0, low), np.where(empty, 0, high)
     # A span of fewer than 128 floats would only show how floats are spaced.
     size = np.maximum(np.abs(low), np.abs(high))
-    point = high - low <= 128 * np.finfo(first.dtype).eps * size
-    padding = _PADDING * np.where(point, size, high - low)
+    point = high - low <= 128 * np.finfo(dtype).eps * size
+    room = np.where(point, _PADDING * size, padding * (high - low))
     nothing = empty | (size == 0)
     reason = np.select(
-        [~empty & nothing, empty & bad.all(axis=-1), empty],
+        [~empty & nothing, empty & all_bad, empty],
         [Reason.CONSTANT, Reason.ALL_BAD, Reason.ALL_NULL],
         Reason.OK,
     )
     return Support(
-        np.where(nothing, np.nan, low - padding),
-        np.where(nothing, np.nan, high + padding),
+        np.where(nothing, np.nan, low - room),
+        np.where(nothing, np.nan, high + room),
         reason.astype(np.int8),
     )
 
 
-def log_support(x: npt.ArrayLike) -> tuple[float, float]:
-    """Return the support of log histograms that are drawn: [1e-5, 1e5], or as wide elsewhere.
+# --- what is drawn --------------------------------------------------------------------------------
 
-    It is moved by whole decades, to the median of the positive samples, where this lies beyond.
+_SHOWN, _ONE_OF = 0.995, 16
+"""Share of the samples that an axis holds, and samples from which it may leave out one."""
+_APART, _BULK, _FURTHER = 100.0, 0.9, 10.0
+"""Ratio of radiance between what most samples of pixels share from which they share no axis; what
+most samples are; and how far beyond these a shared axis goes."""
+_NEAR = 0.5
+"""Decades from the others within which no sample is left out; a quarter of their linear range."""
+_PER_DECADE = 10
+"""Bins of a decade, as on the log scale of Elek, Thomas and Forbes (2019)."""
+
+
+def drawn_histograms(
+    x: npt.NDArray[Any], *, null: Mask | None = None, bad: Mask | None = None
+) -> dict[Scale, Histogram]:
+    """Return the linear and the log histogram of rows that are drawn together, by scale.
+
+    Every positive sample is in a bin of the log histogram, a tenth of a decade wide. The linear
+    histogram of each row has 100 bins on the range that an axis shows of it.
+
+    Parameters
+    ----------
+    x
+        Radiance, shape (row, sample).
+    null, bad
+        As for `histogram`.
 
     Examples
     --------
-    >>> log_support([0.0, 0.5, 1e-20]), log_support([2e-7, 3e-6, 4.0])
-    ((1e-05, 100000.0), (1e-11, 0.1))
+    >>> found = drawn_histograms(np.array([[0.0, 0.5, 0.7, 2e-9]]))
+    >>> int(found["log"].counts.sum()), found["linear"].high.round(2)
+    (3, array([0.7]))
     """
-    array, (low, high) = np.asarray(x), _LOG_SUPPORT
-    seen = array[(array > 0) & (array < np.inf)]
-    middle = float(np.median(seen)) if seen.size else 1.0
-    if low <= middle < high:
-        return _LOG_SUPPORT
-    decade = math.floor(math.log10(middle) + 0.5)
-    return float(f"1e{decade - 5}"), float(f"1e{decade + 5}")
+    null, bad = _checked_masks(x, null, bad)
+    bad = np.zeros(x.shape, dtype=np.bool_) if bad is None else bad
+    used = ~np.broadcast_to(null, x.shape) & ~bad
+    seen = x[used & (x > 0)]
+    ends = (seen.min(), seen.max()) if seen.size else (1.0, 1.0)
+    least, most = (math.floor(math.log10(end)) for end in ends)
+    decades = float(f"1e{least}"), float(f"1e{most + 1}")
+    held = [_held("linear", row[mask], row[mask]) for row, mask in zip(x, used, strict=True)]
+    low, high = np.array(held, np.float64).reshape(-1, 2).T
+    linear = _around(low, high, _ROUNDING, x.dtype, all_bad=np.asarray(bad.all(axis=-1)))
+    linear.low[low >= 0] = np.maximum(linear.low[low >= 0], 0)
+    bins = _PER_DECADE * (most + 1 - least)
+    return {
+        "linear": histogram(x, scale="linear", support=linear, null=null, bad=bad),
+        "log": histogram(x, support=decades, bins=bins, null=null, bad=bad),
+    }
+
+
+def shown_range(
+    found: Sequence[Histogram], means: Sequence[float] = (), *, share: float = _SHOWN
+) -> tuple[float, float] | None:
+    """Return the range of radiance that an axis of histograms shows; None without samples in bins.
+
+    It is the shortest range of bins, on the scale of the histograms, that holds 99.5 % of all their
+    samples, or all but one. It goes on to the last sample at either end, and to means, if these are
+    near: up to half a decade or a quarter of its width away, and twice as far for means.
+
+    Parameters
+    ----------
+    found
+        Histograms of one scale that share the axis, of any shape.
+    means
+        Where means are marked; NaN for none.
+    share
+        Another share of the samples than 99.5 %.
+
+    Examples
+    --------
+    >>> x = np.append(np.random.default_rng(0).lognormal(size=511), 1e-15)
+    >>> low, high = shown_range([histogram(x, bins=360, support=(1e-16, 1e20))])
+    >>> 0.01 < low < 0.1, 10 < high < 100
+    (True, True)
+    """
+    scale, parts = found[0].scale, [(h.edges[..., :-1], h.edges[..., 1:], h.counts) for h in found]
+    low, high, counts = (np.concatenate([p[k].ravel() for p in parts]) for k in range(3))
+    # On the log scale, what is below the bins may be zeros, which have no place on the axis.
+    beyond = sum(int(h.overflow.sum() + (scale == "linear") * h.underflow.sum()) for h in found)
+    filled = counts > 0
+    if not filled.any():
+        return None
+    return _held(scale, low[filled], high[filled], counts[filled], beyond, means, share)
+
+
+def shared_ranges(
+    found: Sequence[Sequence[Histogram]], means: Sequence[Sequence[float]]
+) -> list[tuple[float, float] | None]:
+    """Return the range of radiance of each of several pixels that share a log axis.
+
+    It is that of all their samples, but it ends a decade beyond what holds 90 % of each pixel: the
+    tail of one must not take the room of all. Pixels whose 90 % are two decades or more away from
+    those of the others share a range among themselves.
+
+    Parameters
+    ----------
+    found, means
+        Log histograms and means of each pixel, as for `shown_range`.
+    """
+    bulks = [shown_range(those, share=_BULK) for those in found]
+    ranges: list[tuple[float, float] | None] = [None] * len(found)
+    groups: list[list[int]] = []
+    top = 0.0
+    for low, high, i in sorted((*span, i) for i, span in enumerate(bulks) if span):
+        if groups and low < _APART * top:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+        top = max(top, high)
+    for group in groups:
+        pooled = [h for i in group for h in found[i]]
+        whole = shown_range(pooled, [mean for i in group for mean in means[i]])
+        ends = [span for i in group if (span := bulks[i])]
+        low, high = min(end[0] for end in ends) / _FURTHER, max(end[1] for end in ends) * _FURTHER
+        for i in group:
+            ranges[i] = whole and (max(low, whole[0]), min(high, whole[1]))
+    return ranges
+
+
+def _held(
+    scale: Scale,
+    low: npt.NDArray[Any],
+    high: npt.NDArray[Any],
+    counts: Counts | None = None,
+    beyond: int = 0,
+    means: Sequence[float] = (),
+    share: float = _SHOWN,
+) -> tuple[float, float]:
+    """Return the shortest range that holds most of the samples that were counted in some cells."""
+    if not low.size:
+        return np.inf, -np.inf
+    order = np.argsort(low)
+    low, high = _axis_ends(scale, low[order].astype(float), np.maximum.accumulate(high[order]))
+    total = np.arange(1, low.size + 1) if counts is None else counts[order].cumsum()
+    number = int(total[-1]) + beyond
+    spare = max((1 - share) * number, float(number >= _ONE_OF)) - beyond
+    before = np.concatenate([[0], total[:-1]])
+    first = np.flatnonzero(before <= max(spare, 0))
+    last = np.searchsorted(total, total[-1] - max(spare, 0) + before[first])
+    first, last = first[last < low.size], last[last < low.size]
+    best = np.argmin(high[last] - low[first])
+    start, stop = low[first[best]], high[last[best]]
+    near = _NEAR * np.log(10) if scale == "log" else _NEAR / 2 * (stop - start)
+    marks = np.array([m for m in means if m > 0 or (scale == "linear" and np.isfinite(m))])
+    for points, reach in (
+        (np.array([low[0], high[-1]]), near),
+        (_axis_ends(scale, marks, marks)[0], 2 * near),
+    ):
+        inside = points[(points >= start - reach) & (points <= stop + reach)]
+        start, stop = min([start, *inside]), max([stop, *inside])
+    ends = np.exp([start, stop]) if scale == "log" else (start, stop)
+    return float(ends[0]), float(ends[1])
 
 
 def tile_support(tile: Samples) -> Support:
@@ -269,6 +416,17 @@ class Histogram(Result):
         low, high = _axis_ends(self.scale, self.low, self.high)
         width = (high - low) / self.counts.shape[-1]
         return np.asarray(width / np.log(10) if self.scale == "log" else width)
+
+    def outside(self, low: float, high: float) -> tuple[Counts, Counts]:
+        """Return how many samples lie below and above a range of radiance, each of shape (...).
+
+        Bins count where their centre is; null and bad samples do not count.
+        """
+        below, above = self.centers < low, self.centers > high
+        return (
+            self.underflow + np.where(below, self.counts, 0).sum(axis=-1),
+            self.overflow + np.where(above, self.counts, 0).sum(axis=-1),
+        )
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]:
         """Return the fields of a dataset: by name, the dims after y and x, and the array."""

@@ -29,7 +29,7 @@ from chdstat.fit import Fit, Mixture, Tail
 from chdstat.fit.curves import Curve
 from chdstat.inference.modes import Modality
 from chdstat.patterns.pixel import Pixel
-from chdstat.summary.histograms import Histogram, Scale
+from chdstat.summary.histograms import Histogram, Scale, shared_ranges, shown_range
 from chdstat.viz.styling import (
     CHANNELS,
     NAMES,
@@ -69,6 +69,10 @@ MEAN: Any = (0, (3, 2))
 """Dashes of the line of a mean."""
 _ROOM = 1.35
 """Height of a panel with fits relative to its histogram: a density may be infinite at 0."""
+_MARGIN = 0.02
+"""Room at either end of an axis of radiance, relative to its length."""
+_LINE = 0.14
+"""Height of a line of a legend in inches."""
 _BINS = 40
 _VECTOR = 256
 """Most batches that are drawn as outlines; more are drawn as an image inside the figure."""
@@ -86,6 +90,7 @@ def chd_axes(
     names: Sequence[str] | None = None,
     channels: Channels = None,
     fits: Sequence[Density | None] = (),
+    limits: tuple[float, float] | None = None,
     width: Width = "column",
     ax: Axes | None = None,
 ) -> Axes:
@@ -104,6 +109,8 @@ def chd_axes(
     fits
         For each channel of the histogram, a density of its positive samples per unit of radiance,
         such as ``fit.pdf`` of a `chdstat.fit.Fit`; None draws none.
+    limits
+        Radiance at both ends of the axis; None for the range that holds 99.5 % of the samples.
     width
         Width of the figure: "column", "page" or inches.
     ax
@@ -130,7 +137,7 @@ def chd_axes(
     alone = ax is None
     spine = ax is not None and ax.spines["left"].get_visible()  # the user's own spines stay
     ax = axes_in(ax, 1.8, width)
-    draw_histograms(ax, shown, colors=[colors[name] for name in shown])
+    draw_histograms(ax, shown, colors=[colors[name] for name in shown], limits=limits)
     ax.spines["left"].set_visible(spine)
     if alone:
         ax.set_xlabel(_axis_name(_quantity([*shown]), found.scale))
@@ -227,8 +234,9 @@ def draw_histograms(
     outlines: Sequence[Any] | None = None,
     dashes: Sequence[Any] = ("-",),
     opacity: float = 0.22,
-) -> tuple[float, float]:
-    """Draw histograms of one scale over each other, over the range of radiance with samples.
+    limits: tuple[float, float] | None = None,
+) -> None:
+    """Draw histograms of one scale over each other, and say how many samples the axis leaves out.
 
     Parameters
     ----------
@@ -242,41 +250,72 @@ def draw_histograms(
         Line styles of the outlines, in turn.
     opacity
         Opacity of the areas.
-
-    Returns
-    -------
-    tuple of float
-        Ends of the bins with samples, at least a decade on a log scale. The axis extends to a whole
-        decade, or to 0.
+    limits
+        Radiance at both ends of the axis; None for `shown_range`. A linear axis begins at 0 or
+        below; a log axis has a decade or more.
     """
-    scale = next(iter(found.values())).scale
-    ends: list[float] = []
+    those = [*found.values()]
+    scale, known = those[0].scale, limits or shown_range(those)
     for i, (name, counted) in enumerate(found.items()):
         density, edges = counted.density, counted.edges
-        filled = np.flatnonzero(np.nan_to_num(density) > 0)
-        if not filled.size:
+        if not counted.counts.any():
             continue
-        ends += [edges[filled[0]], edges[filled[-1] + 1]]
         ax.stairs(density, edges, fill=True, color=colors[i], alpha=opacity)
         look = {"color": (outlines or colors)[i], "linestyle": dashes[i % len(dashes)]}
         ax.stairs(density, edges, linewidth=0.7, label=verbatim(name), **look)
-    if not ends:
-        beyond = any((h.underflow + h.overflow).any() for h in found.values())
+    if not any(counted.counts.any() for counted in those):
+        beyond = any((h.underflow + h.overflow).any() for h in those)
         words = "no samples in the bins" if beyond else "no positive samples"
         ax.annotate(words, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center")
     ax.set_xscale(scale)
     if scale == "log":
-        low, high = min(ends, default=1e-5), max(ends, default=1e5)
-        decades = 10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high))
-        ax.set_xlim(*decades)
-        low, high = (low, high) if high >= 10 * low else decades
+        low, high = known or (1e-5, 1e5)
+        room = max((high / low) ** _MARGIN, (10 * low / high) ** 0.5)
+        ax.set_xlim(low / room, high * room)
     else:
-        low, high = min(ends, default=0.0), max(ends, default=1.0)
-        ax.set_xlim(min(0.0, low), high)
+        low, high = known or (0.0, 1.0)
+        ax.set_xlim(min(0.0, low), high + _MARGIN * (high - min(0.0, low)))
+    name_ticks(ax.xaxis)
     ax.set_ylim(bottom=0)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-    return low, high
+    if known:
+        _tell_outside(ax, those)
+
+
+def _tell_outside(ax: Axes, found: Sequence[Histogram]) -> None:
+    """Write at both ends of the axis how many samples lie beyond: of the row with the most."""
+    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "color": "#555555"}
+    look |= {"xycoords": "axes fraction", "va": "top"}
+    look["bbox"] = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 0.5}
+    line = 0
+    for side, words in enumerate(outside_in_words(found, *ax.get_xlim())):
+        if words:  # below that of the other end, since there may be no room beside it
+            ax.annotate(
+                words, (side, 0.98), (3 - 6 * side, -8 * line), ha=("left", "right")[side], **look
+            )
+            line += 1
+
+
+def outside_in_words(found: Sequence[Histogram], low: float, high: float) -> tuple[str, str]:
+    """Return how many samples lie below and above a range of radiance; "" where none does.
+
+    Of several rows, it is that with the most.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> outside_in_words([chd.histogram([1e-12, 0.3, 0.4, 2.0])], 1e-5, 1.0)
+    ('1 sample below 1e−5', '1 sample above 1.0')
+    """
+    words = []
+    for side, (name, end) in enumerate((("below", low), ("above", high))):
+        counts = {int(h.outside(low, high)[side]) for h in found}
+        most = max(counts)
+        up_to, many = "up to " * (len(counts) > 1), "s" * (most > 1)
+        at = number(end, 2).replace("1.0e", "1e").replace("e-0", "e−").replace("e-", "e−")
+        words.append(f"{up_to}{most} sample{many} {name} {at}" if most else "")
+    return words[0], words[1]
 
 
 def draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
@@ -385,6 +424,17 @@ class Panel:
         """Return the histogram of each channel on a scale, by the name of the channel."""
         return by_channel(self.linear if scale == "linear" else self.log, self.channels)
 
+    @property
+    def told(self) -> str:
+        """The note, and what the curves are, or why there are none."""
+        curves = [fit for fit in self.fits if isinstance(fit, Curve)]
+        names = dict.fromkeys(curve.name or curve.reason for curve in curves)
+        return ", ".join(filter(None, [self.note, " / ".join(names)]))
+
+    def limits(self, scale: Scale) -> tuple[float, float] | None:
+        """Return the range of radiance that holds its samples and means."""
+        return shown_range([*self.histograms(scale).values()], self.mean)
+
     def select(self, channels: Channels) -> Self:
         """Return the panel with some of its channels, as `chd_pair` takes them.
 
@@ -468,20 +518,21 @@ def chd_grid(
     figure = page(fig, height, width, wspace=0.02, hspace=0.04)
     axes = grid(figure, each * len(shown), each * columns)
     colors = colors or qualitative(len(renderings[0]))
+    ranges: list[tuple[float, float] | None] = [None] * len(shown)
+    for row in range(0, len(shown), columns) if several else ():
+        ranges[row : row + columns] = panel_ranges([p for *_, p in shown[row : row + columns]])
     for k, (i, name, panel) in enumerate(shown):
         own = axes[each * k : each * (k + 1)]
         title = f"{i + 1} {panel.name}" + (f", {name}" if name else "")
         below = k + columns >= len(shown)
         _draw_pixel(
             own, panel, title, kinds, below=below, leftmost=k % columns == 0,
-            room=across / (each * columns),
+            room=across / (each * columns), limits=ranges[k],
         )  # fmt: skip
         for ax in own:
             ax.spines["bottom"].set(color=colors[i], linewidth=2.2)
-    if several:
-        for row in range(0, len(axes), each * columns):
-            share_radiance(axes[row : row + each * columns])
-    _name_channels(axes[0], shown[0][2])
+    names = [*shown[0][2].histograms("log")]
+    _add_legend(figure, dict(zip(names, colors_of(names), strict=True)), columns=len(names))
     return figure
 
 
@@ -525,9 +576,11 @@ def chd_pair(
     """
     kinds, across, panel = scales_of(scales), inches(width, fig), panel.select(channels)
     number = len(kinds)
-    figure, axes = panels_in(fig, number, number, 1.7 if narrow(across) else 2.2, width)
+    named = _named(panel)
+    height = 1.7 if narrow(across) else 2.2
+    figure, axes = panels_in(fig, number, number, height + _LINE * len(named), width)
     _draw_pixel(axes, panel, panel.name, kinds, below=True, room=across / number)
-    _name_channels(axes[0], panel)
+    _add_legend(figure, named, columns=1 if any(" " in words for words in named) else len(named))
     return figure
 
 
@@ -540,18 +593,20 @@ def _draw_pixel(
     below: bool,
     room: float,
     leftmost: bool = True,
+    limits: tuple[float, float] | None = None,
 ) -> None:
     """Draw a pixel into its axes; they get axis labels if no axes are below them."""
     names = [*panel.histograms("log")]
     for ax, scale in zip(axes, scales, strict=False):
         counted = panel.linear if scale == "linear" else panel.log
-        chd_axes(counted, names=names, channels=names, fits=panel.fits, ax=ax)
+        ends = limits or panel.limits(scale)
+        chd_axes(counted, names=names, channels=names, fits=panel.fits, limits=ends, ax=ax)
         draw_means(ax, panel.mean, colors_of(names))
         ax.set_xlabel(_axis_name(_quantity(names), scale, room) if below else "")
     # Without room for both in a line, the title is above the note.
-    pad = 13 if len(title) + len(panel.note) > _LETTERS * room * len(axes) else 3
+    pad = 13 if len(title) + len(panel.told) > _LETTERS * room * len(axes) else 3
     axes[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=pad)
-    axes[-1].set_title(panel.note, loc="right", pad=3, color="#444444")
+    axes[-1].set_title(panel.told, loc="right", pad=3, color="#444444")
     axes[0].set_ylabel("density" if leftmost else "")
 
 
@@ -568,21 +623,32 @@ def _axis_name(quantity: str, scale: Scale, room: float = math.inf) -> str:
     return f"{quantity}, log scale" if room > 1.3 else f"{quantity},\nlog scale"
 
 
-def share_radiance(axes: Sequence[Axes]) -> None:
-    """Give axes with samples one range of radiance."""
-    ends = [ax.get_xlim() for ax in axes if ax.patches]
-    if ends:
-        lows, highs = zip(*ends, strict=True)
-        for ax in axes:
-            ax.set_xlim(min(lows), max(highs))
+def panel_ranges(panels: Sequence[Panel]) -> list[tuple[float, float] | None]:
+    """Return the range of radiance of each of several panels that share a log axis."""
+    found = [[*panel.histograms("log").values()] for panel in panels]
+    return shared_ranges(found, [panel.mean for panel in panels])
 
 
-def _name_channels(ax: Axes, panel: Panel) -> None:
-    """Add a legend of the colours."""
+def _named(panel: Panel) -> dict[str, str]:
+    """Return the colours of channels by what a legend says of them and of their curves."""
     names = [*panel.histograms("log")]
-    if names != [_LUMINANCE]:  # its axis label says so
-        handles = swatches(dict(zip(names, colors_of(names), strict=True)))
-        ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
+    curves = dict(zip(names, panel.fits, strict=False))
+    known = {n: c for n, c in curves.items() if isinstance(c, Curve)}
+    if not any(curve.fit for curve in known.values()):
+        return dict(zip(names, colors_of(names), strict=True)) if len(names) > 1 else {}
+    return {
+        (f"{name}: {known[name].words}" if names[1:] else known[name].words): color
+        for name, color in zip(names, colors_of(names), strict=True)
+        if name in known
+    }
+
+
+def _add_legend(figure: Figure, named: Mapping[str, str], *, columns: int) -> None:
+    """Write below the panels what each colour is."""
+    if [*named] not in ([], [_LUMINANCE]):  # the label of the axis says so
+        handles = swatches(named, linewidth=1.3)
+        look: dict[str, Any] = {"handlelength": 1.2, "labelspacing": 0.25, "borderaxespad": 0}
+        figure.legend(handles=handles, loc="outside lower left", ncols=columns, fontsize=7, **look)
 
 
 @style()

@@ -23,7 +23,8 @@ from chdstat._core.arrays import Array, luminance
 from chdstat._core.display import Width, channel_names
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
-from chdstat.summary.histograms import Histogram, Scale, histogram
+from chdstat.fit.curves import Curve
+from chdstat.summary.histograms import Scale, histogram
 from chdstat.viz.chd import (
     MEAN,
     SCALES,
@@ -34,8 +35,8 @@ from chdstat.viz.chd import (
     draw_histograms,
     draw_means,
     one_of,
+    panel_ranges,
     scales_of,
-    share_radiance,
 )
 from chdstat.viz.styling import (
     PALETTE,
@@ -261,28 +262,21 @@ def region_study(
     whole.set_anchor("N")
     ratios = [0.2, *[0.8 / len(kinds)] * len(kinds)]
     cells = right.subplots(rows, 1 + len(kinds), squeeze=False, width_ratios=ratios)
-    colors = qualitative(rows)
+    colors, ranges = qualitative(rows), panel_ranges(panels)
     for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
         inset, *axes = cells[i]
         draw_inset(inset, shown, mark, i, titled=False)
         for ax, scale in zip(axes, kinds, strict=True):
-            _draw_region(ax, panel, scale, colors[i])
-            ax.tick_params(pad=1.5, labelbottom=i == rows - 1 or scale == "linear")
-            ax.minorticks_off()  # between decades there is nothing to read
-        note = notes[i] if i < len(notes) else panel.note
+            shared = scale == "log" and ranges[i] in ranges[i + 1 :]
+            _draw_region(ax, panel, scale, colors[i], ranges[i] if scale == "log" else None)
+            ax.tick_params(pad=1.5, labelbottom=not shared)
+        note = notes[i] if i < len(notes) else panel.told
         room = (across if narrow(across) else across * (1 - _OF_IMAGE)) * ratios[1]
         title = within(f"{i + 1} {mark.name}", room - len(note) / _NOTE * (len(axes) == 1))
         axes[0].set_title(title, loc="left", pad=2, fontweight="bold")
         axes[-1].set_title(note, loc="right", pad=2, color="#444444")
     for column, scale in zip(cells.T[1:], kinds, strict=True):
-        if scale == "log":
-            share_radiance(column)
         column[-1].set_xlabel(f"radiance in {UNIT}" + ", log scale" * (scale == "log"))
-        for ax, panel in zip(column, panels, strict=True):  # over what it then shows
-            found = panel.histograms(scale)
-            for counted, fit, color in zip(found.values(), panel.fits, _lines(found), strict=False):
-                if fit is not None:
-                    draw_fit(ax, counted, fit, color=color, linewidth=1.3)
     whole.legend(
         handles=_explained(panels, colors[0]), loc="upper left", bbox_to_anchor=(-0.01, -0.01),
         borderaxespad=0.2, handlelength=1.6,
@@ -290,20 +284,22 @@ def region_study(
     return figure
 
 
-def _lines(found: Mapping[str, Histogram]) -> list[str]:
-    """Return the colours of curves over the histograms of a region."""
-    return ["#111111"] if len(found) == 1 else colors_of(found)
-
-
-def _draw_region(ax: Axes, panel: Panel, scale: Scale, color: str) -> None:
-    """Draw the histogram and the mean of a pixel, in the colour of its region or its channels."""
+def _draw_region(
+    ax: Axes, panel: Panel, scale: Scale, color: str, limits: tuple[float, float] | None
+) -> None:
+    """Draw the histograms, curves and means of a pixel, in the colour of its region or channels."""
     found = panel.histograms(scale)
     alone = len(found) == 1
     dark = tuple(0.6 * part for part in to_rgb(color))
     lines = [dark] if alone else colors_of(found)
     draw_histograms(
-        ax, found, colors=[color] if alone else lines, outlines=lines, opacity=_FILLED * alone
-    )
+        ax, found, colors=[color] if alone else lines, outlines=lines, opacity=_FILLED * alone,
+        limits=limits or panel.limits(scale),
+    )  # fmt: skip
+    curves = zip(found.values(), panel.fits, ["#111111"] if alone else lines, strict=False)
+    for counted, fit, line in curves:
+        if fit is not None:
+            draw_fit(ax, counted, fit, color=line, linewidth=1.3)
     ax.spines["bottom"].set(color=color, linewidth=2)
     if scale == "linear":
         ax.locator_params(axis="x", nbins=3)
@@ -319,7 +315,8 @@ def _explained(panels: Sequence[Panel], color: str) -> list[Artist]:
     if len(names) > 1:
         shades = zip(names, colors_of(names), strict=True)
         handles = swatches({f"{seen}, {name}": shade for name, shade in shades})
-    if any(fit is not None for panel in panels for fit in panel.fits):
+    fits = [fit for panel in panels for fit in panel.fits]
+    if any(fit.fit if isinstance(fit, Curve) else fit for fit in fits):
         handles += swatches({"best fit": "#111111"}, linewidth=1.3)
     if any(panel.mean for panel in panels):
         handles += swatches({"mean": "#444444"}, linestyle=MEAN)
@@ -441,7 +438,7 @@ def firefly_pair(
         _frame(seen, pixel, color, linewidth=1.5)
     for ax, scale in zip((left, right), SCALES, strict=True):
         counted = {n: histogram(x, scale=scale, bad=~np.isfinite(x)) for n, x in samples.items()}
-        ax.set_xlim(draw_histograms(ax, counted, colors=_PAIR, dashes=_DASHES))
+        draw_histograms(ax, counted, colors=_PAIR, dashes=_DASHES)
     left.set_xlabel(f"radiance\n({UNIT})" if tight else f"radiance ({UNIT})")
     right.set_xlabel("radiance,\nlog scale" if tight else "the same on a logarithmic scale")
     if left.patches and tight:

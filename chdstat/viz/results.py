@@ -34,9 +34,7 @@ _AROUND = 2
 def panel_of(pixel: Pixel, title: str, *, family: str = "best") -> Panel:
     """Return a pixel as `chdstat.viz.chd_grid` draws it: histograms, curves and means."""
     curves = [pixel.curve(row, family) for row in range(len(pixel.names))] if family else []
-    named = dict.fromkeys(curve.name or curve.reason for curve in curves[: len(pixel.channels)])
-    note = ", ".join([f"{percent(pixel.null_share)} null", " / ".join(named)][: 1 + bool(named)])
-    return Panel.of_pixel(title, pixel, fits=curves, note=note)
+    return Panel.of_pixel(title, pixel, fits=curves, note=f"{percent(pixel.null_share)} null")
 
 
 def _pixel(pixel: Pixel, **options: Any) -> Figure:

@@ -24,6 +24,7 @@ from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.inference import Contrast, Contrasts
 from chdstat.inference.noise_rankings import ExamplePixel, NoiseRanking
+from chdstat.summary.histograms import shown_range
 from chdstat.viz.chd import Channels, Panel, draw_histograms, draw_means, one_of
 from chdstat.viz.image import Mark, draw_inset, draw_marked
 from chdstat.viz.maps import draw_labels, image_map, value_map
@@ -259,7 +260,9 @@ def _draw_place(
     """Draw the CHDs of one place in several renders; of those without samples, their means."""
     panels = {name: Panel.of(name, of) for name, of in samples.items()}
     found = {name: [*panel.histograms("log").values()][-1] for name, panel in panels.items()}
-    draw_histograms(ax, found, colors=[colors[name] for name in found])
+    marked = [mean for panel in panels.values() for mean in panel.mean[-1:]]
+    limits = shown_range([*found.values()], [*marked, *means.values()]) if found else None
+    draw_histograms(ax, found, colors=[colors[name] for name in found], limits=limits)
     for name, color in colors.items():
         if name in panels:
             draw_means(ax, panels[name].mean[-1:], [color])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
@@ -74,7 +76,59 @@ def test_renderings_share_one_axis():
     for first, second in (figure.axes[:2], figure.axes[2:]):
         assert first.get_xscale() == "log"
         assert first.get_xlim() == second.get_xlim()
-        assert first.patches[0].get_data().edges[0] == second.patches[0].get_data().edges[0]
+        starts = (ax.patches[0].get_data().edges[0] for ax in (first, second))
+        decades = np.log10(np.divide(*starts))
+        assert decades == pytest.approx(round(decades, 1))
+
+
+def ends_of(*rows):
+    """Return the ends of the linear and of the log axis of a pixel of rows of samples."""
+    figure = viz.chd_pair(viz.Panel.of("wall", np.array(rows)))
+    return figure, [ax.get_xlim() for ax in figure.axes]
+
+
+def test_one_sample_moves_no_axis():
+    """Neither far below nor far above the others, for few samples and for many."""
+    for n in (64, 512):
+        x = np.random.default_rng(n).lognormal(size=n)
+        _, (_, (low, high)) = ends_of(x)
+        for value, where in ((1e-15, "below"), (1e12, "above")):
+            figure, (linear, log) = ends_of(np.append(x, value))
+            assert low / 3 < log[0] < 3 * low
+            assert high / 3 < log[1] < 3 * high
+            assert 0 <= linear[0] < linear[1] < 3 * high
+            assert any(re.match(rf"[12] samples? {where} ", t) for t in texts(figure))
+
+
+def test_an_axis_holds_what_is_near_and_the_mean():
+    x = np.random.default_rng(2).gamma(2.0, size=512)
+    _, (linear, log) = ends_of(x)
+    assert linear[0] == 0
+    for low, high in (linear, log):
+        assert (x >= low).mean() >= 0.995
+        assert (x <= high).mean() >= 0.995
+    heavy = np.append(x, 3e4)  # a mean 20 times as large: 1.3 decades above most samples
+    _, (_, log) = ends_of(heavy)
+    assert log[0] < heavy.mean() < log[1] < 3e4
+    assert not any("sample" in t for t in texts(viz.chd_pair(viz.Panel.of("a", x[:12, None].T))))
+
+
+def test_one_pixel_takes_no_room_from_the_others():
+    rng = np.random.default_rng(3)
+    x = rng.lognormal(size=(4, 1, 512))
+    x[1] *= 1e-12  # apart: it has an axis of its own
+    x[2, :, :40] = 10.0 ** rng.uniform(-15, -5, size=40)  # a tail that no other has
+    mark = viz.Mark("wall", slice(0, 1), slice(0, 1), (0, 0))
+    panels = [viz.Panel.of(f"p{i}", row) for i, row in enumerate(x)]
+    figure = viz.region_study(np.ones((4, 4, 1)), [mark] * 4, panels)
+    axes = [ax for ax in figure.axes if ax.get_xscale() == "log"]
+    shared, (low, high) = {axes[i].get_xlim() for i in (0, 2, 3)}, axes[1].get_xlim()
+    assert len(shared) == 1
+    ((start, end),) = shared
+    assert 1e-4 < start < end < 1e3
+    assert 1e-15 < low < high < 1e-9
+    assert axes[1].xaxis.get_tick_params()["labelbottom"]
+    assert any("samples below 0." in t for t in texts(figure))
 
 
 def test_maps_have_scales_and_legends(image):
