@@ -309,9 +309,22 @@ def _histograms(scale: Scale, view: View, series: Sequence[_Series]) -> PanelDat
     found = _densities(series, lambda s: _histogram(view, scale, s, limits[id(s)]), scale)
     words = [outside_in_words([_counted(s, scale) for s in those], *ranges[key] or (0, np.inf))
              for key, those in groups.items()]  # fmt: skip
-    named = [f"{s.name} {s.place.curve(s.row, family).words}" for s in series
-             for family in view.families[:1] if scale == "log"]  # fmt: skip
+    named = _named(view, series) if scale == "log" else []
     return replace(found, notes=[*found.notes, *filter(None, words[0]), *named])
+
+
+def _named(view: View, series: Sequence[_Series]) -> list[str]:
+    """Return what the curves are: in full of one row, else by name, as the table has the rest."""
+    if not view.families:
+        return []
+    curves = {s.name: s.place.curve(s.row, view.families[0]) for s in series}
+    if len(curves) == 1:
+        return [curve.words for curve in curves.values()]
+    names: dict[str, list[str]] = {}
+    for row, curve in curves.items():
+        names.setdefault(curve.name or curve.reason, []).append(row)
+    alone = len(names) == 1
+    return [words if alone else f"{', '.join(rows)}: {words}" for words, rows in names.items()]
 
 
 def _counted(s: _Series, scale: Scale) -> Histogram:

@@ -88,7 +88,10 @@ def why(place: Pixel) -> tuple[str, str]:
 
 def statistics_table(columns: Sequence[_Column]) -> Table:
     """Return moments, and what the statistics say."""
-    told = [{**_moments(place, row), **place.told(row)} for _, place, row in columns]
+    told = [
+        {**_moments(place, row), "curve": place.curve(row).words, **place.told(row)}
+        for _, place, row in columns
+    ]
     rows = [[title, *(of_column[title] for of_column in told)] for title in told[0]]
     place = max((place for _, place, _ in columns), key=lambda p: p.spp)
     cut = place.fitted_spp < place.spp

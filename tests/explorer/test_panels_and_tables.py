@@ -21,6 +21,10 @@ from chdstat.fit.families import FAMILIES
 from chdstat.fit.tail import TailIndex
 from chdstat.inference.differences import difference
 from chdstat.patterns import Pixel
+from chdstat.reporting.figures import FIGURES, ReportData
+from chdstat.samples import Region
+from chdstat.studies.scene_data import SceneData
+from chdstat.studies.studies import SceneStudy
 
 RGB = ("R", "G", "B")
 
@@ -96,7 +100,37 @@ def test_nulls_and_bad_samples_are_apart():
     assert int(place.histograms["log"].counts.sum(axis=-1)[0]) == 512 - 128 - 64
     notes = panels(View(), series_of(View(), {"a": [place]}))["log"].notes
     assert notes[0] == "29\u00a0% null · 64 bad"
-    assert notes[-3:] == [f"{name} {place.curve(i).words}" for i, name in enumerate("RGB")]
+    assert notes[-2:] == ["R, G: gamma", "B: Weibull"]
+
+
+def test_all_draw_the_same_curve():
+    """The explorer, a notebook and a report: the mixture of what has two humps."""
+    rng = np.random.default_rng(11)
+    bright = np.where(rng.random(512) < 0.4, 60.0, 1.0)
+    x = (rng.lognormal(-1.0, 0.5, (3, 512)) * bright).astype(np.float32)
+    samples = chd.Samples.from_array(np.tile(x, (8, 8, 1, 1)))
+    place = samples.pixel(1, 1)
+    curves = [place.curve(row) for row in range(4)]
+    assert {curve.family for curve in curves} == {"mixture"}
+
+    def agree(those, lines):
+        for curve, (at, drawn) in zip(those, lines, strict=True):
+            assert drawn.max() > 0
+            np.testing.assert_allclose(curve.density(at, 0.1, "log"), drawn)
+
+    def on(figure):
+        (ax,) = (ax for ax in figure.axes if ax.get_xscale() == "log")
+        return [line.get_data() for line in ax.lines if len(line.get_xdata()) > 2]
+
+    view = View()
+    lines = panels(view, series_of(view, {"a": [place]}))["log"].lines
+    agree(curves[:3], [(t.x, t.y) for t in lines if not t.fill and len(t.x) > 2])
+    agree(curves[:3], on(samples.plot(1, 1)))
+    agree(curves[3:], on(samples.regions({"wall": (1, 1)}).plot()))
+    region = Region("wall", "bimodal", (0, 0, 0.5, 0.5))
+    study = SceneStudy(SceneData("hall", samples, (region,)), ())
+    (of_report,) = (figure for figure in FIGURES if figure.name == "regions")
+    agree(curves[3:], on(of_report.draw(ReportData(study))))
 
 
 def test_nearly_constant_samples_are_a_spike_without_fits():
