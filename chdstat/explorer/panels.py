@@ -345,7 +345,7 @@ def _histogram(view: View, scale: Scale, s: _Series, limits: _Extent | None) -> 
     if s.constant is not None:
         return _SeriesCurve(value=s.constant)
     counted = _counted(s, scale)
-    x, y = _steps(counted, limits)
+    x, y = _steps(counted.edges, counted.density, limits)
     if not x.size or limits is None:
         return _SeriesCurve()
     mean = float(s.place.moments.mean[s.row])
@@ -353,17 +353,16 @@ def _histogram(view: View, scale: Scale, s: _Series, limits: _Extent | None) -> 
     return _SeriesCurve((x, y), _curves(view, s, counted, limits), mean)
 
 
-def _steps(counted: Histogram, limits: _Extent | None) -> tuple[Array, Array]:
-    """Return the outline of the occupied bins of a row, from the axis up and down to it again."""
-    shown = counted.counts > 0
-    if limits is not None:
-        shown &= (counted.centers >= limits[0]) & (counted.centers <= limits[1])
-    filled = np.flatnonzero(shown)
+def _steps(edges: Array, heights: Array, limits: _Extent | None = None) -> tuple[Array, Array]:
+    """Return the outline of the occupied bins, from the axis up and down to it again."""
+    low, high = limits or (-np.inf, np.inf)
+    middle = (edges[1:] + edges[:-1]) / 2
+    filled = np.flatnonzero((np.nan_to_num(heights) > 0) & (middle >= low) & (middle <= high))
     if not filled.size:
         return np.empty(0), np.empty(0)
     bins = slice(filled[0], filled[-1] + 1)
-    x = np.repeat(counted.edges[filled[0] : filled[-1] + 2], 2)
-    return x, np.concatenate([[0.0], np.repeat(counted.density[bins], 2), [0.0]])
+    x = np.repeat(edges[filled[0] : filled[-1] + 2], 2)
+    return x, np.concatenate([[0.0], np.repeat(heights[bins], 2), [0.0]])
 
 
 def _curves(view: View, s: _Series, counted: Histogram, limits: _Extent) -> list[Trace]:
@@ -540,7 +539,7 @@ def _per_decade(counts: Array) -> tuple[Array, Array]:
         return np.empty(0), np.empty(0)
     # Few samples close to 0 would make an axis of many decades.
     density = np.where(counts.cumsum() > _RARE * total, counts / total, 0) * (len(counts) / 24)
-    return _steps(BINS, density[np.newaxis], 0)
+    return _steps(BINS, density)
 
 
 def beside(panel: PanelData, overall: Overall, series: Sequence[_Series]) -> PanelData:
