@@ -199,6 +199,10 @@ class View:
         """Name of the map that is shown: that of the brush, if there is one."""
         return self.map if self.brush is None else BRUSHED
 
+    def of_results(self) -> View:
+        """Return the view without what changes the image, but not the results of the selection."""
+        return replace(self, **{name: getattr(_DEFAULT, name) for name in LOOKS})
+
     def of_samples(self, spp: int) -> View:
         """Lower N to the largest number that so many samples allow.
 

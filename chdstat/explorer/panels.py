@@ -601,9 +601,16 @@ PANELS = {
 }  # fmt: skip
 
 
-def panels(view: View, series: Sequence[_Series]) -> dict[str, PanelData]:
-    """Return all panels by name."""
-    return {name: kind.draw(view, series) for name, kind in PANELS.items() if kind.draw}
+def panels(
+    view: View, series: Sequence[_Series], step: Callable[[], None] = lambda: None
+) -> dict[str, PanelData]:
+    """Return all panels by name; `step` is called before each, and may raise to end it."""
+    found = {}
+    for name, kind in PANELS.items():
+        step()
+        if kind.draw:
+            found[name] = kind.draw(view, series)
+    return found
 
 
 # --- figures, and how what they draw travels to the page ----------------------------------------

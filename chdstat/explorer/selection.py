@@ -122,9 +122,13 @@ class SelectionResults:
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
         self._places: dict[tuple[int, PixelIndex | Box], Pixel] = {}
+        self._guessed: tuple[Any, ...] = ()
 
-    def plots(self, view: View) -> SelectionPlots | None:
+    def plots(self, view: View, step: Callable[[], None] = lambda: None) -> SelectionPlots | None:
         """Return what the panels of a view show; None where nothing is selected or has samples.
+
+        `step` is called now and then; whatever it raises ends the computation, and what is known of
+        the places by then is kept.
 
         Raises
         ------
@@ -148,11 +152,40 @@ class SelectionResults:
         series = series_of(view, {workspace.names[i]: those for i, those in found.items()})
         legend = list(dict.fromkeys((s.name, s.color) for s in series))
         source: Any = workspace.sources[index]
-        name, drawn = workspace.names[index], panels(view, series)
+        name, drawn = workspace.names[index], panels(view, series, step)
         overall = workspace.overalls[index]
         if view.region is not None and overall.histogram.any():
             drawn["log"] = beside(drawn["log"], overall, series)
         return SelectionPlots(view, keys, found, index, source, name, drawn, legend)
+
+    def guess(self, view: View, step: Callable[[], None]) -> None:
+        """Compute what `results` will return of a view, unless `step` raises."""
+        sources = list(self._workspace.sources)
+        plots = self.plots(view, step)
+        step()
+        # The distance of two stores takes long.
+        if plots is not None and len(sources) == 1:
+            self._guessed = view.of_results(), sources, plots, self.describe(plots)
+
+    def results(
+        self, view: View, show: Callable[[SelectionPlots], None]
+    ) -> tuple[SelectionPlots, dict[str, Table], list[PlaceEstimates]] | None:
+        """Return plots, tables and quick estimates of a view; the plots are shown before these.
+
+        Raises
+        ------
+        InputError, StoreError
+            As for `plots`.
+        """
+        if self._guessed[:2] == (view.of_results(), list(self._workspace.sources)):
+            *_, plots, described = self._guessed
+            show(plots)
+            return plots, *described
+        plots = self.plots(view)
+        if plots is None:
+            return None
+        show(plots)
+        return plots, *self.describe(plots)
 
     def describe(self, plots: SelectionPlots) -> tuple[dict[str, Table], list[PlaceEstimates]]:
         """Return the tables of the active place by name, and the estimates of quick estimators."""

@@ -13,7 +13,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -86,6 +86,7 @@ class Session:
         self._page = Page(
             document, workspace.sources, workspace.names, workspace.given, coarse, self._gone
         )
+        self._guessed = self.view
         self._page.inbox.on_change("value", self._received)
         self._end = workspace.listen(lambda what: self._page.next(partial(self._heard, what)))
 
@@ -244,11 +245,32 @@ class Session:
         self._add("goodness", work)
 
     def _on_near(self, *, y: int, x: int) -> None:
-        """Read the pixels around the pointer, before one of them is clicked."""
-        for source in self._workspace.sources:
-            if isinstance(source, StoreSource):
-                with suppress(RuntimeError):  # the explorer is closing
-                    self._workspace.exports.submit(source.pixel, int(y), int(x))
+        """Read the pixels around the pointer, and compute what a click on it would show.
+
+        A click ends this work at its next step; what is known of the pixel by then is kept.
+        """
+        y, x, workspace = int(y), int(x), self._workspace
+        check_pixel(y, x, *self._size)
+        stores = [one for one in workspace.sources if isinstance(one, StoreSource)]
+        self._guessed = view = self.view.pick(y, x)
+
+        def step() -> None:
+            if view is not self._guessed or workspace.is_urgent:
+                raise _Stopped
+
+        def guess(_: object) -> None:
+            with suppress(_Stopped, ChdstatError):
+                step()
+                self._results.guess(view, step)
+
+        def read() -> None:
+            for store in stores:
+                store.pixel(y, x)
+
+        with suppress(RuntimeError):  # the explorer is closing
+            reading = workspace.exports.submit(read)
+            if not any(isinstance(one, SceneSource) for one in workspace.sources):
+                reading.add_done_callback(partial(_submitted, workspace.clicks, guess))
 
     # --- what they change -----------------------------------------------------------------------
 
@@ -394,16 +416,16 @@ class Session:
     def _found(self, view: View, seq: int, check: Check) -> Found:
         """Compute results in the thread of clicks; send the panels before there are tables."""
         check()
-        plots = self._results.plots(view)
-        if plots is None:
-            return None
-        notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
-        drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
-        spp = min(place.spp for place in plots.places)
-        drawn["names"] = self._workspace.names
-        drawn |= {"seq": seq, "batch": plots.view.batch, "most": spp // BATCHES}
-        self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
-        return plots, *self._results.describe(plots)
+
+        def show(plots: SelectionPlots) -> None:
+            notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
+            drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
+            spp = min(place.spp for place in plots.places)
+            drawn["names"] = self._workspace.names
+            drawn |= {"seq": seq, "batch": plots.view.batch, "most": spp // BATCHES}
+            self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
+
+        return self._results.results(view, show)
 
     def _found_with_more(self, source: SceneSource, view: View, check: Check) -> Found:
         """Sample the active pixel for a while, then compute the results again."""
@@ -494,6 +516,13 @@ class Session:
             _log.error("the explorer failed", exc_info=error)
             text = f"{type(error).__name__}: {error}"
         self._page.alert(text)
+
+
+def _submitted(pool: Executor, work: Callable[[object], None], read: Future[None]) -> None:
+    """Work on what was read in another thread."""
+    with suppress(RuntimeError, CancelledError):  # the explorer is closing
+        if read.exception() is None:
+            pool.submit(work, read)
 
 
 def _guarded(check: Check, action: Callable[..., None], *first: Any) -> Callable[..., None]:

@@ -6,7 +6,6 @@ For one place, a table has a column per channel; for several pixels, a column pe
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -180,7 +179,9 @@ def estimates_table(
 def _mean_and_scatter(values: Sequence[float]) -> str:
     if not values:
         return "—"
-    return with_error(float(np.mean(values)), statistics.stdev(values) if values[1:] else math.nan)
+    return with_error(
+        float(np.mean(values)), float(np.std(values, ddof=1)) if values[1:] else math.nan
+    )
 
 
 def _rank(given: Sequence[str], estimates: PlaceEstimates) -> int:

@@ -199,7 +199,7 @@ class Workspace:
         self._listeners: set[_Listener] = set()
         self._urgent, self._drawn = 0, False
         self._lock = threading.Lock()
-        self.passes = Passes(lambda: self._urgent > 0, self.tell)
+        self.passes = Passes(lambda: self.is_urgent, self.tell)
 
     def start(self) -> None:
         """Show the first images, then begin to improve them."""
@@ -232,6 +232,11 @@ class Workspace:
         """Call all listeners with the name of what has changed."""
         for listener in tuple(self._listeners):
             listener(what)
+
+    @property
+    def is_urgent(self) -> bool:
+        """Whether a click waits for its results."""
+        return self._urgent > 0
 
     def urgent(self, change: int) -> None:
         """Count the clicks that wait for their results."""

@@ -159,3 +159,27 @@ def test_a_region_stands_beside_the_image(known):
     assert image.dash == "2 4"
     assert image.color == own.color
     assert "dotted: the image" in plots.panels["log"].notes
+
+
+def test_what_is_guessed_is_what_a_click_shows(known):
+    """Work that a pointer at rest begins is that of the click; another view is computed anew."""
+    results, calls = SelectionResults(Workspace([StoreSource(known)])), []
+    view = View().pick(68, 2)
+    results.guess(view, lambda: calls.append("step"))
+    assert len(calls) > 5
+    shown = []
+    looked = view.changed("exposure", 2.0)  # does not matter to results
+    plots, tables, _ = results.results(looked, shown.append)
+    assert shown == [plots]
+    anew, again, _ = SelectionResults(results._workspace).results(view, shown.append)
+    assert plots.title == anew.title == "Pixel · y 68, x 2 · 130 samples"
+    assert tables == again
+    other, *_ = results.results(view.pick(3, 4), shown.append)
+    assert other.title.startswith("Pixel · y 3, x 4")
+
+    def ended():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        results.guess(view.pick(9, 5), ended)
+    results._workspace.stop()

@@ -84,13 +84,13 @@ window.chdstat = (() => {
     return value === 0 ? "0" : value.toPrecision(digits);
   }
 
-  // Samples are stored in blocks: where the pointer rests on another one, it is read ahead.
-  let block = "", resting = 0;
+  // Where the pointer rests, what a click would show is read and computed ahead.
+  let rested = "", resting = 0;
   function near(y, x) {
-    const here = `${y >> 4} ${x >> 4}`;
-    if (here === block) return;
+    const here = `${y} ${x}`;
+    if (here === rested) return;
     clearTimeout(resting);
-    resting = setTimeout(() => { block = here; send("near", { y, x }); }, 30);
+    resting = setTimeout(() => { rested = here; send("near", { y, x }); }, 50);
   }
 
   function hover(event) {
